@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import UniformClock, rate_fraction
 from accelcal_cli.core.recording import Channels, Chunk, Counts, Intake, Problem, Reader, Recording
 from accelcal_cli.formats._bytes import ByteSource
-from accelcal_cli.formats._pages.pages import BLOCK_BYTES
+from accelcal_cli.formats._pages.files import BLOCK_BYTES
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog
 from accelcal_cli.formats._rows import HeldChannels, RowFilter
 

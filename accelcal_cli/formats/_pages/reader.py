@@ -1,31 +1,24 @@
-"""The reader that all dumps of fixed-size pages share.
+"""The reader that formats made of pages share: blocks of pages become chunks.
 
-Blocks of decoded pages become chunks, with times, breaks and problems across block borders. What is wrong
-with pages, between pages and with rows goes to the problem log as events.
+A format says where its pages lie (`files.py`), how a block of them is decoded (`PageDecoder`) and what times
+they have (`timeline.py`); a `PageScheme` holds that together. A `PageJoiner` gives chunks their times, breaks
+and problems across the borders of blocks, and `PagedReader` streams them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Generator, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, PageClock
 from accelcal_cli.core.recording import Chunk, Intake, Problem, Reader, Recording, cut_columns
-from accelcal_cli.formats._pages import pages as paged
-from accelcal_cli.formats._pages.pages import (
-    BadRun,
-    Block,
-    Decoded,
-    PageBlock,
-    PageCutter,
-    PagedFile,
-    Places,
-    RawBlock,
-)
+from accelcal_cli.formats._pages.files import AnyBlock, Block, PagedFile, PageFile, RawBlock, is_erased
+from accelcal_cli.formats._pages.pages import BAD_KINDS, DAMAGED, ERASED, BadRun, Decoded, PageBlock
 from accelcal_cli.formats._pages.timeline import Links, Spacing, Steps, Timeline, steps
 from accelcal_cli.formats._problems import Event, ProblemLog
 from accelcal_cli.formats._rows import MISSING, HeldChannels, RowFilter, first_values, missing_kind
@@ -36,7 +29,7 @@ CLOCK_AHEAD = "clock_gap", "jumps of the device clock ahead"
 CLOCK_BACK = "clock_back", "jumps of the device clock back"
 FAULTY_ROWS = "missing_value", "samples without a usable value, left out"
 BLANK_BYTES = 16
-"""A few bytes of 0xFF may belong to a number; so many, or after erased ones, were never written."""
+"""Fewer bytes of 0xFF may belong to a number; as many, or fewer after erased ones, were never written."""
 
 CUT_OFF = "bytes of an incomplete page or frame at the end of the file, left out"
 BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomplete page or frame, left out"
@@ -44,19 +37,29 @@ BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomple
 NO_PAGES = np.empty(0, np.int64)
 
 LAST_PAGES = 64
+"""Pages before the end of the data among which the last valid page is looked for."""
+
 FIRST_ROWS = 1 << 16
+"""Rows that are decoded at a time until a page is valid."""
+
+START_SAMPLES = 8192
+"""Samples that are read at a time until the first one has its time."""
 
 
 class EventMaker:
     """Turns findings into events with their place in the file.
 
+    Attributes:
+        block: the block that is being read, which knows where its pages lie.
+
     Args:
-        kinds: code and text of the kinds of unusable pages; those of other kinds are no matter.
+        kinds: code and text for each kind of unusable page that is a problem.
         damaged: the kinds whose bytes are lost.
     """
 
-    def __init__(self, file: Places, kinds: Mapping[int, tuple[str, str]], damaged: Collection[int]) -> None:
-        self._file = file
+    block: Block
+
+    def __init__(self, kinds: Mapping[int, tuple[str, str]], damaged: Collection[int]) -> None:
         self._kinds = kinds
         self._damaged = damaged
         self._erased: BadRun | None = None
@@ -64,7 +67,7 @@ class EventMaker:
     def bad_pages(
         self, position: NDArray[np.int64], rows: NDArray[np.int64], bad: list[BadRun], rows_in: int
     ) -> Iterator[Event]:
-        """Unusable pages. Erased ones are held back until anything else follows them.
+        """Report unusable pages; erased ones only once anything else follows them.
 
         Args:
             position, rows: (p,) of the valid pages among them, and their usable rows.
@@ -74,46 +77,43 @@ class EventMaker:
         waiting, self._erased = [] if self._erased is None else [self._erased], None
         if not bad and not waiting:
             return
-        sound = [*(run.position for run in bad if run.kind != paged.ERASED), *position[-1:].tolist()]
+        sound = [*(run.position for run in bad if run.kind != ERASED), *position[-1:].tolist()]
         followed = max(sound, default=-1)
         rows_before = np.concatenate(([0], np.cumsum(rows))) + rows_in
         for run in [*waiting, *bad]:
-            if run.kind == paged.ERASED and run.position > followed:
-                self._hold(run)
+            if run.kind == ERASED and run.position > followed:
+                before = self._erased or BadRun(run.position, 0, ERASED)
+                self._erased = replace(before, pages=before.pages + run.pages)
             elif run.kind in self._kinds:
                 sample = int(rows_before[np.searchsorted(position, run.position)])
-                lost = self._file.length(run.position, run.pages) if run.kind in self._damaged else 0
+                lost = self.block.length(run.position, run.pages) if run.kind in self._damaged else 0
                 event = self.event(run.position, self._kinds[run.kind], sample, run.pages)
                 yield replace(event, length=run.pages, lost_bytes=lost)
 
-    def _hold(self, run: BadRun) -> None:
-        before = self._erased or BadRun(run.position, 0, paged.ERASED)
-        self._erased = BadRun(before.position, before.pages + run.pages, paged.ERASED)
-
     def event(self, position: int, kind: tuple[str, str], sample: int, count: int = 1) -> Event:
-        """So many units at a page."""
-        return Event(position, 1, *kind, self._file.offset(position), sample, count)
+        """Return an event at a page that concerns `count` units."""
+        return Event(position, 1, *kind, self.block.offset(position), sample, count)
 
 
 class PageEvents(EventMaker):
-    """Of pages as a PageJoiner takes them.
+    """Turns what a PageJoiner finds into events.
 
     Args:
         row_bytes: bytes of a page for each of its rows.
-        first_values: as in PageJoiner.
+        held: channels that may lack values.
     """
 
-    def __init__(self, file: Places, row_bytes: int, first_values: Mapping[str, int | None]) -> None:
-        super().__init__(file, paged.BAD_KINDS, paged.DAMAGED)
+    def __init__(self, row_bytes: int, held: Iterable[str]) -> None:
+        super().__init__(BAD_KINDS, DAMAGED)
         self._row_bytes = row_bytes
-        self._held = [name for name, value in first_values.items() if value is not None]
+        self._held = held
 
     def rows(self, block: PageBlock, rows_in: int) -> Iterator[Event]:
-        """Rows without usable values, and samples without a value of a channel, page by page."""
-        numbers = {FAULTY_ROWS: paged.per_page(block, block.faulty)}
+        """Report rows without usable values, and samples without a value of a channel, page by page."""
+        numbers = {FAULTY_ROWS: block.count_per_page(block.faulty)}
         for name in self._held:
-            numbers[missing_kind(name)] = paged.per_page(block, block.channels[name] == MISSING)
-        after = rows_in + np.cumsum(paged.page_rows(block))
+            numbers[missing_kind(name)] = block.count_per_page(block.channels[name] == MISSING)
+        after = rows_in + np.cumsum(block.usable_rows)
         for page in np.flatnonzero(sum(numbers.values())).tolist():
             position, sample = int(block.position[page]), int(after[page])
             for kind, column in numbers.items():
@@ -122,8 +122,8 @@ class PageEvents(EventMaker):
                     yield replace(self.event(position, kind, sample, count), lost_bytes=lost_bytes)
 
     def links(self, pages: PageBlock, step: Steps, links: Links, rows_before: int) -> Iterator[Event]:
-        """What stands between pages."""
-        samples = rows_before + np.cumsum(paged.page_rows(pages))
+        """Report lost pages and jumps of the clock between pages."""
+        samples = rows_before + np.cumsum(pages.usable_rows)
         columns = (step.missing, step.back, links.ahead_us, links.behind_us)
         for page in np.flatnonzero(np.logical_or.reduce(columns)).tolist():
             place, sample = int(pages.position[page + 1]), int(samples[page])
@@ -137,21 +137,39 @@ class PageEvents(EventMaker):
             if behind:
                 yield replace(self.event(place, CLOCK_BACK, sample), amount_us=behind)
 
-    def ending(self, raw: Block, leftover: bytes, rows_in: int, *, unused: bool) -> Iterator[Event]:
-        """An incomplete page or frame at the end, unless it is erased flash.
+    def ending(self, leftover: bytes, rows_in: int, *, unused: bool) -> Iterator[Event]:
+        """Report an incomplete page or frame at the end, unless it is erased flash.
 
         Args:
             unused: the frames before these bytes were never written.
         """
         blank = len(leftover) >= BLANK_BYTES or self._erased is not None or unused
-        if not raw.broken and paged.is_erased(leftover) and (blank or not leftover):
+        block = self.block
+        if not block.broken and is_erased(leftover) and (blank or not leftover):
             return
-        position = raw.next_position
-        offset = self._file.offset(position) + len(raw.tail) - len(leftover)
-        text = BROKEN_OFF if raw.broken else CUT_OFF
-        lost = len(leftover) + raw.undecoded
-        event = Event(position, 1, "truncated", text, offset, rows_in, len(leftover))
-        yield replace(event, lost_bytes=lost)
+        offset, text = block.end - len(leftover), BROKEN_OFF if block.broken else CUT_OFF
+        event = Event(block.next_position, 1, "truncated", text, offset, rows_in, len(leftover))
+        yield replace(event, lost_bytes=len(leftover) + block.undecoded)
+
+
+class PageDecoder(Generic[AnyBlock]):
+    """Decodes the blocks of one pass over a file, in their order; a format subclasses it."""
+
+    def decode(self, block: AnyBlock) -> Decoded:
+        """Return the valid pages of a block, and the others."""
+        raise NotImplementedError
+
+    def finish(self, chunk: Chunk) -> Chunk:
+        """Add to a chunk of decoded rows what only the format knows, such as which are clipped."""
+        return chunk
+
+    def ending(self, block: AnyBlock, chunk: Chunk) -> tuple[Problem, ...]:
+        """Return what is missing at the end of a whole file.
+
+        Args:
+            block, chunk: the last ones.
+        """
+        return ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,8 +183,8 @@ class Stretch:
     broken: NDArray[np.bool_]
 
     def cut(self, pages: int) -> tuple[Stretch, Stretch]:
-        """The first `pages` pages, and the rest."""
-        above, below = paged.split(self.block, pages)
+        """Return the first `pages` pages, and the rest."""
+        above, below = self.block.split(pages)
         columns = ("time_us", "span_rows", "span_us", "broken")
         return (
             Stretch(above, **cut_columns(self, columns, slice(None, pages))),
@@ -174,67 +192,69 @@ class Stretch:
         )
 
 
-class PageJoiner:
-    """Takes blocks of decoded pages in order and gives a chunk for each.
+class PageJoiner(Generic[AnyBlock]):
+    """Takes the blocks of a file in order and gives a chunk for each that has rows or problems.
 
     The last page is held back until the next one shows how long it lasted.
 
     Args:
         sample: number of the first row.
-        first_values: of channels that may lack values, the first measured one, which rows before it are
-            given; None where none is measured.
-        problems: what was found before any page.
+        whole: the blocks are a whole file, and not a piece that is read as a recording of its own.
     """
 
-    def __init__(
-        self,
-        file: Places,
-        spacing: Spacing,
-        timeline: Timeline,
-        sample: int,
-        first_values: Mapping[str, int | None],
-        problems: tuple[Problem, ...],
-    ) -> None:
-        self._spacing = spacing
-        self._timeline = timeline
-        self._page_bytes, self._row_bytes = file.page_bytes, file.page_bytes // spacing.rows
-        self._events = PageEvents(file, self._row_bytes, first_values)
-        self._log = ProblemLog(problems)
-        self._channels = HeldChannels(first_values)
+    def __init__(self, scheme: PageScheme[AnyBlock], sample: int, *, whole: bool) -> None:
+        self._decoder = scheme.decoder()
+        self._spacing = scheme.spacing
+        self._timeline = scheme.timeline()
+        self._whole = whole
+        self._page_bytes = scheme.file.page_bytes
+        self._row_bytes = self._page_bytes // scheme.spacing.rows
+        held = [name for name, value in scheme.first_values.items() if value is not None]
+        self._events = PageEvents(self._row_bytes, held)
+        self._log = ProblemLog(scheme.problems if whole else ())
+        self._channels = HeldChannels(scheme.first_values)
         self._filter = RowFilter()
         self._last: Stretch | None = None
         self._unused_end = False
         self._rows_in = self._rows_out = sample
 
-    def feed(self, raw: Block, decoded: Decoded) -> Chunk:
+    def feed(self, block: AnyBlock) -> Iterator[Chunk]:
         """Add a block; the last one releases the held page too."""
-        block = decoded.block
-        rows = paged.page_rows(block)
-        events = [*self._events.bad_pages(block.position, rows, decoded.bad, self._rows_in)]
-        events += self._events.rows(block, self._rows_in)
-        stretch = self._settled(block, events)
+        self._events.block = block
+        chunk = self._decoder.finish(self._joined(block, self._decoder.decode(block)))
+        if block.last and self._whole:
+            chunk = replace(chunk, problems=chunk.problems + self._decoder.ending(block, chunk))
+        if len(chunk) or chunk.problems:
+            yield chunk
+
+    def _joined(self, block: AnyBlock, decoded: Decoded) -> Chunk:
+        pages = decoded.block
+        rows = pages.usable_rows
+        events = [*self._events.bad_pages(pages.position, rows, decoded.bad, self._rows_in)]
+        events += self._events.rows(pages, self._rows_in)
+        stretch = self._settled(pages, events)
         self._rows_in += int(rows.sum())
-        if len(block) or decoded.bad:
+        if len(pages) or decoded.bad:
             self._unused_end = decoded.unused_end
-        if raw.last:
-            events += self._events.ending(raw, decoded.leftover, self._rows_in, unused=self._unused_end)
-        elif len(stretch.block):
+        if block.last and decoded.leftover is not None:
+            events += self._events.ending(decoded.leftover, self._rows_in, unused=self._unused_end)
+        if not block.last and len(stretch.block):
             stretch, self._last = stretch.cut(len(stretch.block) - 1)
         for event in sorted(events, key=lambda event: event.position):
             self._log.add(event)
-        scanned = None if raw.last else raw.next_position
-        return self._chunk(stretch, raw.end_byte, self._log.take(scanned))
+        problems = self._log.take(None if block.last else block.next_position)
+        return self._chunk(stretch, block.end_byte, problems)
 
     def _settled(self, block: PageBlock, events: list[Event]) -> Stretch:
-        """Times of the held page and the new ones."""
+        """Return the held page and the new ones with their times."""
         last = self._last
-        pages = block if last is None else paged.joined(last.block, block)
+        pages = block if last is None else last.block.followed_by(block)
         if not len(pages):
             return Stretch(pages, *(NO_PAGES,) * 3, NO_PAGES.astype(np.bool_))
         start_us = self._timeline.start(pages) if last is None else int(last.time_us[0])
         step = steps(pages, self._spacing)
         links = self._timeline.link(pages, step, start_us)
-        before = self._rows_in - (0 if last is None else int(paged.page_rows(last.block).sum()))
+        before = self._rows_in - (0 if last is None else int(last.block.usable_rows.sum()))
         events += self._events.links(pages, step, links, before)
         return self._spread(pages, links, last is not None and bool(last.broken[0]))
 
@@ -256,6 +276,7 @@ class PageJoiner:
     def _chunk(self, stretch: Stretch, end_byte: int, problems: tuple[Problem, ...]) -> Chunk:
         block = stretch.block
         first_row = np.cumsum(block.rows) - block.rows
+        faults = 0 if block.faulty is None else int(block.faulty.sum())
         chunk = Chunk(
             first_sample=self._rows_out,
             counts=block.counts,
@@ -263,31 +284,126 @@ class PageJoiner:
             end_byte=end_byte,
             breaks=first_row[stretch.broken],
             problems=problems,
-            used_bytes=self._used_bytes(block),
+            used_bytes=len(block) * self._page_bytes - faults * self._row_bytes,
             **self._channels.fill(block.channels),
         )
         chunk = self._filter.apply(chunk, block.faulty)
         self._rows_out += len(chunk)
         return chunk
 
-    def _used_bytes(self, block: PageBlock) -> int:
-        faults = 0 if block.faulty is None else int(block.faulty.sum())
-        return len(block) * self._page_bytes - faults * self._row_bytes
+
+AnyBlock_contra = TypeVar("AnyBlock_contra", bound=Block, contravariant=True)
+
+
+class Assembler(Protocol[AnyBlock_contra]):
+    """Takes the blocks of a file in order and gives chunks as soon as their times are known."""
+
+    def feed(self, block: AnyBlock_contra) -> Iterator[Chunk]:
+        """Add a block; the last one releases everything. Chunks have rows or problems."""
 
 
 @dataclass(frozen=True, slots=True)
-class PageScheme:
-    """How to read the pages of one file.
+class FileScheme(Generic[AnyBlock]):
+    """How one file is read in blocks.
 
     Attributes:
-        decode: turns a block into valid pages and the rest.
-        timeline: makes a fresh timeline.
+        spacing: rate and samples of a full page.
+        first_values: for each channel that may lack values, the first measured one, which the rows before it
+            are given; None if none is measured.
+        problems: what was found before the first page; given with the first chunk.
     """
 
-    file: PagedFile
+    file: PageFile[AnyBlock]
     spacing: Spacing
-    decode: Callable[[RawBlock], Decoded]
+    first_values: Mapping[str, int | None] = field(default_factory=dict, kw_only=True)
+    problems: tuple[Problem, ...] = field(default=(), kw_only=True)
+
+    def assembler(self, sample: int = 0, *, whole: bool = True) -> Assembler[AnyBlock]:
+        """Return an assembler for one pass over the file; the arguments are those of PageJoiner."""
+        raise NotImplementedError
+
+    def amount(self, chunk_samples: int) -> int:
+        """Return how much of the file makes a chunk: whole pages, at least one."""
+        return self.file.amount(chunk_samples // self.spacing.rows)
+
+    def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk]:
+        """Yield all rows of the file; `threads` may work at a time on a gzip file."""
+        assembler = self.assembler()
+        with closing(self.file.blocks(self.amount(chunk_samples), threads=threads)) as blocks:
+            for block in blocks:
+                yield from assembler.feed(block)
+
+    def first_time_us(self) -> int:
+        """Return the time of the first sample [us]; raise StopIteration if there is none."""
+        with closing(self.stream(START_SAMPLES)) as chunks:
+            return int(next(chunk for chunk in chunks if len(chunk)).clock.times(0, 1)[0])
+
+    def pieces(self, chunk_samples: int, pieces: int) -> Iterator[tuple[int, AnyBlock]]:
+        """Yield blocks spread evenly over the file, each with the number of its first sample.
+
+        None if the file can only be read from its beginning.
+        """
+        for block in self.file.pieces(self.amount(chunk_samples), pieces):
+            yield block.first_position * self.spacing.rows, block
+
+
+@dataclass(frozen=True, slots=True)
+class PageScheme(FileScheme[AnyBlock]):
+    """How the pages of one file are read.
+
+    Attributes:
+        decoder: makes a decoder for one pass over the file.
+        timeline: makes a timeline for one pass.
+    """
+
+    decoder: Callable[[], PageDecoder[AnyBlock]]
     timeline: Callable[[], Timeline]
+
+    def assembler(self, sample: int = 0, *, whole: bool = True) -> PageJoiner[AnyBlock]:
+        """See FileScheme."""
+        return PageJoiner(self, sample, whole=whole)
+
+
+class PageIntake(Intake, Generic[AnyBlock]):
+    """Takes a file of pages as it grows."""
+
+    def __init__(self, scheme: FileScheme[AnyBlock]) -> None:
+        self._cutter, self._assembler = scheme.file.cutter(), scheme.assembler()
+        self._skip, self._taken = scheme.file.start_byte, 0
+
+    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
+        """See `Intake`."""
+        self._taken += len(data)
+        skipped = min(self._skip, len(data))
+        self._skip -= skipped
+        block = self._cutter.cut(data[skipped:], self._taken, last=last)
+        if last or block.next_position > block.first_position:
+            yield from self._assembler.feed(block)
+
+
+class PagedReader(Reader, Generic[AnyBlock]):
+    """Streams the pages of a file; each call of `chunks` reads it from its beginning."""
+
+    def __init__(self, recording: Recording, scheme: FileScheme[AnyBlock]) -> None:
+        self.recording = recording
+        self._scheme = scheme
+
+    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
+        """Yield all rows in order, whole pages, at least one."""
+        return self._scheme.stream(chunk_samples, self.threads)
+
+    def intake(self) -> Intake:
+        """See `Reader`."""
+        return PageIntake(self._scheme)
+
+    def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
+        """Enter the file at evenly spread places, or give its first chunks if that is not possible."""
+        entered = False
+        for sample, block in self._scheme.pieces(chunk_samples, pieces):
+            entered = True
+            yield from self._scheme.assembler(sample, whole=False).feed(block)
+        if not entered:
+            yield from super().preview(chunk_samples, pieces)
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,7 +413,7 @@ class Opening:
     Attributes:
         block: its valid pages.
         start_us: time of the first sample.
-        first_values: as in PageJoiner.
+        first_values: as in FileScheme.
     """
 
     block: PageBlock
@@ -305,115 +421,44 @@ class Opening:
     first_values: dict[str, int | None]
 
 
-def look_inside(scheme: PageScheme) -> Opening | None:
-    """Read on until a page is valid; None if there is none in the whole file."""
-    pages = scheme.file.fitting(FIRST_ROWS // scheme.spacing.rows)
-    for raw in scheme.file.blocks(pages):
-        block = scheme.decode(raw).block
-        if len(block) and (block.faulty is None or not block.faulty.all()):
-            return Opening(block, scheme.timeline().start(block), first_values(block.channels))
-    return None
+@dataclass(frozen=True, slots=True)
+class FixedPages(PageScheme[RawBlock]):
+    """How a file of pages of one length is read."""
 
+    file: PagedFile
 
-def extent(scheme: PageScheme, opening: Opening) -> tuple[int | None, float | None]:
-    """Samples and seconds, by the first valid page and the last; None if these do not show it.
+    def look_inside(self) -> Opening | None:
+        """Read on until a page is valid; return None if there is none in the whole file."""
+        for raw in self.file.blocks(self.amount(FIRST_ROWS)):
+            block = self.decoder().decode(raw).block
+            if len(block) and (block.faulty is None or not block.faulty.all()):
+                return Opening(block, self.timeline().start(block), first_values(block.channels))
+        return None
 
-    The number of samples takes all pages between for full and present; it is None if the
-    sequence numbers contradict that, and for a gzip file, whose end is not known.
-    """
-    last = None if scheme.file.compressed else last_page(scheme)
-    if last is None:
-        return None, None
-    ends, _ = paged.split(opening.block, 1)
-    if last.position[0] > ends.position[0]:
-        ends = paged.joined(ends, last)
-    step = steps(ends, scheme.spacing)
-    timeline = scheme.timeline()
-    links = timeline.link(ends, step, timeline.start(ends))
-    rows = int(np.ptp(ends.position)) * scheme.spacing.rows + int(ends.rows[-1])
-    lasted_us = int(np.ptp(links.time_us)) + float(scheme.spacing.rows_us(ends.rows[-1]))
-    certain = ends.faulty is None and not step.missing.any()
-    return rows if certain else None, lasted_us / MICROSECONDS
+    def extent(self, opening: Opening) -> tuple[int | None, float | None]:
+        """Return samples and seconds, by the first valid page and the last; None if these do not show it.
 
+        The number of samples assumes that all pages between are full and present; it is None if the
+        sequence numbers contradict that, and for a gzip file, whose end is not known.
+        """
+        last = None if self.file.compressed else self._last_page()
+        if last is None:
+            return None, None
+        ends, _ = opening.block.split(1)
+        if last.position[0] > ends.position[0]:
+            ends = ends.followed_by(last)
+        step = steps(ends, self.spacing)
+        timeline = self.timeline()
+        links = timeline.link(ends, step, timeline.start(ends))
+        rows = int(np.ptp(ends.position)) * self.spacing.rows + int(ends.rows[-1])
+        lasted_us = int(np.ptp(links.time_us)) + float(self.spacing.rows_us(ends.rows[-1]))
+        certain = ends.faulty is None and not step.missing.any()
+        return rows if certain else None, lasted_us / MICROSECONDS
 
-def last_page(scheme: PageScheme) -> PageBlock | None:
-    """The last valid page, looked for among the last few before erased ones; None if not there."""
-    pages = scheme.file.fitting(LAST_PAGES)
-    first = max(0, scheme.file.data_pages() - pages)
-    with closing(scheme.file.blocks(pages + 1, first)) as blocks:
-        block = scheme.decode(next(blocks)).block
-    return paged.split(block, len(block) - 1)[1] if len(block) else None
-
-
-def first_time(stream: Generator[Chunk]) -> int:
-    """Time of the first sample of chunks, at least one of which has any [us]."""
-    with closing(stream) as chunks:
-        return int(next(chunk for chunk in chunks if len(chunk)).clock.times(0, 1)[0])
-
-
-class PageIntake(Intake):
-    """Takes a dump of pages as it grows."""
-
-    def __init__(self, file: PagedFile, decode: Callable[[RawBlock], Decoded], joiner: PageJoiner) -> None:
-        self._cutter, self._decode, self._joiner = PageCutter(file), decode, joiner
-
-    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
-        """See `Intake`."""
-        raw = self._cutter.cut(data, last=last)
-        if len(raw.pages) or last:
-            yield self._joiner.feed(raw, self._decode(raw))
-
-
-class PagedReader(Reader):
-    """Streams the pages of a dump; each call of `chunks` reads the file from its beginning.
-
-    Args:
-        problems: what was found while opening; reported with the first chunk.
-    """
-
-    def __init__(
-        self, recording: Recording, scheme: PageScheme, opening: Opening, problems: tuple[Problem, ...] = ()
-    ) -> None:
-        self.recording = recording
-        self._scheme = scheme
-        self._opening = opening
-        self._problems = problems
-
-    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
-        """Yield all rows in order, whole pages, at least one."""
-        joiner = self._joiner(0, self._problems)
-        for raw in self._scheme.file.blocks(self._pages(chunk_samples), threads=self.threads):
-            chunk = joiner.feed(raw, self._scheme.decode(raw))
-            if len(chunk) or chunk.problems:
-                yield chunk
-
-    def intake(self) -> Intake:
-        """See `Reader`."""
-        return PageIntake(self._scheme.file, self._scheme.decode, self._joiner(0, self._problems))
-
-    def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
-        """Enter the file at evenly spread pages; a gzip file gives its first chunks."""
-        if self._scheme.file.compressed:
-            yield from super().preview(chunk_samples, pieces)
-            return
-        total = self._scheme.file.data_pages()
-        pages = min(self._pages(chunk_samples), max(1, total // max(1, pieces)))
-        for piece in range(min(pieces, max(1, total))):
-            chunk = self._piece(piece * total // pieces, pages)
-            if len(chunk) or chunk.problems:
-                yield chunk
-
-    def _piece(self, position: int, pages: int) -> Chunk:
-        with closing(self._scheme.file.blocks(pages, position)) as blocks:
-            raw = next(blocks)
-        joiner = self._joiner(position * self._scheme.spacing.rows, ())
-        whole = replace(raw, last=True, tail=raw.tail if raw.last else b"")
-        return joiner.feed(whole, self._scheme.decode(whole))
-
-    def _pages(self, chunk_samples: int) -> int:
-        return self._scheme.file.fitting(chunk_samples // self._scheme.spacing.rows)
-
-    def _joiner(self, sample: int, problems: tuple[Problem, ...]) -> PageJoiner:
-        scheme = self._scheme
-        first = self._opening.first_values
-        return PageJoiner(scheme.file, scheme.spacing, scheme.timeline(), sample, first, problems)
+    def _last_page(self) -> PageBlock | None:
+        """Return the last valid page, looked for among the last few before erased ones."""
+        pages = self.file.amount(LAST_PAGES)
+        first = max(0, self.file.data_pages() - pages)
+        with closing(self.file.blocks(pages + 1, first)) as blocks:
+            block = self.decoder().decode(next(blocks)).block
+        return block.split(len(block) - 1)[1] if len(block) else None

@@ -7,9 +7,9 @@ What is wrong with sectors and between them goes to the problem log as events.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, PageClock
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
-from accelcal_cli.core.recording import Chunk, Device, Intake, Problem, Reader, Recording, joined_columns
+from accelcal_cli.core.recording import Chunk, Device, Problem, Reader, Recording, joined_columns
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._pages import pages as paged
-from accelcal_cli.formats._pages.pages import PageCutter, PagedFile, RawBlock
-from accelcal_cli.formats._pages.reader import EventMaker, first_time
+from accelcal_cli.formats._pages.files import PagedFile, RawBlock, is_erased
+from accelcal_cli.formats._pages.pages import bad_runs
+from accelcal_cli.formats._pages.reader import EventMaker, FileScheme, PagedReader
+from accelcal_cli.formats._pages.timeline import Spacing
 from accelcal_cli.formats._problems import Event, ProblemLog
 from accelcal_cli.formats._rows import MISSING, HeldChannels, missing_kind
 from accelcal_cli.formats.cwa import HEADER_BYTES, SECTOR_BYTES, sector
@@ -56,21 +58,44 @@ BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomple
 
 SEARCH_SECTORS = 2048
 LAST_SECTORS = 64
-START_SAMPLES = 8192
 COPY_AGAIN = "copy it again from the device"
 NO_HEADER = "the header at the start of the file is damaged; settings were taken from the data sectors"
 HALF_HEADER = "the second half of the header is missing; the data sectors that stand there are read"
 NO_START = "the device's clock was not set: times count from the recording's start"
 
 
-class SectorEvents(EventMaker):
-    """Of sectors as the Assembler takes them."""
+class SectorFile(PagedFile):
+    """A .cwa file, whose sectors are read into one buffer."""
 
-    def __init__(self, file: PagedFile) -> None:
-        super().__init__(file, LEFT_OUT, DAMAGED)
+    def blocks(self, amount: int, first_position: int = 0, *, threads: int = 1) -> Generator[RawBlock]:
+        """Yield all sectors from `first_position` on; a block overwrites the memory of the one before."""
+        if self.compressed:
+            yield from super().blocks(amount, first_position, threads=threads)
+            return
+        left = max(1, self.whole_pages - first_position + 1)
+        # fresh memory for each block would cost more time than the reading
+        buffer = np.empty((min(amount, left), SECTOR_BYTES), np.uint8)
+        data, position, last = buffer.reshape(-1), first_position, False
+        with ByteSource(self.path) as source:
+            source.seek(self.offset(position))
+            while not last:
+                size = source.read_into(data.data)
+                last = size < len(data)
+                whole = size // SECTOR_BYTES
+                tail = data[whole * SECTOR_BYTES : size].tobytes()
+                end_byte = source.disk_position()
+                yield RawBlock(position, buffer[:whole], self.start_byte, end_byte, tail, last)
+                position += whole
+
+
+class SectorEvents(EventMaker):
+    """Turns what a SectorAssembler finds into events."""
+
+    def __init__(self) -> None:
+        super().__init__(LEFT_OUT, DAMAGED)
 
     def links(self, block: SectorBlock, links: Links, sample: int) -> Iterator[Event]:
-        """What stands between sectors."""
+        """Report what stands between sectors."""
         if not (links.broken | links.overflow | links.untimed).any():
             return
         counted = {MISSING_SECTORS: links.missing, RESTARTED: links.restarted, SESSION: links.session}
@@ -86,7 +111,7 @@ class SectorEvents(EventMaker):
                     yield self.event(position, kind, int(samples[place]), amount)
 
     def channels(self, block: SectorBlock, sample: int) -> Iterator[Event]:
-        """Sectors that lack a value of a channel."""
+        """Report sectors that lack a value of a channel."""
         first_row = np.cumsum(block.rows) - block.rows
         for name, column in block.channels.items():
             if column.ndim == 1:
@@ -95,111 +120,55 @@ class SectorEvents(EventMaker):
                     yield self.event(int(block.position[place]), missing_kind(name), row, rows)
 
     def ending(self, raw: RawBlock, sample: int) -> Iterator[Event]:
-        """An incomplete sector at the end, unless it is empty."""
-        if not raw.broken and (paged.is_erased(raw.tail) or not any(raw.tail)):
+        """Report an incomplete sector at the end, unless it is empty."""
+        if not raw.broken and (is_erased(raw.tail) or not any(raw.tail)):
             return
         kind = "truncated", BROKEN_OFF if raw.broken else CUT_OFF
         event = self.event(raw.next_position, kind, sample, len(raw.tail))
         yield replace(event, lost_bytes=len(raw.tail) + raw.undecoded)
 
 
-def sector_blocks(
-    file: PagedFile, sectors: int, first_position: int = 0, threads: int = 1
-) -> Generator[RawBlock, None, None]:
-    """All sectors from `first_position` on, about `sectors` at a time; the last block may be empty.
-
-    The next block overwrites the memory of the one before.
-
-    Args:
-        threads: how many may work at a time on a gzip file.
-
-    Raises:
-        UnreadableError: the disk fails.
-    """
-    if file.compressed:
-        yield from file.blocks(sectors, first_position, threads)
-    else:
-        yield from _read_over(file, sectors, first_position)
-
-
-def _read_over(file: PagedFile, sectors: int, position: int) -> Iterator[RawBlock]:
-    """One buffer for all blocks: fresh memory for each costs more time than the reading."""
-    left = max(1, file.whole_pages - position + 1)
-    buffer = np.empty((min(sectors, left), SECTOR_BYTES), np.uint8)
-    data = buffer.reshape(-1)
-    with ByteSource(file.path) as source:
-        source.seek(file.offset(position))
-        last = False
-        while not last:
-            size = source.read_into(data.data)
-            last = size < len(data)
-            whole = size // SECTOR_BYTES
-            tail = data[whole * SECTOR_BYTES : size].tobytes()
-            yield RawBlock(position, buffer[:whole], source.disk_position(), tail, False, last)
-            position += whole
-
-
 @dataclass(frozen=True, slots=True)
-class Scheme:
-    """A file whose settings are known.
+class SectorScheme(FileScheme[RawBlock]):
+    """How the sectors of one file are read."""
 
-    Attributes:
-        problems: what was found before any sample.
-        first_values: of channels that may lack values, the first measured one.
-    """
-
-    file: PagedFile
+    file: SectorFile
     settings: Settings
-    problems: tuple[Problem, ...] = ()
-    first_values: Mapping[str, int | None] = field(default_factory=dict)
 
-    def sectors(self, chunk_samples: int) -> int:
-        """Sectors that make a chunk."""
-        return max(1, chunk_samples // self.settings.rows)
-
-    def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk, None, None]:
-        """All chunks of the file; so many threads may work on a gzip file."""
-        assembler = Assembler(self, 0, self.problems)
-        with closing(sector_blocks(self.file, self.sectors(chunk_samples), threads=threads)) as blocks:
-            for raw in blocks:
-                yield from assembler.feed(raw)
-
-    def piece(self, position: int, sectors: int) -> Iterator[Chunk]:
-        """A few sectors from `position` on, as if the recording were just these."""
-        with closing(sector_blocks(self.file, sectors, position)) as blocks:
-            raw = next(blocks)
-        whole = replace(raw, last=True, tail=b"")
-        yield from Assembler(self, position * self.settings.rows, ()).feed(whole)
+    def assembler(self, sample: int = 0, *, whole: bool = True) -> SectorAssembler:
+        """See FileScheme."""
+        return SectorAssembler(self, sample, self.problems if whole else ())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Waiting:
-    """Samples of a block, its sectors' breaks (p,), and what to tell with them."""
+    """Sectors whose times are not settled, and which of them (p,) begin anew."""
 
     block: SectorBlock
     broken: NDArray[np.bool_]
     end_byte: int
 
 
-class Assembler:
+class SectorAssembler:
     """Takes blocks of sectors in file order; gives chunks as soon as their times are known."""
 
-    def __init__(self, scheme: Scheme, sample: int, problems: tuple[Problem, ...]) -> None:
-        self._scheme = scheme
-        self._events = SectorEvents(scheme.file)
-        self._linker = Linker(scheme.settings.rate, scheme.settings.rows)
-        self._timeline = Timeline(scheme.settings.rate)
+    def __init__(self, scheme: SectorScheme, sample: int, problems: tuple[Problem, ...]) -> None:
+        settings = self._settings = scheme.settings
+        self._events = SectorEvents()
+        self._linker = Linker(settings.rate, settings.rows)
+        self._timeline = Timeline(settings.rate)
         self._log = ProblemLog(problems)
         self._channels = HeldChannels(scheme.first_values)
         self._waiting: deque[_Waiting] = deque()
         self._spans = NO_SPANS
-        self._nothing, _ = sector.decode(np.empty((0, SECTOR_BYTES), np.uint8), 0, scheme.settings)
+        self._nothing, _ = sector.decode(np.empty((0, SECTOR_BYTES), np.uint8), 0, settings)
         self._rows_in = self._rows_out = sample
 
     def feed(self, raw: RawBlock) -> Iterator[Chunk]:
         """Add a block; the last one releases everything."""
-        block, status = sector.decode(raw.pages, raw.first_position, self._scheme.settings)
-        bad = paged.bad_runs(status, raw.first_position)
+        self._events.block = raw
+        block, status = sector.decode(raw.pages, raw.first_position, self._settings)
+        bad = bad_runs(status, raw.first_position)
         events = list(self._events.bad_pages(block.position, block.rows, bad, self._rows_in))
         if len(block):
             self._place(block, raw.end_byte, events)
@@ -222,7 +191,7 @@ class Assembler:
         self._spans = Spans(**joined_columns((self._spans, new), Spans.__dataclass_fields__))
 
     def _ready(self, scanned: int | None, end_byte: int) -> Iterator[Chunk]:
-        """Chunks whose times are settled; problems left over go with an empty one."""
+        """Yield the chunks whose times are settled; problems left over go with an empty one."""
         problems = self._log.take(scanned)
         while self._waiting and len(self._waiting[0].block) <= len(self._spans):
             yield self._chunk(self._waiting.popleft(), problems)
@@ -252,48 +221,6 @@ class Assembler:
         return chunk
 
 
-class CwaIntake(Intake):
-    """Takes a recording as it grows."""
-
-    def __init__(self, scheme: Scheme) -> None:
-        self._cutter = PageCutter(scheme.file)
-        self._assembler = Assembler(scheme, 0, scheme.problems)
-
-    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
-        """See `Intake`."""
-        raw = self._cutter.cut(data, last=last)
-        if len(raw.pages) or last:
-            yield from self._assembler.feed(raw)
-
-
-class CwaReader(Reader):
-    """Streams the sectors; each call of `chunks` reads the file from its beginning."""
-
-    def __init__(self, recording: Recording, scheme: Scheme) -> None:
-        self.recording = recording
-        self._scheme = scheme
-
-    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
-        """Yield all rows in order, whole sectors, at least one."""
-        return self._scheme.stream(chunk_samples, self.threads)
-
-    def intake(self) -> Intake:
-        """See `Reader`."""
-        return CwaIntake(self._scheme)
-
-    def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
-        """Enter the file at evenly spread sectors; a gzip file gives its first chunks."""
-        file = self._scheme.file
-        if file.compressed:
-            yield from super().preview(chunk_samples, pieces)
-            return
-        total = max(1, file.data_pages())
-        sectors = min(self._scheme.sectors(chunk_samples), max(1, total // max(1, pieces)))
-        for piece in range(min(pieces, total)):
-            chunks = self._scheme.piece(piece * total // pieces, sectors)
-            yield from (chunk for chunk in chunks if len(chunk) or chunk.problems)
-
-
 def open_recording(path: Path, options: ReadOptions) -> Reader:
     """Open a recording.
 
@@ -303,17 +230,23 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     with ByteSource(path) as stream:
         head = stream.read_exact(HEADER_BYTES)
     header = sector.parse_header(head)
-    file = paged.paged_file(path, header.data_start, SECTOR_BYTES)
+    file = SectorFile.at(path, header.data_start, SECTOR_BYTES)
     first, position = first_sector(file, header)
     settings = sector.settings_of(first, header.hardware)
     problems = list(header_problems(header))
     clock_set = bool(sector.anchors(np.atleast_1d(first), settings).known[0])
     if not clock_set:
         problems.append(Problem("no_start_time", NO_START, file.offset(position), 0))
-    scheme = Scheme(file, settings, tuple(problems), sector.first_values(first, settings))
+    scheme = SectorScheme(
+        file,
+        Spacing(settings.rate, settings.rows),
+        settings,
+        first_values=sector.first_values(first, settings),
+        problems=tuple(problems),
+    )
     device = header.device if header.intact else sector.device_of_sector(settings, int(first["fraction"]))
     notes = _notes(scheme, header)
-    return CwaReader(describe(scheme, device, options, clock_set, notes), scheme)
+    return PagedReader(describe(scheme, device, options, clock_set, notes), scheme)
 
 
 def header_problems(header: Header) -> Iterator[Problem]:
@@ -324,14 +257,14 @@ def header_problems(header: Header) -> Iterator[Problem]:
         yield Problem("damaged_header", HALF_HEADER, SECTOR_BYTES, 0)
 
 
-def first_sector(file: PagedFile, header: Header) -> tuple[Any, int]:
+def first_sector(file: SectorFile, header: Header) -> tuple[Any, int]:
     """The first sector whose checksum is right (in the oldest files: that makes sense), and its place.
 
     Raises:
         UnreadableError: there is none in the whole file.
     """
     seen = 0
-    with closing(sector_blocks(file, SEARCH_SECTORS)) as blocks:
+    with closing(file.blocks(SEARCH_SECTORS)) as blocks:
         for raw in blocks:
             seen += len(raw.pages)
             for candidates in sector.plausible(raw.pages):
@@ -345,11 +278,11 @@ def first_sector(file: PagedFile, header: Header) -> tuple[Any, int]:
 
 
 def describe(
-    scheme: Scheme, device: Device, options: ReadOptions, clock_set: bool, notes: tuple[str, ...]
+    scheme: SectorScheme, device: Device, options: ReadOptions, clock_set: bool, notes: tuple[str, ...]
 ) -> Recording:
     """What is known of the recording."""
     settings, file = scheme.settings, scheme.file
-    start_us = first_time(scheme.stream(START_SAMPLES))
+    start_us = scheme.first_time_us()
     end_us = last_time(scheme)
     lasted = None if end_us is None or end_us <= start_us else (end_us - start_us) / MICROSECONDS
     gyro = settings.gyro_dps_per_lsb
@@ -369,12 +302,12 @@ def describe(
     )
 
 
-def last_time(scheme: Scheme) -> int | None:
+def last_time(scheme: SectorScheme) -> int | None:
     """When the last sample ended [us], by the last intact sector; None if that is not found."""
     if scheme.file.compressed:
         return None
     first = max(0, scheme.file.data_pages() - LAST_SECTORS)
-    with closing(sector_blocks(scheme.file, LAST_SECTORS + 1, first)) as blocks:
+    with closing(scheme.file.blocks(LAST_SECTORS + 1, first)) as blocks:
         block, _ = sector.decode(next(blocks).pages, first, scheme.settings)
     if not len(block) or not block.anchors.known[-1]:
         return None
@@ -382,7 +315,7 @@ def last_time(scheme: Scheme) -> int | None:
     return int(block.anchors.time_us[-1] + nominal_us(after, scheme.settings.rate)[0])
 
 
-def _notes(scheme: Scheme, header: Header) -> tuple[str, ...]:
+def _notes(scheme: SectorScheme, header: Header) -> tuple[str, ...]:
     rate = scheme.settings.rate
     sensor = scheme.settings.thermometer
     notes = [] if sensor is None else [sensor.note]

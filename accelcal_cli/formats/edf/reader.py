@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import MICROSECONDS, StampClock, rate_fraction
+from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
 from accelcal_cli.formats._pages import pages as paged
-from accelcal_cli.formats._pages.pages import Decoded, PageBlock, PagedFile, RawBlock
-from accelcal_cli.formats._pages.reader import Opening, PagedReader, PageScheme, extent, look_inside
+from accelcal_cli.formats._pages.files import PagedFile, RawBlock
+from accelcal_cli.formats._pages.pages import Decoded, PageBlock
+from accelcal_cli.formats._pages.reader import FixedPages, Opening, PageDecoder, PagedReader
 from accelcal_cli.formats._pages.timeline import ExactTimeline, NominalTimeline, Spacing, Timeline
 from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.edf.header import (
@@ -38,12 +39,8 @@ MILLIKELVIN_ZERO = -273_150
 HOTTEST = 1_000_000
 
 
-class RecordDecoder:
-    """Decodes blocks of data records.
-
-    Attributes:
-        seen: number of the record after the last one of any block so far.
-    """
+class RecordDecoder(PageDecoder[RawBlock]):
+    """Decodes blocks of data records; says at the end if they are not as many as the header claims."""
 
     def __init__(self, header: Header, chosen: ChosenSignals, start_us: int) -> None:
         self._header = header
@@ -52,11 +49,9 @@ class RecordDecoder:
         self._annotations = annotations_of(header)
         sensors = [axes for axes in (chosen.accel, chosen.gyro) if axes is not None]
         self._may_fail = any(axes.may_fail(header.sample_bytes) for axes in sensors)
-        self.seen = 0
 
-    def __call__(self, raw: RawBlock) -> Decoded:
+    def decode(self, raw: RawBlock) -> Decoded:
         """Decode the records of a block; in EDF+D, only those whose time can be read."""
-        self.seen = max(self.seen, raw.next_position)
         pages, position = raw.pages, raw.first_position + np.arange(len(raw.pages))
         bad: list[paged.BadRun] = []
         stamps = None
@@ -67,6 +62,15 @@ class RecordDecoder:
             pages, position = pages[status == paged.GOOD], position[status == paged.GOOD]
             stamps = np.array([self._start_us + onset for onset in onsets if onset is not None], np.int64)
         return Decoded(self._block(pages, position, stamps), bad, raw.tail)
+
+    def ending(self, raw: RawBlock, chunk: Chunk) -> tuple[Problem, ...]:
+        """See PageDecoder."""
+        records, seen = self._header.records, raw.next_position
+        if records in (None, seen):
+            return ()
+        text = f"the header says {records} data records, and the file holds {seen}"
+        sample = chunk.first_sample + len(chunk)
+        return (Problem("truncated", text, raw.offset(seen), sample),)
 
     def onset_us(self, page: NDArray[np.uint8]) -> int | None:
         """Return the microseconds from the header's start to a record's; None if it does not say."""
@@ -129,46 +133,6 @@ def annotations_of(header: Header) -> Signal | None:
     return next((one for one in header.signals if one.label in ANNOTATIONS and one.samples), None)
 
 
-class EdfReader(PagedReader):
-    """Streams data records; reports at the end if their number is not what the header says."""
-
-    def __init__(
-        self,
-        recording: Recording,
-        scheme: PageScheme,
-        opening: Opening,
-        problems: tuple[Problem, ...],
-        decoder: RecordDecoder,
-        records: int | None,
-    ) -> None:
-        super().__init__(recording, scheme, opening, problems)
-        self._file = scheme.file
-        self._decoder, self._records = decoder, records
-
-    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
-        """Yield all rows in order, in whole records, at least one."""
-        chunk = None
-        for chunk in super().chunks(chunk_samples):
-            yield chunk
-        seen = self._decoder.seen
-        if chunk is not None and self._records not in (None, seen):
-            yield self._miscounted(chunk, seen)
-
-    def _miscounted(self, last: Chunk, seen: int) -> Chunk:
-        text = f"the header says {self._records} data records, and the file holds {seen}"
-        end = self._file.offset(seen)
-        problem = Problem("truncated", text, end, last.first_sample + len(last))
-        return Chunk(
-            last.first_sample + len(last),
-            last.counts[:0],
-            StampClock(np.empty(0, np.int64)),
-            last.end_byte,
-            temperature_mc=None if last.temperature_mc is None else last.temperature_mc[:0],
-            gyro_counts=None if last.gyro_counts is None else last.gyro_counts[:0],
-            problems=(problem,),
-        )
-
-
 def open_recording(path: Path, options: ReadOptions) -> Reader:
     """Open an EDF or BDF file.
 
@@ -183,7 +147,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         what = f"a sampling rate of {rate_hz:g} Hz is impossible"
         raise UnreadableError(what, path=path, byte_offset=244, hint=COPY_AGAIN)
     rate = rate_fraction(agreed_rate(options, rate_hz, path))
-    file = paged.paged_file(path, header.header_bytes, header.record_bytes, proved=False)
+    file = PagedFile.at(path, header.header_bytes, header.record_bytes, proved=False)
     decoder = RecordDecoder(header, chosen, header.start_us or 0)
     spacing = Spacing(rate, chosen.accel.signals[0].samples)
     timed = header.plus == "D" and annotations_of(header) is not None
@@ -192,14 +156,14 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     def timeline() -> Timeline:
         return ExactTimeline(spacing) if timed else NominalTimeline(spacing, start_us)
 
-    scheme = PageScheme(file, spacing, decoder, timeline)
-    opening = look_inside(scheme)
+    scheme = FixedPages(file, spacing, lambda: decoder, timeline)
+    opening = scheme.look_inside()
     if opening is None:
         what = "has no usable data record" + (" whose time can be read" if timed else "")
         raise UnreadableError(what, path=path, byte_offset=header.header_bytes, hint=COPY_AGAIN)
     problems = () if header.start_us is not None else (Problem("no_start_time", NO_START, 168, 0),)
     about = recording(scheme, header, chosen, opening)
-    return EdfReader(about, scheme, opening, problems, decoder, header.records)
+    return PagedReader(about, replace(scheme, first_values=opening.first_values, problems=problems))
 
 
 def first_onset_us(file: PagedFile, decoder: RecordDecoder) -> int:
@@ -209,9 +173,9 @@ def first_onset_us(file: PagedFile, decoder: RecordDecoder) -> int:
     return onset if onset is not None and 0 <= onset < MICROSECONDS else 0
 
 
-def recording(scheme: PageScheme, header: Header, chosen: ChosenSignals, opening: Opening) -> Recording:
-    """Return the description of the file."""
-    samples, duration_s = extent(scheme, opening)
+def recording(scheme: FixedPages, header: Header, chosen: ChosenSignals, opening: Opening) -> Recording:
+    """Describe the file."""
+    samples, duration_s = scheme.extent(opening)
     labels = ", ".join(f"{one.label} [{one.dimension}]" for one in chosen.accel.signals)
     notes = [f"x, y, z: {labels}"]
     if chosen.accel.on_grid:

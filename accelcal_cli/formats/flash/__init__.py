@@ -5,24 +5,38 @@ Specified in docs/flash-format.md.
 
 from __future__ import annotations
 
+import struct
+import zlib
+
 from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
 
 PAGE_BYTES = 512
 HEADER_MAGIC = b"\x89ACL\r\n\x1a\n"
 PAGE_MAGIC = b"ACLP"
+PAGE_HEAD = struct.Struct("<4sIIIIhH")
+"""Magic, recording number, sequence number, seconds, microseconds, temperature and samples of a data page."""
+
+SAMPLES = 80
+"""Samples in a full page."""
+
+
+def recording_id_of(page: bytes) -> int | None:
+    """Return the recording number of a data page with possible values and a right checksum, else None."""
+    if len(page) < PAGE_BYTES:
+        return None
+    magic, recording_id, _, _, microseconds, _, samples = PAGE_HEAD.unpack_from(page)
+    possible = magic == PAGE_MAGIC and 1 <= samples <= SAMPLES and microseconds < 1_000_000
+    right = possible and zlib.crc32(page[:-4]) == int.from_bytes(page[-4:], "little")
+    return int(recording_id) if right else None
 
 
 def sniff(probe: Probe) -> int:
-    """100 by the header's signature; 90 by a valid data page where the header is damaged."""
-    if probe.head.startswith(HEADER_MAGIC):
+    """Return 100 for the header's signature, 90 for a valid data page where the header is damaged."""
+    head = probe.head
+    if head.startswith(HEADER_MAGIC):
         return 100
-    places = range(PAGE_BYTES, len(probe.head), PAGE_BYTES)
-    if not any(probe.head.startswith(PAGE_MAGIC, place) for place in places):
-        return 0
-    # Few files get as far as to need the checksum of a page.
-    from accelcal_cli.formats.flash.reader import recording_id_in
-
-    return 90 if recording_id_in(probe.head[PAGE_BYTES:]) is not None else 0
+    pages = (head[place : place + PAGE_BYTES] for place in range(PAGE_BYTES, len(head), PAGE_BYTES))
+    return 90 if any(recording_id_of(page) is not None for page in pages) else 0
 
 
 FORMAT = Format(

@@ -18,13 +18,13 @@ from accelcal_cli.core.formats import ReadOptions, agreed_rate
 from accelcal_cli.core.recording import Device, Problem, Reader, Recording
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._pages import pages as paged
-from accelcal_cli.formats._pages.pages import Decoded, PageBlock, PagedFile, RawBlock
-from accelcal_cli.formats._pages.reader import Opening, PagedReader, PageScheme, extent, look_inside
+from accelcal_cli.formats._pages.files import PagedFile, RawBlock
+from accelcal_cli.formats._pages.pages import Decoded, PageBlock
+from accelcal_cli.formats._pages.reader import FixedPages, Opening, PageDecoder, PagedReader
 from accelcal_cli.formats._pages.timeline import ExactTimeline, Spacing
 from accelcal_cli.formats._rows import MISSING
-from accelcal_cli.formats.flash import HEADER_MAGIC, PAGE_BYTES, PAGE_MAGIC
+from accelcal_cli.formats.flash import HEADER_MAGIC, PAGE_BYTES, PAGE_MAGIC, SAMPLES, recording_id_of
 
-SAMPLES = 80
 NOT_MEASURED = -32768
 FLAG_FRESH = 1
 CRC_AT = PAGE_BYTES - 4
@@ -58,7 +58,7 @@ COPY_AGAIN = "copy it again from the device"
 NO_START = "the device's clock was never set: times count from its start"
 
 
-class FlashDecoder:
+class FlashDecoder(PageDecoder[RawBlock]):
     """Decodes blocks of data pages.
 
     Args:
@@ -69,8 +69,8 @@ class FlashDecoder:
         self._recording_id = recording_id
         self._has_temperature = has_temperature
 
-    def __call__(self, raw: RawBlock) -> Decoded:
-        """The valid pages of a block; an incomplete page at its end is left over."""
+    def decode(self, raw: RawBlock) -> Decoded:
+        """See PageDecoder."""
         status = page_status(raw.pages, self._recording_id)
         pages = raw.pages if not status.any() else raw.pages[status == paged.GOOD]
         position = raw.first_position + np.flatnonzero(status == paged.GOOD)
@@ -117,21 +117,6 @@ def temperature_mc(fields: NDArray[np.void]) -> NDArray[np.int32]:
     raw = fields["temperature"].astype(np.int32)
     milli = np.where(raw == NOT_MEASURED, np.int32(MISSING), (raw * 1000 + 64) >> 7)
     return milli.astype(np.int32)
-
-
-def first_recording_id(pages: NDArray[np.uint8]) -> int | None:
-    """Recording number of the first page whose checksum is right; None without one."""
-    fields = pages.view(PAGE)[:, 0]
-    good = sensible(fields)
-    good[good] = paged.crc32_pages(pages[good], 0, CRC_AT) == fields["crc"][good]
-    return int(fields["recording_id"][good][0]) if good.any() else None
-
-
-def recording_id_in(data: bytes) -> int | None:
-    """Recording number of the first valid data page among whole pages."""
-    whole = len(data) // PAGE_BYTES
-    pages = np.frombuffer(data, np.uint8, whole * PAGE_BYTES).reshape(whole, PAGE_BYTES)
-    return first_recording_id(pages) if whole else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +208,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     """
     with ByteSource(path) as stream:
         page = stream.read_exact(PAGE_BYTES)
-    file = paged.paged_file(path, PAGE_BYTES, PAGE_BYTES)
+    file = PagedFile.at(path, PAGE_BYTES, PAGE_BYTES)
     try:
         header, problems = parse_header(page), []
     except HeaderDamageError as error:
@@ -231,12 +216,13 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         problems = [Problem("damaged_header", f"the header page is not usable: {error}", 0, 0)]
     header = overridden(header, options, path)
     scheme = page_scheme(file, header)
-    opening = look_inside(scheme)
+    opening = scheme.look_inside()
     if opening is None:
         raise UnreadableError("has no valid data page", path=path, byte_offset=PAGE_BYTES, hint=COPY_AGAIN)
     if not header.clock_set:
         problems.append(Problem("no_start_time", NO_START, 0, 0))
-    return PagedReader(recording(scheme, header, opening), scheme, opening, tuple(problems))
+    about = recording(scheme, header, opening)
+    return PagedReader(about, replace(scheme, first_values=opening.first_values, problems=tuple(problems)))
 
 
 def substitute(file: PagedFile, options: ReadOptions, error: HeaderDamageError) -> FlashHeader:
@@ -249,7 +235,7 @@ def substitute(file: PagedFile, options: ReadOptions, error: HeaderDamageError) 
             hint="give --rate and --lsb-per-g to read the data without it",
         )
     with closing(file.blocks(SEARCHED_PAGES)) as blocks:
-        numbers = (first_recording_id(raw.pages) for raw in blocks)
+        numbers = (recording_id_of(page.tobytes()) for raw in blocks for page in raw.pages)
         number = next((number for number in numbers if number is not None), 0)
     return FlashHeader(
         recording_id=number,
@@ -276,16 +262,16 @@ def overridden(header: FlashHeader, options: ReadOptions, path: Path) -> FlashHe
     return header
 
 
-def page_scheme(file: PagedFile, header: FlashHeader) -> PageScheme:
+def page_scheme(file: PagedFile, header: FlashHeader) -> FixedPages:
     """How this file's pages are read."""
     spacing = Spacing(header.rate, SAMPLES)
     decoder = FlashDecoder(header.recording_id, header.has_temperature)
-    return PageScheme(file, spacing, decoder, lambda: ExactTimeline(spacing))
+    return FixedPages(file, spacing, lambda: decoder, lambda: ExactTimeline(spacing))
 
 
-def recording(scheme: PageScheme, header: FlashHeader, opening: Opening) -> Recording:
+def recording(scheme: FixedPages, header: FlashHeader, opening: Opening) -> Recording:
     """The file's description."""
-    samples, duration_s = extent(scheme, opening)
+    samples, duration_s = scheme.extent(opening)
     return Recording(
         path=scheme.file.path,
         format="flash",

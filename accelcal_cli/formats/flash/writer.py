@@ -20,7 +20,7 @@ from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.formats import Encoder
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.formats._writing import OTHER_FORMAT, check_bits, new_file, page_means_mc, page_runs
-from accelcal_cli.formats.flash import HEADER_MAGIC, PAGE_BYTES, PAGE_MAGIC
+from accelcal_cli.formats.flash import HEADER_MAGIC, PAGE_BYTES, PAGE_MAGIC, SAMPLES
 from accelcal_cli.formats.flash import reader as flash
 
 RECORDING_ID = 1
@@ -37,7 +37,7 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
     with new_file(path) as file:
         file.write(header_page(path, recording))
         sequence = 0
-        for rows in page_runs(chunks, flash.SAMPLES):
+        for rows in page_runs(chunks, SAMPLES):
             pages = data_pages(path, rows, sequence)
             file.write(pages.data)
             sequence += len(pages)
@@ -92,20 +92,20 @@ def data_pages(path: Path, rows: Chunk, sequence: int) -> NDArray[np.void]:
     """Whole pages, or a single one that is not full, numbered from `sequence`."""
     count, time_us = len(rows), rows.time_us
     check_fit(path, rows, time_us)
-    first = np.arange(0, count, flash.SAMPLES)
+    first = np.arange(0, count, SAMPLES)
     pages = np.zeros(len(first), flash.PAGE)
     pages["magic"] = PAGE_MAGIC
     pages["recording_id"] = RECORDING_ID
     pages["sequence"] = sequence + np.arange(len(first))
     pages["seconds"], pages["microseconds"] = np.divmod(time_us[first], MICROSECONDS)
     pages["temperature"] = page_temperatures(rows, len(first))
-    pages["samples"] = np.minimum(count - first, flash.SAMPLES)
+    pages["samples"] = np.minimum(count - first, SAMPLES)
     pages["flags"][0] = flash.FLAG_FRESH * rows.is_fresh
     pages["xyz"] = -1
-    whole = count // flash.SAMPLES
-    pages["xyz"][:whole] = rows.counts[: whole * flash.SAMPLES].reshape(whole, flash.SAMPLES, 3)
-    if count % flash.SAMPLES:
-        pages["xyz"][whole, : count % flash.SAMPLES] = rows.counts[whole * flash.SAMPLES :]
+    whole = count // SAMPLES
+    pages["xyz"][:whole] = rows.counts[: whole * SAMPLES].reshape(whole, SAMPLES, 3)
+    if count % SAMPLES:
+        pages["xyz"][whole, : count % SAMPLES] = rows.counts[whole * SAMPLES :]
     data = pages.data.cast("B")
     starts = range(0, len(data), PAGE_BYTES)
     pages["crc"] = [zlib.crc32(data[start : start + flash.CRC_AT]) for start in starts]
@@ -121,7 +121,7 @@ def check_fit(path: Path, rows: Chunk, time_us: NDArray[np.int64]) -> None:
 
 def page_temperatures(rows: Chunk, pages: int) -> NDArray[np.int16]:
     """Mean temperature of each page [1/128 C]."""
-    means_mc = page_means_mc(rows, flash.SAMPLES)
+    means_mc = page_means_mc(rows, SAMPLES)
     if means_mc is None:
         return np.full(pages, flash.NOT_MEASURED, np.int16)
     return np.clip(np.rint(means_mc * (128 / 1000)), -INT16.max, INT16.max).astype(np.int16)

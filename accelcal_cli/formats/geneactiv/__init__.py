@@ -7,23 +7,43 @@ time of the computer that set it up.
 
 from __future__ import annotations
 
+import re
+
 from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
 
 HEADER_MAGIC = b"Device Identity"
 MARK = b"Recorded Data"
 """The first line of a page."""
 
+_END = rb"[ \t]{0,32}\r?\n"
+_ANY = rb"[^\r\n]{0,64}\r?\n"
+PAGE_HEAD = (
+    MARK
+    + _END
+    + rb"Device Unique Serial Code:([^\r\n]{0,64})\r?\n"
+    + rb"Sequence Number:(\d{1,10})"
+    + _END
+    + rb"Page Time:(20\d\d-\d\d?-\d\d? \d\d?:\d\d?:\d\d?:\d{3})"
+    + _END
+    + rb"Unassigned:"
+    + _ANY
+    + rb"Temperature:([^\r\n]{0,64})\r?\n"
+    + rb"Battery voltage:"
+    + _ANY
+    + rb"Device Status:"
+    + _ANY
+    + rb"Measurement Frequency:([^\r\n]{0,64})\r?\n"
+)
+"""Pattern of a page's text; the groups are serial number, sequence number, time, temperature and rate."""
+
 
 def sniff(probe: Probe) -> int:
-    """100 by the header's first line; 97 by the text of a page where the header is damaged."""
+    """Return 100 for the header's first line, 97 for the text of a page where the header is damaged."""
     if probe.head.startswith(HEADER_MAGIC):
         return 100
     if MARK not in probe.head:
         return 0
-    # Few files get as far as to need the pattern of a whole page.
-    from accelcal_cli.formats.geneactiv.scan import HEAD
-
-    return 97 if HEAD.search(probe.head) else 0
+    return 97 if re.search(PAGE_HEAD, probe.head) else 0
 
 
 FORMAT = Format(

@@ -19,13 +19,17 @@ from math import gcd, lcm
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Channels, Counts
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Channels, Chunk, Counts, Problem, clipped_at
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock
+from accelcal_cli.formats._pages.reader import PageDecoder
 from accelcal_cli.formats.geneactiv import scan
-from accelcal_cli.formats.geneactiv.scan import Found, Head
+from accelcal_cli.formats.geneactiv.scan import Head, TextPages
 
 REMEMBERED_PAGES = 1 << 15
+"""Number of pages back that a page may repeat."""
+
+BROKEN_OFF = "the compressed data is damaged or ends early"
 MIXERS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F], np.uint64)
 """Odd numbers without a pattern."""
 
@@ -188,19 +192,22 @@ class Settings:
     scale: Scale
 
 
-class Decoder:
-    """Decodes the pages of a file in their order."""
+class TextDecoder(PageDecoder[TextPages]):
+    """Decodes pages in hexadecimal digits.
 
-    def __init__(self, settings: Settings, remembered: int = REMEMBERED_PAGES) -> None:
+    Args:
+        announced: number of pages by the header, 0 if it does not say.
+    """
+
+    def __init__(self, settings: Settings, announced: int = 0) -> None:
         self._settings = settings
-        self._repeats = Repeats(remembered)
+        self._announced = announced
+        self._repeats = Repeats(REMEMBERED_PAGES)
+        self._highest = self._last_position = -1
 
-    def __call__(self, found: Found, first_position: int) -> Decoded:
-        """The pages that are right, and the others.
-
-        Args:
-            first_position: number of the first place within the file.
-        """
+    def decode(self, found: TextPages) -> Decoded:
+        """See PageDecoder."""
+        first_position = found.first_position
         status = np.array(found.status, np.uint8)
         places = np.flatnonzero(status == paged.GOOD)
         samples = unhexed(found.bodies)
@@ -216,10 +223,36 @@ class Decoder:
         verdict[keep[again]] = paged.REPEATED
         status[places] = verdict
         if again.any():
-            block = paged.chosen(block, ~again, np.repeat(~again, block.rows))
-        return Decoded(block, paged.bad_runs(status, first_position), b"")
+            block = block.chosen(~again, np.repeat(~again, block.rows))
+        if len(block) and block.sequence is not None:
+            self._highest = max(self._highest, int(block.sequence.max()))
+            self._last_position = int(block.position[-1])
+        return Decoded(block, paged.bad_runs(status, first_position))
 
-    def _verdict(self, found: Found, time_us: NDArray[np.int64], *, all_digits: bool) -> NDArray[np.uint8]:
+    def finish(self, chunk: Chunk) -> Chunk:
+        """Mark rows that lie at the end of what the sensor can tell."""
+        return clipped_at(chunk, *self._settings.scale.clipped)
+
+    def ending(self, found: TextPages, chunk: Chunk) -> tuple[Problem, ...]:
+        """See PageDecoder."""
+        sample, cut_at = chunk.first_sample + len(chunk), found.cut_at
+        problems = [Problem("truncated", BROKEN_OFF, found.end, sample)] if found.broken else []
+        if cut_at is not None:
+            missing = scan.SAMPLES - found.cut_samples
+            text = f"the file ends within a page: {missing} of its {scan.SAMPLES} samples are missing"
+            problems.append(Problem("truncated", text, cut_at, sample, missing))
+        # damaged pages at the end, and one without a whole sample, are reported in another way
+        damaged = found.next_position - 1 - self._last_position
+        cut = cut_at is not None and found.cut_samples == 0
+        lost = self._announced - (self._highest + 1) - damaged - cut
+        if lost > 0:
+            text = f"pages that the header announces are missing at the end of the file: {lost}"
+            problems.append(Problem("truncated", text, found.end, sample, lost))
+        return tuple(problems)
+
+    def _verdict(
+        self, found: TextPages, time_us: NDArray[np.int64], *, all_digits: bool
+    ) -> NDArray[np.uint8]:
         """What each page is, (p,)."""
         verdict = np.full(len(time_us), paged.GOOD, np.uint8)
         rates = {head[4] for head in found.heads}
@@ -233,7 +266,7 @@ class Decoder:
         return verdict
 
     def _block(
-        self, found: Found, pages: NDArray[np.int64], samples: bytes, position: NDArray[np.int64]
+        self, found: TextPages, pages: NDArray[np.int64], samples: bytes, position: NDArray[np.int64]
     ) -> PageBlock:
         """Columns of these pages, but for their times."""
         heads = [found.heads[page] for page in pages.tolist()]

@@ -5,8 +5,9 @@ What most of the first pages have in common describes the recording; pages that 
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -14,34 +15,32 @@ from pathlib import Path
 
 import numpy as np
 
-from accelcal_cli.core.clock import MICROSECONDS, iso_time
+from accelcal_cli.core.clock import MICROSECONDS, WIDEST_OFFSET_H, iso_time
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
-from accelcal_cli.core.recording import Chunk, Intake, Problem, Reader, Recording, clipped_at
-from accelcal_cli.formats._pages.pages import GOOD, PageBlock
-from accelcal_cli.formats._pages.places import Part, PartPlaces, PlaceCutter
-from accelcal_cli.formats._pages.reader import PageJoiner, first_time
+from accelcal_cli.core.recording import Device, Problem, Reader, Recording
+from accelcal_cli.formats._pages.files import ScannedFile
+from accelcal_cli.formats._pages.pages import GOOD
+from accelcal_cli.formats._pages.reader import PagedReader, PageScheme
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
 from accelcal_cli.formats._rows import first_values
-from accelcal_cli.formats.geneactiv import HEADER_MAGIC, scan
+from accelcal_cli.formats.geneactiv import HEADER_MAGIC, MARK, scan
 from accelcal_cli.formats.geneactiv.decode import (
     RAW_LIMIT,
-    REMEMBERED_PAGES,
-    Decoder,
+    Factory,
     Scale,
     Settings,
+    TextDecoder,
+    factory_of,
     factory_scale,
     page_channels,
     raw_scale,
     unhexed,
+    whole_number,
 )
-from accelcal_cli.formats.geneactiv.header import RESET_DATE, Header, parse_header
-from accelcal_cli.formats.geneactiv.scan import Found, Head, TextFile
+from accelcal_cli.formats.geneactiv.scan import Head, Scanner, TextPages, number
 
 PAGES = 64
-PAGES_OF_A_STREAM = 256
-"""Pages that a file which grows is known to repeat; a whole file may repeat any."""
-
 UNITS_US = (1_000_000, 500_000)
 """Devices stamp their pages with whole seconds (model 1.2) or half ones (model 1.1)."""
 
@@ -50,14 +49,124 @@ AGREEING = 0.9
 HALF_SECONDS = 600
 RATE_ROUNDING = Fraction(1, 20)
 
-BROKEN_OFF = "the compressed data is damaged or ends early"
-
-START_SAMPLES = 8192
 TAIL_BYTES = 1 << 16
 USUAL_RANGE_G = 8.0
 COPY_AGAIN = "copy it again from the device"
 NO_START = "the device's clock was reset by an empty battery: its dates are not those of the recording"
 HEADER_RESET = "the header's times are those of a device that was reset; the times are those of the pages"
+
+CALIBRATION = "Calibration Data"
+RESET_DATE = "2010-09-16"
+"""Where the clock of a device stands after its battery was empty; the header then has lost its times."""
+
+NO_DEVICE = Device()
+_PAGE_LINE = re.compile(
+    MARK + rb"[ \t]*(?:[\r\n]|\Z)|(?:^|(?<=\r))(?:Sequence Number:|Page Time:|[0-9A-Fa-f]{256})",
+    re.MULTILINE,
+)
+"""What a page begins with, or a line of one, whichever comes first: a damaged page, even one whose lines
+end in carriage returns alone, or before which the end of a line is lost, is no part of the header."""
+
+_RANGE = re.compile(r"-\s*(\d+(?:\.\d+)?)\s*to\s*(\d+(?:\.\d+)?)")
+_DRIFT = re.compile(r"clock drift (-?\d+(?:\.\d+)?) ?s")
+_ZONE = re.compile(r"GMT\s*([+-]\d{2}:[0-5]\d)")
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What the header says; None if it does not.
+
+    Attributes:
+        data_start: where the first page lies, bytes.
+        rate: the configured one [Hz].
+        range_g: the sensor's, +-.
+        timezone: of the device's clock, `UTC` or such as `+01:00`.
+        factory: the calibration block.
+        pages: how many it announces.
+        reset: its times are those of a device that was reset.
+        drift_s: what it notes of the device's clock at the download.
+        missing: what it should say but does not, in plain words.
+    """
+
+    data_start: int
+    device: Device = NO_DEVICE
+    rate: Fraction | None = None
+    range_g: float | None = None
+    timezone: str | None = None
+    factory: Factory | None = None
+    pages: int | None = None
+    reset: bool = False
+    drift_s: str | None = None
+    missing: tuple[str, ...] = ()
+
+
+def parse_header(head: bytes) -> Header:
+    """Read the header.
+
+    Args:
+        head: the file's first bytes.
+    """
+    match = _PAGE_LINE.search(head)
+    end = match.start() if match else 0
+    text = head[:end].decode("ascii", "replace")
+    about, measured = _values(text), _values(text.rpartition(CALIBRATION)[2])
+    factory = factory_of(measured)
+    rate = number(about.get("Measurement Frequency", "").encode("ascii", "replace"))
+    range_g = _range_g(about.get("Accelerometer Range", ""))
+    serial = about.get("Device Unique Serial Code")
+    needed = {
+        "serial number": serial,
+        "measurement frequency": rate,
+        "range": range_g,
+        "calibration": factory,
+    }
+    return Header(
+        data_start=end,
+        device=_device(about, serial),
+        rate=rate,
+        range_g=range_g,
+        timezone=_zone(about.get("Time Zone", "")),
+        factory=factory,
+        pages=whole_number(measured.get("Number of Pages", "")),
+        reset=any(about.get(key, "").startswith(RESET_DATE) for key in ("Config Time", "Start Time")),
+        drift_s=_first(_DRIFT, about.get("Extract Notes", "")),
+        missing=tuple(name for name, value in needed.items() if value is None),
+    )
+
+
+def _values(text: str) -> dict[str, str]:
+    """Values by their keys, the first of each; empty ones are left out."""
+    values: dict[str, str] = {}
+    for line in text.splitlines():
+        key, _, value = line.partition(":")
+        shown = "".join(letter for letter in value if letter.isprintable()).strip()
+        if shown:
+            values.setdefault(key.strip(), shown)
+    return values
+
+
+def _device(about: dict[str, str], serial: str | None) -> Device:
+    model = " ".join(about[key] for key in ("Device Type", "Device Model") if key in about)
+    return Device(model or None, serial, about.get("Device Firmware Version"))
+
+
+def _first(pattern: re.Pattern[str], text: str) -> str | None:
+    match = pattern.search(text)
+    return match[1] if match else None
+
+
+def _range_g(text: str) -> float | None:
+    """The range of `-8 to 8`; None if it is not symmetric."""
+    match = _RANGE.search(text)
+    return float(match[2]) if match and float(match[1]) == float(match[2]) > 0 else None
+
+
+def _zone(text: str) -> str | None:
+    """The zone of `GMT +01:00`; None if the text is not one."""
+    match = _ZONE.fullmatch(text)
+    if match is None or int(match[1][1:3]) > WIDEST_OFFSET_H:
+        return None
+    return "UTC" if match[1][1:] == "00:00" else match[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,20 +190,19 @@ class FirstPages:
     first_values: dict[str, int | None]
 
 
-def look_inside(file: TextFile) -> FirstPages | None:
-    """Read on until a page is right; None if there is none in the whole file."""
-    with closing(file.parts(PAGES)) as parts:
-        for part in parts:
-            right = _right_pages(part)
+def look_inside(file: ScannedFile[TextPages]) -> FirstPages | None:
+    """Read on until a page is right; return None if there is none in the whole file."""
+    with closing(file.blocks(file.amount(PAGES))) as blocks:
+        for block in blocks:
+            right = _right_pages(block)
             if right:
                 return _common(right)
     return None
 
 
-def _right_pages(part: Part[Found]) -> list[tuple[int, Head]]:
-    """Place and text of pages that make sense by themselves."""
-    found = part.found
-    places = [place for place, kind in enumerate(found.status, part.first_position) if kind == GOOD]
+def _right_pages(found: TextPages) -> list[tuple[int, Head]]:
+    """Return position and text of pages that make sense by themselves."""
+    places = [place for place, kind in enumerate(found.status, found.first_position) if kind == GOOD]
     known = scan.stamps_us([head[2] for head in found.heads]) != scan.NO_STAMP
     pages = zip(places, found.heads, found.bodies, known.tolist(), strict=True)
     return [
@@ -136,137 +244,35 @@ def true_rate(rate: Fraction) -> Fraction:
 
 
 @dataclass(frozen=True, slots=True)
-class Scheme:
-    """How to read the pages of one file.
+class TextScheme(PageScheme[TextPages]):
+    """How the pages of one file are read.
 
     Attributes:
-        spacing: of the samples, at the device's true rate.
-        announced: how many pages the header announces, None if it does not say.
-        problems: what was found before any page.
+        settings: what its pages have in common.
+        first_sequence: number of the first page.
     """
 
-    file: TextFile
+    file: ScannedFile[TextPages]
     settings: Settings
-    spacing: Spacing
-    first: FirstPages
-    announced: int | None = None
-    problems: tuple[Problem, ...] = ()
+    first_sequence: int
 
-    def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk]:
-        """All rows of the file, whole pages, at least one; so many threads may work on a gzip file."""
-        assembler = Assembler(self, 0, self.problems)
-        with closing(self.file.parts(max(1, chunk_samples // scan.SAMPLES), threads)) as parts:
-            for part in parts:
-                chunk = assembler.chunk(part)
-                if len(chunk) or chunk.problems:
-                    yield chunk
-
-    def piece(self, offset: int, length: int) -> Chunk:
-        """The pages that begin within `length` bytes, as if the recording were just these."""
-        part = self.file.piece(offset, length)
-        pages = max(0, int(part.found.heads[0][1]) - self.first.sequence) if part.found.heads else 0
-        return Assembler(self, pages * scan.SAMPLES, ()).feed(part)
-
-    def block(self, part: Part[Found]) -> PageBlock:
-        """The pages of a part, decoded."""
-        return Decoder(self.settings)(part.found, part.first_position).block
-
-
-class Assembler:
-    """Takes the parts of a file in order and gives a chunk for each."""
-
-    def __init__(
-        self, scheme: Scheme, sample: int, problems: tuple[Problem, ...], remembered: int = REMEMBERED_PAGES
-    ) -> None:
-        self._scheme = scheme
-        self._places = PartPlaces(scan.USUAL_BYTES)
-        self._decode = Decoder(scheme.settings, remembered)
-        timeline = CoarseTimeline(scheme.spacing, scheme.first.unit_us)
-        first = scheme.first.first_values
-        self._joiner = PageJoiner(self._places, scheme.spacing, timeline, sample, first, problems)
-        self._highest = self._last_position = -1
-
-    def chunk(self, part: Part[Found]) -> Chunk:
-        """Add a part; the last one releases everything, with what is missing at the end of the file."""
-        chunk = self.feed(part)
-        return replace(chunk, problems=chunk.problems + self.ending(part, chunk)) if part.last else chunk
-
-    def feed(self, part: Part[Found]) -> Chunk:
-        """Add a part; the last one releases everything."""
-        self._places.part = part
-        decoded = self._decode(part.found, part.first_position)
-        block = decoded.block
-        if len(block) and block.sequence is not None:
-            self._highest = max(self._highest, int(block.sequence.max()))
-            self._last_position = int(block.position[-1])
-        chunk = clipped_at(self._joiner.feed(part, decoded), *self._scheme.settings.scale.clipped)
-        self._places.part = replace(part, first_position=part.next_position, found=Found())
-        return chunk
-
-    def ending(self, part: Part[Found], chunk: Chunk) -> tuple[Problem, ...]:
-        """What is missing at the end of the file."""
-        sample, found = chunk.first_sample + len(chunk), part.found
-        problems = [Problem("truncated", BROKEN_OFF, part.end, sample)] if part.broke_off else []
-        if found.cut is not None:
-            missing = scan.SAMPLES - found.cut_samples
-            text = f"the file ends within a page: {missing} of its {scan.SAMPLES} samples are missing"
-            problems.append(Problem("truncated", text, found.cut, sample, missing))
-        lost = self._never_come(part)
-        if lost > 0:
-            text = f"pages that the header announces are missing at the end of the file: {lost}"
-            problems.append(Problem("truncated", text, part.end, sample, lost))
-        return tuple(problems)
-
-    def _never_come(self, part: Part[Found]) -> int:
-        """Pages that the header announces, without those that are reported in another way."""
-        damaged = part.next_position - 1 - self._last_position
-        cut = part.found.cut is not None and part.found.cut_samples == 0
-        return (self._scheme.announced or 0) - (self._highest + 1) - damaged - cut
-
-
-class GeneactivIntake(Intake):
-    """Takes a recording as it grows."""
-
-    def __init__(self, scheme: Scheme) -> None:
-        self._assembler = Assembler(scheme, 0, scheme.problems, PAGES_OF_A_STREAM)
-        start = scheme.file.start
-        self._cutter = PlaceCutter(scan.Scanner(start), start)
-
-    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
-        """See `Intake`."""
-        yield self._assembler.chunk(self._cutter.cut(data, last=last))
-
-
-class GeneactivReader(Reader):
-    """Streams the pages; each call of `chunks` reads the file from its beginning."""
-
-    def __init__(self, recording: Recording, scheme: Scheme) -> None:
-        self.recording = recording
-        self._scheme = scheme
-
-    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
-        """Yield all rows in order, whole pages, at least one."""
-        return self._scheme.stream(chunk_samples, self.threads)
-
-    def intake(self) -> Intake:
-        """See `Reader`."""
-        return GeneactivIntake(self._scheme)
-
-    def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
-        """Enter the file at evenly spread bytes, each time up to the next page.
-
-        A gzip file gives its first chunks.
-        """
-        file = self._scheme.file
+    def pieces(self, chunk_samples: int, pieces: int) -> Iterator[tuple[int, TextPages]]:
+        """Enter at evenly spread bytes, each time up to the next page."""
+        file = self.file
         if file.compressed:
-            yield from super().preview(chunk_samples, pieces)
             return
-        spread = max(scan.USUAL_BYTES, (file.size - file.start) // max(1, pieces))
+        spread = max(scan.USUAL_BYTES, (file.size - file.start_byte) // max(1, pieces))
         length = min(spread, max(1, chunk_samples // scan.SAMPLES) * scan.USUAL_BYTES)
         for piece in range(pieces):
-            chunk = self._scheme.piece(file.start + piece * spread, length)
-            if len(chunk) or chunk.problems:
-                yield chunk
+            block = piece_of(file, file.start_byte + piece * spread, length)
+            page = max(0, int(block.heads[0][1]) - self.first_sequence) if block.heads else 0
+            yield page * scan.SAMPLES, block
+
+
+def piece_of(file: ScannedFile[TextPages], offset: int, length: int) -> TextPages:
+    """Return the pages that begin within `length` bytes from `offset` on, in an uncompressed file."""
+    data = file.read(offset, length + scan.LONGEST_BYTES)
+    return Scanner(offset, inside=True).feed(data, last=True, stop=length).alone(offset + len(data))
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
@@ -278,23 +284,30 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     """
     probe = probe_file(path, options)
     header = parse_header(probe.head)
-    file = TextFile(path, header.data_start, probe.size, probe.compressed)
+    file = ScannedFile(
+        path, header.data_start, scan.USUAL_BYTES, probe.size, probe.compressed, Scanner, proved=False
+    )
     first = look_inside(file)
     if first is None:
         known = probe.head.startswith(HEADER_MAGIC)
         what = "holds no intact page of samples" if known else "is not a GENEActiv .bin recording"
         raise UnreadableError(what, path=path, byte_offset=header.data_start, hint=COPY_AGAIN)
-    scheme = Scheme(
+    settings = Settings(first.serial, first.rate, scale_of(header, options, path))
+    spacing = Spacing(true_rate(first.rate), scan.SAMPLES)
+    scheme = TextScheme(
         file,
-        Settings(first.serial, first.rate, scale_of(header, options, path)),
-        Spacing(true_rate(first.rate), scan.SAMPLES),
-        first,
-        header.pages,
+        spacing,
+        decoder=lambda: TextDecoder(settings, header.pages or 0),
+        timeline=lambda: CoarseTimeline(spacing, first.unit_us),
+        settings=settings,
+        first_sequence=first.sequence,
+        first_values=first.first_values,
     )
-    start_us = first_time(scheme.stream(START_SAMPLES))
+    start_us = scheme.first_time_us()
     dated = not (iso_time(start_us, None) or "").startswith(RESET_DATE)
     scheme = replace(scheme, problems=problems_of(header, first, dated=dated))
-    return GeneactivReader(describe(scheme, header, options, start_us if dated else None), scheme)
+    recording = describe(scheme, header, options, start_us if dated else None)
+    return PagedReader(replace(recording, notes=notes(first, header, options)), scheme)
 
 
 def problems_of(header: Header, first: FirstPages, *, dated: bool) -> tuple[Problem, ...]:
@@ -330,29 +343,28 @@ def scale_of(header: Header, options: ReadOptions, path: Path) -> Scale:
     return factory_scale(header.factory)
 
 
-def describe(scheme: Scheme, header: Header, options: ReadOptions, start_us: int | None) -> Recording:
+def describe(scheme: TextScheme, header: Header, options: ReadOptions, start_us: int | None) -> Recording:
     """What is known of the recording."""
-    first, file = scheme.first, scheme.file
-    serial = first.serial.decode("ascii", "replace").strip()
+    settings, file = scheme.settings, scheme.file
+    serial = settings.serial.decode("ascii", "replace").strip()
     return Recording(
         path=file.path,
         format="geneactiv",
-        rate_hz=agreed_rate(options, float(first.rate), file.path),
-        lsb_per_g=scheme.settings.scale.lsb_per_g,
+        rate_hz=agreed_rate(options, float(settings.rate), file.path),
+        lsb_per_g=settings.scale.lsb_per_g,
         total_bytes=file.size,
         device=replace(header.device, serial=serial or header.device.serial),
         range_g=header.range_g,
         start_us=start_us,
         timezone=header.timezone,
         duration_s=duration_s(scheme, start_us),
-        has_temperature=first.first_values["temperature_mc"] is not None,
-        notes=notes(scheme, header, options),
+        has_temperature=scheme.first_values["temperature_mc"] is not None,
     )
 
 
-def notes(scheme: Scheme, header: Header, options: ReadOptions) -> tuple[str, ...]:
+def notes(first: FirstPages, header: Header, options: ReadOptions) -> tuple[str, ...]:
     """What a user should know of how the file was understood."""
-    first, found = scheme.first, []
+    found = []
     serial = first.serial.decode("ascii", "replace").strip()
     if header.rate is not None and header.rate != first.rate:
         found.append(f"the header says {float(header.rate):g} Hz, the pages {float(first.rate):g} Hz")
@@ -367,12 +379,13 @@ def notes(scheme: Scheme, header: Header, options: ReadOptions) -> tuple[str, ..
     return tuple(found)
 
 
-def duration_s(scheme: Scheme, start_us: int | None) -> float | None:
+def duration_s(scheme: TextScheme, start_us: int | None) -> float | None:
     """From the first sample to the end of the last page [s], None if that is not found."""
     file = scheme.file
     if file.compressed or start_us is None:
         return None
-    last = scheme.block(file.piece(max(file.start, file.size - TAIL_BYTES), TAIL_BYTES))
+    piece = piece_of(file, max(file.start_byte, file.size - TAIL_BYTES), TAIL_BYTES)
+    last = TextDecoder(scheme.settings).decode(piece).block
     if not len(last) or last.time_us is None:
         return None
     lasted_us = int(last.time_us[-1]) - start_us + float(scheme.spacing.rows_us(last.rows[-1]))

@@ -9,21 +9,18 @@ instructions, "Understanding .bin files".
 from __future__ import annotations
 
 import re
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.formats._bytes import ByteSource
-from accelcal_cli.formats._pages import places
+from accelcal_cli.formats._pages.files import ScannedPages
 from accelcal_cli.formats._pages.pages import GOOD, LENGTH, NO_PAGE, TEXT
-from accelcal_cli.formats._pages.places import Part
 from accelcal_cli.formats._rows import MISSING
-from accelcal_cli.formats.geneactiv import MARK
+from accelcal_cli.formats.geneactiv import MARK, PAGE_HEAD
 
 SAMPLES = 300
 SAMPLE_DIGITS = 12
@@ -36,27 +33,7 @@ LONGEST_BYTES = 4608
 
 SHORTEST_BYTES = BODY_DIGITS + 150
 
-_END = rb"[ \t]{0,32}\r?\n"
-_ANY = rb"[^\r\n]{0,64}\r?\n"
-HEAD = re.compile(
-    MARK
-    + _END
-    + rb"Device Unique Serial Code:([^\r\n]{0,64})\r?\n"
-    + rb"Sequence Number:(\d{1,10})"
-    + _END
-    + rb"Page Time:(20\d\d-\d\d?-\d\d? \d\d?:\d\d?:\d\d?:\d{3})"
-    + _END
-    + rb"Unassigned:"
-    + _ANY
-    + rb"Temperature:([^\r\n]{0,64})\r?\n"
-    + rb"Battery voltage:"
-    + _ANY
-    + rb"Device Status:"
-    + _ANY
-    + rb"Measurement Frequency:([^\r\n]{0,64})\r?\n"
-)
-"""A page's text; the groups are serial number, sequence number, time, temperature and rate."""
-
+HEAD = re.compile(PAGE_HEAD)
 _NUMBER = re.compile(rb"(-?\d{1,6}(?:[.,]\d{1,6})?)(?: Hz)?")
 STAMP_BYTES = 23
 NO_STAMP = int(np.iinfo(np.int64).min)
@@ -104,7 +81,7 @@ def _padded(text: bytes) -> bytes:
 
 
 @dataclass(slots=True)
-class Found(places.Found):
+class TextPages(ScannedPages):
     """Places of a stretch of the file in their order.
 
     A GOOD one is a page whose text and length are right; each reaches up to the next page.
@@ -121,7 +98,7 @@ class Found(places.Found):
 
     def page(self, offset: int, end: int, head: Head, body: bytes) -> None:
         """Add a GOOD one."""
-        self.place(GOOD, offset, end)
+        self.add(GOOD, offset, end)
         self.heads.append(head)
         self.bodies.append(body)
 
@@ -142,14 +119,14 @@ class Scanner:
         self._searching = inside
         self._bad: tuple[int, int] | None = None
 
-    def feed(self, data: bytes, *, last: bool, stop: int | None = None) -> Found:
+    def feed(self, data: bytes, *, last: bool, stop: int | None = None) -> TextPages:
         """The places that begin in the text so far and can be seen whole.
 
         Args:
             last: nothing follows.
             stop: leave out places that begin so many bytes after the start of the text, or later.
         """
-        text, found = self._rest + data, Found()
+        text, found = self._rest + data, TextPages()
         end = len(text) if last else len(text) - LONGEST_BYTES + 1
         end = end if stop is None else min(end, stop)
         match, index = HEAD.match, 0
@@ -173,10 +150,10 @@ class Scanner:
         self._rest, self._offset = text[index:], self._offset + index
         return found
 
-    def _close(self, index: int, found: Found) -> None:
+    def _close(self, index: int, found: TextPages) -> None:
         """What was no page reaches up to here."""
         if self._bad is not None:
-            found.place(*self._bad, self._offset + index)
+            found.add(*self._bad, self._offset + index)
         self._bad = None
 
     def _search(self, text: bytes, index: int, *, last: bool) -> int:
@@ -186,7 +163,7 @@ class Scanner:
         begun = 0 if last else len(MARK) - 1
         return max(index, len(text) - begun) if self._searching else place
 
-    def _last(self, text: bytes, index: int, head: re.Match[bytes] | None, found: Found) -> int:
+    def _last(self, text: bytes, index: int, head: re.Match[bytes] | None, found: TextPages) -> int:
         """Take in what is no whole page near the end of the file, which may have cut a page off."""
         if head is not None:
             digits = text[head.end() : head.end() + BODY_DIGITS + 2].removesuffix(b"\r")
@@ -199,7 +176,7 @@ class Scanner:
             return self._other(text, index, head)
         samples = len(digits) // SAMPLE_DIGITS
         if samples < SAMPLES:
-            found.cut, found.cut_samples = self._offset + index, samples
+            found.cut_at, found.cut_samples = self._offset + index, samples
         if head is not None and samples:
             begin, end = self._offset + index, self._offset + len(text)
             found.page(begin, end, head.groups(), digits[: samples * SAMPLE_DIGITS])
@@ -220,48 +197,3 @@ def _is_whole(text: bytes, begin: int, close: int) -> bool:
     """Whether the line that begins and closes here has the digits of a page."""
     over = close - begin - BODY_DIGITS
     return over == 0 or (over == 1 and text[close - 1] == CARRIAGE_RETURN)
-
-
-@dataclass(frozen=True, slots=True)
-class TextFile:
-    """Where the pages lie.
-
-    Attributes:
-        start: where the first one begins, or the search for it, bytes.
-        size: bytes on disk.
-    """
-
-    path: Path
-    start: int
-    size: int
-    compressed: bool
-
-    def parts(self, pages: int, threads: int = 1) -> Generator[Part[Found]]:
-        """All places of the file, those of about `pages` pages at a time; a part may be empty.
-
-        Args:
-            threads: how many may work at a time on a gzip file.
-
-        Raises:
-            UnreadableError: the disk fails, or a gzip file is damaged within.
-        """
-        with ByteSource(self.path, threads) as source:
-            source.read_exact(self.start)
-            scanner = Scanner(self.start)
-            position, end, last = 0, self.start, False
-            while not last:
-                data = source.read_exact(pages * USUAL_BYTES)
-                source.refuse_damaged()
-                last, end = len(data) < pages * USUAL_BYTES, end + len(data)
-                found = scanner.feed(data, last=last)
-                yield Part(position, found, end, source.disk_position(), last, source.broken)
-                position += len(found.status)
-
-    def piece(self, offset: int, length: int) -> Part[Found]:
-        """The places that begin within `length` bytes from `offset` on, in an uncompressed file."""
-        with ByteSource(self.path) as source:
-            source.seek(offset)
-            data = source.read_exact(length + LONGEST_BYTES)
-        end = offset + len(data)
-        found = Scanner(offset, inside=True).feed(data, last=True, stop=length)
-        return Part(0, found, end, end, True)

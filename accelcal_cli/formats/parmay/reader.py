@@ -1,16 +1,19 @@
-"""An open Matrix file: what is known of the recording, and its rows.
+"""Reads a Matrix file: its header, its packets, and what the first packets show of the recording.
 
-The samples of a packet were taken between its two times. What most of the first packets show, such as how
-fast the sensor really is, describes the recording.
+A packet is a signature, a CRC-32 of all that follows, the times of its beginning and its end in whole
+seconds, the numbers of its readings of accelerometer, gyroscope, thermometers and heart rate, and these
+readings as 16-bit integers. All numbers are little-endian. The samples of a packet were taken between its two
+times. Source: github.com/wadpac/GGIRread, R/readParmayMatrix.R.
 """
 
 from __future__ import annotations
 
 import struct
+import zlib
 from collections import Counter
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -20,28 +23,47 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
-from accelcal_cli.core.recording import Channels, Chunk, Device, Intake, Problem, Reader, Recording, Validity
-from accelcal_cli.formats._pages.pages import GOOD, Decoded, PageBlock, bad_runs
-from accelcal_cli.formats._pages.places import Part, PartPlaces, PlaceCutter
-from accelcal_cli.formats._pages.reader import PageJoiner, first_time
+from accelcal_cli.core.recording import Channels, Chunk, Device, Problem, Reader, Recording, Validity
+from accelcal_cli.formats._pages.files import ScannedFile, ScannedPages
+from accelcal_cli.formats._pages.pages import CHECKSUM, GOOD, NO_PAGE, Decoded, PageBlock, bad_runs
+from accelcal_cli.formats._pages.reader import PageDecoder, PagedReader, PageScheme
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
 from accelcal_cli.formats._stamps import nice_rate
 from accelcal_cli.formats.parmay import HEADER_BYTES, HEADER_MAGIC, PACKET_MAGIC, REMARKS_BYTES
-from accelcal_cli.formats.parmay.packets import USUAL_BYTES, Found, Packet, PacketFile, Scanner
 
 RATES_HZ = (12.5, 25.0, 50.0, 100.0)
-"""To which devices are set; their sensors run up to 3 % off."""
+"""Rates to which devices are set; their sensors run up to 3 % off."""
 
 POSSIBLE_HZ = (1, 2000)
 NEAR = 0.1
+"""Share by which a sensor's rate may differ from one of RATES_HZ to be taken for it."""
+
 LONG_S = 10
+"""Shortest time [s] over which a packet's whole-second times show its rate well."""
+
 RANGES_G = (2, 4, 8, 16)
 FULL_SCALE = 1 << 15
-UNIT_US = MICROSECONDS
 FIRST_ROWS = 1 << 16
+"""Rows of the first packets, which describe the recording."""
+
 TAIL_BYTES = 1 << 18
+"""Bytes at the end of the file in which the last packet is looked for."""
+
 TENTH_MC = 100
+"""Thousandths of a degree C in one unit of the thermometer."""
+
 HEADER = struct.Struct("<4sIHH")
+HEAD = struct.Struct("<8sIIIIIII")
+CHECKED_FROM = 12
+READING_BYTES = (6, 6, 4, 4)
+"""Bytes of a reading of three axes, of three rates, of two temperatures, of two heart rates."""
+
+USUAL_BYTES = 72_044
+MOST_BYTES = 1 << 20
+"""Longest packet; devices write one when 12 000 samples are there, and a longer one is damaged."""
+
+LEAST_BYTES = 1 << 12
+"""Least bytes that are scanned at a time: a packet is scanned again with each piece until it is whole."""
 
 COPY_AGAIN = "copy it again from the device"
 BROKEN_OFF = "the compressed data is damaged or ends early"
@@ -50,11 +72,11 @@ HELD = "missing_value", "packets with samples but no rotation rates, given the l
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What stands before the first packet; None if it does not.
+    """What stands before the first packet; a field is None if it is missing.
 
     Attributes:
-        packets: how many it announces.
-        range_g, range_dps: of accelerometer and gyroscope, +-.
+        packets: the number that it announces.
+        range_g, range_dps: ranges of accelerometer and gyroscope, +-.
         damage: what is wrong with it, in plain words.
     """
 
@@ -84,15 +106,161 @@ def parse_header(head: bytes) -> Header:
 
 
 @dataclass(frozen=True, slots=True)
+class Packet:
+    """A sound packet.
+
+    Attributes:
+        start_s, end_s: seconds since 1970.
+        numbers: of readings of each kind.
+        body: the readings.
+    """
+
+    start_s: int
+    end_s: int
+    numbers: tuple[int, int, int, int]
+    body: bytes
+
+    @property
+    def rows(self) -> int:
+        """Number of samples of the accelerometer."""
+        return self.numbers[0]
+
+    def part(self, kind: int) -> bytes:
+        """Return the readings of a kind: 0 accelerometer, 1 gyroscope, 2 temperatures, 3 heart rates."""
+        sizes = [number * size for number, size in zip(self.numbers, READING_BYTES, strict=True)]
+        begin = sum(sizes[:kind])
+        return self.body[begin : begin + sizes[kind]]
+
+    @property
+    def has_possible_times(self) -> bool:
+        """Return True if the packet's times can be right."""
+        seconds = self.end_s - self.start_s
+        return seconds > 0 and POSSIBLE_HZ[0] <= self.rows / seconds <= POSSIBLE_HZ[1]
+
+
+def packet_bytes(text: bytes, at: int) -> int:
+    """Return how long a packet is by its own numbers."""
+    numbers: tuple[int, ...] = HEAD.unpack_from(text, at)[4:]
+    return HEAD.size + sum(number * size for number, size in zip(numbers, READING_BYTES, strict=True))
+
+
+def packet_of(data: bytes) -> Packet | None:
+    """Return a packet, None if its length or checksum is wrong."""
+    if len(data) < HEAD.size or packet_bytes(data, 0) != len(data):
+        return None
+    _, checksum, start_s, end_s, *numbers = HEAD.unpack_from(data)
+    if zlib.crc32(memoryview(data)[CHECKED_FROM:]) != checksum:
+        return None
+    return Packet(start_s, end_s, (numbers[0], numbers[1], numbers[2], numbers[3]), data[HEAD.size :])
+
+
+@dataclass(slots=True)
+class Packets(ScannedPages):
+    """Packets of a stretch of the file.
+
+    Attributes:
+        packets: the GOOD ones, all with samples.
+        empty: sound packets without a sample in the file so far, which are no pages.
+        cut_bytes: of the packet that the end of the file cuts off.
+    """
+
+    packets: list[Packet] = field(default_factory=list)
+    empty: int = 0
+    cut_bytes: int = 0
+
+
+class Scanner:
+    """Finds the packets in the bytes of a file; see Scanner in `_pages/files.py`.
+
+    Every packet begins with its signature, at which the search goes on after damage; a packet never reaches
+    beyond the next signature.
+
+    Args:
+        offset: where in the file the bytes begin.
+        inside: they may begin within a packet; what comes before the first one is passed over.
+    """
+
+    def __init__(self, offset: int, *, inside: bool = False) -> None:
+        self._offset = offset
+        self._rest = b""
+        self._inside = inside
+        self._other: int | None = None
+        self._blank = b""
+        self._empty = 0
+
+    def feed(self, data: bytes, *, last: bool) -> Packets:
+        """See Scanner."""
+        text, found, index = self._rest + data, Packets(), 0
+        while True:
+            at = text.find(PACKET_MAGIC, index)
+            begin = at if at >= 0 else len(text) if last else max(index, len(text) - len(PACKET_MAGIC) + 1)
+            self._pass_over(text, index, begin)
+            index = begin
+            end = None if at < 0 else self._end(text, at, last=last)
+            if end is None:
+                break
+            self._close(at, found)
+            self._inside = False
+            self._take(text, at, end, found)
+            index = min(end, len(text))
+        if last and self._blank not in (b"\0", b"\xff"):
+            self._close(index, found)
+        self._rest, self._offset = text[index:], self._offset + index
+        found.empty = self._empty
+        return found
+
+    def _end(self, text: bytes, at: int, *, last: bool) -> int | None:
+        """Return where the packet at `at` ends: by its own numbers, or where the next one begins.
+
+        None if that is not seen yet; beyond the text if the end of the file cuts the packet off.
+        """
+        begun = len(text) - at >= HEAD.size
+        size = packet_bytes(text, at) if begun else HEAD.size
+        end = at + (size if size <= MOST_BYTES else HEAD.size)
+        reach = end + len(PACKET_MAGIC) - 1
+        follower = text.find(PACKET_MAGIC, at + 1, reach)
+        if follower >= 0:
+            return follower
+        return end if last or (begun and reach <= len(text)) else None
+
+    def _take(self, text: bytes, at: int, end: int, found: Packets) -> None:
+        """Add what lies from `at` to `end`."""
+        if end > len(text):
+            found.cut_at, found.cut_bytes = self._offset + at, len(text) - at
+            return
+        packet = packet_of(text[at:end])
+        if packet is None or packet.rows:
+            found.add(CHECKSUM if packet is None else GOOD, self._offset + at, self._offset + end)
+        if packet is not None and packet.rows:
+            found.packets.append(packet)
+        self._empty += packet is not None and not packet.rows
+
+    def _pass_over(self, text: bytes, index: int, end: int) -> None:
+        """Pass over bytes that are no packet, which may be memory that was never written."""
+        if index == end:
+            return
+        if self._other is None:
+            self._other, self._blank = self._offset + index, text[index : index + 1]
+        if text[index:end].strip(self._blank or b"\0"):
+            self._blank = b""
+
+    def _close(self, index: int, found: Packets) -> None:
+        """End a stretch of bytes that are no packet."""
+        if self._other is not None and not self._inside:
+            found.add(NO_PAGE, self._other, self._offset + index)
+        self._other = None
+
+
+@dataclass(frozen=True, slots=True)
 class FirstPackets:
     """What the first packets show.
 
     Attributes:
         rate: samples per second that the sensor really takes.
-        nominal_hz: to which it was set.
+        nominal_hz: the rate to which it was set.
         rows: samples of most packets.
-        temperature_mc: the first one measured, None without any.
-        has_gyro: whether there are rotation rates.
+        temperature_mc: the first measured temperature, None without any.
+        has_gyro: there are rotation rates.
     """
 
     rate: Fraction
@@ -101,17 +269,22 @@ class FirstPackets:
     temperature_mc: int | None
     has_gyro: bool
 
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of the file for each row."""
+        return 12 if self.has_gyro else 6
 
-def look_inside(file: PacketFile, options: ReadOptions) -> FirstPackets | None:
-    """Read on until there are packets of enough samples; None if there is none in the whole file.
+
+def look_inside(file: ScannedFile[Packets], options: ReadOptions) -> FirstPackets | None:
+    """Read on until there are packets of enough samples; return None if the file has no packet.
 
     Raises:
         UnreadableError: their times do not show the rate, which the user did not give.
     """
     packets: list[Packet] = []
-    with closing(file.parts(USUAL_BYTES)) as parts:
-        for part in parts:
-            packets += part.found.packets
+    with closing(file.blocks(USUAL_BYTES)) as blocks:
+        for block in blocks:
+            packets += block.packets
             if sum(packet.rows for packet in packets) >= FIRST_ROWS:
                 break
     if not packets:
@@ -124,8 +297,8 @@ def look_inside(file: PacketFile, options: ReadOptions) -> FirstPackets | None:
 
 
 def _rates(packets: Sequence[Packet], options: ReadOptions, path: Path) -> tuple[Fraction, float]:
-    """The sensor's rate and the one it was set to."""
-    timed = [packet for packet in packets if _is_timed(packet)]
+    """Return the sensor's rate, and the one to which it was set."""
+    timed = [packet for packet in packets if packet.has_possible_times]
     timed = [packet for packet in timed if packet.end_s - packet.start_s >= LONG_S] or timed
     if not timed:
         if options.rate_hz is None:
@@ -140,78 +313,93 @@ def _rates(packets: Sequence[Packet], options: ReadOptions, path: Path) -> tuple
     return _rate_of(agreeing), nominal
 
 
-def _is_timed(packet: Packet) -> bool:
-    """Whether a packet's times can be right."""
-    seconds = packet.end_s - packet.start_s
-    return seconds > 0 and POSSIBLE_HZ[0] <= packet.rows / seconds <= POSSIBLE_HZ[1]
-
-
 def _rate_of(packets: Sequence[Packet]) -> Fraction:
     seconds = sum(packet.end_s - packet.start_s for packet in packets)
     return Fraction(sum(packet.rows for packet in packets), seconds).limit_denominator(10_000)
 
 
 def _nominal(rate: Fraction) -> float:
-    """The rate that a device was probably set to."""
+    """Return the rate to which a device was probably set."""
     nearest = min(RATES_HZ, key=lambda nominal: abs(float(rate) / nominal - 1))
     return nearest if abs(float(rate) / nearest - 1) <= NEAR else nice_rate(float(rate))
 
 
 def temperatures_mc(packet: Packet) -> NDArray[np.int32]:
-    """A packet's readings of the thermometer on the skin [thousandths of a degree C], (n,).
-
-    Beside each stands one of the air.
-    """
+    """Return a packet's skin temperatures [thousandths of a degree C], (n,), without those of the air."""
     pairs = np.frombuffer(packet.part(2), "<i2").reshape(-1, 2)
     return pairs[:, 0].astype(np.int32) * np.int32(TENTH_MC)
 
 
 def rates(packet: Packet) -> NDArray[np.int16]:
-    """Rotation rates of a packet, (n, 3)."""
+    """Return the rotation rates of a packet, (n, 3)."""
     return np.frombuffer(packet.part(1), "<i2").reshape(-1, 3).astype(np.int16)
 
 
 def spread_over(rows: int, readings: int) -> NDArray[np.int64]:
-    """Which of so many evenly spread readings each row takes, (rows,)."""
+    """Return which of evenly spread readings each row takes, (rows,)."""
     return np.arange(rows, dtype=np.int64) * readings // rows
 
 
-class Decoder:
-    """Decodes the packets of a file in their order; keeps the last temperature and rotation rate.
+class PacketDecoder(PageDecoder[Packets]):
+    """Decodes packets; repeats the last temperature and rotation rate where there is none.
 
-    Attributes:
-        held: packets without rotation rates so far, in a recording that has them.
+    Args:
+        announced: number of packets by the header.
     """
 
-    def __init__(self, first: FirstPackets) -> None:
-        self._first = first
+    def __init__(self, first: FirstPackets, announced: int) -> None:
+        self._first, self._announced = first, announced
         self._temperature = first.temperature_mc
         self._rotation = np.zeros((1, 3), np.int16)
         self._end_s: int | None = None
-        self.held = 0
+        self._held = 0
 
-    def __call__(self, found: Found, first_position: int) -> Decoded:
-        """The packets that are right, and the others.
-
-        Args:
-            first_position: number of the first place within the file.
-        """
+    def decode(self, found: Packets) -> Decoded:
+        """See PageDecoder."""
         status = np.array(found.status, np.uint8)
         packets = found.packets
         rows = np.array([packet.rows for packet in packets], np.int64)
         xyz = b"".join(packet.part(0) for packet in packets)
         block = PageBlock(
-            position=first_position + np.flatnonzero(status == GOOD),
+            position=found.first_position + np.flatnonzero(status == GOOD),
             rows=rows,
             counts=np.frombuffer(xyz, "<i2").reshape(-1, 3).astype(np.int16),
             time_us=np.array([packet.start_s for packet in packets], np.int64) * MICROSECONDS,
             fresh=np.array([self._is_fresh(packet) for packet in packets], np.bool_),
             channels=self._channels(packets),
         )
-        return Decoded(block, bad_runs(status, first_position), b"")
+        return Decoded(block, bad_runs(status, found.first_position))
+
+    def finish(self, chunk: Chunk) -> Chunk:
+        """Mark rows that lie at the end of what 16 bits can tell."""
+        chunk = replace(chunk, used_bytes=len(chunk) * self._first.row_bytes)
+        ends = np.iinfo(np.int16)
+        clipped = ((chunk.counts == ends.min) | (chunk.counts == ends.max)).any(axis=1)
+        if not clipped.any():
+            return chunk
+        return replace(
+            chunk, validity=np.where(clipped, Validity.CLIPPED, Validity.MEASURED).astype(np.uint8)
+        )
+
+    def ending(self, found: Packets, chunk: Chunk) -> tuple[Problem, ...]:
+        """Return what is missing at the end of the file, and in packets."""
+        sample, problems = chunk.first_sample + len(chunk), []
+        if found.broken:
+            problems.append(Problem("truncated", BROKEN_OFF, found.end, sample))
+        if found.cut_at is not None:
+            text = f"the file ends within a packet, of which it has {found.cut_bytes} bytes; left out"
+            problems.append(Problem("truncated", text, found.cut_at, sample, 1, found.cut_bytes))
+        lost = self._announced - found.next_position - found.empty - (found.cut_at is not None)
+        if lost > 0:
+            text = f"packets that the header announces are missing: {lost}"
+            problems.append(Problem("truncated", text, found.end, sample, lost))
+        if self._held:
+            code, text = HELD
+            problems.append(Problem(code, f"{text}: {self._held}", None, sample, self._held))
+        return tuple(problems)
 
     def _is_fresh(self, packet: Packet) -> bool:
-        """Whether a packet begins later or earlier than the one before ended, by more than rounding."""
+        """Return True if a packet begins more than rounding away from where the one before ended."""
         before, self._end_s = self._end_s, packet.end_s
         return before is not None and abs(packet.start_s - before) > 1
 
@@ -226,7 +414,7 @@ class Decoder:
         return channels
 
     def _temperatures(self, packet: Packet) -> NDArray[np.int32]:
-        """Of each row: the reading of its share of the packet, or the last one before."""
+        """Return for each row the reading of its share of the packet, or the last one before."""
         readings = temperatures_mc(packet)
         if not len(readings):
             return np.full(packet.rows, self._temperature, np.int32)
@@ -235,134 +423,32 @@ class Decoder:
 
     def _rotations(self, packet: Packet) -> NDArray[np.int16]:
         readings = rates(packet)
-        self.held += not len(readings)
+        self._held += not len(readings)
         readings = readings if len(readings) else self._rotation
         self._rotation = readings[-1:]
         return readings if len(readings) == packet.rows else readings[spread_over(packet.rows, len(readings))]
 
 
 @dataclass(frozen=True, slots=True)
-class Scheme:
-    """How to read the packets of one file."""
+class PacketScheme(PageScheme[Packets]):
+    """How the packets of one file are read."""
 
-    file: PacketFile
-    first: FirstPackets
-    announced: int | None
-    problems: tuple[Problem, ...] = ()
+    file: ScannedFile[Packets]
 
-    @property
-    def spacing(self) -> Spacing:
-        """Of the samples, at the sensor's own rate."""
-        return Spacing(self.first.rate, self.first.rows)
+    def amount(self, chunk_samples: int) -> int:
+        """Return the bytes of `chunk_samples` rows, whether these are whole packets or not."""
+        return max(LEAST_BYTES, chunk_samples * self.file.page_bytes // self.spacing.rows)
 
-    @property
-    def row_bytes(self) -> int:
-        """Of the file for each row."""
-        return 12 if self.first.has_gyro else 6
-
-    def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk]:
-        """All rows of the file, whole packets; so many threads may work on a gzip file."""
-        assembler = Assembler(self, 0, self.problems)
-        with closing(self.file.parts(chunk_samples * self.row_bytes, threads)) as parts:
-            for part in parts:
-                chunk = assembler.feed_file(part)
-                if len(chunk) or chunk.problems:
-                    yield chunk
-
-
-class Assembler:
-    """Takes the parts of a file in order and gives a chunk for each."""
-
-    def __init__(self, scheme: Scheme, sample: int, problems: tuple[Problem, ...]) -> None:
-        self._scheme = scheme
-        self._places = PartPlaces(USUAL_BYTES)
-        self._decode = Decoder(scheme.first)
-        timeline = CoarseTimeline(scheme.spacing, UNIT_US)
-        self._joiner = PageJoiner(self._places, scheme.spacing, timeline, sample, {}, problems)
-        self._empty = 0
-
-    def feed(self, part: Part[Found]) -> Chunk:
-        """Add a part; the last one releases everything."""
-        self._places.part = part
-        self._empty += part.found.empty
-        chunk = self._joiner.feed(part, self._decode(part.found, part.first_position))
-        return marked(replace(chunk, used_bytes=len(chunk) * self._scheme.row_bytes))
-
-    def feed_file(self, part: Part[Found]) -> Chunk:
-        """The same of a whole file, whose end may be told."""
-        chunk = self.feed(part)
-        return replace(chunk, problems=chunk.problems + self._ending(part, chunk)) if part.last else chunk
-
-    def _ending(self, part: Part[Found], chunk: Chunk) -> tuple[Problem, ...]:
-        """What is missing at the end of the file, and in packets."""
-        sample, found, problems = chunk.first_sample + len(chunk), part.found, []
-        if part.broke_off:
-            problems.append(Problem("truncated", BROKEN_OFF, part.end, sample))
-        if found.cut is not None:
-            text = f"the file ends within a packet, of which it has {found.cut_bytes} bytes; left out"
-            problems.append(Problem("truncated", text, found.cut, sample, 1, found.cut_bytes))
-        seen = part.next_position + self._empty + (found.cut is not None)
-        lost = (self._scheme.announced or 0) - seen
-        if lost > 0:
-            text = f"packets that the header announces are missing: {lost}"
-            problems.append(Problem("truncated", text, part.end, sample, lost))
-        if self._decode.held:
-            code, text = HELD
-            problems.append(Problem(code, f"{text}: {self._decode.held}", None, sample, self._decode.held))
-        return tuple(problems)
-
-
-def marked(chunk: Chunk) -> Chunk:
-    """The chunk with rows marked that lie at the end of what 16 bits can tell."""
-    ends = np.iinfo(np.int16)
-    clipped = ((chunk.counts == ends.min) | (chunk.counts == ends.max)).any(axis=1)
-    if not clipped.any():
-        return chunk
-    return replace(chunk, validity=np.where(clipped, Validity.CLIPPED, Validity.MEASURED).astype(np.uint8))
-
-
-class ParmayIntake(Intake):
-    """Takes a recording as it grows."""
-
-    def __init__(self, scheme: Scheme) -> None:
-        start = scheme.file.start
-        self._cutter = PlaceCutter(Scanner(start), start)
-        self._assembler = Assembler(scheme, 0, scheme.problems)
-
-    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
-        """See `Intake`."""
-        part = self._cutter.cut(data, last=last)
-        if part.found.status or part.found.empty or last:
-            yield self._assembler.feed_file(part)
-
-
-class ParmayReader(Reader):
-    """Streams the packets; each call of `chunks` reads the file from its beginning."""
-
-    def __init__(self, recording: Recording, scheme: Scheme) -> None:
-        self.recording = recording
-        self._scheme = scheme
-
-    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
-        """Yield all rows in order, whole packets."""
-        return self._scheme.stream(chunk_samples, self.threads)
-
-    def intake(self) -> Intake:
-        """See `Reader`."""
-        return ParmayIntake(self._scheme)
-
-    def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
-        """Enter the file at evenly spread bytes; a short or gzip file gives its first chunks."""
-        file = self._scheme.file
-        length = max(chunk_samples * self._scheme.row_bytes, 2 * USUAL_BYTES)
+    def pieces(self, chunk_samples: int, pieces: int) -> Iterator[tuple[int, Packets]]:
+        """Enter at evenly spread bytes, if the file is long enough."""
+        file = self.file
+        length = max(self.amount(chunk_samples), 2 * USUAL_BYTES)
         if file.compressed or file.size < pieces * length:
-            yield from super().preview(chunk_samples, pieces)
             return
         for piece in range(pieces):
-            part = file.piece(file.start + piece * (file.size - file.start) // pieces, length)
-            chunk = Assembler(self._scheme, 0, ()).feed(part)
-            if len(chunk) or chunk.problems:
-                yield chunk
+            offset = file.start_byte + piece * (file.size - file.start_byte) // pieces
+            data = file.read(offset, length)
+            yield 0, Scanner(offset, inside=True).feed(data, last=False).alone(offset + len(data))
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
@@ -376,23 +462,28 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     probe = probe_file(path, options)
     header = parse_header(probe.head)
     start = HEADER_BYTES if header.damage is None else max(0, probe.head.find(PACKET_MAGIC))
-    file = PacketFile(path, start, probe.size, probe.compressed)
+    file = ScannedFile(path, start, USUAL_BYTES, probe.size, probe.compressed, Scanner)
     first = look_inside(file, options)
     if first is None:
         raise UnreadableError("holds no sound packet", path=path, byte_offset=start, hint=COPY_AGAIN)
     if header.range_g is None and options.lsb_per_g is None:
         hint = f"give --lsb-per-g to read it without (for a range of 8 g: {FULL_SCALE // 8})"
         raise UnreadableError(header.damage or "", path=path, byte_offset=start, hint=hint)
-    problems = () if header.damage is None else (Problem("damaged_header", header.damage, 0, 0),)
     first = replace(first, has_gyro=first.has_gyro and bool(header.range_dps))
-    scheme = Scheme(file, first, header.packets, problems)
-    return ParmayReader(describe(scheme, header, options), scheme)
+    spacing = Spacing(first.rate, first.rows)
+    scheme = PacketScheme(
+        replace(file, page_bytes=first.rows * first.row_bytes),
+        spacing,
+        decoder=lambda: PacketDecoder(first, header.packets or 0),
+        timeline=lambda: CoarseTimeline(spacing, MICROSECONDS),
+        problems=() if header.damage is None else (Problem("damaged_header", header.damage, 0, 0),),
+    )
+    return PagedReader(describe(scheme, first, header, options), scheme)
 
 
-def describe(scheme: Scheme, header: Header, options: ReadOptions) -> Recording:
-    """What is known of the recording."""
-    first, path = scheme.first, scheme.file.path
-    start_us = first_time(scheme.stream(FIRST_ROWS))
+def describe(scheme: PacketScheme, first: FirstPackets, header: Header, options: ReadOptions) -> Recording:
+    """Describe the recording."""
+    path, start_us = scheme.file.path, scheme.first_time_us()
     gyro = (header.range_dps or 0) / FULL_SCALE if first.has_gyro else 0.0
     return Recording(
         path=path,
@@ -404,19 +495,18 @@ def describe(scheme: Scheme, header: Header, options: ReadOptions) -> Recording:
         range_g=None if header.range_g is None else float(header.range_g),
         start_us=start_us,
         timezone="UTC",
-        duration_s=duration_s(scheme, start_us),
+        duration_s=duration_s(scheme.file, start_us),
         has_temperature=first.temperature_mc is not None,
         gyro_dps_per_lsb=(gyro, gyro, gyro) if gyro else None,
     )
 
 
-def duration_s(scheme: Scheme, start_us: int) -> float | None:
-    """From the first sample to the end of the last packet [s], None if that is not found."""
-    file = scheme.file
+def duration_s(file: ScannedFile[Packets], start_us: int) -> float | None:
+    """Return the time from the first sample to the end of the last packet [s], None if that is not found."""
     if file.compressed:
         return None
-    offset = max(file.start, file.size - TAIL_BYTES)
-    with closing(PacketFile(file.path, offset, file.size, file.compressed).parts(TAIL_BYTES)) as parts:
-        packets = [packet for part in parts for packet in part.found.packets]
+    end = replace(file, start_byte=max(file.start_byte, file.size - TAIL_BYTES))
+    with closing(end.blocks(TAIL_BYTES)) as blocks:
+        packets = [packet for block in blocks for packet in block.packets]
     lasted_us = packets[-1].end_s * MICROSECONDS - start_us if packets else 0
     return lasted_us / MICROSECONDS if lasted_us > 0 else None

@@ -19,8 +19,9 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Channels, Counts, Device, Problem, Reader, Recording
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages import timeline as timelines
-from accelcal_cli.formats._pages.pages import Decoded, PageBlock, PagedFile, RawBlock
-from accelcal_cli.formats._pages.reader import Opening, PagedReader, PageScheme, extent, look_inside
+from accelcal_cli.formats._pages.files import PagedFile, RawBlock
+from accelcal_cli.formats._pages.pages import Decoded, PageBlock
+from accelcal_cli.formats._pages.reader import FixedPages, Opening, PageDecoder, PagedReader
 from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.raw import find_layout, named_layout
 from accelcal_cli.formats.raw.layout import (
@@ -204,15 +205,15 @@ def on_grid(
     return counts
 
 
-class FrameDecoder:
-    """Decodes blocks of pages; makes no difference between pages and stretches of a stream."""
+class FrameDecoder(PageDecoder[RawBlock]):
+    """Decodes blocks of pages; a stream is taken in stretches like pages."""
 
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
         self._values = FrameValues(layout)
 
-    def __call__(self, raw: RawBlock) -> Decoded:
-        """The valid pages of a block."""
+    def decode(self, raw: RawBlock) -> Decoded:
+        """See PageDecoder."""
         pages, leftover, end_rows = self._with_tail(raw)
         limit = np.full(len(pages), self._layout.page_frames, np.int64)
         if end_rows:
@@ -324,15 +325,15 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     """
     layout = layout_for(path, options)
     proved = layout.checksum is not None
-    file = paged.paged_file(path, layout.header_bytes, layout.block_bytes, proved=proved)
+    file = PagedFile.at(path, layout.header_bytes, layout.block_bytes, proved=proved)
     scheme = page_scheme(file, layout)
-    opening = look_inside(scheme)
+    opening = scheme.look_inside()
     if opening is None:
         raise nothing_usable(file, layout)
     timed = layout.start is not None or layout.stamp is not None
     problems = () if timed else (Problem("no_start_time", NO_START, None, 0),)
     described = replace(recording(scheme, layout, opening), companion=find_layout(path, options))
-    return PagedReader(described, scheme, opening, problems)
+    return PagedReader(described, replace(scheme, first_values=opening.first_values, problems=problems))
 
 
 def layout_for(path: Path, options: ReadOptions) -> Layout:
@@ -373,11 +374,12 @@ def nothing_usable(file: PagedFile, layout: Layout) -> UnreadableError:
     )
 
 
-def page_scheme(file: PagedFile, layout: Layout) -> PageScheme:
+def page_scheme(file: PagedFile, layout: Layout) -> FixedPages:
     """How this file's pages are read."""
     bits = 32 if layout.sequence is None else layout.sequence.bits
     spacing = timelines.Spacing(rate_fraction(layout.rate_hz), layout.page_frames, bits)
-    return PageScheme(file, spacing, FrameDecoder(layout), lambda: timeline(layout, spacing))
+    decoder = FrameDecoder(layout)
+    return FixedPages(file, spacing, lambda: decoder, lambda: timeline(layout, spacing))
 
 
 def timeline(layout: Layout, spacing: timelines.Spacing) -> timelines.Timeline:
@@ -390,9 +392,9 @@ def timeline(layout: Layout, spacing: timelines.Spacing) -> timelines.Timeline:
     return timelines.CoarseTimeline(spacing, round(unit))
 
 
-def recording(scheme: PageScheme, layout: Layout, opening: Opening) -> Recording:
+def recording(scheme: FixedPages, layout: Layout, opening: Opening) -> Recording:
     """The file's description."""
-    values, (samples, duration_s) = FrameValues(layout), extent(scheme, opening)
+    values, (samples, duration_s) = FrameValues(layout), scheme.extent(opening)
     start, stamped = layout.start, layout.stamp is not None
     zone = "UTC" if stamped else None if start is None else start.timezone
     ignored = ("start_time of the layout is not used: the pages carry their own times",)
