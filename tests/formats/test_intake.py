@@ -16,10 +16,10 @@ from accelcal_cli.core.recording import Chunk, joined
 from accelcal_cli.formats import all_encoders
 from accelcal_cli.pipeline.survey import open_marked
 from tests.cli.run import exit_code
-from tests.formats import make_genea, make_parmay, make_wav
+from tests.formats import make_edf, make_genea, make_parmay, make_wav
 from tests.recordings import LSB_PER_G, directions, still_counts, write_csv
 
-STREAMED = ("ax6", "csv", "cwa", "flash", "genea", "geneactiv", "parmay", "raw", "wav")
+STREAMED = ("ax6", "csv", "cwa", "edf", "flash", "genea", "geneactiv", "parmay", "raw", "wav")
 COLUMNS = ("counts", "time_us", "breaks", "clock_jumps", "temperature_mc", "gyro_counts", "validity")
 
 
@@ -38,10 +38,10 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     path = found["ax6"] = folder / "ax6.cwa"
     words = ("--format", "cwa", "--gyro", "--days", "0.02", "--rate", "50", "--seed", "3", "-q")
     assert exit_code("simulate", path, *words) == 0
-    for maker in (make_genea, make_parmay, make_wav):
+    for maker in (make_edf, make_genea, make_parmay, make_wav):
         name = maker.__name__.rpartition("_")[2]
         (folder / name).mkdir()
-        lsb_per_g = {"genea": 256.0, "parmay": 4096.0, "wav": 4096.0}[name]
+        lsb_per_g = {"edf": 256.0, "genea": 256.0, "parmay": 4096.0, "wav": 4096.0}[name]
         counts = still_counts(directions(20)).astype(np.int64) * round(lsb_per_g / LSB_PER_G)
         found[name] = maker.make(folder / name, counts, 25.0, lsb_per_g).path
     return found
