@@ -37,7 +37,7 @@ from accelcal_cli.output.report_reading import (
 from accelcal_cli.output.report_view import AppliedView, PoolView, record
 from accelcal_cli.parquet import Column, ParquetSource
 from accelcal_cli.pipeline import calibrate, jobs
-from accelcal_cli.pipeline.apply import GivenCoefficients, relation_of
+from accelcal_cli.pipeline.apply import DonorCoefficients, relation_of
 from accelcal_cli.pipeline.calibrate import Judge, OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.export import calibrated, columns_of, transform_of
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress, sha256
@@ -212,7 +212,7 @@ def judge_of(run: RecordingRun, document: Document) -> Judge:
     if donor is None:
         return OwnCalibration(request.settings, learnt_prior_of(document, request.settings.prior))
     relation = relation_of(donor, run.reader.recording, run.bytes_at, request)
-    return GivenCoefficients(request.settings, donor, relation)
+    return DonorCoefficients(request.settings, donor, relation)
 
 
 def _verified(

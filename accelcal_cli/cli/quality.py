@@ -16,19 +16,19 @@ from accelcal_cli.output.coefficients import read_coefficients
 from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recipient_settings
-from accelcal_cli.pipeline.quality import Quality, State, as_json, quality
+from accelcal_cli.pipeline.quality import Quality, QualityState, as_json, quality
 
 CODES = {
-    State.HOLDS: exit_codes.OK,
-    State.DEGRADED: exit_codes.DEGRADED,
-    State.UNCHECKED: exit_codes.REFUSED,
-    State.REFUSED: exit_codes.REFUSED,
+    QualityState.HOLDS: exit_codes.OK,
+    QualityState.DEGRADED: exit_codes.DEGRADED,
+    QualityState.UNCHECKED: exit_codes.REFUSED,
+    QualityState.REFUSED: exit_codes.REFUSED,
 }
 WORDS = {
-    State.HOLDS: "the calibration holds",
-    State.DEGRADED: "the calibration has degraded",
-    State.UNCHECKED: "not judged",
-    State.REFUSED: "refused",
+    QualityState.HOLDS: "the calibration holds",
+    QualityState.DEGRADED: "the calibration has degraded",
+    QualityState.UNCHECKED: "not judged",
+    QualityState.REFUSED: "refused",
 }
 WORN = {True: "yes", False: "no", None: "-"}
 

@@ -1,7 +1,8 @@
 """Known coefficients applied to a recording: whose they are, how well they fit it, what the report says.
 
-`apply` applies those of one report; `borrow` those of the first of a device's other recordings that pass the
-test. The donor is the recording that the coefficients come from; the recipient gets them.
+The donor is the recording that the coefficients come from, the recipient the one that they are applied to.
+`apply` takes the donor that the user names, `borrow` the first of the device's other recordings that passes
+the test.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ from accelcal_cli.pipeline.report_settings import settings_from_report
 from accelcal_cli.pipeline.survey import Method, make_method
 
 READING = ("unit", "columns", "sensor", "lsb_per_g", "layout_sha256")
-"""Reading options that decide the values themselves."""
+"""Reading options that change the values themselves."""
 
 KNOWN = "known_orientations"
 ANY_DEVICE = "use --any-device to apply them anyway"
@@ -55,8 +56,13 @@ REREAD = "coefficients of the same file read otherwise: points may have been fit
 
 
 class Relation(Enum):
-    """Of a donor to the recipient. Own: found from this very recording, read as it is read now.
-    Reread: from the same file, but read otherwise. Other: from another recording."""
+    """How a donor is related to the recipient.
+
+    Attributes:
+        OWN: it is the same recording, read as it is read now.
+        REREAD: it is the same file, but was read otherwise.
+        OTHER: it is another recording.
+    """
 
     OWN = "own"
     REREAD = "reread"
@@ -77,12 +83,12 @@ def apply(
     """
     assert request.coefficients is not None
     with open_run(job, request, progress, source) as opened:
-        run, judge = given(opened, request.coefficients)
+        run, judge = with_coefficients(opened, request.coefficients)
         return run.complete(judge)
 
 
-def given(run: RecordingRun, donor: Coefficients) -> tuple[RecordingRun, GivenCoefficients]:
-    """The run with a donor's coefficients and the settings that go with them, and its judge.
+def with_coefficients(run: RecordingRun, donor: Coefficients) -> tuple[RecordingRun, DonorCoefficients]:
+    """Return the run with a donor's coefficients and the settings that go with them, and its judge.
 
     Raises:
         UsageError: they cannot be applied to the recording, or not without the user saying so.
@@ -94,13 +100,13 @@ def given(run: RecordingRun, donor: Coefficients) -> tuple[RecordingRun, GivenCo
         raise UsageError(f"is {recording.calibrated.told()}", path=recording.path, hint=hint)
     relation = checked_relation(donor, recording, run.bytes_at, request)
     settings = settings_for(donor, relation, request.recording_settings)
-    need_temperature(applied(donor, settings), recording, has=recording.has_temperature)
+    need_temperature(at_reference(donor.calibration, settings), recording, has=recording.has_temperature)
     request = replace(request, settings=settings, coefficients=donor)
-    return replace(run, request=request), GivenCoefficients(settings, donor, relation)
+    return replace(run, request=request), DonorCoefficients(settings, donor, relation)
 
 
 @dataclass(frozen=True)
-class GivenCoefficients(Judge):
+class DonorCoefficients(Judge):
     """Judges a donor's coefficients by the recipient's stillness."""
 
     donor: Coefficients
@@ -108,31 +114,30 @@ class GivenCoefficients(Judge):
 
     @property
     def calibration(self) -> Calibration:
-        """What is applied."""
-        return applied(self.donor, self.settings)
+        """The calibration that is applied."""
+        return at_reference(self.donor.calibration, self.settings)
 
     def method(self, recording: Recording) -> Method:
-        """As for the recording's own calibration; raises UnreadableError for a damaged report of its own."""
+        """Return the method; raises UnreadableError if the recording's own report is damaged."""
         if self.relation is Relation.OWN:
             check_sections(self.donor.document, (*COPIED, KNOWN))
         return make_method(recording, self.settings)
 
     def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
-        """The donor's verdict on its own recording; else what the coefficients do to this one's points."""
+        """Return the donor's own verdict if it is this recording, else the errors on this one's points."""
         need_temperature(self.calibration, found.recording, has=found.facts.has_temperature)
-        named = {"coefficients": _coefficients(self.donor)}
+        origin = {"coefficients": _origin_json(self.donor)}
         if found.damage is not None:
-            return Verdict(found.damage, named)
-        judgement = self._own(found) if self.relation is Relation.OWN else self._borrowed(found)
-        return Verdict(judgement, self._donor_sections() | named)
+            return Verdict(found.damage, origin)
+        judged = self._own_judgement if self.relation is Relation.OWN else self._borrowed_judgement
+        return Verdict(judged(found), self._donor_sections() | origin)
 
-    def _own(self, found: Survey) -> Judgement:
-        """The recording's own verdict; its sections are taken from its report."""
+    def _own_judgement(self, found: Survey) -> Judgement:
         report = self.donor.document.report
         text = printable(f"{report['message']}; these are the recording's own coefficients")
         return Judgement(Outcome(report["outcome"]), text, found.coverage, (), self.donor.calibration)
 
-    def _borrowed(self, found: Survey) -> Judgement:
+    def _borrowed_judgement(self, found: Survey) -> Judgement:
         settings, calibration = self.settings, self.calibration
         method = REREAD if self.relation is Relation.REREAD else UNSEEN
         holdout = held_out(found.points, calibration, settings.gravity, settings.posture_degrees, method)
@@ -145,17 +150,17 @@ class GivenCoefficients(Judge):
         return replace(verdict, without_misalignment=WithoutMisalignment(used, held))
 
     def _donor_sections(self) -> dict[str, Any]:
-        """Sections of the donor's report that hold here too."""
+        """Return the sections of the donor's report that hold here, too."""
         report = self.donor.document.report
         copied = COPIED if self.relation is Relation.OWN else ()
         if self.relation is Relation.OWN and "unchecked" in report.get(KNOWN, {}):
             copied = (*copied, KNOWN)  # which says why there is no error
-        section = _calibration(report["calibration"], self.donor.calibration, self.calibration)
+        section = _calibration_json(report["calibration"], self.donor.calibration, self.calibration)
         return {"calibration": section, **{name: report.get(name) for name in copied}}
 
 
 def checked_relation(donor: Coefficients, recording: Recording, bytes_at: Path, request: Request) -> Relation:
-    """How a recording and the coefficients to apply to it belong together.
+    """Return how a recording is related to the coefficients, if they may be applied to it.
 
     Raises:
         UsageError: they are not of the same device, or it is not known, and the user did not say
@@ -177,17 +182,17 @@ def checked_relation(donor: Coefficients, recording: Recording, bytes_at: Path, 
 
 
 def relation_of(donor: Coefficients, recording: Recording, bytes_at: Path, request: Request) -> Relation:
-    """How a recording and coefficients belong together, whatever is asked for."""
+    """Return how a recording is related to coefficients."""
     report, then = donor.document.report, donor.document.recording
     if then.bytes != size_of(bytes_at) and "coefficients" not in report:
         return Relation.OTHER
     if jobs.sha256(bytes_at) != donor.origin.sha256:
         return Relation.OTHER
-    own = then.sha256 == donor.origin.sha256 and not _read_otherwise(donor.document, recording, request)
+    own = then.sha256 == donor.origin.sha256 and not _is_read_otherwise(donor.document, recording, request)
     return Relation.OWN if own else Relation.REREAD
 
 
-def _read_otherwise(document: Document, recording: Recording, request: Request) -> bool:
+def _is_read_otherwise(document: Document, recording: Recording, request: Request) -> bool:
     then = document.recording
     now_read = (recording.format, recording.rate_hz, recording.lsb_per_g)
     if (then.format, then.sample_rate_hz, then.lsb_per_g) != now_read:
@@ -202,7 +207,7 @@ def _read_otherwise(document: Document, recording: Recording, request: Request) 
 
 
 def _refuse_changes(donor: Coefficients, recording: Recording, wanted: Settings) -> None:
-    """A recording's own result holds only as it was found."""
+    """Refuse options by which a recording's own result would not be what was found."""
     calibration = donor.calibration
     if calibration.temperature is not None and not wanted.temperature:
         option = "--no-temperature"
@@ -240,9 +245,9 @@ def _refuse_other_device(donor: Coefficients, recording: Recording, relation: Re
 
 
 def settings_for(donor: Coefficients, relation: Relation, wanted: Settings) -> Settings:
-    """What finds and judges the recording's stillness: what was used on the donor's, as far as it fits.
+    """Return the settings that find and judge the recipient's stillness: the donor's, as far as they fit.
 
-    Profile `paper` keeps only eighteen points; another recording is judged by all it has.
+    Profile `paper` keeps only eighteen points; another recording is judged by all its points.
 
     Raises:
         UnreadableError: the donor's report has settings that cannot be.
@@ -269,13 +274,8 @@ def settings_for(donor: Coefficients, relation: Relation, wanted: Settings) -> S
     )
 
 
-def applied(donor: Coefficients, settings: Settings) -> Calibration:
-    """The calibration to apply: the donor's, at its reference temperature where none is to be used."""
-    return at_reference(donor.calibration, settings)
-
-
 def at_reference(calibration: Calibration, settings: Settings) -> Calibration:
-    """A calibration without its slopes where no temperature is to be used."""
+    """Return a calibration without its slopes if no temperature is to be used."""
     if calibration.temperature is None or settings.temperature:
         return calibration
     still = (*calibration.parameters[:9], 0, 0, 0)
@@ -284,7 +284,7 @@ def at_reference(calibration: Calibration, settings: Settings) -> Calibration:
 
 
 def need_temperature(calibration: Calibration, recording: Recording, *, has: bool) -> None:
-    """Raise UsageError if slopes meet a recording without temperature."""
+    """Raise UsageError if a calibration has slopes but the recording no temperature."""
     if calibration.temperature is not None and not has:
         raise UsageError(
             "has no temperature, but the coefficients have slopes",
@@ -294,7 +294,7 @@ def need_temperature(calibration: Calibration, recording: Recording, *, has: boo
 
 
 def keep_coefficients(path: Path, planned: Sequence[Job]) -> None:
-    """Raise UsageError if a job would write over the very file that its coefficients come from."""
+    """Raise UsageError if a job would overwrite the file that its coefficients come from."""
     for job in planned:
         if jobs.real(path) in {jobs.real(target) for target in job.outputs}:
             raise UsageError(
@@ -311,19 +311,19 @@ def sentence(
     holdout: Holdout | None,
     limit_mg: float,
 ) -> str:
-    """Whose the coefficients are, what they did, what is different here, and what to beware of."""
+    """Return the report's message: whose the coefficients are, their errors, warnings and differences."""
     cautions = [] if holdout is None else _warnings(holdout.before.mean, holdout.after.mean, limit_mg)
-    about = f"coefficients of {_named(donor)}: {_change(holdout)}"
-    return printable("; ".join([about, *cautions, *_notes(donor, calibration, recording)]))
+    about = f"coefficients of {_donor_text(donor)}: {_errors_text(holdout)}"
+    return printable("; ".join([about, *cautions, *_differences(donor, calibration, recording)]))
 
 
-def _named(donor: Coefficients) -> str:
+def _donor_text(donor: Coefficients) -> str:
     origin = donor.origin
     device = " ".join(word for word in (origin.device.model, origin.device.serial) if word)
     return f"{origin.path} (sha256 {origin.sha256[:SHOWN_HASH]}, device {device or 'unknown'})"
 
 
-def _change(holdout: Holdout | None) -> str:
+def _errors_text(holdout: Holdout | None) -> str:
     if holdout is None:
         return "no two postures of stillness to judge them by"
     return (
@@ -332,7 +332,7 @@ def _change(holdout: Holdout | None) -> str:
     )
 
 
-def _notes(donor: Coefficients, calibration: Calibration, recording: Recording) -> list[str]:
+def _differences(donor: Coefficients, calibration: Calibration, recording: Recording) -> list[str]:
     notes, then = [], donor.document.recording
     theirs, ours = donor.origin.device, recording.device
     if theirs.serial != ours.serial or not ours.serial:
@@ -362,7 +362,7 @@ def _warnings(before_mg: float, after_mg: float, limit_mg: float) -> list[str]:
 
 
 def warning(report: dict[str, Any]) -> str | None:
-    """The warning about a report of borrowed coefficients, None if nothing speaks against them."""
+    """Return the warning about a report of borrowed coefficients, None if nothing speaks against them."""
     holdout = report["holdout"]
     if report["outcome"] != Outcome.BORROWED or holdout is None:
         return None
@@ -371,15 +371,15 @@ def warning(report: dict[str, Any]) -> str | None:
     return f"warning: {report['message']}" if warnings else None
 
 
-def _calibration(section: dict[str, Any], whole: Calibration, used: Calibration) -> dict[str, Any]:
-    """The section as this version writes it, of the coefficients that are used."""
+def _calibration_json(section: dict[str, Any], whole: Calibration, used: Calibration) -> dict[str, Any]:
+    """Return the donor's section as this version writes it, of the coefficients that are used."""
     errors = section["standard_errors"]
     if used != whole and errors is not None:
         errors = {name: errors[name] for name in errors if not name.startswith("s")}
     return {**section, **coefficients_json(used), "standard_errors": errors}
 
 
-def _coefficients(donor: Coefficients) -> dict[str, Any]:
+def _origin_json(donor: Coefficients) -> dict[str, Any]:
     origin = donor.origin
     return {
         "path": printable(donor.document.path),
@@ -394,11 +394,11 @@ def _coefficients(donor: Coefficients) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Borrowed:
-    """What came of borrowing.
+    """The outcome of borrowing.
 
     Attributes:
         result: with the coefficients of the first donor that was accepted; None if none was.
-        reasons: why those before it were not.
+        reasons: why the donors before it were not.
     """
 
     result: Result | None
@@ -420,9 +420,9 @@ def borrow(
     must be less than before (no more, where they change nothing), and below the settings' limit.
 
     Args:
-        reports: of recordings of the same device, found with the request's settings.
-        must_be_better: also less than that of the recording's own calibration, by more than the
-            uncertainty.
+        reports: reports of the same device's recordings, found with the request's settings.
+        must_be_better: the error must also be less than that of the recording's own calibration, by more
+            than the uncertainty.
         before: the recording's stamp when its own result was found; None if that does not matter.
 
     Raises:
@@ -449,22 +449,21 @@ def borrow(
         return Borrowed(None, tuple(reasons))
 
 
-def _other(run: RecordingRun, donor: Coefficients) -> tuple[RecordingRun, GivenCoefficients]:
-    """See `given`; raises UsageError also for the recording's own coefficients."""
-    recipient, judge = given(run, donor)
+def _other(run: RecordingRun, donor: Coefficients) -> tuple[RecordingRun, DonorCoefficients]:
+    """Return what `with_coefficients` does; raises UsageError also for the recording's own coefficients."""
+    recipient, judge = with_coefficients(run, donor)
     if judge.relation is not Relation.OTHER:
         raise UsageError("it is the same recording")
     return recipient, judge
 
 
 def _untested(verdict: Judgement) -> str:
-    """Why no coefficients can be tested on a recording."""
     if verdict.outcome is Outcome.REFUSED:
         return verdict.message
     return f"there is no stillness in {FEWEST_POSTURES} postures to test coefficients on"
 
 
-def _why_not(judge: GivenCoefficients, holdout: Holdout) -> str | None:
+def _why_not(judge: DonorCoefficients, holdout: Holdout) -> str | None:
     before, after, limit_mg = holdout.before.mean, holdout.after.mean, judge.settings.max_error_mg
     changed = f"{before:.1f} mg become {after:.2f} mg on {holdout.postures} postures"
     if after > before or (after == before and judge.donor.calibration.model != "0"):
@@ -472,8 +471,8 @@ def _why_not(judge: GivenCoefficients, holdout: Holdout) -> str | None:
     return f"{changed}, {limit_mg:g} mg is the limit" if after >= limit_mg else None
 
 
-def _why_own(own: FirstPass | None, judge: GivenCoefficients) -> str | None:
-    """Why the recording's own calibration, which its points come with, is preferred; or None."""
+def _why_own(own: FirstPass | None, judge: DonorCoefficients) -> str | None:
+    """Return why the recording's own calibration is preferred, or None."""
     if own is None or (holdout := own.data.judgement.holdout) is None:
         return None
     settings = judge.settings
@@ -485,7 +484,7 @@ def _why_own(own: FirstPass | None, judge: GivenCoefficients) -> str | None:
 
 
 def _relocatable(found: FirstPass, job: Job) -> FirstPass:
-    """The coefficient file by its path from the report, so that both may be moved together."""
+    """Name the coefficient file by its path from the report, so that both may be moved together."""
     used = found.data.taken["coefficients"]
     path = Path(os.path.relpath(used["path"], job.report.parent)).as_posix()
     taken = {**found.data.taken, "coefficients": {**used, "path": path}}

@@ -1,4 +1,4 @@
-"""Looking at a recording without reading all of it."""
+"""A look at a recording without reading all of it (`accelcal inspect`)."""
 
 from __future__ import annotations
 
@@ -36,15 +36,14 @@ from accelcal_cli.pipeline.survey import Observer, fitting, make_method, open_ma
 PREVIEW_PIECES = 64
 PREVIEW_SAMPLES = 1 << 15
 SMALL_BYTES = 8 << 20
-"""Files of so many bytes take no longer as a whole."""
-
+"""Files up to this size [bytes] are read as a whole, which takes no longer."""
 
 FIRST_ROWS = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Values:
-    """Raw values of the rows that were read; without rows, all but the last attribute have no meaning.
+    """Raw values of the rows that were read; without rows, only `first` has a meaning.
 
     Attributes:
         low_g, mean_g, high_g: of x, y, z [g].
@@ -59,12 +58,12 @@ class Values:
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """What a look at a recording showed.
+    """The findings of a look at a recording.
 
     Attributes:
         whole: every sample was read, so that the facts are the recording's own.
-        prediction: the judgement on the samples that were read.
-        values: of the samples that were read.
+        prediction: judgement on the samples that were read.
+        values: raw values of the samples that were read.
     """
 
     recording: Recording
@@ -76,7 +75,7 @@ class Inspection:
 
 
 class ValuesObserver(Observer):
-    """What the raw values are like, for people to see whether they have the right columns and unit."""
+    """Summarises raw values, which show people whether columns and unit are the right ones."""
 
     def __init__(self, lsb_per_g: float) -> None:
         self._lsb_per_g, self._samples = lsb_per_g, 0
@@ -97,7 +96,7 @@ class ValuesObserver(Observer):
         self._samples += len(chunk)
 
     def result(self) -> Values:
-        """What was found."""
+        """Return the summary."""
         if not self._samples:
             return Values()
         parts = (self._low, self._sums / self._samples, self._high)
@@ -106,13 +105,13 @@ class ValuesObserver(Observer):
 
 
 def quick_fitting(settings: Settings) -> Fitting:
-    """The fitting of the settings' optimizer, with the default one's where there is a prior."""
+    """Return the fitting of the settings, with a prior that of the default optimizer."""
     ladder = fitting(replace(settings, prior=NO_PRIOR))
     return ladder if settings.prior == NO_PRIOR else replace(ladder, penalized=fitting(DEFAULT).penalized)
 
 
 def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
-    """Read a recording's description and pieces spread over it; all of it with `full`, or if it is small.
+    """Read a recording's description and pieces spread over it; read all with `full`, or if it is small.
 
     Raises:
         AccelcalError: it cannot be read.
@@ -141,7 +140,7 @@ def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
 
 
 def _to_its_end(facts: Facts, recording: Recording) -> Facts:
-    """The facts with a change of the zone that the pieces end before, or lie on both sides of."""
+    """Add a change of the zone's offset that lies behind the pieces or between them."""
     start_us, lasts_s, change = recording.start_us, recording.duration_s, facts.zone_change
     if change is None and start_us is not None and lasts_s is not None:
         change = next(zone_changes(recording.timezone, start_us, start_us + round(1e6 * lasts_s)), None)
@@ -151,14 +150,14 @@ def _to_its_end(facts: Facts, recording: Recording) -> Facts:
 
 
 def _pieces(reader: Reader) -> Iterator[Chunk]:
-    """Pieces that no window and no measured rate spans."""
+    """Yield pieces that are apart, so that no window and no measured rate spans two of them."""
     for chunk in reader.preview(PREVIEW_SAMPLES, PREVIEW_PIECES):
         breaks = np.union1d(chunk.breaks, np.zeros(min(1, len(chunk)), np.int64))
         yield replace(chunk, breaks=breaks, clock_jumps=chunk.clock_jumps[chunk.clock_jumps > 0])
 
 
 def as_json(inspection: Inspection) -> dict[str, Any]:
-    """The inspection as a JSON object."""
+    """Return the inspection as a JSON object."""
     recording, facts, prediction = inspection.recording, inspection.facts, inspection.prediction
     return {
         "accelcal_version": __version__,
@@ -204,7 +203,7 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
 
 
 def _values(inspection: Inspection) -> dict[str, Any] | None:
-    """Raw values and what rest measures; None without samples."""
+    """Return the raw values, and the mean of rest; None without samples."""
     values, facts = inspection.values, inspection.facts
     if not values.first:
         return None
@@ -219,7 +218,7 @@ def _values(inspection: Inspection) -> dict[str, Any] | None:
 
 
 def duration_s(inspection: Inspection) -> float | None:
-    """Length in seconds, None if only reading everything would show it."""
+    """Return the length [s], None if only reading everything would show it."""
     recording, facts = inspection.recording, inspection.facts
     known = inspection.whole and facts.first_us is not None
     return reports.duration_s(recording, facts) if known else recording.duration_s

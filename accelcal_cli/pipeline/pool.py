@@ -30,12 +30,12 @@ from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, R
 from accelcal_cli.pipeline.outputs import prepare
 
 FEWEST = 2
-"""Recordings of a pool."""
+"""Fewest recordings of a pool."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """What one recording gives to a pool."""
+    """One recording's contribution to a pool."""
 
     member: Member
     recording: Recording
@@ -47,7 +47,7 @@ class _Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fitted:
-    """Recordings and what they are together."""
+    """Recordings that were fitted together, and the judgement of the fit."""
 
     parts: tuple[_Part, ...]
     verdict: Judgement
@@ -63,15 +63,15 @@ def pool(
     """Fit and judge the points of several recordings as `calibrate` does those of one.
 
     Their cells are added up as integers: neither their order nor how they are read makes a difference.
-    Temperature counts if all have it. A recording that its pool makes worse was hardly recorded by the same
+    Temperature is used if all have it. A recording that its pool makes worse was hardly recorded by the same
     device: it is left out, and the others are fitted again.
 
     Args:
         members: recordings of one device with the same counts per g and range, at least one.
-        copies: recordings with the content of a member; they are named and not read.
+        copies: recordings with the same content as a member; the report names them, and they are not read.
 
     Returns:
-        the pool's report without `provenance`.
+        The pool's report without `provenance`.
 
     Raises:
         UsageError: they differ, or the profile keeps no cells.
@@ -94,7 +94,7 @@ def pool(
 
 
 def _fitted(parts: Sequence[_Part], settings: Settings) -> _Fitted:
-    """One fit and one judgement of the cells of several recordings."""
+    """Fit and judge the cells of several recordings as one."""
     temperature = all(part.collector.temperature for part in parts)
     lsb_per_g = survey.local_lsb_per_g(parts[0].recording, settings)
     merged = CellCollector(lsb_per_g, settings, temperature=temperature)
@@ -106,7 +106,7 @@ def _fitted(parts: Sequence[_Part], settings: Settings) -> _Fitted:
 
 
 def _misfits(fitted: _Fitted, settings: Settings) -> dict[_Part, str]:
-    """Recordings that can hardly be of the pool's device, and what speaks against each."""
+    """Return the recordings that can hardly be of the pool's device, and why."""
     reasons = ((part, _why_misfit(part, fitted.verdict, settings)) for part in fitted.parts)
     return {part: why for part, why in reasons if why is not None}
 
@@ -175,7 +175,7 @@ def apply_pool(
         before: the recording's stamp when the pool was made; None if that does not matter.
 
     Returns:
-        the result, or why the recording keeps its own: they make it worse.
+        The result, or why the recording keeps its own: the pool's coefficients make it worse.
 
     Raises:
         AccelcalError: it or the pool's report cannot be read, or it changed; or the outputs cannot be
@@ -190,17 +190,17 @@ def apply_pool(
 
 @dataclass(frozen=True)
 class PoolCoefficients(Judge):
-    """The pool's verdict, and what its coefficients do to the recording's own stillness."""
+    """Gives a recording its pool's verdict, with the errors on the recording's own stillness."""
 
     document: Document
 
     def method(self, recording: Recording) -> survey.Method:
-        """As for the recording's own calibration; raises UnreadableError for a damaged report of the pool."""
+        """Return the method; raises UnreadableError if the pool's report is damaged."""
         check_sections(self.document, (*TAKEN, "outcome", "message", "pool"))
         return survey.make_method(recording, self.settings)
 
     def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
-        """The pool's verdict; its judgement's hold-out is that of the recording's own points."""
+        """Return the pool's verdict; its hold-out is that of the recording's own points."""
         if found.damage is not None:
             return Verdict(found.damage)
         settings, calibration = self.settings, calibration_of(self.document.report["calibration"])

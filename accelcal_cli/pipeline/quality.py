@@ -1,4 +1,4 @@
-"""`accelcal quality`: whether a calibration holds along a recording, in one pass that writes nothing.
+"""`accelcal quality`: checks whether a calibration holds along a recording, in one pass that writes nothing.
 
 The coefficients are those of a report, which are tested as `apply` tests them, or the recording's own.
 """
@@ -20,7 +20,7 @@ from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.change import LEAST_MG, ChangeSearch, Compared, told
 from accelcal_cli.judge.quality import Period, check, far_off
 from accelcal_cli.output.quality import QualityInput, rows_json
-from accelcal_cli.pipeline.apply import given
+from accelcal_cli.pipeline.apply import with_coefficients
 from accelcal_cli.pipeline.calibrate import FirstPass, Judge, OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress
 from accelcal_cli.pipeline.survey import Procedure, TimedCellProcedure
@@ -28,8 +28,8 @@ from accelcal_cli.pipeline.survey import Procedure, TimedCellProcedure
 RENEW = "find new coefficients"
 
 
-class State(StrEnum):
-    """What is said of a calibration along a recording; refused: the recording has none of its own."""
+class QualityState(StrEnum):
+    """The verdict on a calibration along a recording; refused: the recording has none of its own."""
 
     HOLDS = "holds"
     DEGRADED = "degraded"
@@ -39,7 +39,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Quality:
-    """What a look along a recording showed.
+    """The findings of a look along a recording.
 
     Attributes:
         made: the rows of its blocks of time, and its judgement.
@@ -51,14 +51,14 @@ class Quality:
 
     path: Path
     made: QualityInput
-    state: State
+    state: QualityState
     message: str
     since: str | None = None
     until: str | None = None
     periods: tuple[Period, ...] = ()
 
     def when(self, block: int) -> str | None:
-        """When a block of time begins; None for the end of the recording."""
+        """Return when a block of time begins; None for the end of the recording."""
         begun = self.made.begun_us
         return iso_time(begun[block], self.made.data.facts.utc_offset_s) if block < len(begun) else None
 
@@ -85,52 +85,50 @@ def quality(
         found = ready.result(judge)
     made = found.quality()
     assert made is not None
-    start = Quality(path, made, State.REFUSED, made.data.judgement.message)
+    start = Quality(path, made, QualityState.REFUSED, made.data.judgement.message)
     if made.data.judgement.outcome is Outcome.REFUSED:
         return start
-    return _of_own(start, found) if request.coefficients is None else _of_given(start, found, judge.settings)
+    return (
+        _by_own_calibration(start, found)
+        if request.coefficients is None
+        else _by_donor(start, found, judge.settings)
+    )
 
 
 def judged_by(run: RecordingRun) -> tuple[RecordingRun, Judge]:
-    """The run with the settings that go with what is checked, and who judges that."""
+    """Return the run with the settings of the coefficients that are checked, and its judge."""
     request = run.request
     if request.coefficients is None:
         return run, OwnCalibration(request.recording_settings)
-    return given(run, request.coefficients)
+    return with_coefficients(run, request.coefficients)
 
 
-def _of_own(start: Quality, found: FirstPass) -> Quality:
-    """A recording's own calibration, as it is before the sensor changes, holds as long as that does not."""
+def _by_own_calibration(start: Quality, found: FirstPass) -> Quality:
+    """Check a recording's own calibration, which holds until the sensor changes."""
     calibration = start.made.data.judgement.calibration
     assert calibration is not None
-    held = held_against(replace(calibration, correction=None), found.method.procedure)
-    if held.compared is None:
-        return _short(start, held.change.unchecked or "", LEAST_MG)
-    return _judged(start, held, own=True)
+    return _by_periods(start, found, replace(calibration, correction=None), own=True)
 
 
-def _of_given(start: Quality, found: FirstPass, settings: Settings) -> Quality:
-    """Coefficients of elsewhere hold where a calibration of the recording itself would gain little."""
+def _by_donor(start: Quality, found: FirstPass, settings: Settings) -> Quality:
+    """Check coefficients of a report, which hold if a calibration of the recording itself gains little."""
     judgement = start.made.data.judgement
     assert judgement.calibration is not None
     postures = judgement.coverage.distinct_orientations
     if postures < settings.min_postures:
         least = f"at least {settings.min_postures} are needed"
-        return _short(start, f"stillness in only {counted(postures, 'posture')}, {least}", None)
-    held = held_against(judgement.calibration, found.method.procedure)
-    if held.compared is None:
-        return _short(start, held.change.unchecked or "", LEAST_MG)
-    return _judged(start, held, own=False)
+        return _by_holdout(start, f"stillness in only {counted(postures, 'posture')}, {least}", None)
+    return _by_periods(start, found, judgement.calibration, own=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Held:
-    """A calibration held against a recording.
+class ComparedAlongTime:
+    """A calibration compared with a recording along time.
 
     Attributes:
         change: how the sensor changed, as seen from the calibration.
         compared: its errors; None where the recording is too short.
-        blocks: number of blocks of time, of so many samples each.
+        blocks: number of blocks of time, of `block_samples` each.
     """
 
     change: Change
@@ -139,8 +137,8 @@ class Held:
     block_samples: int
 
 
-def held_against(calibration: Calibration, procedure: Procedure) -> Held:
-    """Hold a calibration against all that a procedure with blocks of time took in."""
+def compared_along_time(calibration: Calibration, procedure: Procedure) -> ComparedAlongTime:
+    """Compare a calibration with all windows of a procedure that keeps blocks of time."""
     assert isinstance(procedure, TimedCellProcedure)
     means = procedure.means()
     if calibration.correction is not None and len(means.block):
@@ -149,22 +147,26 @@ def held_against(calibration: Calibration, procedure: Procedure) -> Held:
     change = search.find(calibration)
     if change.at_block is not None:
         change = replace(change, at_us=procedure.begun_us(change.at_block * means.block_samples))
-    return Held(change, search.compared(), means.blocks(), means.block_samples)
+    return ComparedAlongTime(change, search.compared(), means.blocks(), means.block_samples)
 
 
-def _judged(start: Quality, held: Held, *, own: bool) -> Quality:
-    """What comes of the periods."""
-    assert held.compared is not None
+def _by_periods(start: Quality, found: FirstPass, calibration: Calibration, *, own: bool) -> Quality:
+    """Return the verdict by errors in periods of the recording, or by the hold-out if it is too short."""
+    along = compared_along_time(calibration, found.method.procedure)
+    if along.compared is None:
+        return _by_holdout(start, along.change.unchecked or "", LEAST_MG)
     limit_mg = start.made.data.settings.method.max_error_mg
-    checked = check(held.compared, held.change, held.blocks, limit_mg)
-    start = replace(start, periods=_in_rows(checked.periods, start.made, held.block_samples))
+    checked = check(along.compared, along.change, along.blocks, limit_mg)
+    start = replace(start, periods=_periods_by_row(checked.periods, start.made, along.block_samples))
     if checked.degraded:
-        return _degraded(start, held.change)
-    return _rising(start) if checked.rises else _holding(start, held, own=own)
+        return _degraded(start, along.change)
+    return _rising(start) if checked.rises else _holding(start, along, own=own)
 
 
-def _in_rows(periods: tuple[Period, ...], made: QualityInput, block_samples: int) -> tuple[Period, ...]:
-    """Periods by numbers of the rows, which may be longer than blocks; the last goes to the end."""
+def _periods_by_row(
+    periods: tuple[Period, ...], made: QualityInput, block_samples: int
+) -> tuple[Period, ...]:
+    """Number periods by rows, which may be longer than blocks; the last goes to the end."""
     each = made.rows.block_samples // block_samples
     ends = [*(period.end // each for period in periods[:-1]), len(made.rows)]
     return tuple(
@@ -172,9 +174,9 @@ def _in_rows(periods: tuple[Period, ...], made: QualityInput, block_samples: int
     )
 
 
-def _holding(start: Quality, held: Held, *, own: bool) -> Quality:
-    """The mean over all stretches of time, and that of the recording's own calibration."""
-    compared = held.compared
+def _holding(start: Quality, along: ComparedAlongTime, *, own: bool) -> Quality:
+    """State the mean error over all stretches of time, and that of the recording's own calibration."""
+    compared = along.compared
     assert compared is not None
     numbers = sorted(set(compared.stretch.tolist()))
     given_mg, unseen_mg = (
@@ -184,22 +186,22 @@ def _holding(start: Quality, held: Held, *, own: bool) -> Quality:
     seen = f"{unseen_mg:.2f} mg on {len(numbers)} stretches of time, none of which its fit had seen"
     if not own:
         seen = f"{given_mg:.2f} mg; a calibration of the recording itself would leave {seen}"
-    elif held.change.kind == "none":
+    elif along.change.kind == "none":
         seen = f"{seen}, and no change of the sensor"
-    return replace(start, state=State.HOLDS, message=_with(seen, start, held.change))
+    return replace(start, state=QualityState.HOLDS, message=_with_change(seen, start, along.change))
 
 
 def _rising(start: Quality) -> Quality:
-    """The end of the recording is too short to tell what it is."""
+    """State that the error rises at the end, too short to say why."""
     before, late = start.periods[0], start.periods[-1]
     since = start.when(late.first)
     text = f"from {_seconds(since)} on it leaves {late.given_mg:.1f} mg, before that {before.given_mg:.1f} mg"
     text = f"{text}; that is too short to tell a sensor that changed from a posture that is new"
-    return replace(start, state=State.UNCHECKED, message=text, since=since)
+    return replace(start, state=QualityState.UNCHECKED, message=text, since=since)
 
 
 def _degraded(start: Quality, change: Change) -> Quality:
-    """From the first period that it does not hold in, up to the next one that it does."""
+    """State from when to when it does not hold: the first such period, and those that follow on it."""
     periods = list(start.periods)
     first = next(place for place, one in enumerate(periods) if one.degraded)
     last = first
@@ -211,42 +213,41 @@ def _degraded(start: Quality, change: Change) -> Quality:
     span = f"from {_seconds(since)}" if since else "from the beginning"
     span = f"{span} to {_seconds(until)}" if until else f"{span} on"
     new = f"a new calibration would leave {worst.unseen_mg:.1f} mg"
-    text = _with(f"{span} it leaves {worst.given_mg:.1f} mg, {new}; {RENEW}", start, change)
-    return replace(start, state=State.DEGRADED, message=text, since=since, until=until)
+    text = _with_change(f"{span} it leaves {worst.given_mg:.1f} mg, {new}; {RENEW}", start, change)
+    return replace(start, state=QualityState.DEGRADED, message=text, since=since, until=until)
 
 
-def _with(text: str, start: Quality, change: Change) -> str:
-    """The sentence, and how the sensor changed meanwhile."""
+def _with_change(text: str, start: Quality, change: Change) -> str:
+    """Append to a sentence how the sensor changed."""
     changed = told(change, start.made.data.facts.utc_offset_s, followed=False)
     return text if changed is None else f"{text}; {changed.split(';')[0]}"
 
 
 def _seconds(time: str | None) -> str:
-    """A time without fractions of a second."""
     return "" if time is None else time.partition(".")[0]
 
 
-def _short(start: Quality, why: str, small_mg: float | None) -> Quality:
-    """What can be said where stretches of time cannot be compared: errors on postures that were not fitted.
+def _by_holdout(start: Quality, why: str, small_mg: float | None) -> Quality:
+    """Return the verdict where stretches of time cannot be compared, by errors on postures not fitted.
 
     Args:
-        small_mg: coefficients hold whose error is clearly below this: nothing could gain more. None: nothing
-            holds.
+        small_mg: coefficients whose error is clearly below this hold: no others could gain more. None: none
+            hold.
     """
     judgement, settings = start.made.data.judgement, start.made.data.settings.method
     holdout = judgement.holdout
     seen = "" if holdout is None else f"{holdout.after.mean:.2f} mg on {counted(holdout.postures, 'posture')}"
     if far_off(holdout, settings.max_error_mg):
         text = f"from the beginning on it leaves {seen}, {settings.max_error_mg:g} mg is the limit; {RENEW}"
-        return replace(start, state=State.DEGRADED, message=text)
+        return replace(start, state=QualityState.DEGRADED, message=text)
     if holdout is not None and small_mg is not None and holdout.ci95[1] < small_mg:
         text = f"{seen}, 95 % interval up to {holdout.ci95[1]:.2f} mg; not checked along time: {why}"
-        return replace(start, state=State.HOLDS, message=text)
-    return replace(start, state=State.UNCHECKED, message=f"{why}{seen and f'; {seen}'}")
+        return replace(start, state=QualityState.HOLDS, message=text)
+    return replace(start, state=QualityState.UNCHECKED, message=f"{why}{seen and f'; {seen}'}")
 
 
 def as_json(found: Quality) -> dict[str, Any]:
-    """The look as a JSON object."""
+    """Return the look as a JSON object."""
     made, donor = found.made, found.made.data.taken.get("coefficients")
     rows = made.rows
     return {
@@ -257,14 +258,13 @@ def as_json(found: Quality) -> dict[str, Any]:
         "since": found.since,
         "until": found.until,
         "periods": [_period_json(found, one) for one in found.periods],
-        "holdout": _holdout(made.data.judgement),
+        "holdout": _holdout_json(made.data.judgement),
         "row": {"samples": rows.block_samples, "rate_hz": made.data.recording.rate_hz},
         "rows": rows_json(made),
     }
 
 
-def _holdout(judgement: Judgement) -> dict[str, Any] | None:
-    """Errors on postures that were not fitted."""
+def _holdout_json(judgement: Judgement) -> dict[str, Any] | None:
     if (holdout := judgement.holdout) is None:
         return None
     pair = {"before_mg": holdout.before.mean, "after_mg": holdout.after.mean}

@@ -1,4 +1,4 @@
-"""Settings and reading options back from a report's `settings`.
+"""Reads settings and reading options back from a report's `settings`.
 
 Records are made from JSON by the types of their fields, and checked against what their fields allow.
 """
@@ -22,14 +22,16 @@ from accelcal_cli.output.report_reading import Document, damaged
 T = TypeVar("T")
 
 POINTS = "points"
-"""What `fit` calls the format of its tables."""
+"""Name of the format of the tables that `fit` reads."""
 
 NOT_SETTINGS = ("report_only", "input")
+"""Keys beside the settings of every report."""
+
 IF_ASKED = ("effect",)
-"""What a report of `calibrate` has beside its settings only where it was asked for."""
+"""Keys beside the settings that a report of `calibrate` has only if the user asked for them."""
 
 FIXED = tuple(name for name in PoseSettings().as_json() if name not in PoseSettings.__dataclass_fields__)
-"""What a report of a session says of its method, and no user can change."""
+"""Keys of a session's method that no user can change."""
 
 NOT_POSE_SETTINGS = (*NOT_SETTINGS, *FIXED, "poses", "poses_sha256")
 NOT_OPTIONS = ("layout", "layout_sha256")
@@ -41,7 +43,7 @@ class Restored(Generic[T]):
 
     Attributes:
         missing: fields that the object lacks; they have their defaults.
-        unknown: keys of the object that are no fields.
+        unknown: keys of the object that no field has.
     """
 
     record: T
@@ -50,7 +52,7 @@ class Restored(Generic[T]):
 
 
 def restored(kind: type[T], values: Mapping[str, Any]) -> Restored[T]:
-    """A dataclass, all of whose fields have defaults, from a JSON object.
+    """Make a dataclass, all of whose fields have defaults, from a JSON object.
 
     Raises:
         ValueError: a value is not of its field's type; the message names the key.
@@ -69,7 +71,7 @@ def restored(kind: type[T], values: Mapping[str, Any]) -> Restored[T]:
 
 
 def converted(value: Any, hint: Any) -> Any:
-    """A JSON value as a type: str, int, float, bool, None, Path, records, tuples and unions of these.
+    """Convert a JSON value to a type: str, int, float, bool, None, Path, records, tuples, unions of these.
 
     Raises:
         TypeError: it is of another type, or not finite.
@@ -117,7 +119,7 @@ def _of_tuple(value: Any, parts: tuple[Any, ...]) -> tuple[Any, ...]:
 
 @dataclass(frozen=True, slots=True)
 class NamedFile:
-    """A file of which a report holds the name and the hash."""
+    """A file whose name and hash a report holds."""
 
     name: str
     sha256: str | None
@@ -125,14 +127,14 @@ class NamedFile:
 
 @dataclass(frozen=True, slots=True)
 class ReportSettings:
-    """What a report was made with.
+    """The settings and options that a report was made with.
 
     Attributes:
-        settings: those of `six-pose` in a report of that command.
-        options: without the layout.
+        settings: of `six-pose` in a report of that command.
+        options: reading options without the layout.
         layout: the layout file of a raw dump, None without one.
         poses: the list of poses of a session, None without one.
-        missing: settings that the report does not name; this version's defaults stand for them.
+        missing: settings that the report does not name; they have this version's defaults.
         unknown: settings that it names and this version does not have; they are not used.
         effect: whether measures of activity were asked for.
     """
@@ -148,10 +150,10 @@ class ReportSettings:
 
 
 def settings_from_report(document: Document) -> ReportSettings:
-    """The settings of a report.
+    """Read the settings of a report.
 
     Raises:
-        UnreadableError: they are missing, or one cannot be what it is.
+        UnreadableError: they are missing, or a value is not possible.
     """
     values = document.report.get("settings")
     if not isinstance(values, dict) or not isinstance(values.get("input"), dict):
@@ -192,7 +194,7 @@ def _settings(values: Mapping[str, Any]) -> Restored[Any]:
 
 
 def _options(values: Mapping[str, Any]) -> Restored[ReadOptions]:
-    """Reading options; a table of points has none."""
+    """Restore the reading options; a table of points has none."""
     if values.get("format") == POINTS:
         return Restored(ReadOptions(), (), ())
     return restored(ReadOptions, _without(values, NOT_OPTIONS))
@@ -205,7 +207,7 @@ def _without(values: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any
 def _unmatched(
     values: Mapping[str, Any], settings: Restored[Any], options: Restored[ReadOptions]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Missing and unknown keys, by their places in `settings`."""
+    """Return missing and unknown keys, by their places in `settings`."""
     outer = [name for name in NOT_SETTINGS if name not in values]
     read = [name for name in options.missing if name not in (*NOT_OPTIONS, *IF_GIVEN)]
     if values["input"].get("format") != POINTS:

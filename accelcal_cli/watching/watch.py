@@ -39,7 +39,7 @@ from accelcal_cli.output.files import looking_at
 from accelcal_cli.pipeline import survey
 from accelcal_cli.pipeline.calibrate import OwnCalibration, surveyed
 from accelcal_cli.pipeline.facts import FactsObserver
-from accelcal_cli.pipeline.quality import held_against
+from accelcal_cli.pipeline.quality import compared_along_time
 
 STEP_BYTES = 1 << 13
 """Length of a step, in which bytes are taken in: where events can happen does not depend on the input."""
@@ -438,16 +438,16 @@ class Watch:
 
     def _check(self, active: ActiveCoefficients, ended: LivePass, taken: int, result: StepResult) -> None:
         """Compare the coefficients in use with all that came, and report it if they no longer hold."""
-        held = held_against(active.calibration, ended.along_time)
-        if held.compared is None:
+        along = compared_along_time(active.calibration, ended.along_time)
+        if along.compared is None:
             return
-        checked = check(held.compared, held.change, held.blocks, self._settings.max_error_mg)
+        checked = check(along.compared, along.change, along.blocks, self._settings.max_error_mg)
         last = checked.periods[-1] if checked.periods else None
         if last is None or not last.degraded:
             return
         self._drifted = True
         errors = {"in_force_mg": round(last.given_mg, 4), "new_mg": round(last.unseen_mg, 4)}
-        text = told(held.change, None, followed=False)
+        text = told(along.change, None, followed=False)
         result.events.append(self._event("drifted", taken, ended) | errors | {"message": text})
 
     def _event(self, name: str, taken: int, live: LivePass) -> Event:

@@ -17,8 +17,8 @@ from accelcal_cli.formats import open_recording
 from accelcal_cli.output.coefficients import Coefficients, read_coefficients
 from accelcal_cli.pipeline.apply import (
     Relation,
-    applied,
     apply,
+    at_reference,
     borrow,
     checked_relation,
     keep_coefficients,
@@ -133,8 +133,8 @@ def test_slopes_are_dropped_where_temperature_is_not_wanted(tmp_path: Path) -> N
     warm, path = coefficients(tmp_path, warm=True)
     scale = warm.calibration.temperature
     assert isinstance(scale, TemperatureScale)
-    assert applied(warm, DEFAULT) is warm.calibration
-    cold = applied(warm, replace(DEFAULT, temperature=False))
+    assert at_reference(warm.calibration, DEFAULT) is warm.calibration
+    cold = at_reference(warm.calibration, replace(DEFAULT, temperature=False))
     assert (cold.model, cold.temperature) == (warm.calibration.model.removesuffix("T"), None)
     assert cold.parameters == (*warm.calibration.parameters[:9], 0, 0, 0)
     need_temperature(cold, described(path), has=False)
@@ -154,7 +154,7 @@ def test_the_sentence_says_whose_they_are_what_they_did_and_what_differs(tmp_pat
         f"{named}: 30.0 mg before, 1.25 mg after on 7 postures, none of which they were found from"
     )
     other = replace(recording, lsb_per_g=100.0, device=replace(recording.device, serial="B2"))
-    cold = applied(warm, replace(DEFAULT, temperature=False))
+    cold = at_reference(warm.calibration, replace(DEFAULT, temperature=False))
     assert sentence(warm, cold, other, None, 10.0) == (
         f"{named}: no two postures of stillness to judge them by; this recording's device is B2; "
         f"100 counts per g here, {recording.lsb_per_g:g} there; used as at "
