@@ -80,7 +80,7 @@ class Coverage:
         worst_direction_mg: standard error of |a| in the least certain of 162 directions.
         saturated: axes that measure nothing beyond a value, in raw g; no point is near it.
         subsets_full_after_h: hours of samples until two still windows, well apart, were in each of F's nine
-            subsets; None where they never were, or nobody looked.
+            subsets; None where they never were, or nobody looked (`watch` and profile `paper` do).
     """
 
     subsets: tuple[tuple[int, int, int], ...]

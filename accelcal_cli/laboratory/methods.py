@@ -26,7 +26,8 @@ from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
-from accelcal_cli.pipeline.survey import Procedure, fitting, make_method, open_marked, survey
+from accelcal_cli.pipeline.procedures import Procedure, fitting, make_method
+from accelcal_cli.pipeline.survey import open_marked, survey
 
 TABLE_3_OF_F = (
     ("our method", 25.1, 3.06, 820),

@@ -34,15 +34,8 @@ from accelcal_cli.laboratory.sensors import Population, Track, sphere_error_mg, 
 from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
-from accelcal_cli.pipeline.survey import (
-    CellProcedure,
-    StillWindows,
-    fitting,
-    local_lsb_per_g,
-    make_method,
-    open_marked,
-    survey,
-)
+from accelcal_cli.pipeline.procedures import CellProcedure, fitting, local_lsb_per_g, make_method
+from accelcal_cli.pipeline.survey import StillWindows, open_marked, survey
 
 REST = "the rest of the recording"
 HOUR_S = 3600.0

@@ -25,7 +25,8 @@ from accelcal_cli.core.settings import Settings
 from accelcal_cli.exports.smooth import WIDTHS, width_for
 from accelcal_cli.pipeline.jobs import ProgressMaker
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
-from accelcal_cli.pipeline.survey import StillWindows, make_method, open_marked, survey
+from accelcal_cli.pipeline.procedures import make_method
+from accelcal_cli.pipeline.survey import StillWindows, open_marked, survey
 
 TABLE_1 = {10: (3.4568e-5, 4.6495e-5), 20: (1.8359e-5, 2.6465e-5)}
 """Variances after a rolling mean and a rolling median of so many samples, in a unit that G does not say."""

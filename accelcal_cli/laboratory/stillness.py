@@ -33,8 +33,9 @@ from accelcal_cli.output.report import rounded
 from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 from accelcal_cli.pipeline.options import fit_settings, read_options, recording_options
+from accelcal_cli.pipeline.procedures import fitting, make_method
 from accelcal_cli.pipeline.simulate import TrueParameters, true_parameters
-from accelcal_cli.pipeline.survey import fitting, make_method, open_marked, survey
+from accelcal_cli.pipeline.survey import open_marked, survey
 
 RAW = "raw"
 """Instead of a rule: no calibration."""

@@ -42,8 +42,8 @@ from accelcal_cli.pipeline.calibrate import (
 )
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.outputs import prepare
+from accelcal_cli.pipeline.procedures import Method, make_method
 from accelcal_cli.pipeline.report_settings import settings_from_report
-from accelcal_cli.pipeline.survey import Method, make_method
 
 READING = ("unit", "columns", "sensor", "lsb_per_g", "layout_sha256")
 """Reading options that change the values themselves."""

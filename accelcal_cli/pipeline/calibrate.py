@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.collect.subsets import PaperCollector
 from accelcal_cli.core.errors import counted
 from accelcal_cli.core.parallel import background_result
 from accelcal_cli.core.points import PointSet
@@ -34,7 +35,7 @@ from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.output.gyroscope import gyroscope_json
 from accelcal_cli.output.quality import QualityInput, dumps_quality, quality_json
 from accelcal_cli.output.report import ReportInput, integers_json
-from accelcal_cli.pipeline import export, jobs, outputs, survey
+from accelcal_cli.pipeline import export, jobs, outputs, procedures, survey
 from accelcal_cli.pipeline.activity import EPOCH_S, EffectMeter, versions_of
 from accelcal_cli.pipeline.facts import FactsObserver
 from accelcal_cli.pipeline.gyroscope import gyroscope_of, turning
@@ -112,14 +113,14 @@ class Survey:
 
     recording: Recording
     facts: Facts
-    method: survey.Method
+    method: procedures.Method
     points: PointSet
     coverage: Coverage
     damage: Judgement | None
 
 
 def surveyed(
-    recording: Recording, facts: Facts, method: survey.Method, settings: Settings | PoseSettings
+    recording: Recording, facts: Facts, method: procedures.Method, settings: Settings | PoseSettings
 ) -> tuple[Survey, NDArray[np.int64]]:
     """What a first pass that is over has found, and the number of the posture of each point."""
     points = method.procedure.result()
@@ -153,13 +154,13 @@ class Judge:
 
     settings: Settings
 
-    def method(self, recording: Recording) -> survey.Method:
+    def method(self, recording: Recording) -> procedures.Method:
         """What the first pass is to find, before it begins."""
-        return survey.make_method(recording, self.settings)
+        return procedures.make_method(recording, self.settings)
 
     def optimizer(self) -> dict[str, Any]:
         """The report's `optimizer`; raises UsageError for an unknown one."""
-        return survey.optimizer_json(self.settings)
+        return procedures.optimizer_json(self.settings)
 
     def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
         """Judge what the first pass found."""
@@ -181,14 +182,12 @@ class OwnCalibration(Judge):
         return self.judged(found)
 
     def judged(self, found: Survey) -> Verdict:
-        """The judgement of the profile's procedure, with the time that the collection of points took."""
-        verdict = self._judged(found)
-        after, judgement = found.method.procedure.subsets_full_after(), verdict.judgement
-        if after is None:
+        """Return the judgement of the profile's procedure."""
+        verdict, procedure = self._judged(found), found.method.procedure
+        if not isinstance(procedure, procedures.PaperProcedure):
             return verdict
-        hours = round(after / found.recording.rate_hz / 3600, 6)
-        covered = replace(judgement.coverage, subsets_full_after_h=hours)
-        return replace(verdict, judgement=replace(judgement, coverage=covered))
+        timed = with_collection_time(verdict.judgement, procedure.collector, found.recording)
+        return replace(verdict, judgement=timed)
 
     def _judged(self, found: Survey) -> Verdict:
         learnt = self.learnt
@@ -196,9 +195,9 @@ class OwnCalibration(Judge):
         if found.damage is not None:
             return Verdict(found.damage, sections)
         if (before := found.recording.calibrated) is not None:
-            how = survey.fitting(replace(self.settings, prior=NO_PRIOR))
+            how = procedures.fitting(replace(self.settings, prior=NO_PRIOR))
             return Verdict(as_it_is(found.points, how, before.told()), sections)
-        fitter = survey.fitting(self.settings, None if learnt is None else learnt.prior)
+        fitter = procedures.fitting(self.settings, None if learnt is None else learnt.prior)
         judgement = advised(found.method.procedure.judge(fitter), found.facts, found.recording, self.settings)
         if learnt is not None:
             judgement = replace(judgement, message=f"{judgement.message}; {learnt.told()}")
@@ -206,6 +205,14 @@ class OwnCalibration(Judge):
             text = f"{counted(repeated, 'still window')} repeat earlier ones exactly and were left out"
             judgement = replace(judgement, message=f"{judgement.message}; {text}")
         return Verdict(_with_change(judgement, found.facts), sections)
+
+
+def with_collection_time(judgement: Judgement, collector: PaperCollector, recording: Recording) -> Judgement:
+    """Return the judgement with the hours after which F's nine subsets were full, if they are."""
+    if collector.full_after is None:
+        return judgement
+    hours = round(collector.full_after / recording.rate_hz / 3600, 6)
+    return replace(judgement, coverage=replace(judgement.coverage, subsets_full_after_h=hours))
 
 
 def _with_change(judgement: Judgement, facts: Facts) -> Judgement:
@@ -262,7 +269,7 @@ class FirstPass:
     points: PointSet
     raw: PointSet
     posture: NDArray[np.int64]
-    method: survey.Method
+    method: procedures.Method
     timeline: Timeline | None
 
     def quality(self) -> QualityInput | None:
@@ -352,7 +359,7 @@ class RecordingRun:
         )
         return FirstPass(data, points, raw, posture, method, timeline)
 
-    def survey(self, method: survey.Method, *others: survey.Observer) -> Facts:
+    def survey(self, method: procedures.Method, *others: survey.Observer) -> Facts:
         """Facts of the recording, and its still windows into the method and other observers."""
         recording, request = self.reader.recording, self.request
         facts = FactsObserver(recording, method.rest_lsb, method.segmenter.gaps)

@@ -31,7 +31,8 @@ from accelcal_cli.output.report import (
 )
 from accelcal_cli.pipeline.facts import FactsObserver
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.pipeline.survey import Observer, fitting, make_method, open_marked, survey
+from accelcal_cli.pipeline.procedures import fitting, make_method
+from accelcal_cli.pipeline.survey import Observer, open_marked, survey
 
 PREVIEW_PIECES = 64
 PREVIEW_SAMPLES = 1 << 15

@@ -24,7 +24,7 @@ from accelcal_cli.output.report import ReportInput, WindowUse
 from accelcal_cli.output.report_kinds import TAKEN, Member, PoolInput, build_pool, of_member
 from accelcal_cli.output.report_reading import Document, check_sections
 from accelcal_cli.output.report_view import PoolView, record
-from accelcal_cli.pipeline import survey
+from accelcal_cli.pipeline import procedures
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.outputs import prepare
@@ -96,13 +96,13 @@ def pool(
 def _fitted(parts: Sequence[_Part], settings: Settings) -> _Fitted:
     """Fit and judge the cells of several recordings as one."""
     temperature = all(part.collector.temperature for part in parts)
-    lsb_per_g = survey.local_lsb_per_g(parts[0].recording, settings)
+    lsb_per_g = procedures.local_lsb_per_g(parts[0].recording, settings)
     merged = CellCollector(lsb_per_g, settings, temperature=temperature)
     for part in parts:
         merged.merge(part.collector)
-    procedure = survey.CellProcedure(merged)
+    procedure = procedures.CellProcedure(merged)
     windows = procedure.window_use(reduce(add, (part.counts for part in parts)))
-    return _Fitted(tuple(parts), procedure.judge(survey.fitting(settings)), windows)
+    return _Fitted(tuple(parts), procedure.judge(procedures.fitting(settings)), windows)
 
 
 def _misfits(fitted: _Fitted, settings: Settings) -> dict[_Part, str]:
@@ -140,7 +140,7 @@ def _input(fitted: _Fitted, left_out: Mapping[_Part, str], request: Request) -> 
         judgement=fitted.verdict,
         windows=fitted.windows,
         notes=(unused_note(unused, parts[0].recording.format),) if unused else (),
-        optimizer=survey.optimizer_json(settings),
+        optimizer=procedures.optimizer_json(settings),
     )
 
 
@@ -148,8 +148,8 @@ def _part(member: Member, request: Request, progress: ProgressMaker) -> _Part:
     path, settings = member.path, request.recording_settings
     with open_run(Job(path, path, path), request, progress) as run:
         recording = run.reader.recording
-        method = survey.make_method(recording, settings)
-        if not isinstance(method.procedure, survey.CellProcedure):
+        method = procedures.make_method(recording, settings)
+        if not isinstance(method.procedure, procedures.CellProcedure):
             raise UsageError(f"profile {settings.profile} keeps no cells that could be pooled")
         facts = run.survey(method)
         counts, unused = method.segmenter.counts, run.request.unused
@@ -194,10 +194,10 @@ class PoolCoefficients(Judge):
 
     document: Document
 
-    def method(self, recording: Recording) -> survey.Method:
+    def method(self, recording: Recording) -> procedures.Method:
         """Return the method; raises UnreadableError if the pool's report is damaged."""
         check_sections(self.document, (*TAKEN, "outcome", "message", "pool"))
-        return survey.make_method(recording, self.settings)
+        return procedures.make_method(recording, self.settings)
 
     def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
         """Return the pool's verdict; its hold-out is that of the recording's own points."""

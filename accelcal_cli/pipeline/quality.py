@@ -23,7 +23,7 @@ from accelcal_cli.output.quality import QualityInput, rows_json
 from accelcal_cli.pipeline.apply import with_coefficients
 from accelcal_cli.pipeline.calibrate import FirstPass, Judge, OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress
-from accelcal_cli.pipeline.survey import Procedure, TimedCellProcedure
+from accelcal_cli.pipeline.procedures import Procedure, TimedCellProcedure
 
 RENEW = "find new coefficients"
 

@@ -25,7 +25,8 @@ from accelcal_cli.judge.verdict import temperatures_c
 from accelcal_cli.output.quality import BlockErrors, Errors, PointErrors, QualityInput
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.facts import GAP_PERIODS
-from accelcal_cli.pipeline.survey import Method, Observer, TimedCellProcedure
+from accelcal_cli.pipeline.procedures import Method, TimedCellProcedure
+from accelcal_cli.pipeline.survey import Observer
 
 NOT_WORN_G, NOT_WORN_AXES = 0.05, 2
 """A device whose values stay within the first on so many axes for an hour is not worn (van Hees et al. 2011,

@@ -20,7 +20,8 @@ from accelcal_cli.output import report as reports
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.output.report_kinds import PointsInput, build_points
 from accelcal_cli.pipeline.jobs import PARQUET, Job, refuse_dash, refuse_overwriting, sha256
-from accelcal_cli.pipeline.survey import Method, Procedure, StillWindows, fitting, optimizer_json
+from accelcal_cli.pipeline.procedures import Method, Procedure, fitting, optimizer_json
+from accelcal_cli.pipeline.survey import StillWindows
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -21,7 +21,8 @@ from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import STDIN, Job, ProgressMaker, Request, Result, no_progress, real
-from accelcal_cli.pipeline.survey import CellProcedure, Method, StillWindows, local_lsb_per_g
+from accelcal_cli.pipeline.procedures import CellProcedure, Method, local_lsb_per_g
+from accelcal_cli.pipeline.survey import StillWindows
 from accelcal_cli.segment import chosen_rule, short_gaps, window_length
 from accelcal_cli.segment.segmenter import TimedSegmenter
 from accelcal_cli.six_pose.listing import Listed, read_list

@@ -36,8 +36,8 @@ from accelcal_cli.judge.change import told
 from accelcal_cli.judge.quality import check
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import looking_at
-from accelcal_cli.pipeline import survey
-from accelcal_cli.pipeline.calibrate import OwnCalibration, surveyed
+from accelcal_cli.pipeline import procedures, survey
+from accelcal_cli.pipeline.calibrate import OwnCalibration, surveyed, with_collection_time
 from accelcal_cli.pipeline.facts import FactsObserver
 from accelcal_cli.pipeline.quality import compared_along_time
 
@@ -150,7 +150,7 @@ class Unpacker:
                 yield piece
 
 
-class LastDay(survey.TimedCellProcedure):
+class LastDay(procedures.TimedCellProcedure):
     """Keeps the windows of the last KEPT_H hours, for a procedure that keeps nothing along time itself.
 
     Blocks of time and samples count from the first block that is kept, so that memory does not grow.
@@ -182,14 +182,16 @@ class LivePass:
 
     def __init__(self, recording: Recording, intake: Intake, settings: Settings) -> None:
         self.recording, self._intake = recording, intake
-        self.method = survey.make_method(recording, settings)
+        self.method = procedures.make_method(recording, settings)
         self._facts = FactsObserver(recording, self.method.rest_lsb, self.method.segmenter.gaps)
-        own = self.method.procedure
-        self.along_time = own if isinstance(own, survey.TimedCellProcedure) else LastDay(recording, settings)
+        own, timed = self.method.procedure, procedures.TimedCellProcedure
+        self.along_time = own if isinstance(own, timed) else LastDay(recording, settings)
         """The procedure that coefficients are checked against."""
-        self._observers: tuple[survey.Observer, ...] = (
-            (self._facts, own) if own is self.along_time else (self._facts, own, self.along_time)
-        )
+        paper, counter = procedures.PaperProcedure, procedures.SubsetCounter
+        collecting = own if isinstance(own, paper) else counter(recording, settings)
+        self._subsets = collecting.collector
+        observers: list[survey.Observer] = [self._facts, own, self.along_time, collecting]
+        self._observers = [*dict.fromkeys(observers)]
 
     @property
     def samples(self) -> int:
@@ -229,7 +231,8 @@ class LivePass:
         """Return the judgement of `calibrate`; call after the last bytes."""
         facts = self.method.completed(self._facts.result())
         found, _ = surveyed(self.recording, facts, self.method, settings)
-        return OwnCalibration(settings).judged(found).judgement
+        judgement = OwnCalibration(settings).judged(found).judgement
+        return with_collection_time(judgement, self._subsets, self.recording)
 
     def place(self) -> Event:
         """Return how far the pass has come, for an event."""
@@ -243,9 +246,7 @@ class LivePass:
 
     def subsets(self) -> list[list[int]]:
         """Return the points in each of F's nine subsets, rows n, 0, p and columns x, y, z."""
-        own = self.method.procedure
-        collector = own.collector if isinstance(own, survey.PaperProcedure) else self.along_time.subsets
-        return collector.fit.filled()
+        return self._subsets.fit.filled()
 
 
 class Watch:
@@ -256,7 +257,7 @@ class Watch:
     """
 
     def __init__(self, source: Path, options: ReadOptions, settings: Settings) -> None:
-        survey.fitting(settings)
+        procedures.fitting(settings)
         self._source, self._options, self._settings = source, options, settings
         self._waiting = b""
         """Bytes that make no whole step."""
@@ -458,7 +459,7 @@ class Watch:
         return {
             "outcome": str(judgement.outcome),
             "message": judgement.message,
-            "calibration": reports.calibration_json(judgement, survey.optimizer_json(self._settings)),
+            "calibration": reports.calibration_json(judgement, procedures.optimizer_json(self._settings)),
             "sphere_mg": reports.sphere_json(judgement.sphere, judgement.sphere_before),
             "coverage": reports.coverage_json(judgement.coverage),
         }

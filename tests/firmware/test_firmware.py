@@ -21,7 +21,8 @@ from accelcal_cli.core.points import MODELS, PointSet, Role, Windows
 from accelcal_cli.core.recording import Chunk, Recording, Validity
 from accelcal_cli.core.settings import PAPER
 from accelcal_cli.optimize import fixed32
-from accelcal_cli.pipeline.survey import StillWindows, make_method, open_marked, survey, with_clipping
+from accelcal_cli.pipeline.procedures import make_method
+from accelcal_cli.pipeline.survey import StillWindows, open_marked, survey, with_clipping
 from firmware import measure
 from tests.cli.run import exit_code
 from tests.conftest import ROOT

@@ -12,7 +12,8 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Validity
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.pipeline.facts import FactsObserver
-from accelcal_cli.pipeline.survey import make_method, open_marked, survey
+from accelcal_cli.pipeline.procedures import make_method
+from accelcal_cli.pipeline.survey import open_marked, survey
 from tests.fuzz.mutant import Rows
 
 CHUNK_SAMPLES = 300

@@ -17,8 +17,8 @@ from accelcal_cli.core.results import Judgement, Outcome
 from accelcal_cli.core.settings import PAPER, Settings, with_stillness
 from accelcal_cli.laboratory.methods import collected, compare
 from accelcal_cli.pipeline.jobs import no_progress
+from accelcal_cli.pipeline.procedures import fitting
 from accelcal_cli.pipeline.simulate import TrueParameters, simulate, true_parameters
-from accelcal_cli.pipeline.survey import fitting
 from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
 from tests.cli.run import run_process
 from tests.optimize.oracle import directions

@@ -14,7 +14,7 @@ from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.judge.verdict import judge
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.output.report import calibration_json
-from accelcal_cli.pipeline.survey import optimizer_json
+from accelcal_cli.pipeline.procedures import optimizer_json
 from tests.judge.made import NINE, spread
 
 
