@@ -37,10 +37,9 @@ from accelcal_cli.output.quality import QualityInput, dumps_quality, quality_jso
 from accelcal_cli.output.report import ReportInput, integers_json
 from accelcal_cli.pipeline import export, jobs, outputs, procedures, survey
 from accelcal_cli.pipeline.activity import EPOCH_S, EffectMeter, versions_of
-from accelcal_cli.pipeline.facts import FactsObserver
+from accelcal_cli.pipeline.facts import FactsObserver, Timeline, along_time, timeline_of
 from accelcal_cli.pipeline.gyroscope import gyroscope_of, turning
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
-from accelcal_cli.pipeline.timeline import Timeline, along_time, timeline_of
 from accelcal_cli.pipeline.windows import WindowLog
 
 SURVEYED_AT_ONCE, CALIBRATED_AT_ONCE = 4, 2

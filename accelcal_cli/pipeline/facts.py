@@ -1,4 +1,8 @@
-"""The facts of a recording: what its first pass counts besides stillness."""
+"""What the first pass counts besides stillness: facts of the whole recording, and of each block of time.
+
+A block of time is an hour of samples; where there are more than MAX_BLOCKS of them, blocks are twice as long,
+and so on, so that memory is bounded. All counts are integers: the length of the chunks makes no difference.
+"""
 
 from __future__ import annotations
 
@@ -8,27 +12,61 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.collect.cells import MAX_BLOCKS, ONE_BLOCK
 from accelcal_cli.collect.rest import RestSums
+from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
 from accelcal_cli.core.local_time import FOLLOWED, ZoneChange, zone_changes
-from accelcal_cli.core.points import Windows
+from accelcal_cli.core.points import PointSet, TimedMeans, Windows
 from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
-from accelcal_cli.core.results import Facts, Gap, Jumps, SampleCounts
+from accelcal_cli.core.results import Facts, Gap, Jumps, SampleCounts, TimeRows
+from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.statistics import mean
+from accelcal_cli.judge.errors import deviations_mg as deviations_of_points
+from accelcal_cli.judge.errors import per_posture
+from accelcal_cli.judge.model_ladder import postures
+from accelcal_cli.judge.quality import Spread, by_block, deviations_mg, point_deviations_mg
+from accelcal_cli.judge.verdict import temperatures_c
+from accelcal_cli.output.quality import BlockErrors, Errors, PointErrors, QualityInput
+from accelcal_cli.output.report import ReportInput
+from accelcal_cli.pipeline.procedures import Method, TimedCellProcedure
 from accelcal_cli.pipeline.survey import Observer
 from accelcal_cli.segment.segmenter import NO_GAPS, ShortGaps
 
 MAX_GAPS = 1000
+"""Most gaps that a report lists."""
+
 MAX_PROBLEMS = 1000
+"""Most problems that a report lists."""
+
 GAP_PERIODS = 1.5
+"""Length [sampling periods] of a step between samples beyond which it is a gap."""
+
+NOT_WORN_G, NOT_WORN_AXES = 0.05, 2
+"""A device is not worn in an hour in which values stay within NOT_WORN_G on NOT_WORN_AXES axes (van Hees et
+al. 2011, PLoS ONE 6(7): e22922; 2013, PLoS ONE 8(4): e61691)."""
+
+LOOK_S = 5
+"""Distance [s] of the samples that range and temperature are taken from; all would slow the pass."""
+
+LEAST_LOOK_S = 900
+"""Part [s] of a block that has to be measured to tell whether the device was worn."""
+
+_SAMPLES, _STILL, _STILL_SAMPLES, _FILLED, _CLIPPED, _RECOVERED = range(6)
+_GAP_S, _GAP_REST_US, _LOST_BYTES, _LOOKED, _WARM, _HEAT_MC = range(6, 12)
+_COLUMNS = 12
+_FLAGS = ((_FILLED, Validity.FILLED), (_CLIPPED, Validity.CLIPPED), (_RECOVERED, Validity.RECOVERED))
+_FAR = 1 << 40
+"""A number beyond all counts."""
 
 
 class FactsObserver(Observer):
-    """The facts of a recording.
+    """Finds the facts of a recording.
 
     Args:
         rest_lsb: raw counts that rest should measure.
-        short: jumps that end no window; those back by a period at most end no run for the measured rate
-            either (where a late stamp makes the next go back by more, the gap before it ended one, too).
+        short: jumps that end no window. Those back by a period at most do not end a run of the measured rate
+            either; where a late stamp makes the next go back by more, the gap before it has ended one.
     """
 
     def __init__(self, recording: Recording, rest_lsb: float, short: ShortGaps = NO_GAPS) -> None:
@@ -48,7 +86,7 @@ class FactsObserver(Observer):
         self._run_steps = self._run_us = 0
 
     def see(self, chunk: Chunk) -> None:
-        """Take a chunk's facts in."""
+        """Take a chunk in."""
         self._note_problems(chunk.problems)
         self._used_bytes += chunk.used_bytes
         if not len(chunk):
@@ -63,11 +101,11 @@ class FactsObserver(Observer):
         self.samples += len(chunk)
 
     def see_still(self, windows: Windows) -> None:
-        """Take in what still windows measure."""
+        """Take still windows in."""
         self._rest.add_windows(windows)
 
     def result(self) -> Facts:
-        """What was found; call after the last chunk."""
+        """Return the facts; call after the last chunk."""
         problems = list(self.problems)
         if self._problems_omitted:
             text = f"{self._problems_omitted} further problems are not listed"
@@ -96,7 +134,7 @@ class FactsObserver(Observer):
         return all(problem.code != "no_start_time" for problem in self.problems)
 
     def _zone_change(self) -> ZoneChange | None:
-        """The first change that the times do not follow; else the first one."""
+        """Return the first change of the zone that the times do not follow, else the first one."""
         zone = self.recording.timezone
         if not self._dated or self.first_us is None or self.last_us is None:
             return None
@@ -107,22 +145,22 @@ class FactsObserver(Observer):
         return replace(changes[0], followed=True) if changes else None
 
     def _unseen(self, change: ZoneChange) -> bool:
-        """Whether no rows show if the times follow a change."""
+        """Return True if no rows show whether the times follow a change."""
         start_s = utc_offset_s(self.recording.timezone, self.first_us or 0) or 0
         at_us = change.at_us + (start_s - change.before_s) * MICROSECONDS
         omitted = self.recording.stamped and self.gaps_omitted > 0
         return omitted or any(start < at_us <= end for start, end in self._jumps_of_stamps())
 
     def _jumps_of_stamps(self) -> list[tuple[int, int]]:
-        """From when to when a change may hide behind a jump of a clock that may have followed it [us].
+        """Return the spans [us] of jumps of a clock, which may have followed a change of the zone there.
 
-        One that goes back by less than an hour may be put back after a pause.
+        A clock that goes back by less than an hour may have been put back after a pause.
         """
         gaps = self.gaps if self.recording.stamped else []
         return [(gap.start_us, gap.start_us + round(abs(gap.seconds) * 1e6)) for gap in gaps]
 
     def _rate_hz(self) -> float | None:
-        """Steps over time within unbroken runs, the last of which is still open."""
+        """Return steps over time within unbroken runs, the last of which is still open."""
         if self.last_us is None:
             return None
         span_us = self._run_us + self.last_us - self._run_start_us
@@ -146,10 +184,8 @@ class FactsObserver(Observer):
         self.last_us = int(chunk.clock.times(len(chunk) - 1, len(chunk))[0])
 
     def _note_breaks(self, rows: NDArray[np.int64], chunk: Chunk) -> None:
-        """The breaks before these rows of a chunk; a step back that is jitter ends no run.
-
-        All at once: a damaged file may have a break before each row.
-        """
+        """Take in the breaks before these rows of a chunk; a step back that is jitter ends no run."""
+        # All at once: a damaged file may have a break before each row.
         time_us = chunk.time_us
         before, after = np.where(rows > 0, time_us[rows - 1], self.last_us or 0), time_us[rows]
         steps_us = after - before
@@ -159,7 +195,7 @@ class FactsObserver(Observer):
         self._note_gaps(rows, before, steps_us)
 
     def _end_runs(self, rows: NDArray[np.int64], before: NDArray[np.int64], after: NDArray[np.int64]) -> None:
-        """Runs that end before these rows; sums of times are of Python's integers, which do not overflow."""
+        # Sums of times are of Python's integers, which do not overflow.
         first = self.samples + int(rows[-1])
         self._run_us += sum(before.tolist()) - sum(after[:-1].tolist()) - self._run_start_us
         self._run_steps += first - self._run_first - len(rows)
@@ -177,3 +213,224 @@ class FactsObserver(Observer):
         columns = (self.samples + rows[listed], before[listed], seconds[listed])
         self.gaps += map(Gap, *(column.tolist() for column in columns))
         self.gaps_omitted += len(places) - len(listed)
+
+
+class Timeline(Observer):
+    """Counts samples, stillness and damage in each block of time.
+
+    Args:
+        block_samples: length of a block, as long as there are not too many.
+        window_samples: length of a window.
+    """
+
+    def __init__(self, recording: Recording, block_samples: int, window_samples: int) -> None:
+        self.block_samples = block_samples
+        self._window_samples = window_samples
+        self._rate_hz, self._lsb_per_g = recording.rate_hz, recording.lsb_per_g
+        self._step = max(1, round(LOOK_S * recording.rate_hz))
+        self._sums = np.zeros((MAX_BLOCKS, _COLUMNS), np.int64)
+        self._low = np.full((MAX_BLOCKS, 3), _FAR, np.int64)
+        self._high = np.full((MAX_BLOCKS, 3), -_FAR, np.int64)
+        self._samples = self._last_us = 0
+
+    def see(self, chunk: Chunk) -> None:
+        """Count a chunk's rows."""
+        end = chunk.first_sample + len(chunk)
+        while end // self.block_samples >= MAX_BLOCKS:
+            self._join_pairs()
+        self._note_damage(chunk.problems, end)
+        if not len(chunk):
+            return
+        for block in range(chunk.first_sample // self.block_samples, 1 + (end - 1) // self.block_samples):
+            begins, ends = (one * self.block_samples - chunk.first_sample for one in (block, block + 1))
+            self._note_rows(block, chunk, max(0, begins), min(len(chunk), ends))
+        self._note_gaps(chunk)
+        self._samples = end
+        self._last_us = int(chunk.clock.times(len(chunk) - 1, len(chunk))[0])
+
+    def see_still(self, windows: Windows) -> None:
+        """Count still windows in the blocks in which they begin."""
+        block = windows.first_sample // self.block_samples
+        np.add.at(self._sums[:, _STILL], block, 1)
+        np.add.at(self._sums[:, _STILL_SAMPLES], block, windows.samples)
+
+    def rows(self, block_samples: int) -> TimeRows:
+        """Return the counts in blocks of at least `block_samples`, a power of two times the first length."""
+        while self.block_samples < block_samples:
+            self._join_pairs()
+        number = -(-self._samples // self.block_samples)
+        sums, spread = self._sums[:number].copy(), (self._high - self._low)[:number]
+        if number:
+            sums[-1, _LOST_BYTES] += int(self._sums[number:, _LOST_BYTES].sum())
+        unlike = sums[:, [_FILLED, _CLIPPED, _RECOVERED, _STILL_SAMPLES]].sum(axis=1)
+        return TimeRows(
+            block_samples=self.block_samples,
+            samples=tuple(sums[:, _SAMPLES].tolist()),
+            still=tuple(sums[:, _STILL].tolist()),
+            moving=tuple((np.maximum(0, sums[:, _SAMPLES] - unlike) // self._window_samples).tolist()),
+            filled=tuple(sums[:, _FILLED].tolist()),
+            clipped=tuple(sums[:, _CLIPPED].tolist()),
+            recovered=tuple(sums[:, _RECOVERED].tolist()),
+            lost_bytes=tuple(sums[:, _LOST_BYTES].tolist()),
+            gap_us=tuple(
+                seconds * MICROSECONDS + rest for seconds, rest in sums[:, [_GAP_S, _GAP_REST_US]].tolist()
+            ),
+            temperature_mc=tuple(
+                heat / number if number else None for number, heat in sums[:, [_WARM, _HEAT_MC]].tolist()
+            ),
+            worn=tuple(map(self._worn, sums.tolist(), spread.tolist())),
+        )
+
+    def result(self) -> TimeRows:
+        """Return the counts in blocks as they are."""
+        return self.rows(self.block_samples)
+
+    def _note_rows(self, block: int, chunk: Chunk, low: int, high: int) -> None:
+        """Count rows low..high-1 of a chunk, which lie in one block."""
+        sums = self._sums[block]
+        sums[_SAMPLES] += high - low
+        first = low + -(chunk.first_sample + low) % self._step
+        looked = slice(first, high, self._step)
+        counts = chunk.counts[looked]
+        if chunk.validity is not None:
+            flags = chunk.validity[low:high]
+            if flags.any():
+                for column, flag in _FLAGS:
+                    sums[column] += np.count_nonzero(flags == flag)
+                counts = counts[chunk.validity[looked] != Validity.FILLED]
+        if len(counts):
+            sums[_LOOKED] += len(counts)
+            np.minimum(self._low[block], counts.min(axis=0), out=self._low[block])
+            np.maximum(self._high[block], counts.max(axis=0), out=self._high[block])
+        if chunk.temperature_mc is not None:
+            heat = chunk.temperature_mc[looked]
+            sums[_WARM] += len(heat)
+            sums[_HEAT_MC] += int(heat.sum(dtype=np.int64))
+
+    def _note_gaps(self, chunk: Chunk) -> None:
+        """Add up the time that is missing before rows, in two columns, which do not overflow."""
+        rows = chunk.breaks[chunk.breaks + chunk.first_sample > 0]
+        if not len(rows):
+            return
+        time_us = chunk.time_us
+        steps_us = time_us[rows] - np.where(rows > 0, time_us[rows - 1], self._last_us)
+        gaps = steps_us / MICROSECONDS * self._rate_hz > GAP_PERIODS
+        block = (rows[gaps] + chunk.first_sample) // self.block_samples
+        np.add.at(self._sums[:, _GAP_S], block, steps_us[gaps] // MICROSECONDS)
+        np.add.at(self._sums[:, _GAP_REST_US], block, steps_us[gaps] % MICROSECONDS)
+
+    def _note_damage(self, problems: tuple[Problem, ...], end: int) -> None:
+        for problem in problems:
+            if problem.lost_bytes:
+                block = min(problem.sample, end) // self.block_samples
+                self._sums[block, _LOST_BYTES] += problem.lost_bytes
+
+    def _join_pairs(self) -> None:
+        half = MAX_BLOCKS // 2
+        pairs = self._sums.reshape(half, 2, _COLUMNS).sum(axis=1)
+        low = self._low.reshape(half, 2, 3).min(axis=1)
+        high = self._high.reshape(half, 2, 3).max(axis=1)
+        self._sums = np.concatenate([pairs, np.zeros_like(pairs)])
+        self._low = np.concatenate([low, np.full_like(low, _FAR)])
+        self._high = np.concatenate([high, np.full_like(high, -_FAR)])
+        self.block_samples *= 2
+
+    def _worn(self, sums: list[int], spread: list[int]) -> bool | None:
+        """Return True if the device was worn in a block; None if too little was measured to tell."""
+        if sums[_FILLED] == sums[_SAMPLES]:
+            return False
+        if sums[_LOOKED] * self._step < LEAST_LOOK_S * self._rate_hz:
+            return None
+        limit = NOT_WORN_G * self._lsb_per_g
+        return sum(one < limit for one in spread) < NOT_WORN_AXES
+
+
+def timeline_of(method: Method, recording: Recording) -> Timeline | None:
+    """Return what counts along time; None if the procedure keeps no blocks of time."""
+    if not isinstance(method.procedure, TimedCellProcedure):
+        return None
+    return Timeline(recording, method.procedure.hour_samples, method.segmenter.length)
+
+
+def along_time(
+    data: ReportInput, raw: PointSet, posture: NDArray[np.int64], method: Method, timeline: Timeline
+) -> QualityInput:
+    """Return the content of the quality file.
+
+    Args:
+        raw: the points before a correction for a change of the sensor.
+        posture: (n,) number of each point's posture.
+        method: its procedure and `timeline` have taken all still windows in.
+    """
+    procedure, settings = method.procedure, data.settings.method
+    assert isinstance(procedure, TimedCellProcedure) and isinstance(settings, Settings)
+    in_time = procedure.collector.block_samples < ONE_BLOCK
+    rows = timeline.rows(procedure.collector.block_samples if in_time else 0)
+    samples = [block * rows.block_samples for block in range(len(rows))]
+    judged = data.judgement
+    return QualityInput(
+        data=data,
+        rows=rows,
+        begun_us=[procedure.begun_us(sample) for sample in samples],
+        errors=_block_errors(procedure.means(), rows.block_samples, judged.calibration, settings)
+        if in_time
+        else {},
+        points=_point_errors(raw, posture, procedure, data),
+        folds=settings.folds if judged.trials and judged.holdout is not None else None,
+        convergence=_convergence(procedure.result(), data),
+    )
+
+
+def _block_errors(
+    means: TimedMeans, block_samples: int, calibration: Calibration | None, settings: Settings
+) -> dict[int, BlockErrors]:
+    """Return the errors by number of the block; blocks are at least as long as those of the means."""
+    assert means.windows is not None
+    block, rest = means.block * means.block_samples // block_samples, settings.gravity
+    before = by_block(deviations_mg(means, None, rest), means.windows, block)
+    number = np.bincount(block, means.windows).astype(np.int64).tolist() if len(block) else []
+    after = {}
+    if calibration is not None:
+        after = by_block(deviations_mg(means, calibration, rest), means.windows, block)
+    return {
+        one: BlockErrors(number[one], _errors(raw), _errors(after[one]) if one in after else None)
+        for one, raw in before.items()
+    }
+
+
+def _errors(spread: Spread) -> Errors:
+    return (spread.mean, spread.p95, *spread.off)
+
+
+def _convergence(points: PointSet, data: ReportInput) -> tuple[float, ...] | None:
+    """Return the mean error of the postures after each step of the fit [mg], as in the report's `fit`.
+
+    Args:
+        points: as they were fitted, corrected where the sensor changed.
+    """
+    fit, settings = data.judgement.fit, data.settings.method
+    if fit is None or not fit.history or fit.history[-1] != fit.parameters:
+        return None
+    assert isinstance(settings, Settings)
+    label = postures(points, settings.posture_degrees)
+    each = (per_posture(deviations_of_points(points, one), points.weights, label) for one in fit.history)
+    return tuple(mean(list(one.values())) for one in each)
+
+
+def _point_errors(
+    raw: PointSet, posture: NDArray[np.int64], procedure: TimedCellProcedure, data: ReportInput
+) -> PointErrors:
+    """Return the points with their errors; where the sensor changed, corrected and with new postures."""
+    settings, calibration = data.settings.method, data.judgement.calibration
+    assert isinstance(settings, Settings)
+    rest, corrected = settings.gravity, raw
+    if calibration is not None and calibration.correction is not None:
+        corrected = procedure.collector.points(calibration.correction.in_local_g(rest.local_g()))
+        posture = postures(corrected, settings.posture_degrees)
+    return PointErrors(
+        raw,
+        point_deviations_mg(raw, None, rest),
+        None if calibration is None else point_deviations_mg(corrected, calibration, rest),
+        posture,
+        temperatures_c(raw) if raw.temperature is not None else None,
+    )

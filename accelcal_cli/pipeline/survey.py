@@ -34,7 +34,7 @@ class Observer:
         """Take still windows in, in the order of time; their chunk has been seen."""
 
     def result(self) -> Any:
-        """What was found; call after the last chunk."""
+        """Return the facts; call after the last chunk."""
         raise NotImplementedError
 
 
@@ -49,7 +49,7 @@ class StillWindows(Observer):
         self._parts.append(windows)
 
     def result(self) -> Windows:
-        """All of them."""
+        """Return all windows."""
         return joined_windows(self._parts)
 
 
@@ -85,7 +85,7 @@ def survey(
 
 
 def _batched(still: Iterable[Windows]) -> Iterator[Windows]:
-    """The same windows a few thousand at a time; a batch has temperatures throughout, or none."""
+    """Yield the windows a few thousand at a time; a batch has temperatures throughout, or none."""
     batch: list[Windows] = []
     number = 0
     for windows in still:
@@ -121,7 +121,7 @@ def open_marked(
 
 
 class MarkingReader(Reader):
-    """A reader of another one's chunks, with rows at the sensor's range marked."""
+    """Reads the chunks of another reader, and marks rows at the sensor's range."""
 
     def __init__(self, reader: Reader) -> None:
         self.reader, self.recording, self.threads = reader, reader.recording, reader.threads
@@ -150,7 +150,7 @@ class MarkingReader(Reader):
 
 
 class MarkingIntake(Intake):
-    """An intake of another one's chunks, with rows at the sensor's range marked."""
+    """Takes chunks from another intake, and marks rows at the sensor's range."""
 
     def __init__(self, intake: Intake, recording: Recording) -> None:
         self._intake, self._recording = intake, recording
@@ -161,9 +161,9 @@ class MarkingIntake(Intake):
 
 
 def with_clipping(chunk: Chunk, recording: Recording) -> Chunk:
-    """The chunk with rows at the sensor's range marked in `validity`.
+    """Return the chunk with rows at the sensor's range marked in `validity`.
 
-    Behind the maker's calibration counts no longer tell: the reader marked the rows.
+    Counts that the maker has calibrated no longer show the range; their reader has marked the rows.
     """
     if recording.range_g is None or recording.of_bare_sensor:
         return chunk

@@ -14,7 +14,7 @@ from accelcal_cli.core.clock import StampClock
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import Chunk, Problem, Recording
 from accelcal_cli.core.results import TimeRows
-from accelcal_cli.pipeline.timeline import Timeline
+from accelcal_cli.pipeline.facts import Timeline
 
 RATE_HZ, HOUR, WINDOW = 0.2, 720, 10
 RECORDING = Recording(Path("a"), "test", rate_hz=RATE_HZ, lsb_per_g=256.0, total_bytes=0)
