@@ -11,7 +11,7 @@ from accelcal_cli.cli import options
 from accelcal_cli.cli.exit_codes import say, show
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import OutputError, UsageError, counted
-from accelcal_cli.exports.smooth import MOST
+from accelcal_cli.exports.rows import WIDEST
 from accelcal_cli.output.files import exists, write_text
 from accelcal_cli.pipeline.jobs import refuse_nameless, refuse_overwriting
 
@@ -28,7 +28,7 @@ class Width(options.AnyType):
         """Look at it."""
         if value == "auto":
             return 0
-        return int(click.IntRange(2, MOST).convert(value, param, ctx))
+        return int(click.IntRange(2, WIDEST).convert(value, param, ctx))
 
 
 @click.command("export")
@@ -81,18 +81,18 @@ def _text(form: str, files: tuple[Path, ...], *, quiet: bool) -> str:
 
     if form == "json":
         return "".join(coefficients.as_json(path) + "\n" for path in files)
-    handed = [coefficients.handed(path) for path in files]
-    for one in handed:
-        told = coefficients.cost(one)
-        if told is not None and not quiet:
-            say(f"{one.path}: {told}")
+    read_exported = [coefficients.read_exported(path) for path in files]
+    for one in read_exported:
+        sentence = coefficients.cost(one)
+        if sentence is not None and not quiet:
+            say(f"{one.path}: {sentence}")
     if form == "ggir":
-        return coefficients.ggir(handed)
-    return "".join(coefficients.LINES[form](one) + "\n" for one in handed)
+        return coefficients.ggir(read_exported)
+    return "".join(coefficients.LINES[form](one) + "\n" for one in read_exported)
 
 
 def _data(files: tuple[Path, ...], values: dict[str, Any]) -> None:
-    from accelcal_cli.exports.data import Wanted, export_data, outputs_of
+    from accelcal_cli.exports.data import ExportOptions, export_data, outputs_of
 
     form, output = values["form"], values["output"]
     if len(files) > 1:
@@ -100,7 +100,7 @@ def _data(files: tuple[Path, ...], values: dict[str, Any]) -> None:
     if output is None:
         raise UsageError(f"--to {form} writes a file, which needs a name", hint="give one with -o")
     _refuse(outputs_of(form, output), files, force=values["force"])
-    wanted = Wanted(output, values["resample_hz"], values["measured_only"], values["smooth"])
+    wanted = ExportOptions(output, values["resample_hz"], values["measured_only"], values["smooth"])
     with progress_bars(files[0].name, quiet=values["quiet"], unit="") as bars:
         written = export_data(form, files[0], wanted, bars)
     if not values["quiet"]:

@@ -1,7 +1,7 @@
 """Coefficients for tools that know scales, offsets and slopes, but no misalignment.
 
-Each form is one small function with the tool's formula and where it stands. What is handed on is never a
-calibration cut down: where that has misalignment, it is what the same points gave without (judge/simpler.py).
+Each form is one small function with the tool's formula and its source. A calibration with misalignment is
+never cut down: exported is the result of the same points without misalignment (judge/simpler.py).
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from accelcal_cli.output.report_reading import check_sections
 from accelcal_cli.output.report_view import ErrorsView, FitView, ReportRecording, record
 
 ALIGNED = ("0", "3", "6", "3T", "6T")
-"""Models without misalignment: these are handed on as they are."""
+"""Models without misalignment, which are exported as they are."""
 
 NO_RECORDING = {"pool": "a pool of recordings", "points": "a table of points"}
-"""What reports may be of, by `recording.format`, for which other tools have no file."""
+"""Names of what a report may be of, by `recording.format`, for which other tools have no file."""
 
 GGIR_COLUMNS = (
     "filename", "scale.x", "scale.y", "scale.z", "offset.x", "offset.y", "offset.z",
@@ -40,18 +40,18 @@ GGIR_COLUMNS = (
     "use.temperature",
 )  # fmt: skip
 GGIR_MESSAGE = "recalibration done, no problems detected"
-"""What GGIR itself says where all is well (g.calibrate.R)."""
+"""Message of GGIR itself if all is well (g.calibrate.R)."""
 
 Three = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class PerAxis:
+class AxisCoefficients:
     """a = scale (v + offset + slope (T - reference)), axis by axis; x, y, z of each.
 
     Attributes:
         offset_g: in standard g.
-        slope_g_per_c: of the offset; zeros without temperature.
+        slope_g_per_c: temperature slopes of the offsets; zeros without temperature.
     """
 
     scale: Three
@@ -60,20 +60,20 @@ class PerAxis:
     reference_c: float
 
     def warmth(self) -> Three:
-        """What one degree adds to a [g]: scale times slope."""
+        """Return the change of a [g] per degree: scale times slope."""
         x, y, z = (k * s for k, s in zip(self.scale, self.slope_g_per_c, strict=True))
         return x, y, z
 
 
 @dataclass(frozen=True, slots=True)
-class Handed:
-    """What one report hands on to tools without misalignment.
+class ExportedReport:
+    """The part of a report that other tools can use.
 
     Attributes:
-        path: where the report lies.
+        path: path of the report.
         windows: number of windows that were used.
-        whole: its calibration; errors: of that.
-        simple: the calibration without misalignment; simple_errors: of that.
+        whole: its calibration; errors: the errors of that.
+        simple: the calibration without misalignment; simple_errors: the errors of that.
     """
 
     path: Path
@@ -86,20 +86,20 @@ class Handed:
 
     @property
     def file_name(self) -> str:
-        """The recording's name with its suffix."""
+        """Name of the recording with its suffix."""
         kind = PurePosixPath if "/" in self.recording.path else PureWindowsPath
         return kind(self.recording.path).name
 
-    def axes(self) -> PerAxis:
-        """The simple calibration, axis by axis."""
+    def axes(self) -> AxisCoefficients:
+        """Return the simple calibration, axis by axis."""
         found, gain = self.simple, self.simple.gain()
         columns = ([gain[axis, axis] for axis in range(3)], found.offset_g(), found.slope_g_per_c())
         scale, offset, slope = ((float(x), float(y), float(z)) for x, y, z in columns)
-        return PerAxis(scale, offset, slope, found.reference_c())
+        return AxisCoefficients(scale, offset, slope, found.reference_c())
 
 
-def handed(path: Path) -> Handed:
-    """What a report has for tools without misalignment.
+def read_exported(path: Path) -> ExportedReport:
+    """Read from a report what tools without misalignment can use.
 
     Raises:
         UnreadableError: it is no report, is damaged, or its recording was refused.
@@ -125,17 +125,17 @@ def handed(path: Path) -> Handed:
         )
     windows, errors = record(FitView, report["fit"]).windows["used"], record(ErrorsView, report)
     if whole.model in ALIGNED:
-        return Handed(path, recording, windows, whole, errors, whole, errors)
+        return ExportedReport(path, recording, windows, whole, errors, whole, errors)
     simple = without_misalignment(found)
     if simple is None:
         text, hint = _why_none(report, whole)
         raise UsageError(text, path=path, hint=hint)
     simple_errors = record(ErrorsView, report["without_misalignment"])
-    return Handed(path, recording, windows, whole, errors, simple, simple_errors)
+    return ExportedReport(path, recording, windows, whole, errors, simple, simple_errors)
 
 
 def _why_none(report: dict[str, Any], whole: Calibration) -> tuple[str, str]:
-    """Why a calibration with misalignment has nothing beside it, and what to do."""
+    """Return why a calibration with misalignment has no simple one, and what to do."""
     data = "hand on the calibrated data (--to csv), or use --to json"
     if whole.model == FULL_GAIN:
         return "was calibrated on known orientations, with no fit beside it without misalignment", data
@@ -148,8 +148,8 @@ def _why_none(report: dict[str, Any], whole: Calibration) -> tuple[str, str]:
     return "has no fit without misalignment", data
 
 
-def ggir(all_handed: Sequence[Handed]) -> str:
-    """The CSV file for GGIR's `backup.cal.coef`, a row for each recording.
+def ggir(reports: Sequence[ExportedReport]) -> str:
+    """Return the CSV file for GGIR's `backup.cal.coef`, a row for each recording.
 
     a = (v + offset) scale + (T - meantempcal) temperature.offset (GGIR 3.3-7, R/g.getmeta.R), T in degrees C.
     x, y, z are taken by the order of the columns, and `meantempcal` has to be a number: without the column
@@ -159,16 +159,16 @@ def ggir(all_handed: Sequence[Handed]) -> str:
     Raises:
         UsageError: two recordings have the same name, by which GGIR would give both the first one's row.
     """
-    by_name: dict[str, Handed] = {}
-    for one in all_handed:
+    by_name: dict[str, ExportedReport] = {}
+    for one in reports:
         if one.file_name in by_name:
             text = f"and {by_name[one.file_name].path} are of recordings of the same name, {one.file_name}"
             raise UsageError(text, path=one.path, hint="GGIR knows them by name: export them separately")
         by_name[one.file_name] = one
-    return csv_text(GGIR_COLUMNS, map(_ggir_row, all_handed))
+    return csv_text(GGIR_COLUMNS, map(_ggir_row, reports))
 
 
-def _ggir_row(one: Handed) -> list[object]:
+def _ggir_row(one: ExportedReport) -> list[object]:
     axes, holdout, seconds = one.axes(), one.simple_errors.holdout, one.recording.duration_s
     means_mg = (None, None) if holdout is None else (holdout.before_mg.mean, holdout.after_mg.mean)
     errors = [None if mean_mg is None else mean_mg / 1000 for mean_mg in means_mg]
@@ -180,8 +180,8 @@ def _ggir_row(one: Handed) -> list[object]:
     ]  # fmt: skip
 
 
-def biobank(one: Handed) -> str:
-    """The command line of biobankAccelerometerAnalysis.
+def biobank(one: ExportedReport) -> str:
+    """Return the command line of biobankAccelerometerAnalysis.
 
     a = calOffset + calSlope v + calTemp T (version 7, EpochWriter.java), T in degrees C, without a reference
     temperature. `--meanTemp` is not given: it sets all coefficients back. Its parser takes a negative number
@@ -198,8 +198,8 @@ def biobank(one: Handed) -> str:
     return f"accProcess {_file(one)} --skipCalibration True {' '.join(words)}"
 
 
-def omconvert(one: Handed) -> str:
-    """The command line of omconvert.
+def omconvert(one: ExportedReport) -> str:
+    """Return the command line of omconvert.
 
     a = (v + offset) scale + (T - Tref) temperature offset (omcalibrate.c); the ten numbers are scales,
     offsets, temperature offsets and Tref (main.c). `-calibrate 0` makes it use them.
@@ -210,7 +210,7 @@ def omconvert(one: Handed) -> str:
 
 
 def as_json(path: Path) -> str:
-    """All that a report has of its calibration: with misalignment and, where that was fitted, without.
+    """Return a report's calibration as JSON, with misalignment and, if it was fitted, without.
 
     Raises:
         UnreadableError: it is no report, is damaged, or its recording was refused.
@@ -235,18 +235,18 @@ def as_json(path: Path) -> str:
 
 
 def decimal(value: float) -> str:
-    """A number in full, without an exponent; reading it gives the same bits."""
+    """Return a number in full, without an exponent; reading it gives the same bits."""
     return format(Decimal(repr(value + 0.0)), "f")
 
 
-def _file(one: Handed) -> str:
-    """The recording as one word of a shell's command line, and no option."""
+def _file(one: ExportedReport) -> str:
+    """Return the recording as one word of a shell's command line, and no option."""
     path = printable(one.recording.path)
     return shlex.quote(f"./{path}" if path.startswith("-") else path)
 
 
-def cost(one: Handed) -> str | None:
-    """What leaving out the misalignment costs, in a sentence; None where there is none to leave out."""
+def cost(one: ExportedReport) -> str | None:
+    """Return the cost of leaving out the misalignment in a sentence; None if there is none to leave out."""
     if one.simple == one.whole:
         return None
     with_it, without, parts = one.errors, one.simple_errors, []
@@ -260,5 +260,5 @@ def cost(one: Handed) -> str | None:
     return f"misalignment is left out (model {one.simple.model} for {one.whole.model}): {price}"
 
 
-LINES: dict[str, Callable[[Handed], str]] = {"biobank": biobank, "omconvert": omconvert}
-"""Forms of one line for each report."""
+LINES: dict[str, Callable[[ExportedReport], str]] = {"biobank": biobank, "omconvert": omconvert}
+"""Forms with one line for each report."""

@@ -1,6 +1,6 @@
 """Calibrated samples in the forms that other tools read: text tables, arrays of numpy, BIDS, and Parquet.
 
-All are streamed from the Parquet file's row groups; arrays lie in unnamed temporary files until their
+All are streamed from the row groups of the Parquet file; arrays lie in unnamed temporary files until their
 lengths are known.
 """
 
@@ -27,9 +27,17 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError, output_error, printable
 from accelcal_cli.core.gravity import STANDARD_GRAVITY
-from accelcal_cli.exports.resample import LARGEST_RATIO, LEAST_RATIO, breaks, resampled
-from accelcal_cli.exports.rows import About, Rows, calibrated_rows
-from accelcal_cli.exports.smooth import smoothed, width_for
+from accelcal_cli.exports.rows import (
+    LARGEST_RATIO,
+    LEAST_RATIO,
+    CalibratedFile,
+    SampleRows,
+    breaks,
+    open_calibrated,
+    resampled,
+    smoothed,
+    width_for,
+)
 from accelcal_cli.output.columns import schema_of
 from accelcal_cli.output.files import replacing, stored_schema
 from accelcal_cli.parquet import Column, Memory, ParquetSink
@@ -37,29 +45,29 @@ from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 
 MOTION = re.compile(r"sub-[a-zA-Z0-9]+_(?:[a-z]+-[a-zA-Z0-9]+_)*task-([a-zA-Z0-9]+)_tracksys-([a-zA-Z0-9]+)_"
                     r"(?:[a-z]+-[a-zA-Z0-9]+_)*motion\.tsv")  # fmt: skip
-"""A name of Motion-BIDS, with task and tracking system."""
+"""Pattern of a name of Motion-BIDS, with task and tracking system."""
 
 MOTION_EXAMPLE = "sub-01_task-freeliving_tracksys-wrist_motion.tsv"
 COPIED_BYTES = 1 << 20
 
 
 @dataclass
-class Written:
-    """What was written: number of rows, first and last time, and how many stretches without a gap.
+class ExportedData:
+    """The written rows: their number, first and last time, and the number of stretches without a gap.
 
     Attributes:
-        resampled: to a fixed rate.
+        resampled: True if they have a fixed rate.
     """
 
-    about: About
+    about: CalibratedFile
     rows: int = 0
     first_us: int = 0
     last_us: int = 0
     stretches: int = 0
     resampled: bool = False
 
-    def count(self, rows: Rows) -> None:
-        """Take in what comes next."""
+    def count(self, rows: SampleRows) -> None:
+        """Count the next rows."""
         times = rows.time_us
         if not self.rows:
             self.first_us, self.stretches = int(times[0]), 1
@@ -71,23 +79,23 @@ class Written:
 
     @property
     def seconds(self) -> float:
-        """From the first row to one period after the last."""
+        """Time from the first row to one period after the last [s]."""
         return (self.last_us - self.first_us) / MICROSECONDS + 1 / self.about.rate_hz
 
 
-Table = Callable[[Rows, Written], dict[str, pa.Array]]
-"""Rows as columns of text and numbers; `Written` has counted them."""
+Table = Callable[[SampleRows, ExportedData], dict[str, pa.Array]]
+"""Makes columns of text and numbers from rows that `ExportedData` has counted."""
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
-    """What is asked for.
+class ExportOptions:
+    """What the user asks for.
 
     Attributes:
         resample_hz: a fixed rate; None: the samples as they are.
         measured_only: leave out rows that the device filled in, and those of damaged blocks.
-        smooth: samples of a rolling mean; 0: as many as are usual for the rate; None: none.
-        batch_rows: rows in memory at a time; what is written does not depend on it.
+        smooth: samples of a rolling mean; 0: the usual number for the rate; None: no mean.
+        batch_rows: rows in memory at a time; the output does not depend on it.
     """
 
     output: Path
@@ -98,7 +106,7 @@ class Wanted:
 
 
 def outputs_of(form: str, output: Path) -> tuple[Path, ...]:
-    """All files that a form is made of; raises UsageError for a name that it cannot have."""
+    """Return all files of a form; raises UsageError for a name that it cannot have."""
     if form != "bids":
         if form == "npz" and output.suffix != ".npz":
             hint = f"give a name such as {printable(output.with_suffix('.npz'))}"
@@ -110,7 +118,9 @@ def outputs_of(form: str, output: Path) -> tuple[Path, ...]:
     return (output, *(output.with_name(stem + end) for end in ("_channels.tsv", "_motion.json")))
 
 
-def export_data(form: str, path: Path, wanted: Wanted, progress: ProgressMaker = no_progress) -> Written:
+def export_data(
+    form: str, path: Path, options: ExportOptions, progress: ProgressMaker = no_progress
+) -> ExportedData:
     """Write a calibrated Parquet file in another form.
 
     Raises:
@@ -118,43 +128,43 @@ def export_data(form: str, path: Path, wanted: Wanted, progress: ProgressMaker =
         UsageError: the rate asked for is too far from its own, no row is left, or it is smoothed already.
         OutputError: an output cannot be written.
     """
-    everything = form == "parquet" and wanted.resample_hz is None
-    with calibrated_rows(path, measured_only=wanted.measured_only, everything=everything) as source:
+    everything = form == "parquet" and options.resample_hz is None
+    with open_calibrated(path, measured_only=options.measured_only, everything=everything) as source:
         about, shown = source.about, progress("reading", source.rows)
         about = about if everything else replace(about, more=())
-        portions = _shown(source.portions(wanted.batch_rows), shown)
-        if wanted.smooth is not None:
-            about = _to_smooth(about, wanted.smooth)
+        portions = _with_progress(source.portions(options.batch_rows), shown)
+        if options.smooth is not None:
+            about = _to_smooth(about, options.smooth)
             assert about.smoothed is not None
             portions = smoothed(portions, about.rate_hz, about.smoothed)
-        if wanted.resample_hz is not None:
-            if not LEAST_RATIO <= wanted.resample_hz / about.rate_hz <= LARGEST_RATIO:
-                text = f"has {about.rate_hz:g} Hz, too far from {wanted.resample_hz:g}"
+        if options.resample_hz is not None:
+            if not LEAST_RATIO <= options.resample_hz / about.rate_hz <= LARGEST_RATIO:
+                text = f"has {about.rate_hz:g} Hz, too far from {options.resample_hz:g}"
                 raise UsageError(text, path=path, hint="choose another rate with --resample")
-            portions = resampled(portions, about.rate_hz, wanted.resample_hz)
-            about = replace(about, rate_hz=wanted.resample_hz)
+            portions = resampled(portions, about.rate_hz, options.resample_hz)
+            about = replace(about, rate_hz=options.resample_hz)
         first = next(portions, None)
         if first is None:
             raise UsageError("no row would be left", path=path, hint="omit --measured-only")
         portions = chain([first], portions)
         with ExitStack() as stack:
-            places = [stack.enter_context(replacing(place)) for place in outputs_of(form, wanted.output)]
-            written = Written(about, resampled=wanted.resample_hz is not None)
+            places = [stack.enter_context(replacing(place)) for place in outputs_of(form, options.output)]
+            written = ExportedData(about, resampled=options.resample_hz is not None)
             try:
-                FORMS[form](places, wanted.output, portions, written)
+                FORMS[form](places, options.output, portions, written)
             except OSError as error:
-                raise output_error(error, wanted.output) from error
+                raise output_error(error, options.output) from error
     return written
 
 
-def _to_smooth(about: About, width: int) -> About:
+def _to_smooth(about: CalibratedFile, width: int) -> CalibratedFile:
     if about.smoothed is not None:
         text = f"is a rolling mean of {about.smoothed} samples already"
         raise UsageError(text, path=about.path, hint="omit --smooth, or export the calibrated recording")
     return replace(about, smoothed=width or width_for(about.rate_hz))
 
 
-def _shown(portions: Iterator[Rows], shown: Callable[[int], None]) -> Iterator[Rows]:
+def _with_progress(portions: Iterator[SampleRows], shown: Callable[[int], None]) -> Iterator[SampleRows]:
     done = 0
     for rows in portions:
         yield rows
@@ -162,8 +172,8 @@ def _shown(portions: Iterator[Rows], shown: Callable[[int], None]) -> Iterator[R
         shown(done)
 
 
-def csv(places: Sequence[Path], _output: Path, portions: Iterator[Rows], written: Written) -> None:
-    """`time,x,y,z[,temperature]`: ISO 8601, with Z where it is UTC; g; degrees C.
+def csv(places: Sequence[Path], _output: Path, portions: Iterator[SampleRows], written: ExportedData) -> None:
+    """Write `time,x,y,z[,temperature]`: ISO 8601, with Z if it is UTC; g; degrees C.
 
     For GGIR's `rmc.*` arguments, actipy, stepcount and biobank's accProcess (docs/exports.md).
     """
@@ -171,26 +181,28 @@ def csv(places: Sequence[Path], _output: Path, portions: Iterator[Rows], written
     _text(places[0], names, portions, written, _iso)
 
 
-def _iso(rows: Rows, written: Written) -> dict[str, pa.Array]:
+def _iso(rows: SampleRows, written: ExportedData) -> dict[str, pa.Array]:
     times = pc.utf8_replace_slice(_clock_text(rows.time_us, "us"), 10, 11, "T")
     if written.about.utc:
         times = pc.binary_join_element_wise(times, "Z", "")
     return {"time": times, **_axes(rows.xyz), **_celsius(rows)}
 
 
-def mhealth(places: Sequence[Path], _output: Path, portions: Iterator[Rows], written: Written) -> None:
-    """`HEADER_TIME_STAMP,X,Y,Z` of mHealth, as MIMSunit reads it: the device's clock to a ms, and g."""
+def mhealth(
+    places: Sequence[Path], _output: Path, portions: Iterator[SampleRows], written: ExportedData
+) -> None:
+    """Write `HEADER_TIME_STAMP,X,Y,Z` of mHealth, as MIMSunit reads it: the device's clock to a ms, and g."""
     _text(places[0], ["HEADER_TIME_STAMP", *"XYZ"], portions, written, _local)
 
 
-def _local(rows: Rows, written: Written) -> dict[str, pa.Array]:
+def _local(rows: SampleRows, written: ExportedData) -> dict[str, pa.Array]:
     ahead_us = written.about.clock_ahead_s * MICROSECONDS if written.about.utc else 0
     times = _clock_text((rows.time_us + ahead_us + 500) // 1000, "ms")
     return {"HEADER_TIME_STAMP": times, **_axes(rows.xyz)}
 
 
-def bids(places: Sequence[Path], output: Path, portions: Iterator[Rows], written: Written) -> None:
-    """Motion-BIDS: `_motion.tsv` without a head, `_channels.tsv` and `_motion.json`.
+def bids(places: Sequence[Path], output: Path, portions: Iterator[SampleRows], written: ExportedData) -> None:
+    """Write Motion-BIDS: `_motion.tsv` without a head, `_channels.tsv` and `_motion.json`.
 
     The first channel is the latency [s]: it shows gaps. Accelerations are in m/s^2.
     """
@@ -203,27 +215,27 @@ def bids(places: Sequence[Path], output: Path, portions: Iterator[Rows], written
     if written.about.has_temperature:
         lines.append(("temperature", "n/a", "MISC", "wrist", "oC", rate))
     channels.write_text("".join("\t".join(line) + "\n" for line in lines), "utf-8", newline="\n")
-    said = json.dumps(_sidecar(output, written, len(lines) - 1), indent=2)
-    sidecar.write_text(said + "\n", "utf-8", newline="\n")
+    text = json.dumps(_sidecar(output, written, len(lines) - 1), indent=2)
+    sidecar.write_text(text + "\n", "utf-8", newline="\n")
 
 
-def _motion(rows: Rows, written: Written) -> dict[str, pa.Array]:
+def _motion(rows: SampleRows, written: ExportedData) -> dict[str, pa.Array]:
     seconds = (rows.time_us - written.first_us) / MICROSECONDS
     # BIDS takes SI units, in which g is the gram.
     metres = (rows.xyz.astype(np.float64) * STANDARD_GRAVITY).astype(np.float32)
     return {"latency": pa.array(seconds), **_axes(metres), **_celsius(rows)}
 
 
-def _sidecar(output: Path, written: Written, channels: int) -> dict[str, Any]:
-    named = MOTION.fullmatch(output.name)
-    assert named is not None
+def _sidecar(output: Path, written: ExportedData, channels: int) -> dict[str, Any]:
+    motion = MOTION.fullmatch(output.name)
+    assert motion is not None
     about = written.about
     device = about.recording.get("device")
     device = device if isinstance(device, dict) else {}
     known = {"ManufacturersModelName": device.get("model"), "DeviceSerialNumber": device.get("serial")}
     return {
-        "TaskName": named[1],
-        "TrackingSystemName": named[2],
+        "TaskName": motion[1],
+        "TrackingSystemName": motion[2],
         "SamplingFrequency": written.about.rate_hz,
         "SamplingFrequencyEffective": round(written.rows / written.seconds, 6),
         "RecordingDuration": round(written.seconds, 6),
@@ -239,7 +251,8 @@ def _sidecar(output: Path, written: Written, channels: int) -> dict[str, Any]:
 
 
 def _clock_text(values: NDArray[np.int64], unit: str) -> pa.Array:
-    """Times since 1970 as `2024-03-04 00:00:00.040`, with all digits of the unit; faster than strftime."""
+    """Return times since 1970 as `2024-03-04 00:00:00.040`, with all digits of the unit; faster than
+    strftime."""
     return pa.array(values).cast(pa.timestamp(unit)).cast(pa.string())
 
 
@@ -247,15 +260,18 @@ def _axes(xyz: NDArray[np.float32]) -> dict[str, pa.Array]:
     return {axis: pa.array(np.ascontiguousarray(xyz[:, number])) for number, axis in enumerate("xyz")}
 
 
-def _celsius(rows: Rows) -> dict[str, pa.Array]:
-    """A missing temperature is an empty cell, or n/a."""
+def _celsius(rows: SampleRows) -> dict[str, pa.Array]:
     return {} if rows.celsius is None else {"temperature": pa.array(rows.celsius, from_pandas=True)}
 
 
 def _text(
-    place: Path, names: Sequence[str] | None, portions: Iterator[Rows], written: Written, table: Table
+    place: Path,
+    names: Sequence[str] | None,
+    portions: Iterator[SampleRows],
+    written: ExportedData,
+    table: Table,
 ) -> None:
-    """A text table: with these names as its head and commas, or with tabs and without a head."""
+    """Write a text table: with these names as its head and commas, or with tabs and without a head."""
     writer = None
     with place.open("wb") as file:
         if names is not None:
@@ -267,7 +283,7 @@ def _text(
             written.count(rows)
             batch = pa.record_batch(table(rows, written))
             if names is None:
-                batch = _with_words(batch)
+                batch = _with_missing_words(batch)
             if writer is None:
                 writer = pa.csv.CSVWriter(file, batch.schema, write_options=options)
             writer.write_batch(batch)
@@ -275,16 +291,17 @@ def _text(
             writer.close()
 
 
-def _with_words(batch: pa.RecordBatch) -> pa.RecordBatch:
-    """The batch with n/a for missing values, where there are any or may be."""
+def _with_missing_words(batch: pa.RecordBatch) -> pa.RecordBatch:
+    """Return the batch with n/a for missing temperatures."""
     columns = {name: batch.column(name) for name in batch.schema.names}
     if "temperature" in columns:
         columns["temperature"] = pc.fill_null(columns["temperature"].cast(pa.string()), "n/a")
     return pa.record_batch(columns)
 
 
-def npz(places: Sequence[Path], _output: Path, portions: Iterator[Rows], written: Written) -> None:
-    """Arrays for skdh: `time` [s since 1970], `accel` (n, 3) [g], `fs` [Hz], `temperature` if there is one.
+def npz(places: Sequence[Path], _output: Path, portions: Iterator[SampleRows], written: ExportedData) -> None:
+    """Write arrays for skdh: `time` [s since 1970], `accel` (n, 3) [g], `fs` [Hz], `temperature` if there is
+    one.
 
     Not compressed. While it is written, the disk holds them twice.
     """
@@ -308,9 +325,12 @@ def npz(places: Sequence[Path], _output: Path, portions: Iterator[Rows], written
                 member.write(np.float64(written.about.rate_hz).tobytes())
 
 
-def parquet(places: Sequence[Path], output: Path, portions: Iterator[Rows], written: Written) -> None:
-    """All columns of the file, with what was done to x, y and z in its metadata; of resampled rows these,
-    time and temperature.
+def parquet(
+    places: Sequence[Path], output: Path, portions: Iterator[SampleRows], written: ExportedData
+) -> None:
+    """Write all columns of the file, and note in its metadata what was done to x, y and z.
+
+    Resampled rows have only these, time and temperature.
     """
     about, single = written.about, pa.float32()
     schema = stored_schema(about.path, UnreadableError)
@@ -324,13 +344,13 @@ def parquet(places: Sequence[Path], output: Path, portions: Iterator[Rows], writ
     done: dict[str, Any] = {"smoothed": {"samples": about.smoothed}} if about.smoothed else {}
     done |= {"resampled_hz": about.rate_hz} if written.resampled else {}
 
-    def fill(rows: Rows, memory: Memory) -> None:
+    def fill(rows: SampleRows, memory: Memory) -> None:
         written.count(rows)
         values = dict(zip("xyz", rows.xyz.T, strict=True)) | {"temperature": rows.celsius} | rows.others
         for column, array in memory:
             array[:] = values[column.name]
 
-    with ParquetSink(places[0], output, columns, schema_of(columns, {**about.said, **done})) as sink:
+    with ParquetSink(places[0], output, columns, schema_of(columns, {**about.metadata, **done})) as sink:
         for _ in sink.write(portions, fill):
             pass
         sink.close()
@@ -342,7 +362,7 @@ def _never(*_rows: Any) -> NDArray[Any]:
 
 @contextmanager
 def _member(archive: zipfile.ZipFile, name: str, kind: str, shape: tuple[int, ...]) -> Iterator[IO[bytes]]:
-    """An array of an archive, begun with its head; the same bytes at any time of day."""
+    """Open an array in an archive, begun with its head; the same bytes at any time of day."""
     info = zipfile.ZipInfo(f"{name}.npy")
     with archive.open(info, "w", force_zip64=True) as member:
         head = {"descr": kind, "fortran_order": False, "shape": shape}
@@ -350,7 +370,7 @@ def _member(archive: zipfile.ZipFile, name: str, kind: str, shape: tuple[int, ..
         yield member
 
 
-FORMS: dict[str, Callable[[Sequence[Path], Path, Iterator[Rows], Written], None]] = {
+FORMS: dict[str, Callable[[Sequence[Path], Path, Iterator[SampleRows], ExportedData], None]] = {
     "csv": csv,
     "npz": npz,
     "mhealth": mhealth,

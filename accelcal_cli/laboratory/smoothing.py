@@ -22,7 +22,7 @@ from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Reader
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.exports.smooth import WIDTHS, width_for
+from accelcal_cli.exports.rows import WIDTHS, width_for
 from accelcal_cli.pipeline.jobs import ProgressMaker
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 from accelcal_cli.pipeline.procedures import make_method

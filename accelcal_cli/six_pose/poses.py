@@ -1,11 +1,11 @@
-"""The poses of a session: from its still windows, either listed in a file or the six faces.
+"""The poses of a session, found among its still windows: either listed in a file, or the six faces.
 
-Still windows of one orientation become a state, their mean in fixed-point g; a state whose true
-acceleration is known is a pose. A list (`listing.py`) says when the device rested and what it truly measured
-then. A session may be in several files, such as one for each face.
+Still windows of one orientation become a state, their mean in fixed-point g; a state whose true acceleration
+is known is a pose. A list (`listing.py`) says when the device rested, and its true acceleration then. A
+session may be in several files, such as one for each face.
 
-Bragge et al. write z = K a + O for what a sensor shows of an acceleration a. Their K is the inverse of this
-package's gain, their O the negative offset; both are in the report.
+Bragge et al. write z = K a + O for the output of a sensor under an acceleration a. Their K is the inverse of
+this package's gain, their O the negative offset; both are in the report.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 from math import cos, radians, sin
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,17 +26,24 @@ from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError, Usa
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.results import ErrorSummary
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.six_pose.listing import LENGTH_TOLERANCE, Listed, Place
-from accelcal_cli.six_pose.spans import Origin, Span, named, span_of
+from accelcal_cli.six_pose.listing import (
+    LENGTH_TOLERANCE,
+    LinePlace,
+    ListedPose,
+    Origin,
+    Span,
+    file_origins,
+    span_of,
+)
 
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 """The six faces, each named by the axis that shows about +1 g or -1 g on it."""
 
 LISTED = "listed"
-"""What a pose is called that is none of the six faces."""
+"""Name of a pose that is none of the six faces."""
 
 BETWEEN = -1
-"""Instead of the index of a face."""
+"""Index for a direction that is near no face."""
 
 LARGEST_MEAN_G = 64
 SHOWN = 3
@@ -46,14 +54,14 @@ Matrix3 = tuple[Floats3, Floats3, Floats3]
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class StillState:
     """A still stretch.
 
     Attributes:
         start_us, end_us: on the device's clock [us].
         windows: number of still windows that were averaged.
         raw: mean of the raw values, fixed-point g.
-        file: number of the file of the session that it is in.
+        file: number of its file in the session.
     """
 
     start_us: int
@@ -75,46 +83,52 @@ class Pose:
 
     face: str
     number: int
-    state: State
+    state: StillState
     reference: Integers3
 
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """What the stillness of a recording holds.
+    """The poses of a recording, and its other still states.
 
     Attributes:
         between: still states that lie on no face; they are not fitted.
-        short: still states that are too short to count.
+        short: number of still states that are too short to count.
         first_us: time of the recording's first sample on the device's clock.
-        files: those of the session; empty where it is one recording.
+        files: the files of the session; empty if it is one recording.
     """
 
     first_us: int
     poses: tuple[Pose, ...]
-    between: tuple[State, ...] = ()
+    between: tuple[StillState, ...] = ()
     short: int = 0
     files: tuple[Origin, ...] = ()
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Faces without a state; none are missed where other orientations are listed."""
+        """Faces without a state; none if other orientations are listed."""
         faces = {pose.face for pose in self.poses}
         return () if faces - set(FACES) else tuple(face for face in FACES if face not in faces)
 
     @property
     def orientations(self) -> int:
-        """How many different orientations there are."""
+        """Number of different orientations."""
         return len({pose.number for pose in self.poses})
 
     def seconds(self, time_us: int, file: int) -> float:
-        """A time since the first sample, of its file where there are several [s]."""
+        """Return a time in seconds from the first sample, of its file if there are several."""
         first_us = self.files[file].first_us if self.files else self.first_us
         return (time_us - first_us) / 1e6
 
     def name(self, file: int) -> str | None:
-        """The name of a file; None where the session is one recording."""
+        """Return the name of a file; None if the session is one recording."""
         return self.files[file].name if self.files else None
+
+    def place_json(self, file: int, start_us: int, end_us: int) -> dict[str, Any]:
+        """Return a stretch for the report: its file, if there are several, and seconds from its start."""
+        name, times = self.name(file), {"start_s": start_us, "end_s": end_us}
+        place = {key: round(self.seconds(time_us, file), 6) for key, time_us in times.items()}
+        return place if name is None else {"file": name} | place
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,15 +171,15 @@ class Uncertainty:
 
 @dataclass(frozen=True, slots=True)
 class SixPoseFit:
-    """Twelve parameters from known orientations, and how well they are known.
+    """Twelve parameters from known orientations, and their errors.
 
     Attributes:
         k, o: z = K a + O, in raw g per g and raw g.
-        precision: their standard errors; None where as many poses as unknowns leave no residuals.
+        precision: their standard errors; None if there are as many poses as unknowns, without residuals.
         condition_number: of the matrix [a 1], a in g.
         errors: one for each pose.
         between_norm_mg: mean | |a| - local g | of the states between faces, None without any.
-        checked: whether enough orientations could be left out to judge it by.
+        checked: True if enough orientations could be left out to judge the fit by.
     """
 
     calibration: Calibration
@@ -188,8 +202,8 @@ class VectorErrors:
 
 def state(
     still: Windows, indices: list[int], lsb_per_g: float, file: int = 0, *, any_size: bool = False
-) -> State:
-    """The state of the windows with these indices, which ascend.
+) -> StillState:
+    """Return the state of the windows with these indices, which ascend.
 
     Args:
         file: number of the file of the session that they are in.
@@ -206,7 +220,7 @@ def state(
         text = f"the mean of a still state leaves the range of +-{largest} g"
         raise FixedPointOverflowError(text, hint="check the unit and --lsb-per-g")
     start_us, end_us = _times(still)
-    return State(int(start_us[indices[0]]), int(end_us[indices[-1]]), len(indices), raw, file)
+    return StillState(int(start_us[indices[0]]), int(end_us[indices[-1]]), len(indices), raw, file)
 
 
 def _times(still: Windows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -222,25 +236,26 @@ def _mean(sums: list[int], samples: int, lsb_per_g: Fraction) -> Integers3:
 
 
 def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vectors (m, 3) at unit length; zeros stay zeros."""
+    """Return vectors (m, 3) at unit length; zeros stay zeros."""
     lengths = np.sqrt((vectors * vectors).sum(axis=1, keepdims=True))
     return np.asarray(vectors / np.where(lengths == 0, 1, lengths))
 
 
 def find_listed(
     still: Windows,
-    listed: Sequence[Listed],
+    listed: Sequence[ListedPose],
     origins: Sequence[Origin],
     lsb_per_g: float,
     settings: PoseSettings,
-    rolled: Collection[int] = (),
+    rolled_files: Collection[int] = (),
 ) -> Session:
-    """One state a line: of the still windows that lie within its times (to half a sample), or of the longest
-    rest in its file.
+    """Return one state a line: of the still windows within its times, or of the longest rest in its file.
+
+    Windows may reach beyond the times by half a sample.
 
     Args:
-        origins: of the files of the session.
-        rolled: numbers of the files that need not be listed.
+        origins: the files of the session.
+        rolled_files: numbers of the files that need not be listed.
 
     Raises:
         UsageError: two lines overlap, a line's times cannot be compared with the recording's, or the lines
@@ -248,7 +263,7 @@ def find_listed(
         DivergedError: no window within a line's times is still.
     """
     spans = in_order([span_of(item, origins) for item in listed])
-    _refuse_unlisted(spans, origins, rolled)
+    _refuse_unlisted(spans, origins, rolled_files)
     numbers = _numbers([item.listed for item in spans], settings.posture_degrees)
     local_g = settings.gravity.local_g()
     poses = []
@@ -258,12 +273,12 @@ def find_listed(
         rest = state(still, windows, lsb_per_g, span.file, any_size=not item.of_rest)
         x, y, z = (to_fixed(value) for value in item.in_g(local_g))
         poses.append(Pose(_face(item), number, rest, (x, y, z)))
-    return Session(origins[0].first_us, tuple(poses), files=named(origins))
+    return Session(origins[0].first_us, tuple(poses), files=file_origins(origins))
 
 
-def _refuse_unlisted(spans: Sequence[Span], origins: Sequence[Origin], rolled: Collection[int]) -> None:
+def _refuse_unlisted(spans: Sequence[Span], origins: Sequence[Origin], rolled_files: Collection[int]) -> None:
     """Raise UsageError for files of the session that no line names."""
-    known = {span.file for span in spans} | set(rolled)
+    known = {span.file for span in spans} | set(rolled_files)
     left = [origin.name for number, origin in enumerate(origins) if number not in known]
     if left and left[0] is not None:
         some = ", ".join(str(name) for name in left[:SHOWN]) + (", ..." if len(left) > SHOWN else "")
@@ -275,7 +290,7 @@ def _refuse_unlisted(spans: Sequence[Span], origins: Sequence[Origin], rolled: C
 
 
 def in_order(spans: Sequence[Span]) -> list[Span]:
-    """Spans by file and time; raises UsageError if two overlap."""
+    """Sort spans by file and time; raises UsageError if two overlap."""
     ordered = sorted(spans, key=lambda span: (span.file, span.start_us, span.end_us))
     for before, after in pairwise(ordered):
         if after.file == before.file and after.start_us < before.end_us:
@@ -284,7 +299,7 @@ def in_order(spans: Sequence[Span]) -> list[Span]:
 
 
 def _within(still: Windows, span: Span, origin: Origin, settings: PoseSettings) -> list[int]:
-    """Indices of the windows of a line's rest."""
+    """Return the indices of the windows of a line's rest."""
     start_us, end_us = _times(still)
     slack_us = (end_us - start_us) // np.maximum(2 * still.samples, 1)
     inside = (start_us + slack_us >= span.start_us) & (end_us - slack_us <= span.end_us)
@@ -300,8 +315,8 @@ def _within(still: Windows, span: Span, origin: Origin, settings: PoseSettings) 
     return _longest(still, indices, settings, place) if span.whole else indices
 
 
-def _longest(still: Windows, indices: list[int], settings: PoseSettings, place: Place) -> list[int]:
-    """The longest state of a file, without its first and last window, if there are others."""
+def _longest(still: Windows, indices: list[int], settings: PoseSettings, place: LinePlace) -> list[int]:
+    """Return the longest state of a file, without its first and last window, if there are others."""
     some = still.select(np.array(indices))
     alike = np.zeros(len(some), np.int64)
     run = max(
@@ -318,8 +333,8 @@ def _inner(run: list[int]) -> list[int]:
     return run[1:-1] if len(run) > 2 else run
 
 
-def _numbers(listed: Sequence[Listed], degrees: float) -> list[int]:
-    """Each reference joins the first one that is within so many degrees, and as near in length."""
+def _numbers(listed: Sequence[ListedPose], degrees: float) -> list[int]:
+    """Number the orientations: a reference joins the first one within `degrees` and as near in length."""
     directions = unit(np.array([[float(value) for value in item.reference] for item in listed]))
     apart_g = 2 * sin(radians(degrees) / 2)
     leaders: list[int] = []
@@ -337,8 +352,8 @@ def _numbers(listed: Sequence[Listed], degrees: float) -> list[int]:
     return numbers
 
 
-def _face(item: Listed) -> str:
-    """The face a reference points to exactly, at about 1 g, or LISTED."""
+def _face(item: ListedPose) -> str:
+    """Return the face that a reference points to exactly, at about 1 g; else LISTED."""
     turned = [axis for axis, value in enumerate(item.reference) if value]
     if len(turned) != 1 or abs(item.length - 1) > LENGTH_TOLERANCE:
         return LISTED
@@ -350,17 +365,18 @@ def find_faces(
     origins: Sequence[Origin],
     lsb_per_g: float,
     settings: PoseSettings,
-    rolled: Collection[int] = (),
+    rolled_files: Collection[int] = (),
 ) -> Session:
-    """The states of a session, each on the face whose axis it shows most of.
+    """Return the states of a session, each on the face whose axis it shows most of.
 
-    A state is a run of adjacent still windows on one face that keep within a few degrees of their
-    mean: taking the device up ends it, putting it down again begins another, and so does another file. Its
-    first and last window may hold the beginning of a movement and are left out where there are others.
+    A state is a run of adjacent still windows on one face that keep within a few degrees of their mean:
+    taking
+    the device up ends it, putting it down again begins another, and so does another file. Its first and last
+    window may hold the beginning of a movement and are left out if there are others.
 
     Args:
-        origins: of the files of the session.
-        rolled: numbers of the files that need not hold a pose.
+        origins: the files of the session.
+        rolled_files: numbers of the files that need not hold a pose.
 
     Raises:
         DivergedError: another file holds none.
@@ -382,8 +398,8 @@ def find_faces(
             between.append(rest)
         else:
             poses.append(Pose(FACES[face], face, rest, reference(face, local_g)))
-    _refuse_without({pose.state.file for pose in poses} | set(rolled), origins, settings)
-    return Session(origins[0].first_us, tuple(poses), tuple(between), short, named(origins))
+    _refuse_without({pose.state.file for pose in poses} | set(rolled_files), origins, settings)
+    return Session(origins[0].first_us, tuple(poses), tuple(between), short, file_origins(origins))
 
 
 def _refuse_without(known: Collection[int], origins: Sequence[Origin], settings: PoseSettings) -> None:
@@ -398,7 +414,7 @@ def _refuse_without(known: Collection[int], origins: Sequence[Origin], settings:
 
 
 def faces_of(directions: NDArray[np.float64], degrees: float) -> NDArray[np.int64]:
-    """The face (index of FACES) that each unit vector (m, 3) is near, or BETWEEN."""
+    """Return the face (index of FACES) that each unit vector (m, 3) is near, or BETWEEN."""
     axis = np.abs(directions).argmax(axis=1)
     largest = directions[np.arange(len(directions)), axis]
     face = 2 * axis + (largest < 0)
@@ -408,7 +424,7 @@ def faces_of(directions: NDArray[np.float64], degrees: float) -> NDArray[np.int6
 def runs(
     still: Windows, directions: NDArray[np.float64], faces: NDArray[np.int64], degrees: float
 ) -> list[list[int]]:
-    """Indices of the windows of each state."""
+    """Return the indices of the windows of each state."""
     near = cos(radians(degrees))
     end = still.first_sample + still.samples
     states: list[list[int]] = []
@@ -416,7 +432,11 @@ def runs(
     for index, direction in enumerate(directions):
         before = index - 1
         adjacent = index > 0 and still.first_sample[index] == end[before]
-        if adjacent and faces[index] == faces[before] and _cosine(total, direction) >= near:
+        if (
+            adjacent
+            and faces[index] == faces[before]
+            and (total * direction).sum() / np.sqrt((total * total).sum()) >= near
+        ):
             states[-1].append(index)
             total = total + direction
         else:
@@ -425,12 +445,8 @@ def runs(
     return states
 
 
-def _cosine(total: NDArray[np.float64], direction: NDArray[np.float64]) -> float:
-    return float((total * direction).sum() / np.sqrt((total * total).sum()))
-
-
 def reference(face: int, local_g: int) -> Integers3:
-    """What the device truly measures on a face (index of FACES), fixed-point g."""
+    """Return the true acceleration on a face (index of FACES), fixed-point g."""
     up = -local_g if face % 2 else local_g
     x, y, z = (up if axis == face // 2 else 0 for axis in range(3))
     return x, y, z

@@ -1,10 +1,10 @@
-"""From the states of a session to twelve parameters, by linear least squares (Bragge et al., eq. 1-5).
+"""Solves for twelve parameters from the states of a session, by least squares (Bragge et al., eq. 1-5).
 
-z = K a + O is linear in K and O, and each axis of z has the same matrix [a 1]. The normal equations
-are solved in exact fractions of the integer means, so that the parameters are the same bits on every
-machine. Every orientation weighs the same, however many states it has.
+z = K a + O is linear in K and O, and each axis of z has the same matrix [a 1]. The normal equations are
+solved in exact fractions of the integer means, so that the parameters are the same bits on every machine.
+Every orientation weighs the same, however many states it has.
 
-The errors of the states are those by the fit of all, and by fits that have not seen their orientation.
+The errors of the states are given for the fit of all, and for fits that have not seen their orientation.
 Differences are exact integers before they become lengths, so that the figures, too, are the same bits on
 every machine. Standard errors are those of a linear least-squares fit.
 """
@@ -36,19 +36,19 @@ from accelcal_cli.six_pose.poses import (
     PoseError,
     Session,
     SixPoseFit,
-    State,
+    StillState,
     Uncertainty,
 )
 
 MODEL = "12"
 UNKNOWNS = 4
-"""For each axis: a row of K and an entry of O."""
+"""Number of unknowns of each axis: a row of K and an entry of O."""
 
 FEWEST = 4
-"""N of Bragge et al.: with fewer there are more unknowns than equations."""
+"""Smallest number of poses (N of Bragge et al.); fewer give fewer equations than unknowns."""
 
 FEWEST_CHECKED = 2
-"""A mean of fewer errors has no confidence interval."""
+"""Smallest number of errors whose mean has a confidence interval."""
 
 _LONGER = "rest the device on every face for 10 s, or list the poses with --poses"
 _MORE = "list more poses, in other directions"
@@ -70,14 +70,19 @@ def six_pose_fit(session: Session, settings: PoseSettings) -> SixPoseFit:
     _require(session, condition, settings)
     solution = solve(session.poses, settings.gravity)
     errors = pose_errors(session.poses, solution.calibration, settings)
-    checked = _are_checks(session, errors)
+    pairs = zip(session.poses, errors, strict=True)
+    checked = len({pose.number for pose, error in pairs if error.held_out is not None}) >= FEWEST_CHECKED
     if not checked and not settings.unchecked:
-        raise _without_checks(session)
+        raise DivergedError(
+            f"the poses{_which(session)} only just determine twelve parameters "
+            "and leave none to judge the fit by",
+            hint=f"{_missing(session)}{_way(session)}, {_UNCHECKED}",
+        )
     surplus = session.orientations > UNKNOWNS
     return SixPoseFit(
         calibration=solution.calibration,
         k=_matrix3(solution.k),
-        o=_offset(solution),
+        o=(float(solution.o[0]), float(solution.o[1]), float(solution.o[2])),
         precision=uncertainty(session.poses, solution) if surplus else None,
         condition_number=condition,
         errors=errors,
@@ -94,30 +99,16 @@ def _require(session: Session, condition: float, settings: PoseSettings) -> None
     if number < FEWEST or condition > limit:
         few = counted(number, "pose") if number < FEWEST else "the poses"
         known = "" if settings.unchecked else ", and a fifth to judge the fit by"
-        told = "" if number < FEWEST else f" (its condition number is {condition:.3g}, and may be {limit:g})"
+        bad = "" if number < FEWEST else f" (its condition number is {condition:.3g}, and may be {limit:g})"
         raise DivergedError(
             f"{few}{_which(session)} cannot determine twelve parameters: that needs four whose matrix [a 1] "
-            f"has rank 4{told}{known}",
+            f"has rank 4{bad}{known}",
             hint=f"{_missing(session)}{_way(session)}",
         )
 
 
-def _are_checks(session: Session, errors: Sequence[PoseError]) -> bool:
-    """Whether enough orientations could be left out for a mean with an interval."""
-    pairs = zip(session.poses, errors, strict=True)
-    return len({pose.number for pose, error in pairs if error.held_out is not None}) >= FEWEST_CHECKED
-
-
-def _without_checks(session: Session) -> DivergedError:
-    return DivergedError(
-        f"the poses{_which(session)} only just determine twelve parameters "
-        "and leave none to judge the fit by",
-        hint=f"{_missing(session)}{_way(session)}, {_UNCHECKED}",
-    )
-
-
 def _way(session: Session) -> str:
-    """What may be done about too few poses."""
+    """Return what may be done about too few poses."""
     return _MORE if any(pose.face == LISTED for pose in session.poses) else _LONGER
 
 
@@ -133,13 +124,8 @@ def _which(session: Session) -> str:
 
 
 def _missing(session: Session) -> str:
-    """A missing face is tolerable while the others determine all and can be left out in turn."""
+    """Return the missing faces for a hint; they are tolerable while the others determine all parameters."""
     return f"missing: {', '.join(session.missing)}; " if session.missing else ""
-
-
-def _offset(solution: Solution) -> Floats3:
-    x, y, z = solution.o
-    return float(x), float(y), float(z)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,13 +143,14 @@ class Solution:
 
 
 def weights(poses: Sequence[Pose]) -> list[Fraction]:
-    """Of each state, so that every orientation weighs 1."""
+    """Return the weight of each state; every orientation weighs 1."""
     states = Counter(pose.number for pose in poses)
     return [Fraction(1, states[pose.number]) for pose in poses]
 
 
 def condition_number(poses: Sequence[Pose]) -> float:
-    """Of the weighted matrix [a 1], a in g; infinite below rank 4. Six faces make it the root of 3."""
+    """Return that of the weighted matrix [a 1], a in g; infinite below rank 4, the root of 3 for six
+    faces."""
     if len(poses) < UNKNOWNS:
         return float("inf")
     rows = design(poses) * np.sqrt(np.array(weights(poses), np.float64))[:, np.newaxis]
@@ -172,13 +159,13 @@ def condition_number(poses: Sequence[Pose]) -> float:
 
 
 def design(poses: Sequence[Pose]) -> NDArray[np.float64]:
-    """[a 1], (n, 4), in g."""
+    """Return [a 1], (n, 4), in g."""
     references = np.array([pose.reference for pose in poses], np.float64).reshape(-1, 3) / ONE
     return np.hstack([references, np.ones((len(references), 1))])
 
 
 def solve(poses: Sequence[Pose], gravity: Gravity) -> Solution:
-    """K and O of the states, each with its known acceleration.
+    """Solve for K and O from states, each with its known acceleration.
 
     Raises:
         DivergedError: the states do not determine them, or K has no inverse.
@@ -199,7 +186,7 @@ def solve(poses: Sequence[Pose], gravity: Gravity) -> Solution:
 
 
 def eliminated(matrix: Table, right: Table) -> Table:
-    """X of matrix X = right by Gauss-Jordan elimination, exact.
+    """Return X of matrix X = right, exactly, by Gauss-Jordan elimination.
 
     Raises:
         DivergedError: the matrix is singular.
@@ -220,7 +207,7 @@ def eliminated(matrix: Table, right: Table) -> Table:
 
 
 def _inverse(k: Sequence[Sequence[Fraction]], o: Sequence[Fraction], gravity: Gravity) -> Calibration:
-    """a = K^-1 (z - O) as a = gain (v + offset)."""
+    """Return a = K^-1 (z - O) in the form a = gain (v + offset)."""
     unity = [[Fraction(int(row == column)) for column in range(3)] for row in range(3)]
     try:
         gain = eliminated([list(row) for row in k], unity)
@@ -235,25 +222,29 @@ def _inverse(k: Sequence[Sequence[Fraction]], o: Sequence[Fraction], gravity: Gr
 
 
 def check_range(calibration: Calibration) -> None:
-    """Raise FixedPointOverflowError if a parameter lies beyond 4; a fit that is refused may do so."""
+    """Raise FixedPointOverflowError if a parameter lies beyond 4; only a refused fit may exceed that."""
     values = [min(max(value, -LIMIT), LIMIT) for value in calibration.parameters + calibration.upper]
     checked(np.array(values, np.int64), "a parameter")
 
 
 def calibrated(raw: Integers3, calibration: Calibration) -> Floats3:
-    """a = K (v + o) of a fixed-point mean [g]: exact until the last division."""
-    p = calibration.parameters
-    yx, zx, zy = calibration.upper
-    rows = ((p[0], yx, zx), (p[3], p[1], zy), (p[4], p[5], p[2]))
-    shifted = [value + offset for value, offset in zip(raw, p[6:9], strict=True)]
+    """Return a = K (v + o) of a fixed-point mean [g], exact until the last division."""
+    shifted = [value + offset for value, offset in zip(raw, calibration.parameters[6:9], strict=True)]
+    rows = fixed_gain(calibration)
     x, y, z = (sum(k * v for k, v in zip(row, shifted, strict=True)) / ONE**2 for row in rows)
     return x, y, z
+
+
+def fixed_gain(calibration: Calibration) -> tuple[Integers3, Integers3, Integers3]:
+    """Return the rows of K in fixed point."""
+    p, (yx, zx, zy) = calibration.parameters, calibration.upper
+    return (p[0], yx, zx), (p[3], p[1], zy), (p[4], p[5], p[2])
 
 
 def pose_errors(
     poses: Sequence[Pose], calibration: Calibration, settings: PoseSettings
 ) -> tuple[PoseError, ...]:
-    """Errors of each state; `calibration` is the fit of all."""
+    """Return the errors of each state; `calibration` is the fit of all."""
     unseen = held_out(poses, settings)
     estimates = [calibrated(pose.state.raw, calibration) for pose in poses]
     return tuple(
@@ -263,7 +254,7 @@ def pose_errors(
 
 
 def held_out(poses: Sequence[Pose], settings: PoseSettings) -> dict[int, Calibration | None]:
-    """For each orientation the calibration by the others; None if they do not determine one."""
+    """Return for each orientation the calibration by the others; None if they do not determine one."""
     fits: dict[int, Calibration | None] = {}
     for number in sorted({pose.number for pose in poses}):
         others = [pose for pose in poses if pose.number != number]
@@ -272,8 +263,8 @@ def held_out(poses: Sequence[Pose], settings: PoseSettings) -> dict[int, Calibra
     return fits
 
 
-def between_norm_mg(states: Sequence[State], calibration: Calibration, gravity: Gravity) -> float | None:
-    """Mean | |a| - local g | of states that were not fitted, None without any."""
+def between_norm_mg(states: Sequence[StillState], calibration: Calibration, gravity: Gravity) -> float | None:
+    """Return the mean | |a| - local g | of states that were not fitted; None without any."""
     local_g = float(gravity.local_g())
     errors = [abs(_length(calibrated(state.raw, calibration)) - local_g) * 1000 for state in states]
     return fsum(errors) / len(errors) if errors else None
@@ -295,7 +286,7 @@ def _errors(pose: Pose, estimate: Floats3, unseen: Calibration | None, centre: F
 
 
 def _centre(poses: Sequence[Pose], estimates: Sequence[Floats3], number: int) -> Floats3 | None:
-    """Mean of an orientation's states, None for a single one."""
+    """Return the mean of an orientation's states; None for a single one."""
     own = [estimate for pose, estimate in zip(poses, estimates, strict=True) if pose.number == number]
     if len(own) < 2:
         return None
@@ -325,14 +316,17 @@ def _angle(a: Floats3, b: Floats3) -> float:
 
 
 def uncertainty(poses: Sequence[Pose], solution: Solution) -> Uncertainty:
-    """From the residuals of all axes together, with 3 (orientations - 4) degrees of freedom.
+    """Return standard errors by the residuals of all axes, with 3 (orientations - 4) degrees of freedom.
 
     The rows of K have independent errors with the covariance s^2 M, M = ([a 1]' W [a 1])^-1. With
     G = K^-1, an error dK of K is one of -G dK G of G.
     """
     rows, weight = design(poses), np.array(weights(poses), np.float64)
     inverse = np.asarray(np.linalg.inv(rows.T @ (rows * weight[:, np.newaxis])), np.float64)
-    residual = raw_g(poses) - rows @ _parameters(solution)
+    raw = np.array([pose.state.raw for pose in poses], np.float64).reshape(-1, 3) / ONE
+    # K transposed above O, (4, 3)
+    columns = [[float(solution.k[axis][column]) for axis in range(3)] for column in range(3)]
+    residual = raw - rows @ np.array([*columns, [float(value) for value in solution.o]])
     freedom = 3 * (weight.sum() - UNKNOWNS)
     variance = float((weight[:, np.newaxis] * residual**2).sum() / freedom)
     gain = solution.calibration.gain()
@@ -341,23 +335,14 @@ def uncertainty(poses: Sequence[Pose], solution: Solution) -> Uncertainty:
     lengths = (gain**2).sum(axis=1)[:, np.newaxis]
     across = np.einsum("ij,ik,kj->j", gain, inverse[:3, :3], gain)
     gain_errors = np.sqrt(variance * lengths * across)
+    lower, upper = ([gain_errors[place] for place in places] for places in (_LOWER, _UPPER))
+    parameters = (*lower, *(scale[3],) * 3, 0.0, 0.0, 0.0, *upper)
     return Uncertainty(
         _matrix3(k_errors),
         (float(scale[3]),) * 3,
-        _named(gain_errors, float(scale[3])),
+        tuple(map(float, parameters)),
         _worst_direction(gain, inverse, variance),
     )
-
-
-def raw_g(poses: Sequence[Pose]) -> Real:
-    """Raw means, (n, 3) in g."""
-    return np.array([pose.state.raw for pose in poses], np.float64).reshape(-1, 3) / ONE
-
-
-def _parameters(solution: Solution) -> Real:
-    """K transposed above O, (4, 3)."""
-    columns = [[float(solution.k[axis][column]) for axis in range(3)] for column in range(3)]
-    return np.array([*columns, [float(value) for value in solution.o]])
 
 
 def _matrix3(rows: Iterable[Any]) -> Matrix3:
@@ -365,13 +350,11 @@ def _matrix3(rows: Iterable[Any]) -> Matrix3:
     return first, second, third
 
 
-def _named(gain: Real, offset: float) -> tuple[float, ...]:
-    lower, upper = [gain[place] for place in _LOWER], [gain[place] for place in _UPPER]
-    return tuple(map(float, (*lower, *(offset,) * 3, 0.0, 0.0, 0.0, *upper)))
-
-
 def _worst_direction(gain: Real, inverse: Real, variance: float) -> float:
-    """At a, z is known to s^2 [a 1] M [a 1]' on each axis, and |a| to that times |a' G|^2."""
+    """Return the largest standard error of |a| [mg] over the directions of a cube.
+
+    At a, z is known to s^2 [a 1] M [a 1]' on each axis, and |a| to that times |a' G|^2.
+    """
     cube = np.array([place for place in product((-1.0, 0.0, 1.0), repeat=3) if any(place)])
     a = cube / np.sqrt((cube**2).sum(axis=1, keepdims=True))
     rows = np.hstack([a, np.ones((len(a), 1))])

@@ -1,15 +1,20 @@
-"""The verdict on a calibration from known orientations, by orientations that the fit has not seen."""
+"""The verdict on a calibration from known orientations, and its sections of the report.
+
+Orientations that the fit has not seen judge it. The report gives the model in its authors' convention.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
+from typing import Any
 
 import numpy as np
 
-from accelcal_cli.core.arithmetic import ONE
+from accelcal_cli.core.arithmetic import ONE, to_float
 from accelcal_cli.core.calibration import IDENTITY, Calibration
+from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import counted
 from accelcal_cli.core.points import WEIGHT_ONE, Fit, Operations, PointSet
 from accelcal_cli.core.results import Coverage, FitErrors, Holdout, Judgement, Outcome, Trial
@@ -17,13 +22,16 @@ from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.errors import coverage, summary
 from accelcal_cli.judge.model_ladder import of_postures
-from accelcal_cli.six_pose.listing import LENGTH_TOLERANCE
-from accelcal_cli.six_pose.poses import PoseError, Session, SixPoseFit, VectorErrors
+from accelcal_cli.output.report import rounded, significant, summary_json
+from accelcal_cli.six_pose.listing import LENGTH_TOLERANCE, Origin
+from accelcal_cli.six_pose.poses import Pose, PoseError, Session, SixPoseFit, Uncertainty, VectorErrors
 
 METHOD = "one orientation left out at a time"
 NOTHING_HELD_OUT = "nothing was held out, so that the error is not known"
 DEGREE_MG = 17.5
-"""What a tilt of one degree makes of 1 g across it."""
+"""Error [mg] that a tilt of one degree makes across 1 g."""
+
+EQUATION = "z = K a + O"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +39,8 @@ class SessionHoldout:
     """Errors of the orientations that could be left out.
 
     Attributes:
-        raw, norms: of the length, without a calibration and with the twelve parameters.
-        vectors: of the vector, by which the two are compared.
+        raw, norms: errors of the length, without a calibration and with the twelve parameters.
+        vectors: errors of the vector, by which the two are compared.
     """
 
     raw: Holdout
@@ -46,7 +54,7 @@ def judge_six_pose(
     """Accept, refuse, or find that the raw data are no worse than the poses; without a check, accept.
 
     Returns:
-        the judgement, and the errors of vectors; None where nothing was held out.
+        the judgement, and the errors of vectors; None if nothing was held out.
     """
     if not fit.checked:
         return _unjudged(session, fit), None
@@ -64,7 +72,7 @@ def judge_six_pose(
 
 
 def _unjudged(session: Session, fit: SixPoseFit) -> Judgement:
-    """The calibration of poses that leave none to judge it by: no error is claimed."""
+    """Accept the calibration of poses that leave none to judge it by; no error is claimed."""
     before = mean(_by_orientation(session, fit, lambda error: error.raw, every=True))
     verdict = Judgement(
         outcome=Outcome.CALIBRATED,
@@ -114,7 +122,7 @@ def _outcome(
 
 
 def _way(session: Session, settings: PoseSettings) -> str:
-    """What may be done about poses that disagree."""
+    """Return what may be done about poses that disagree."""
     local_g = float(settings.gravity.local_g())
     lengths = [sqrt(sum(value**2 for value in pose.reference)) / ONE for pose in session.poses]
     if any(abs(length - local_g) > 2 * LENGTH_TOLERANCE for length in lengths):
@@ -123,7 +131,7 @@ def _way(session: Session, settings: PoseSettings) -> str:
 
 
 def _worst(session: Session, fit: SixPoseFit) -> str:
-    """The state farthest from what the other orientations say of it."""
+    """Describe the state farthest from where the other orientations expect it."""
     error, pose = max(
         ((error, pose) for pose, error in zip(session.poses, fit.errors, strict=True)),
         key=lambda pair: pair[0].held_out or 0.0,
@@ -138,7 +146,7 @@ def _worst(session: Session, fit: SixPoseFit) -> str:
 
 
 def _unchecked(session: Session, fit: SixPoseFit) -> str:
-    """Orientations without which there is no fit, so that nothing says whether they are right."""
+    """Name the orientations without which there is no fit, so that nothing checks them."""
     pairs = zip(session.poses, fit.errors, strict=True)
     names = sorted({pose.face for pose, error in pairs if error.held_out is None})
     if not names:
@@ -148,7 +156,7 @@ def _unchecked(session: Session, fit: SixPoseFit) -> str:
 
 
 def _holdout(session: Session, fit: SixPoseFit) -> SessionHoldout:
-    """Each orientation counts the same, with the mean of its states."""
+    """Return the errors of held-out orientations; each counts the same, with the mean of its states."""
     known = [error for error in fit.errors if error.held_out is not None]
     norm_before = _by_orientation(session, fit, lambda error: error.raw_norm)
     norm_after = _by_orientation(session, fit, lambda error: error.held_out_norm or 0.0)
@@ -166,7 +174,7 @@ def _holdout(session: Session, fit: SixPoseFit) -> SessionHoldout:
 def _by_orientation(
     session: Session, fit: SixPoseFit, value: Callable[[PoseError], float], *, every: bool = False
 ) -> list[float]:
-    """Mean of each orientation's states; of those that could be left out, or of `every` one."""
+    """Return the mean of each orientation's states; of `every` one, or those that could be left out."""
     groups: dict[int, list[float]] = {}
     for pose, error in zip(session.poses, fit.errors, strict=True):
         if every or error.held_out is not None:
@@ -192,3 +200,76 @@ def _coverage(session: Session, fit: SixPoseFit) -> Coverage:
         condition_number=fit.condition_number,
         worst_direction_mg=None if fit.precision is None else fit.precision.worst_direction_mg,
     )
+
+
+def poses_json(session: Session, fit: SixPoseFit) -> list[dict[str, Any]]:
+    """Return the `poses` list, in the order of time."""
+    return [_pose(session, fit, pose, error) for pose, error in zip(session.poses, fit.errors, strict=True)]
+
+
+def _pose(session: Session, fit: SixPoseFit, pose: Pose, error: PoseError) -> dict[str, Any]:
+    state = pose.state
+    return {
+        "face": pose.face,
+        **session.place_json(state.file, state.start_us, state.end_us),
+        "windows": state.windows,
+        "mean_raw_g": [to_float(value) for value in state.raw],
+        "reference_g": [to_float(value) for value in pose.reference],
+        "raw_mg": round(error.raw, 4),
+        "residual_mg": None if fit.precision is None else round(error.residual, 4),
+        "held_out_mg": rounded(error.held_out),
+        "held_out_norm_mg": rounded(error.held_out_norm),
+        "held_out_tilt_degrees": rounded(error.tilt_degrees),
+        "repeat_mg": rounded(error.repeat),
+    }
+
+
+def known_json(
+    session: Session,
+    fit: SixPoseFit,
+    outcome: Outcome,
+    vectors: VectorErrors | None,
+    rolls: Sequence[dict[str, Any]] = (),
+) -> dict[str, Any]:
+    """Return the `known_orientations` object; K and O are null if they were refused.
+
+    Args:
+        vectors: None where nothing was held out.
+    """
+    refused = outcome is Outcome.REFUSED
+    repeats = [error.repeat for error in fit.errors if error.repeat is not None]
+    return {
+        "equation": EQUATION,
+        "K": None if refused else [list(row) for row in fit.k],
+        "O": None if refused else list(fit.o),
+        "standard_errors": None if refused or fit.precision is None else _errors(fit.precision),
+        "holdout_vector_mg": vectors
+        and {"before": summary_json(vectors.before), "after": summary_json(vectors.after)},
+        "repeat_spread_mg": rounded(max(repeats, default=None)),
+        "orientations": session.orientations,
+        "missing_faces": list(session.missing),
+        "left_out": {
+            "between_faces": len(session.between),
+            "between_faces_norm_mg": rounded(fit.between_norm_mg),
+            "short": session.short,
+        },
+        **({} if vectors is not None else {"unchecked": NOTHING_HELD_OUT}),
+        **({"rolls": list(rolls)} if rolls else {}),
+        **({"files": [_file(one) for one in session.files]} if session.files else {}),
+    }
+
+
+def _file(origin: Origin) -> dict[str, Any]:
+    own_us = origin.first_us - origin.moved_us
+    return {
+        "name": origin.name,
+        "start_time": iso_time(own_us, origin.offset_s) if origin.dated else None,
+        "samples": (origin.end_sample or 0) - origin.first_sample,
+        "problems": origin.problems,
+        "lost_bytes": origin.lost_bytes,
+    }
+
+
+def _errors(known: Uncertainty) -> dict[str, Any]:
+    k = [[significant(value) for value in row] for row in known.k]
+    return {"K": k, "O": [significant(value) for value in known.o]}

@@ -18,7 +18,15 @@ from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY, Calibration, TemperatureScale
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.results import ErrorSummary
-from accelcal_cli.exports.coefficients import Handed, biobank, cost, decimal, ggir, handed, omconvert
+from accelcal_cli.exports.coefficients import (
+    ExportedReport,
+    biobank,
+    cost,
+    decimal,
+    ggir,
+    omconvert,
+    read_exported,
+)
 from accelcal_cli.output.report_view import ErrorsView, HoldoutView, ReportRecording
 from tests.device_recordings import donor, edit
 
@@ -34,13 +42,13 @@ TINY = 1.5e-7
 
 def made(
     *, warm: bool = True, path: str = "/data/a b.cwa", parameters: tuple[int, ...] | None = None
-) -> Handed:
+) -> ExportedReport:
     """A report's calibration without misalignment, with slopes or without."""
     p = [1.02, 0.985, 1.013, 0, 0, 0, 0.0317, -0.0211, 0.0469, 0.004, -0.0026, -4 * TINY]
     fixed = parameters or tuple(round(value * ONE) for value in (p if warm else [*p[:9], 0, 0, 0]))
     found = Calibration("6T" if warm else "6", fixed, TemperatureScale(26848, 4.0) if warm else None)
     recording, errors = ReportRecording(path, "", 0, "cwa", duration_s=5400.0), ErrorsView(HOLDOUT)
-    return Handed(Path("a.calibration.json"), recording, 240, found, errors, found, errors)
+    return ExportedReport(Path("a.calibration.json"), recording, 240, found, errors, found, errors)
 
 
 def raw() -> tuple[np.ndarray, np.ndarray]:
@@ -49,7 +57,7 @@ def raw() -> tuple[np.ndarray, np.ndarray]:
     return random.uniform(-2, 2, (500, 3)), random.uniform(-5, 45, 500)
 
 
-def expected(one: Handed, v: np.ndarray, celsius: np.ndarray) -> np.ndarray:
+def expected(one: ExportedReport, v: np.ndarray, celsius: np.ndarray) -> np.ndarray:
     """Model 6T by the report's own numbers: a = K (v + o + s (T - Tref))."""
     found, ours = one.simple, v + one.simple.offset_g()
     if found.temperature is not None:
@@ -160,7 +168,7 @@ def test_a_hostile_name_stays_one_word_and_one_line(path: str) -> None:
 def test_a_report_hands_on_its_fit_without_misalignment_and_what_that_costs(tmp_path: Path) -> None:
     path = donor(tmp_path, warm=True)
     report = json.loads(path.read_text())
-    section, found = report["without_misalignment"], handed(path)
+    section, found = report["without_misalignment"], read_exported(path)
     assert found.whole.model == "9T" and found.simple.model == section["calibration"]["model"] == "6T"
     assert found.axes().scale == tuple(np.diag(section["calibration"]["gain"]))
     assert found.axes().offset_g == tuple(section["calibration"]["offset_g"])
@@ -201,5 +209,5 @@ REFUSED = {
 def test_what_cannot_be_handed_on_honestly_is_refused(tmp_path: Path, text: str) -> None:
     path = edit(donor(tmp_path), REFUSED[text])
     with pytest.raises(UsageError) as caught:
-        handed(path)
+        read_exported(path)
     assert text in str(caught.value) and str(path) in str(caught.value)

@@ -13,8 +13,8 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.exports.data import Wanted, Written, export_data, outputs_of
-from accelcal_cli.exports.rows import calibrated_rows
+from accelcal_cli.exports.data import ExportedData, ExportOptions, export_data, outputs_of
+from accelcal_cli.exports.rows import open_calibrated
 from accelcal_cli.formats import open_recording
 from tests.device_recordings import donor
 
@@ -47,9 +47,9 @@ def changed(path: Path, *, zone: str | None = None, start: str | None = None, **
     return path
 
 
-def written(form: str, path: Path, name: str, **wanted: object) -> tuple[Path, Written]:
+def written(form: str, path: Path, name: str, **wanted: object) -> tuple[Path, ExportedData]:
     output = path.with_name(name)
-    return output, export_data(form, path, Wanted(output, **wanted))
+    return output, export_data(form, path, ExportOptions(output, **wanted))
 
 
 def read(path: Path) -> pd.DataFrame:
@@ -183,7 +183,7 @@ def test_resampled_data_leave_gaps_as_they_are(tmp_path: Path) -> None:
 @pytest.mark.parametrize("form", ["csv", "npz"])
 def test_the_size_of_batches_makes_no_difference(tmp_path: Path, form: str) -> None:
     path = source(tmp_path)
-    with calibrated_rows(path) as rows:
+    with open_calibrated(path) as rows:
         assert [len(part) for part in rows.portions(9999)] == [9999, 9999, 9999, 3]
     whole = written(form, path, f"a.{form}", resample_hz=30.0)[0].read_bytes()
     assert written(form, path, f"b.{form}", resample_hz=30.0, batch_rows=777)[0].read_bytes() == whole

@@ -10,29 +10,28 @@ import scipy  # its parts are loaded when they are used
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from accelcal_cli.exports.resample import resampled
-from accelcal_cli.exports.rows import Rows
+from accelcal_cli.exports.rows import SampleRows, resampled
 
 START_US = 1_700_000_000_000_000
 
 
-def of(values: np.ndarray, rate_hz: float, start_us: int = START_US, celsius: bool = False) -> Rows:
+def of(values: np.ndarray, rate_hz: float, start_us: int = START_US, celsius: bool = False) -> SampleRows:
     """Rows at even times; the same values on x, negative on y, and 1 on z."""
     times = start_us + np.rint(np.arange(len(values)) * 1e6 / rate_hz).astype(np.int64)
     xyz = np.stack([values, -values, np.ones_like(values)], axis=1).astype(np.float32)
-    return Rows(times, xyz, np.arange(len(values), dtype=np.float32) if celsius else None)
+    return SampleRows(times, xyz, np.arange(len(values), dtype=np.float32) if celsius else None)
 
 
-def joined(portions: list[Rows]) -> Rows:
+def joined(portions: list[SampleRows]) -> SampleRows:
     celsius = [part.celsius for part in portions if part.celsius is not None]
-    return Rows(
+    return SampleRows(
         np.concatenate([part.time_us for part in portions]),
         np.concatenate([part.xyz for part in portions]),
         np.concatenate(celsius) if celsius else None,
     )
 
 
-def at(rows: Rows, rate_hz: float, wanted_hz: float) -> Rows:
+def at(rows: SampleRows, rate_hz: float, wanted_hz: float) -> SampleRows:
     return joined(list(resampled([rows], rate_hz, wanted_hz)))
 
 
@@ -93,7 +92,7 @@ def test_temperature_is_linear_between_samples() -> None:
     assert np.abs(found.celsius - np.arange(401) / 4).max() < 1e-4
 
 
-def gapped() -> list[Rows]:
+def gapped() -> list[SampleRows]:
     """Stretches of 3 s, 1 sample and 2 s: a gap of 10 s, one of two periods, and times that go back."""
     second = START_US + 13_000_000
     return [

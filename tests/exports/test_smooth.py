@@ -13,9 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.exports.data import Wanted, export_data
-from accelcal_cli.exports.rows import Rows
-from accelcal_cli.exports.smooth import rolling_means, smoothed, width_for
+from accelcal_cli.exports.data import ExportOptions, export_data
+from accelcal_cli.exports.rows import SampleRows, rolling_means, smoothed, width_for
 from tests.cli.run import run
 from tests.device_recordings import donor
 from tests.exports.test_data import changed, read, source
@@ -32,16 +31,18 @@ def by_pandas(xyz: np.ndarray, width: int) -> np.ndarray:
     return frame.rolling(width, center=True, min_periods=1).mean().to_numpy()
 
 
-def rows(xyz: np.ndarray, validity: np.ndarray | None = None, later_us: dict[int, int] | None = None) -> Rows:
+def rows(
+    xyz: np.ndarray, validity: np.ndarray | None = None, later_us: dict[int, int] | None = None
+) -> SampleRows:
     """At 100 Hz; from some rows on, later by so much."""
     times = np.arange(len(xyz), dtype=np.int64) * 10_000
     for row, us in (later_us or {}).items():
         times[row:] += us
     marks = np.zeros(len(xyz), np.uint8) if validity is None else validity
-    return Rows(times, xyz, np.arange(len(xyz), dtype=np.float32), {"validity": marks})
+    return SampleRows(times, xyz, np.arange(len(xyz), dtype=np.float32), {"validity": marks})
 
 
-def means(held: Rows, width: int, portion: int = 1 << 17) -> np.ndarray:
+def means(held: SampleRows, width: int, portion: int = 1 << 17) -> np.ndarray:
     """Of all rows, which stay what they are beside."""
     parts = [held.part(start, min(start + portion, len(held))) for start in range(0, len(held), portion)]
     found = list(smoothed(parts, RATE_HZ, width))
@@ -99,7 +100,7 @@ def test_large_values_after_many_rows_are_right() -> None:
 
 def export(form: str, path: Path, name: str, **wanted: object) -> Path:
     output = path.with_name(name)
-    export_data(form, path, Wanted(output, **wanted))  # type: ignore[arg-type]
+    export_data(form, path, ExportOptions(output, **wanted))  # type: ignore[arg-type]
     return output
 
 

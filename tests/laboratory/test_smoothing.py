@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.exports.smooth import width_for
+from accelcal_cli.exports.rows import width_for
 from accelcal_cli.formats import open_recording
 from accelcal_cli.laboratory.smoothing import samples_at, variances
 from tests.cli.run import run

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelcal_cli.core.arithmetic import ONE
-from accelcal_cli.six_pose.poses import FACES, Pose, Session, State
+from accelcal_cli.six_pose.poses import FACES, Pose, Session, StillState
 
 
 def fixed3(values: np.ndarray) -> tuple[int, int, int]:
@@ -18,7 +18,7 @@ def poses_of(references: np.ndarray, raw_g: np.ndarray, numbers: list[int] | Non
     found = []
     for index, (reference, raw) in enumerate(zip(references, raw_g, strict=True)):
         number = index if numbers is None else numbers[index]
-        state = State(index * 20_000_000, index * 20_000_000 + 8_000_000, 8, fixed3(raw))
+        state = StillState(index * 20_000_000, index * 20_000_000 + 8_000_000, 8, fixed3(raw))
         found.append(Pose(face_of(reference), number, state, fixed3(reference)))
     return found
 

@@ -9,7 +9,7 @@ import pytest
 
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.six_pose.poses import State
+from accelcal_cli.six_pose.poses import StillState
 from accelcal_cli.six_pose.solve import six_pose_fit
 from tests.six_pose.known import fixed3, poses_of, session_of, stacked
 from tests.six_pose.made import UP, K, O, turned
@@ -68,7 +68,7 @@ def test_a_box_that_is_not_square_shows_nowhere_but_in_the_misalignment() -> Non
     assert max(error.held_out for error in fit.errors) < 1e-3
     assert abs(fit.k[1][0] - K[1, 0]) * 1000 == pytest.approx(DEGREE_MG, rel=0.02)
     diagonal = fixed3((np.array([1.0, 1.0, 0.0]) / np.sqrt(2)) @ K.T + O)
-    session = replace(session_of(poses_of(FACES, raw_of(true))), between=(State(0, 1, 1, diagonal),))
+    session = replace(session_of(poses_of(FACES, raw_of(true))), between=(StillState(0, 1, 1, diagonal),))
     assert six_pose_fit(session, SETTINGS).between_norm_mg == pytest.approx(DEGREE_MG / 2, rel=0.05)
 
 
@@ -89,7 +89,7 @@ def test_without_one_face_the_opposite_one_cannot_be_left_out() -> None:
 
 
 @pytest.mark.parametrize(
-    ("which", "told", "missing"),
+    ("which", "words", "missing"),
     [
         ([0], "1 pose (+x) cannot", "missing: -x, +y, -y, +z, -z"),
         ([0, 1, 2, 3], "the poses (+x, +y, -x, -y) cannot", "missing: +z, -z"),
@@ -97,11 +97,11 @@ def test_without_one_face_the_opposite_one_cannot_be_left_out() -> None:
         ([], "no still state lies within 15 degrees of a face", "list the poses with --poses"),
     ],
 )
-def test_too_few_poses_are_named(which: list[int], told: str, missing: str) -> None:
+def test_too_few_poses_are_named(which: list[int], words: str, missing: str) -> None:
     poses = poses_of(FACES[which], raw_of(FACES[which]), which)
     with pytest.raises(DivergedError) as caught:
         six_pose_fit(session_of(poses), SETTINGS)
-    assert told in str(caught.value)
+    assert words in str(caught.value)
     assert missing in str(caught.value)
     assert caught.value.exit_code == 4
 

@@ -11,8 +11,8 @@ from accelcal_cli.core.arithmetic import ONE, to_fixed
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.settings import PoseSettings
+from accelcal_cli.six_pose.listing import Origin
 from accelcal_cli.six_pose.poses import FACES, Session, find_faces
-from accelcal_cli.six_pose.spans import Origin
 from tests.six_pose.made import UP, turned
 
 LSB = 1000.0
@@ -108,7 +108,7 @@ def test_a_file_without_a_pose_ends_the_session_unless_it_is_a_roll() -> None:
     origins = [Origin(5_000_000, True, None, name, 200 * n, 200 * (n + 1)) for n, name in enumerate("ab")]
     with pytest.raises(DivergedError, match="b: no rest of 2 s lies within 15 degrees of a face"):
         find_faces(windows(("+x", 4)), origins, LSB, SETTINGS)
-    session = find_faces(windows(("+x", 4)), origins, LSB, SETTINGS, rolled=[1])
+    session = find_faces(windows(("+x", 4)), origins, LSB, SETTINGS, rolled_files=[1])
     assert len(session.poses) == 1
 
 

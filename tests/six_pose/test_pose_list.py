@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.six_pose.listing import read_list
+from accelcal_cli.six_pose.listing import Origin, read_list
 from accelcal_cli.six_pose.poses import Session, find_listed
-from accelcal_cli.six_pose.spans import Origin
 from tests.six_pose.made import write_list
 from tests.six_pose.test_faces import LSB, windows
 
@@ -59,7 +58,7 @@ def test_spreadsheets_write_it_in_several_ways(tmp_path: Path, text: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("lines", "line", "told"),
+    ("lines", "line", "words"),
     [
         ([], 1, "lists no poses"),
         (["1,2,1,0"], 2, "has 4 values, the header 5"),
@@ -73,16 +72,16 @@ def test_spreadsheets_write_it_in_several_ways(tmp_path: Path, text: str) -> Non
         (["04/03/2024 12:00,2,1,0,0"], 2, "neither a number of seconds nor a time"),
     ],
 )
-def test_a_damaged_line_is_named(tmp_path: Path, lines: list[str], line: int, told: str) -> None:
+def test_a_damaged_line_is_named(tmp_path: Path, lines: list[str], line: int, words: str) -> None:
     path = write_list(tmp_path / "p.csv", lines)
     with pytest.raises(UsageError) as caught:
         read_list(path)
     assert f"{path}, line {line}: " in str(caught.value)
-    assert told in str(caught.value)
+    assert words in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "words"),
     [
         (b"", "lists no poses"),
         (
@@ -94,12 +93,12 @@ def test_a_damaged_line_is_named(tmp_path: Path, lines: list[str], line: int, to
         (b"#" * (1 << 20) + b"\n", "too large"),
     ],
 )
-def test_a_file_that_is_no_list_is_refused(tmp_path: Path, content: bytes, told: str) -> None:
+def test_a_file_that_is_no_list_is_refused(tmp_path: Path, content: bytes, words: str) -> None:
     path = tmp_path / "p.csv"
     path.write_bytes(content)
     with pytest.raises(UsageError, match="csv") as caught:
         read_list(path)
-    assert told in str(caught.value)
+    assert words in str(caught.value)
 
 
 @given(
@@ -147,7 +146,7 @@ def test_directions_of_rest_become_local_gravity(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("lines", "header", "told"),
+    ("lines", "header", "words"),
     [
         (["1,2,0,0,0"], "start,end,ax_g,ay_g,az_g", "length 0 g; possible are 0.1 to 32 g"),
         (["1,2,30,20,0"], "start,end,ax_g,ay_g,az_g", "length 36.06 g; possible are 0.1 to 32 g"),
@@ -159,11 +158,11 @@ def test_directions_of_rest_become_local_gravity(tmp_path: Path) -> None:
         (["a.csv,3,,1,0,0"], "file,start,end,ax,ay,az", "'' is neither a number of seconds"),
     ],
 )
-def test_columns_and_sizes_that_cannot_be(tmp_path: Path, lines: list[str], header: str, told: str) -> None:
+def test_columns_and_sizes_that_cannot_be(tmp_path: Path, lines: list[str], header: str, words: str) -> None:
     path = write_list(tmp_path / "p.csv", lines, header)
     with pytest.raises(UsageError, match=r"csv, line [12]: ") as caught:
         read_list(path)
-    assert told in str(caught.value)
+    assert words in str(caught.value)
 
 
 def test_a_file_stands_for_its_times_or_has_some(tmp_path: Path) -> None:
@@ -207,7 +206,7 @@ def test_of_a_file_the_longest_rest_counts_without_its_ends(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("lines", "header", "told"),
+    ("lines", "header", "words"),
     [
         (["a,0,1,0"], "file,ax,ay,az", "poses.csv: does not list b; write a line for each"),
         (["a,0,1,0", "c,0,0,1"], "file,ax,ay,az", "line 3: 'c' is none of the files of the session"),
@@ -216,10 +215,10 @@ def test_of_a_file_the_longest_rest_counts_without_its_ends(tmp_path: Path) -> N
         (["a,2,1,0,1,0"], "file,start,end,ax,ay,az", "ends before it starts"),
     ],
 )
-def test_lists_that_are_not_of_the_files(tmp_path: Path, lines: list[str], header: str, told: str) -> None:
+def test_lists_that_are_not_of_the_files(tmp_path: Path, lines: list[str], header: str, words: str) -> None:
     with pytest.raises(UsageError) as caught:
         of_files(tmp_path, *lines, header=header)
-    assert told in str(caught.value)
+    assert words in str(caught.value)
 
 
 def test_times_within_files_may_reach_beyond_their_ends(tmp_path: Path) -> None:
@@ -265,7 +264,7 @@ def test_iso_times_are_the_devices_clock_or_have_a_zone(
 
 
 @pytest.mark.parametrize(
-    ("lines", "origin", "told"),
+    ("lines", "origin", "words"),
     [
         (["5,4,1,0,0"], Origin(NOON_US, True, None), "line 2: ends before it starts"),
         (["0,4,1,0,0", "3,5,1,0,0"], Origin(NOON_US, True, None), "line 3: overlaps line 2"),
@@ -274,8 +273,8 @@ def test_iso_times_are_the_devices_clock_or_have_a_zone(
         (["0001-01-01T00:00:00+14:00,4,1,0,0"], Origin(NOON_US, True, None), "give --timezone"),
     ],
 )
-def test_times_that_cannot_be_used(tmp_path: Path, lines: list[str], origin: Origin, told: str) -> None:
-    with pytest.raises(UsageError, match=told):
+def test_times_that_cannot_be_used(tmp_path: Path, lines: list[str], origin: Origin, words: str) -> None:
+    with pytest.raises(UsageError, match=words):
         listed(tmp_path, *lines, origin=origin)
 
 

@@ -14,8 +14,8 @@ from accelcal_cli.core.clock import UniformClock
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.gravity import STANDARD
 from accelcal_cli.core.recording import Chunk, Validity
-from accelcal_cli.six_pose.roll import Rolled, Sums, rolled, rolls_of, span_of_roll, sums_of, told
-from accelcal_cli.six_pose.spans import Origin
+from accelcal_cli.six_pose.listing import Origin
+from accelcal_cli.six_pose.run import RollResult, RollSums, judge_roll, rolls_of, span_of_roll, sums_of
 from tests.six_pose.made import K, O
 
 LSB = 1024.0
@@ -50,11 +50,11 @@ def calibration() -> Calibration:
     return Calibration("12", tuple(fixed), None, STANDARD, (upper[0], upper[1], upper[2]))
 
 
-def of_rows(counts: np.ndarray, text: str = "z,0,100", *, known: bool = True, rows: int = 1000) -> Rolled:
+def of_rows(counts: np.ndarray, text: str = "z,0,100", *, known: bool = True, rows: int = 1000) -> RollResult:
     (roll,) = rolls_of([text])
     span = span_of_roll(roll, [ORIGIN])
     sums = sums_of(chunks_of(counts, rows), span, ORIGIN)
-    return rolled(roll, span, sums, LSB, calibration() if known else None)
+    return judge_roll(roll, span, sums, LSB, calibration() if known else None)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -88,7 +88,7 @@ def test_sums_are_exact_beyond_64_bits() -> None:
     random = np.random.default_rng(3)
     counts = random.integers(-(2**31), 2**31, (5000, 3)).astype(np.int32)
     counts[:2] = [[-(2**31)] * 3, [2**31 - 1] * 3]
-    sums = Sums()
+    sums = RollSums()
     for part in np.array_split(counts, 3):
         sums.add(part, np.zeros(len(part), np.int64))
     exact = counts.astype(object)
@@ -110,21 +110,21 @@ def test_only_rows_within_the_times_that_were_measured_count() -> None:
     sums = sums_of(chunks_of(counts, 300, validity), span, ORIGIN)
     kept = np.r_[counts[1000:1500], counts[1600:]] / LSB
     assert sums.samples == 900
-    assert rolled(roll, span, sums, LSB, None).before.mean_g == pytest.approx(kept[:, 2].mean(), abs=1e-9)
+    assert judge_roll(roll, span, sums, LSB, None).before.mean_g == pytest.approx(kept[:, 2].mean(), abs=1e-9)
 
 
 def test_without_a_calibration_there_is_no_after() -> None:
     found = of_rows(counts_of(about(2)), known=False)
     assert found.after is None
     mean_mg, sd_mg = 1000 * found.before.mean_g, 1000 * found.before.sd_g
-    assert told(found) == f"rolled with z level, z shows {mean_mg:.1f} mg (SD {sd_mg:.1f})"
+    assert found.sentence() == f"rolled with z level, z shows {mean_mg:.1f} mg (SD {sd_mg:.1f})"
     with_one = of_rows(counts_of(about(2)))
-    assert told(with_one).startswith(f"{told(found)} before, ")
-    assert told(with_one).endswith(") after")
+    assert with_one.sentence().startswith(f"{found.sentence()} before, ")
+    assert with_one.sentence().endswith(") after")
 
 
 @pytest.mark.parametrize(
-    ("true", "told"),
+    ("true", "words"),
     [
         (about(0), "--roll z,0,100: the device does not roll there by half a turn, with z level"),
         (about(2, turns=0.4), "does not roll there by half a turn"),
@@ -133,10 +133,10 @@ def test_without_a_calibration_there_is_no_after() -> None:
         (np.empty((0, 3)), "--roll z,0,100: nothing was measured there"),
     ],
 )
-def test_what_is_no_roll_is_refused(true: np.ndarray, told: str) -> None:
+def test_what_is_no_roll_is_refused(true: np.ndarray, words: str) -> None:
     with pytest.raises(DivergedError) as caught:
         of_rows(counts_of(true))
-    assert told in str(caught.value)
+    assert words in str(caught.value)
 
 
 def test_half_a_turn_is_enough() -> None:
@@ -150,7 +150,7 @@ def test_an_option_without_axis_or_place_is_wrong_usage(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "words"),
     [
         ("z,1", "--roll z,1: has no start and end; write"),
         ("z,a.csv,1,2", "has no start and end"),
@@ -159,10 +159,10 @@ def test_an_option_without_axis_or_place_is_wrong_usage(text: str) -> None:
         ("z,1,2024-03-04T12:00:00Z", "give --timezone"),
     ],
 )
-def test_times_that_are_none(text: str, told: str) -> None:
+def test_times_that_are_none(text: str, words: str) -> None:
     with pytest.raises(UsageError) as caught:
         span_of_roll(rolls_of([text])[0], [ORIGIN])
-    assert told in str(caught.value)
+    assert words in str(caught.value)
 
 
 def test_files_and_their_times() -> None:

@@ -14,9 +14,8 @@ from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.gravity import STANDARD
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.six_pose.sections import known_json, poses_json
 from accelcal_cli.six_pose.solve import condition_number, six_pose_fit, solve, uncertainty
-from accelcal_cli.six_pose.verdict import judge_six_pose
+from accelcal_cli.six_pose.verdict import judge_six_pose, known_json, poses_json
 from tests.six_pose.known import poses_of, session_of, stacked
 from tests.six_pose.made import UP, K, O
 
@@ -79,7 +78,7 @@ def test_poses_that_can_be_left_out_are_judged_all_the_same() -> None:
 
 
 @pytest.mark.parametrize(
-    ("references", "told"),
+    ("references", "words"),
     [
         (FACES[[0, 2, 4]], "3 poses (+x, +y, +z) cannot determine twelve parameters: that needs four whose"),
         (FACES[:4], "has rank 4 (its condition number is "),
@@ -90,15 +89,15 @@ def test_poses_that_can_be_left_out_are_judged_all_the_same() -> None:
     ],
 )
 def test_references_that_do_not_span_are_refused_unchecked_too(
-    references: np.ndarray, told: str | None
+    references: np.ndarray, words: str | None
 ) -> None:
     session = session_of(poses_of(references, references @ K.T + O))
-    if told is None:
+    if words is None:
         assert six_pose_fit(session, SETTINGS).condition_number < 20
         return
     with pytest.raises(DivergedError) as caught:
         six_pose_fit(session, SETTINGS)
-    assert told in str(caught.value)
+    assert words in str(caught.value)
     assert "a fifth" not in str(caught.value)
 
 
