@@ -1,9 +1,8 @@
 """Simulated wrist wear: a stream of chunks from a sensor with known errors, and the truth about it.
 
-`Sensor` turns true acceleration into raw counts (the inverse of F eq. 7-9). What the wrist does comes in
-bouts of sleep, desk work, walking, chores, and the watch left on a table; each gives true acceleration in g
-and says which samples are motionless. Directions are of the specific force at rest: a watch lying face up
-reads (0, 0, 1).
+`Sensor` turns true acceleration into raw counts (the inverse of F eq. 7-9). Wear is made of bouts of sleep,
+desk work, walking, chores, and the watch left on a table; each gives true acceleration in g and says which
+samples are motionless. Directions are of the specific force at rest: a watch lying face up reads (0, 0, 1).
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ MISALIGNMENT = 0.025
 OFFSET_G = 0.05
 GYRO_SCALE_ERROR, GYRO_MISALIGNMENT, GYRO_BIAS_DPS = 0.03, 0.02, 1.5
 SPIN_DPS = 45.0
-"""How fast the wrist turns about the vertical, which gravity does not show, while it turns otherwise."""
+"""Speed [deg/s] at which the moving wrist turns about the vertical, which gravity does not show."""
 
 SLEEP_POSTURES = (
     (0.0, 0.1, -1.0),
@@ -43,10 +42,10 @@ TURN_SECONDS = (0.6, 2.5)
 SETTLE_SECONDS = 0.5
 STILL_SECONDS = 10
 START_US = 1_709_510_400_000_000
-"""2024-03-04T00:00:00."""
+"""Time of the first sample [us since 1970], 2024-03-04T00:00:00."""
 
 LARGEST_SEED = 4_000_000_000
-"""Other seeds are made from it, by adding up to 5 000 011; the generator takes them up to 2**32 - 1."""
+"""Largest seed: others are made by adding up to 5 000 011, and the generator takes 2**32 - 1 at most."""
 
 Floats = NDArray[np.float64]
 
@@ -71,7 +70,7 @@ class Sensor:
     reference_c: float = 30.0
 
     def counts(self, acceleration: Floats, temperature_c: Floats, random: RandomState) -> NDArray[np.int16]:
-        """Raw counts (n, 3) of true acceleration (n, 3) in g."""
+        """Return raw counts (n, 3) of true acceleration (n, 3) in g."""
         raw = acceleration @ np.linalg.inv(self.gain).T - self.offset_g
         if self.slope_g_per_c.any():
             raw -= np.multiply.outer(temperature_c - self.reference_c, self.slope_g_per_c)
@@ -81,7 +80,7 @@ class Sensor:
         return np.clip(np.rint(raw * self.lsb_per_g), -limit, limit - 1).astype(np.int16)
 
     def as_json(self) -> dict[str, Any]:
-        """The truth file's `sensor` object."""
+        """Return the truth file's `sensor` object."""
         return {
             "gain": self.gain.tolist(),
             "offset_g": self.offset_g.tolist(),
@@ -94,7 +93,7 @@ class Sensor:
 
 
 def draw_gain_and_offset(seed: int, size: float, misalignment: float) -> tuple[Floats, Floats]:
-    """Errors drawn uniformly from half of F's ranges (eq. 17), times `size`.
+    """Draw errors uniformly from half of F's ranges (eq. 17), times `size`.
 
     Returns:
         K as in F eq. 18 (misalignment terms times the factor `misalignment`), and o in g.
@@ -126,14 +125,14 @@ class GyroSensor:
     reference_c: float = 30.0
 
     def counts(self, rate_dps: Floats, temperature_c: Floats, random: RandomState) -> NDArray[np.int16]:
-        """Raw counts (n, 3) of true angular rates (n, 3) in the sensor's frame."""
+        """Return raw counts (n, 3) of true angular rates (n, 3) in the sensor's frame."""
         raw = rate_dps @ np.linalg.inv(self.scale).T + self.bias_dps
         raw += np.multiply.outer(temperature_c - self.reference_c, self.slope_dps_per_c)
         raw += self.noise_dps * random.standard_normal(raw.shape)
         return np.clip(np.rint(raw * self.lsb_per_dps), -32_768, 32_767).astype(np.int16)
 
     def as_json(self) -> dict[str, Any]:
-        """The truth file's `gyroscope` object."""
+        """Return the truth file's `gyroscope` object."""
         return {
             "equation": EQUATION,
             "scale": self.scale.tolist(),
@@ -146,7 +145,7 @@ class GyroSensor:
 
 
 def draw_gyroscope(seed: int, size: float, slope_dps_per_c: Floats) -> GyroSensor:
-    """Errors drawn uniformly, of the size that devices have, times `size`."""
+    """Draw errors uniformly, of the size that devices have, times `size`."""
     draw = RandomState(seed + 5_000_011).uniform(-1, 1, 12) * size
     scale = np.eye(3) + GYRO_MISALIGNMENT * draw[:9].reshape(3, 3)
     scale[[0, 1, 2], [0, 1, 2]] = 1 + GYRO_SCALE_ERROR * draw[[0, 4, 8]]
@@ -158,7 +157,7 @@ class Bout:
     """Some seconds of wear: acceleration (n, 3) in g, motionless samples (n,), and whether worn.
 
     Attributes:
-        direction: (n, 3) unit vectors of gravity's part in it.
+        direction: (n, 3) unit vectors of gravity's part in the acceleration.
     """
 
     acceleration: Floats
@@ -186,7 +185,7 @@ class Wearer:
         self.direction = unit(np.array(TABLE))
 
     def bouts(self) -> Iterator[Bout]:
-        """Bouts without end, from midnight on."""
+        """Yield bouts without end, from midnight on."""
         seconds = 0.0
         while True:
             bout = self._bout(seconds / 3600 % 24)
@@ -228,7 +227,7 @@ class Wearer:
         return unit(self.random.randn(3))
 
     def _turn(self, target: Floats, seconds: float) -> tuple[Floats, int]:
-        """Directions for a bout: a smooth turn to the target, then hold; and the turn's samples."""
+        """Return directions of a bout, a smooth turn to the target and then hold; and the turn's samples."""
         number = max(2, round(seconds * self.rate_hz))
         turning = min(number, max(1, round(self.random.uniform(*TURN_SECONDS) * self.rate_hz)))
         start = self.direction
@@ -277,15 +276,15 @@ class Wearer:
         return np.asarray(waves * self._beginning(number))
 
     def _beginning(self, number: int) -> Floats:
-        """What movements are multiplied by, (n, 1): where they are smooth they grow within a second."""
+        """Return the factor of movements, (n, 1): smooth ones grow within a second."""
         if not self.smooth:
             return np.ones((number, 1))
         return np.minimum(1.0, np.arange(number) / self.rate_hz)[:, np.newaxis]
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
-    """What to simulate.
+class SimulationPlan:
+    """The settings of a simulation.
 
     Attributes:
         unit_samples: the number of samples is cut to a multiple of this.
@@ -315,7 +314,7 @@ class Truth:
     after: list[float] = field(default_factory=list)
 
     def see(self, counts: NDArray[np.int16], temperature: Floats, sensor: Sensor) -> None:
-        """Take one motionless stretch in."""
+        """Take in one motionless stretch."""
         mean = counts.mean(axis=0) / sensor.lsb_per_g
         moved = mean + sensor.offset_g + sensor.slope_g_per_c * (temperature.mean() - sensor.reference_c)
         self.stretches += 1
@@ -323,7 +322,7 @@ class Truth:
         self.after.append(abs(float(np.sqrt(((sensor.gain @ moved) ** 2).sum())) - 1) * 1000)
 
     def as_json(self) -> dict[str, Any]:
-        """The truth file's `still` object."""
+        """Return the truth file's `still` object."""
         means = [sum(v) / len(v) if v else None for v in (self.before, self.after)]
         return {
             "stretches": self.stretches,
@@ -333,8 +332,8 @@ class Truth:
         }
 
 
-def describe(plan: Plan, path: Path, format_name: str) -> Recording:
-    """The recording that a writer is to describe."""
+def describe(plan: SimulationPlan, path: Path, format_name: str) -> Recording:
+    """Return the description of the recording for its writer."""
     return Recording(
         path=path,
         format=format_name,
@@ -350,8 +349,8 @@ def describe(plan: Plan, path: Path, format_name: str) -> Recording:
     )
 
 
-def stream(plan: Plan, truth: Truth) -> Iterator[Chunk]:
-    """Chunks of a plan, one a bout; fills `truth` on the way."""
+def stream(plan: SimulationPlan, truth: Truth) -> Iterator[Chunk]:
+    """Yield the chunks of a plan, one a bout, and fill `truth` on the way."""
     noise = RandomState(plan.seed + 1_000_003)
     rate = rate_fraction(plan.rate_hz)
     turning = None if plan.gyroscope is None else Turning(plan.gyroscope, plan.rate_hz, plan.seed)
@@ -375,7 +374,7 @@ def stream(plan: Plan, truth: Truth) -> Iterator[Chunk]:
 
 
 class Turning:
-    """What a gyroscope measures while gravity's direction moves, one bout after another."""
+    """Simulates a gyroscope while gravity's direction moves, one bout after another."""
 
     def __init__(self, sensor: GyroSensor, rate_hz: float, seed: int) -> None:
         self._sensor, self._rate_hz = sensor, rate_hz
@@ -383,16 +382,16 @@ class Turning:
         self._before = unit(np.array(TABLE))
 
     def counts(self, direction: Floats, temperature: Floats) -> NDArray[np.int16]:
-        """Raw counts (n, 3) of a bout with these directions (n, 3)."""
+        """Return raw counts (n, 3) of a bout with these directions (n, 3)."""
         before = np.concatenate([self._before[np.newaxis], direction[:-1]])
         self._before = direction[-1]
         rates = self._rates(before, direction)
         return self._sensor.counts(rates, temperature, self._random)
 
     def _rates(self, before: Floats, after: Floats) -> Floats:
-        """Angular rates [deg/s] by which each direction becomes the next, exactly, (n, 3).
+        """Return the angular rates [deg/s] by which each direction becomes the next, exactly, (n, 3).
 
-        The shortest turn that does so, then one about the new direction, as one turn: the product of
+        They are the shortest turn that does so, then one about the new direction, as one turn: the product of
         their quaternions. A direction that is fixed in the room turns the other way than the sensor.
         """
         across, along = np.cross(after, before), (after * before).sum(axis=1)
@@ -410,14 +409,14 @@ class Turning:
 
 
 def temperature_c(first: int, number: int, rate_hz: float, *, worn: bool) -> Floats:
-    """Skin temperature with a daily and a faster swing; some degrees less off the wrist."""
+    """Return skin temperature with a daily and a faster swing; some degrees less off the wrist."""
     seconds = (first + np.arange(number)) / rate_hz
     swing = 3.5 * np.sin(2 * np.pi * (seconds / 86_400 - 0.2)) + 1.2 * np.sin(2 * np.pi * seconds / 5400)
     return np.asarray(29.0 + swing - (0.0 if worn else 5.0))
 
 
 def _note_stillness(
-    bout: Bout, counts: NDArray[np.int16], temperature: Floats, plan: Plan, truth: Truth
+    bout: Bout, counts: NDArray[np.int16], temperature: Floats, plan: SimulationPlan, truth: Truth
 ) -> None:
     length = round(STILL_SECONDS * plan.rate_hz)
     at = np.flatnonzero(bout.still[: len(counts)])

@@ -14,8 +14,8 @@ from accelcal_cli.core.clock import UniformClock, rate_fraction
 from accelcal_cli.core.recording import Chunk
 from accelcal_cli.simulate import (
     START_US,
-    Plan,
     Sensor,
+    SimulationPlan,
     Truth,
     Wearer,
     describe,
@@ -26,10 +26,10 @@ from accelcal_cli.simulate import (
 
 GAIN, OFFSET = draw_gain_and_offset(11, 1.0, 1.0)
 SENSOR = Sensor(GAIN, OFFSET, np.array([0.0009, -0.0006, 0.0012]), 0.003, 1024.0, 8.0)
-PLAN = Plan(0.1, 25.0, 4, SENSOR)
+PLAN = SimulationPlan(0.1, 25.0, 4, SENSOR)
 
 
-def made(plan: Plan) -> tuple[list[Chunk], Truth]:
+def made(plan: SimulationPlan) -> tuple[list[Chunk], Truth]:
     truth, chunks, samples = Truth(), [], 0
     for chunk in stream(plan, truth):
         chunks.append(chunk)
@@ -38,7 +38,7 @@ def made(plan: Plan) -> tuple[list[Chunk], Truth]:
     return chunks, truth
 
 
-def counts(plan: Plan) -> np.ndarray:
+def counts(plan: SimulationPlan) -> np.ndarray:
     return np.concatenate([chunk.counts for chunk in made(plan)[0]])
 
 
@@ -53,7 +53,7 @@ def counts(plan: Plan) -> np.ndarray:
     ],
 )
 def test_the_stream_has_the_planned_samples_without_a_gap(days: float, rate_hz: float, samples: int) -> None:
-    plan = Plan(days, rate_hz, 1, SENSOR)
+    plan = SimulationPlan(days, rate_hz, 1, SENSOR)
     chunks, _ = made(plan)
     assert plan.samples == samples == sum(len(chunk) for chunk in chunks)
     edges = np.cumsum([0, *(len(chunk) for chunk in chunks)])

@@ -15,7 +15,7 @@ from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.formats import named_encoder
 from accelcal_cli.pipeline.simulate import simulate
-from accelcal_cli.simulate import LARGEST_SEED, Plan, Sensor, draw_gain_and_offset, draw_gyroscope
+from accelcal_cli.simulate import LARGEST_SEED, Sensor, SimulationPlan, draw_gain_and_offset, draw_gyroscope
 
 
 @click.command("simulate")
@@ -65,7 +65,7 @@ def command(out: Path, **values: Any) -> None:
     )
 
 
-def _plan(values: dict[str, Any]) -> Plan:
+def _plan(values: dict[str, Any]) -> SimulationPlan:
     if values["range_g"] * values["lsb_per_g"] > 32_768:
         raise UsageError("--range-g times --lsb-per-g does not fit in 16 bits", hint="reduce one of them")
     truth = values["seed"] if values["truth"] is None else values["truth"]
@@ -83,4 +83,6 @@ def _plan(values: dict[str, Any]) -> Plan:
         raise UsageError("--gyro-temp-slope is of a gyroscope", hint="add --gyro")
     gyroscope = draw_gyroscope(truth, values["errors"], slope) if values["gyro"] else None
     warm = not values["no_temperature"]
-    return Plan(values["days"], values["rate_hz"], values["seed"], sensor, warm, gyroscope=gyroscope)
+    return SimulationPlan(
+        values["days"], values["rate_hz"], values["seed"], sensor, warm, gyroscope=gyroscope
+    )

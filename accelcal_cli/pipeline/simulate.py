@@ -1,4 +1,4 @@
-"""Writing a simulated recording and the truth about it, and reading that truth again."""
+"""Writes a simulated recording and the truth about it, and reads that truth again."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from accelcal_cli.core.version import __version__
 from accelcal_cli.formats import all_encoders, named_encoder
 from accelcal_cli.output.files import parsed, replacing, write_text
 from accelcal_cli.pipeline.jobs import Progress, refuse_nameless, stem
-from accelcal_cli.simulate import Plan, Truth, describe, stream
+from accelcal_cli.simulate import SimulationPlan, Truth, describe, stream
 
 TRUTH_SUFFIX = ".truth.json"
 SLOPE, NO_SLOPE = "temp_slope_g_per_c", (0.0, 0.0, 0.0)
 
 
 def simulate(
-    out: Path, format_name: str, plan: Plan, *, force: bool, progress: Progress
+    out: Path, format_name: str, plan: SimulationPlan, *, force: bool, progress: Progress
 ) -> tuple[Path, dict[str, Any]]:
     """Write OUT with the format's suffix, its companion if it needs one, and OUT.truth.json.
 
@@ -60,7 +60,7 @@ def simulate(
     return path, truth_json
 
 
-def _as_sampled(plan: Plan, sampling: Sampling) -> Plan:
+def _as_sampled(plan: SimulationPlan, sampling: Sampling) -> SimulationPlan:
     plan = replace(plan, rate_hz=sampling.rate_hz, unit_samples=sampling.unit_samples)
     if plan.samples < 1:
         raise UsageError("nothing to simulate", hint="raise --days")
@@ -73,7 +73,7 @@ def _counted(chunks: Iterator[Chunk], progress: Progress) -> Iterator[Chunk]:
         progress(chunk.first_sample + len(chunk))
 
 
-def _truth_json(plan: Plan, truth: Truth, format_name: str) -> dict[str, Any]:
+def _truth_json(plan: SimulationPlan, truth: Truth, format_name: str) -> dict[str, Any]:
     return {
         "accelcal_version": __version__,
         "format": format_name,
@@ -106,9 +106,9 @@ class TrueParameters:
 
 
 def true_parameters(recording: Path) -> TrueParameters | None:
-    """The content of STEM.truth.json beside a recording, None if there is no such file.
+    """Return the content of STEM.truth.json beside a recording; None if there is no such file.
 
-    Either as `accelcal simulate` writes it, or with the keys `K` and `b` (and `temp_ref_c`) of
+    The file is as `accelcal simulate` writes it, or has the keys `K` and `b` (and `temp_ref_c`) of
     a = K (v - b - s (T - Tref)).
 
     Raises:
