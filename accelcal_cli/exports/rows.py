@@ -36,7 +36,6 @@ from accelcal_cli.core.errors import UnreadableError, printable
 from accelcal_cli.core.local_time import UTC
 from accelcal_cli.core.recording import Validity
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.output.columns import described
 from accelcal_cli.output.files import metadata_of, stored_schema
 from accelcal_cli.output.report_reading import section
 from accelcal_cli.parquet import ParquetSource
@@ -211,6 +210,8 @@ def open_calibrated(
 def _described(path: Path) -> CalibratedFile:
     if not path.is_file():
         raise UnreadableError("is not a file that can be read", path=path, hint=NAME_ONE)
+    from accelcal_cli.output.columns import described  # pyarrow, which no help needs
+
     metadata, schema = metadata_of(path, UnreadableError), stored_schema(path, UnreadableError)
     recording = section(metadata, "recording")
     if metadata.get("outcome") == Outcome.REFUSED:
