@@ -1,7 +1,7 @@
-"""Files of equal frames, one for each sample of an even rate: their rows, wherever the pieces end.
+"""The reader of files of equal frames, one for each sample of an even rate.
 
-A format says where the frames lie and what they hold. Rows that hold nothing usable are left out, and the row
-after them does not continue the one before.
+A format says where the frames lie and how they are decoded. Rows without usable values are left out, and the
+row after them does not continue the one before.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ from accelcal_cli.formats._problems import Event, Kind, ProblemLog
 from accelcal_cli.formats._rows import HeldChannels, RowFilter
 
 FIRST_ROWS = 1 << 16
+"""Rows that are decoded at a time until one is usable."""
+
 AFTER_BYTES = 8
+"""Bytes after the announced frames that an intake keeps."""
 
 CUT_OFF = "bytes of an incomplete sample at the end of the file, left out"
 BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomplete sample, left out"
@@ -31,10 +34,10 @@ NEVER_CAME = "samples that the file announces are missing at its end"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """Some frames as columns of n rows each.
+    """Decoded frames as columns of n rows each.
 
     Attributes:
-        faulty: (n,) rows that hold nothing usable; None if all do.
+        faulty: (n,) rows without usable values; None if there are none.
         validity: as in Chunk.
         channels: as in Chunk; one of single values may hold MISSING.
     """
@@ -47,16 +50,16 @@ class Frames:
 
 @dataclass(frozen=True, slots=True)
 class FrameFile:
-    """Where frames lie, and what is in them.
+    """A file of frames.
 
     Attributes:
-        announced: how many there should be, None if the file does not say; what follows is something else.
+        announced: number of frames by the header, None if it does not say; what follows them is no frame.
         compressed: gzip; such a file is only read from its beginning.
         origin_us: time of the first frame.
-        decode: what (n, frame_bytes) bytes hold, by them and the number of the first of these frames.
-        first_values: of channels that may lack values, the first measured one; None where none is measured.
+        decode: decodes frames (n, frame_bytes), given the number of the first one.
+        first_values: first measured value of each channel that may lack values; None if none is measured.
         left_out: code and text of faulty rows.
-        damaged: whether their bytes are lost, or only say that nothing was measured.
+        damaged: the bytes of faulty rows are lost; else they only say that nothing was measured.
     """
 
     path: Path
@@ -71,19 +74,19 @@ class FrameFile:
     damaged: bool = True
 
     def enter(self, source: ByteSource, first: int) -> None:
-        """Go to a frame; from its beginning only, in a compressed file."""
+        """Go to a frame; to the first one only, in a compressed file."""
         if self.compressed:
             source.read_exact(self.start_byte)
         else:
             source.seek(self.start_byte + first * self.frame_bytes)
 
     def whole_frames(self) -> int:
-        """How many there are in an uncompressed file."""
+        """Return the number of whole frames in an uncompressed file."""
         there = max(0, self.path.stat().st_size - self.start_byte) // self.frame_bytes
         return there if self.announced is None else min(there, self.announced)
 
     def offset(self, frame: int) -> int:
-        """Where a frame begins, bytes from the start of the (uncompressed) file."""
+        """Return where a frame begins, bytes from the start of the (uncompressed) file."""
         return self.start_byte + frame * self.frame_bytes
 
 
@@ -106,7 +109,7 @@ class FrameReader(Reader):
                 yield chunk
 
     def first_us(self) -> int | None:
-        """Time of the first row that is not left out [us], None without one."""
+        """Return the time of the first row that is not left out [us], None without one."""
         with closing(self._stream(0, self._file.announced, FIRST_ROWS, ())) as chunks:
             return next((int(chunk.clock.times(0, 1)[0]) for chunk in chunks if len(chunk)), None)
 
@@ -127,7 +130,7 @@ class FrameReader(Reader):
     def _stream(
         self, first: int, stop: int | None, size: int, problems: tuple[Problem, ...]
     ) -> Generator[Chunk]:
-        """Frames first..stop-1, `size` at a time; the last chunk may be empty."""
+        """Yield frames first..stop-1, `size` at a time; the last chunk may be empty."""
         file, rows = self._file, _Rows(self._file, self.recording, first, problems)
         with ByteSource(file.path, self.threads) as source:
             file.enter(source, first)
@@ -146,10 +149,10 @@ class FrameReader(Reader):
 
 
 class _Rows:
-    """Makes chunks of the frames of a file in their order.
+    """Makes chunks of consecutive frames.
 
     Attributes:
-        frame: number of the next one.
+        frame: number of the next frame.
     """
 
     def __init__(
@@ -164,7 +167,7 @@ class _Rows:
         self._filter = RowFilter()
 
     def feed(self, data: bytes, end_byte: int, *, last: bool) -> Chunk:
-        """The next whole frames."""
+        """Return the next whole frames as a chunk."""
         count = len(data) // self._file.frame_bytes
         flat = np.frombuffer(data, np.uint8, count * self._file.frame_bytes)
         frames = self._file.decode(flat.reshape(count, self._file.frame_bytes), self.frame)
@@ -187,7 +190,7 @@ class _Rows:
         return replace(chunk, problems=problems, used_bytes=len(chunk) * self._file.frame_bytes)
 
     def _note(self, faulty: NDArray[np.bool_]) -> None:
-        """Put runs of faulty rows into the log."""
+        """Log runs of faulty rows."""
         places, kind = np.flatnonzero(faulty), self._file.left_out
         if not len(places):
             return
@@ -203,12 +206,12 @@ class _Rows:
     def ending(
         self, size: int, stop: int | None, *, broken: bool = False, undecoded: int = 0
     ) -> tuple[Problem, ...]:
-        """What is wrong with the end of the file.
+        """Return what is wrong with the end of the file.
 
         Args:
-            size: how many bytes came last, the frames among which were fed.
-            stop: how many frames there should be.
-            broken: the compressed data broke off, before so many bytes `undecoded` on the disk.
+            size: number of bytes in the last piece.
+            stop: number of frames that there should be, None if unknown.
+            broken: the compressed data broke off, `undecoded` bytes before the end of the file on disk.
         """
         left, offset, problems = size % self._file.frame_bytes, self._file.offset(self.frame), []
         if left or broken:

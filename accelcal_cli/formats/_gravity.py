@@ -1,4 +1,4 @@
-"""The unit of values that state none, which the length of gravity tells in most files."""
+"""Guesses the unit of accelerations by their usual length, which gravity makes unmistakable in most files."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.vocabulary import ACCELERATION_UNITS, GIVE_UNIT
 
 USUAL_LSB_PER_G = tuple(1 << bits for bits in range(4, 15))
+"""Counts per g of most sensors."""
+
 SURE_SHARE = 0.15
+"""Share by which the usual length may differ from one of these."""
 
 
 def guess_unit(values: NDArray[np.float64], path: Path) -> str:
-    """The unit of values (n, 3) by their length, which gravity makes unmistakable in most files.
+    """Return the unit of values (n, 3), by their usual length.
 
     Rows of zeros, which devices write while idle, do not count.
 
@@ -34,7 +37,7 @@ def guess_unit(values: NDArray[np.float64], path: Path) -> str:
 
 
 def usual_length(values: NDArray[np.float64]) -> float:
-    """Median length of vectors (n, 3), zeros and missing ones left out; 0 where there are no others."""
+    """Return the median length of vectors (n, 3) without zeros and missing ones; 0 if there are no others."""
     with np.errstate(over="ignore", invalid="ignore"):
         norm = np.sqrt((values * values).sum(axis=1))
     norm = norm[np.isfinite(norm) & (norm > 0)]
@@ -42,6 +45,6 @@ def usual_length(values: NDArray[np.float64]) -> float:
 
 
 def likely_counts(median: float) -> str:
-    """The number of counts in one g that many sensors have and that fits this length, in words."""
+    """Return advice on the usual counts per g that fit a length, or no text if none fit."""
     fits = [likely for likely in USUAL_LSB_PER_G if abs(median - likely) < SURE_SHARE * likely]
     return f" ({fits[0]} would fit)" if fits else ""

@@ -1,4 +1,4 @@
-"""Problems of a recording as it is read: equal ones in a row are one record, and their number is bounded."""
+"""Collects events of damage into problems: equal ones in a row are one, and their number is bounded."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.recording import Problem
 
 SINGLE = 99
-"""Runs of one kind that are given one by one; one more record counts all others."""
+"""Runs of one kind that become problems of their own; one more problem counts all others."""
 
 Kind = tuple[str, str]
 """The code and the text of an event."""
@@ -25,11 +25,11 @@ class Event:
     Attributes:
         code: as in a Problem; the message is made of the text and the totals (see `ProblemLog`).
         sample: number of the first sample after it.
-        count: how many units are concerned.
-        amount_us: what to sum up as seconds, 0 for nothing.
+        count: number of units concerned.
+        amount_us: time to sum up, 0 for nothing.
         lost_bytes: as in a Problem.
         line: of a text file; 0 in others.
-        scattered: whether it stands for several places, not for one.
+        scattered: it stands for several places, not for one.
     """
 
     position: int
@@ -46,13 +46,13 @@ class Event:
 
     @property
     def kind(self) -> Kind:
-        """Events of one kind are put together."""
+        """Key by which events are put together."""
         return self.code, self.text
 
 
 @dataclass(slots=True)
 class Run:
-    """Events of one kind: the first one, the position behind the last one, and the totals."""
+    """Events of one kind: the first one, the position after the last one, and the totals."""
 
     event: Event
     end: int
@@ -62,7 +62,7 @@ class Run:
     lost_bytes: int = 0
 
     def add(self, event: Event) -> None:
-        """Count one more event."""
+        """Add an event to the totals."""
         self.scattered |= event.scattered or event.position > self.end
         self.end = event.position + event.length
         self.count += event.count
@@ -70,8 +70,8 @@ class Run:
         self.lost_bytes += event.lost_bytes
 
 
-def count_behind(run: Run) -> str:
-    """The text, the count, and the seconds where there are any."""
+def text_with_count(run: Run) -> str:
+    """Return a run's text with its count, and its seconds where there are any."""
     seconds = f" ({run.amount_us / 1e6:.3f} s in all)" if run.amount_us else ""
     places = ", in several places" if run.scattered else ""
     return f"{run.event.text}: {run.count}{places}{seconds}"
@@ -80,20 +80,20 @@ def count_behind(run: Run) -> str:
 class ProblemLog:
     """Collects events as they come; gives problems back in the order in which they began, or ended.
 
-    What is put together, and the order, depend on the positions alone, not on when `take` is called.
+    Runs and their order depend on the positions of the events alone, not on when `take` is called.
 
     Args:
-        first: problems to be given before all others.
+        first: problems that come before all others.
         describe: makes the message of a run.
-        single: runs of a kind that are given one by one; one more record counts all others.
+        single: runs of a kind that become problems of their own; one more problem counts all others.
         by_end: problems come in the order of their ends, by code and text where they end together; the
-            record of all others comes last and has no place. Else all come in the order of their beginnings.
+            problem of all others comes last and has no place. Else all come in the order of their beginnings.
     """
 
     def __init__(
         self,
         first: Iterable[Problem] = (),
-        describe: Callable[[Run], str] = count_behind,
+        describe: Callable[[Run], str] = text_with_count,
         single: int = SINGLE,
         by_end: bool = False,
     ) -> None:
@@ -107,14 +107,14 @@ class ProblemLog:
         self._rest: dict[Kind, Run] = {}
 
     def add(self, event: Event) -> None:
-        """Note an event; positions of one kind ascend."""
+        """Add an event; positions of one kind ascend."""
         run = self._open.get(event.kind)
         if event.scattered or run is None or event.position > run.end:
             run = self._begin(event)
         run.add(event)
 
     def _begin(self, event: Event) -> Run:
-        """A new record for an event; the common one where there are enough of its kind."""
+        """Return a new run for an event, or the common one where there are enough of its kind."""
         run = Run(event, event.position)
         if not event.scattered and self._records[event.kind] < self._single:
             self._records[event.kind] += 1
@@ -130,13 +130,13 @@ class ProblemLog:
         return run
 
     def runs(self, kind: Kind, places: NDArray[np.int64]) -> Iterator[tuple[int, int, bool]]:
-        """Runs of consecutive places of one kind; all that no records are left for as a single one.
+        """Yield runs of consecutive places of one kind; those beyond `single` as one.
 
         Args:
-            places: (n,) positions or others that ascend.
+            places: (n,) ascending positions.
 
         Yields:
-            Index of a run's first place, the number of its places, and whether they are scattered.
+            Index of a run's first place, number of its places, and whether these are scattered.
         """
         if not len(places):
             return
@@ -150,7 +150,7 @@ class ProblemLog:
             yield int(first[single]), int(counts[single:].sum()), len(first) > single + 1
 
     def take(self, scanned: int | None) -> tuple[Problem, ...]:
-        """Problems that are complete now that everything before `scanned` (None: all) is known."""
+        """Return the problems that are complete once everything before `scanned` (None: all) is known."""
         for kind, run in list(self._open.items()):
             if scanned is None or run.end < scanned:
                 del self._open[kind]
@@ -164,12 +164,11 @@ class ProblemLog:
         return tuple(ready)
 
     def _grows(self, run: Run) -> bool:
-        """Whether events may still be added to a run."""
+        """Return True if events may still be added to a run."""
         kind = run.event.kind
         return run is self._open.get(kind) or run is self._rest.get(kind)
 
     def _problem(self, run: Run) -> Problem:
-        """The record of a run, with its totals in the message."""
         event = run.event
         text = self._describe(run)
         return Problem(event.code, text, event.byte_offset, event.sample, run.count, run.lost_bytes)

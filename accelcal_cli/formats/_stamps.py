@@ -1,4 +1,4 @@
-"""How the rows of a table follow each other in time, and the times of rows that share a stamp.
+"""Finds how the rows of a table follow each other in time, and spreads rows that share a stamp.
 
 `shares_stamps` finds out whether several rows share each stamp, such as whole seconds; `SharedStamps` then
 gives every row a time of its own, wherever the pieces end in which the rows are read.
@@ -22,36 +22,38 @@ EPOCH_DAYS = (25_569.0, 719_529.0)
 """1970-01-01 as spreadsheets (from 1899-12-30) and as MATLAB (from the year 0) number days."""
 
 PLAUSIBLE_HZ = (5.0, 800.0)
-"""Wide enough for every actigraph; narrow enough that only one unit of time fits."""
+"""Possible rates [Hz]: wide enough for every actigraph, narrow enough that only one unit of time fits."""
 
 GAP_PERIODS = 3
-"""A step of more sample periods is a gap."""
+"""Sample periods in the longest step that is no gap."""
 
 LONGEST_GROUP = 4
-"""A group longer than this many usual ones is cut: a stopped clock must not fill the memory."""
+"""Usual groups in the longest one; a longer one is cut, so that a stopped clock does not fill the memory."""
 
 DEVICE_RATES = (1.5625, 3.125, 6.25, 12.5, 25.6, 31.25, 100 / 3, 51.2, 62.5, 200 / 3, 102.4, 204.8)
-"""Rates that are no whole number, of devices in common use."""
+"""Fractional rates [Hz] of devices in common use."""
 
 JITTERED = 0.001
-"""Share of steps back from which on stamps are taken to jitter; steps then do not tell the rate."""
+"""Share of steps back from which stamps count as jittered; steps then do not show the rate."""
 
 SPAN_ROWS = 16
-"""Rows over which jitter is averaged: enough for that, and few, so that most spans hold no gap."""
+"""Rows over which jitter is averaged: few enough that most spans hold no gap."""
 
 DISAGREEMENT = 1.2
+"""Ratio of a stated rate to that of the times beyond which they disagree."""
+
 SHORTFALL = 0.2
-"""Groups of rows that miss the usual size by more lie beside a gap."""
+"""Share of the usual size by which a group may differ; one that differs more lies next to a gap."""
 
 SPREAD = "several rows share a time stamp; they were spread evenly until the next one"
 
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How the rows of a file follow each other in time.
+    """Rate of a file's rows, and of their stamps.
 
     Attributes:
-        rate_hz: rows a second.
+        rate_hz: rows per second.
         stamp_period_us: time from one stamp to the next where several rows share a stamp and
             must be spread; 0 where every row has its own.
     """
@@ -61,38 +63,38 @@ class Pace:
 
     @property
     def period_us(self) -> float:
-        """Time from one row to the next."""
+        """Time from one row to the next [us]."""
         return MICROSECONDS / self.rate_hz
 
     @property
     def rows_per_stamp(self) -> int:
-        """Rows that usually share a stamp."""
+        """Usual number of rows that share a stamp."""
         return max(1, round(self.rate_hz * self.stamp_period_us / MICROSECONDS))
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is done to the times, for people."""
+        """Notes for people on changed times."""
         return (SPREAD,) if self.stamp_period_us else ()
 
     def agrees(self, rate_hz: float) -> bool:
-        """Whether a rate that was stated can be the one that the times show."""
+        """Return True if a stated rate can be the one that the times show."""
         return 1 / DISAGREEMENT < rate_hz / self.rate_hz < DISAGREEMENT
 
 
 def _groups(stamps: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First rows of the groups of equal stamps; sizes of all but the first and the last, which may be cut."""
+    """Return first rows of groups of equal stamps, and sizes without the first and last, which may be cut."""
     starts = np.flatnonzero(np.diff(stamps, prepend=stamps[:1] - 1))
     return starts, np.diff(starts)[1:]
 
 
 def shares_stamps(stamps: NDArray[np.int64]) -> bool:
-    """Whether several rows usually share a stamp."""
+    """Return True if several rows usually share a stamp."""
     _, sizes = _groups(stamps)
     return len(sizes) > 0 and bool(np.median(sizes) >= 2)
 
 
 def shared_pace(stamps: NDArray[np.int64]) -> Pace | None:
-    """The pace of rows of which several share each stamp; None if they show none."""
+    """Return the pace of rows of which several share each stamp, None if they show none."""
     starts, sizes = _groups(stamps)
     steps = np.diff(stamps[starts])[1:]
     period = int(np.median(steps))
@@ -106,17 +108,17 @@ def shared_pace(stamps: NDArray[np.int64]) -> Pace | None:
 
 
 def only_stamp_period(stamps: NDArray[np.int64]) -> int:
-    """A second, where all rows there are share one or two whole-second stamps."""
+    """Return one second [us] if all rows share one or two whole-second stamps, else 0."""
     shared = len(stamps) > 2 * len(_groups(stamps)[0]) and not (stamps % MICROSECONDS).any()
     return MICROSECONDS if shared else 0
 
 
 def stamp_pace(stamps: NDArray[np.int64], stated_hz: float | None, rate_hz: float) -> Pace:
-    """The pace of rows whose rate is known.
+    """Return the pace of rows whose rate is known.
 
     Args:
-        stated_hz: a rate that outweighs what the stamps show, unless they deny it.
-        rate_hz: the rate where they show none.
+        stated_hz: a rate that takes precedence over the stamps, unless they contradict it.
+        rate_hz: the rate if they show none.
     """
     shown = shared_pace(stamps) if shares_stamps(stamps) else None
     if shown is None:
@@ -125,11 +127,11 @@ def stamp_pace(stamps: NDArray[np.int64], stated_hz: float | None, rate_hz: floa
 
 
 def jittered_step(stamps: NDArray[np.int64]) -> float | None:
-    """Time from one row to the next [us] of stamps (n,) of which some go back; None for all others.
+    """Return the time from one row to the next [us] of jittered stamps (n,); None for other stamps.
 
-    A mean of steps that leaves out those back, or those after a stall, is wrong by a tenth. Spans of
-    `SPAN_ROWS` rows have the usual length but for those that hold a gap: the mean of those within
-    a row and a half of the middle, found by repeating.
+    A mean of steps without those back, or those after a stall, is wrong by a tenth. Spans of `SPAN_ROWS` rows
+    have the usual length unless they hold a gap: the result is the mean of those within a row and a half of
+    the middle, found by repeating.
     """
     if len(stamps) < 4 * SPAN_ROWS or np.mean(np.diff(stamps) < 0) < JITTERED:
         return None
@@ -144,7 +146,7 @@ def jittered_step(stamps: NDArray[np.int64]) -> float | None:
 
 
 def nice_rate(measured: float) -> float:
-    """The rate a device was probably set to, or the measured one where that is not clear.
+    """Return the rate to which a device was probably set, or the measured one if that is not clear.
 
     Crystals and stamps in milliseconds miss a nominal rate by a few thousandths.
     """
@@ -165,7 +167,7 @@ class SharedStamps:
     where the pieces end in which the rows come.
 
     Attributes:
-        longest: rows of which the last one settles the first, whatever their stamps.
+        longest: number of rows after which the first one is settled, whatever their stamps.
     """
 
     def __init__(self, pace: Pace) -> None:
@@ -176,15 +178,14 @@ class SharedStamps:
         self._before = NO_TIME
 
     def add(self, stamps: NDArray[np.int64], last: bool) -> NDArray[np.int64]:
-        """Take the stamps of the next rows; gives the times that are settled.
+        """Take the stamps of the next rows; return the times that are settled.
 
         Args:
-            stamps: (n,) [us]. NO_TIME and IMPOSSIBLE count as the stamp before them, LOST as one by itself.
+            stamps: (n,) [us]. NO_TIME and IMPOSSIBLE count as the stamp before them, LOST as its own.
             last: no rows follow.
 
         Returns:
-            Times [us] of the rows that are settled (all, where these are the last), those that were left over
-            before first.
+            Times [us] of the settled rows (of all if these are the last), beginning with those left over.
         """
         stamps = self._filled(np.concatenate((self._waiting, stamps)))
         starts = self._starts(stamps)
@@ -200,12 +201,12 @@ class SharedStamps:
         return self._spread(around, (ends - starts)[:settled])
 
     def _filled(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Rows without a time belong to the group before them; they are left out later."""
+        """Put rows without a time into the group before them; they are left out later."""
         known = np.where(stamps <= IMPOSSIBLE, 0, np.arange(len(stamps)))
         return stamps[np.maximum.accumulate(known)]
 
     def _starts(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
-        """First row of every group."""
+        """Return the first row of every group."""
         if not len(stamps):
             return np.empty(0, np.int64)
         changes = np.flatnonzero(np.diff(stamps)) + 1
@@ -218,10 +219,10 @@ class SharedStamps:
         )
 
     def _spread(self, around: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Times of the rows of groups with these stamps; `around` has one more at either end.
+        """Return times of the rows of groups with these stamps; `around` has one more at either end.
 
-        A short group beside a gap is the rest of a stamp's time, at the usual pace: its end
-        where the gap is before it, else its beginning.
+        A short group next to a gap is the rest of a stamp's time, at the usual pace: its end if the gap is
+        before it, else its beginning.
         """
         steps = np.diff(around)
         joined = (steps > 0) & (steps <= self._period * 3 // 2)
@@ -238,6 +239,6 @@ class SharedStamps:
 
 
 def spread(stamps: NDArray[np.int64], pace: Pace) -> NDArray[np.int64]:
-    """Times [us] of those of some rows (n,) that have one, spread if rows share them."""
+    """Return the times [us] of the rows (n,) that have one, spread if rows share them."""
     times = SharedStamps(pace).add(stamps, last=True) if pace.stamp_period_us else stamps
     return times[stamps > LOST]

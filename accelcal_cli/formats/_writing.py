@@ -1,7 +1,7 @@
-"""What the writers of formats share: chunks cut into pages, what a device can record, files on the disk.
+"""Shared by the writers of formats: cuts chunks into pages, refuses what a device cannot record, opens files.
 
-A writer takes chunks of any length and puts them together to pages of a fixed number of samples. What a
-vendor's device could not have recorded (its rate, its scale, a gap) is refused with a hint.
+A writer takes chunks of any length and puts them together into pages of a fixed number of samples. A rate, a
+scale or a gap that a vendor's device could not have recorded is refused with a hint.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ OTHER_FORMAT = "choose another format, such as csv"
 
 
 def page_runs(chunks: Iterable[Chunk], samples: int) -> Iterator[Chunk]:
-    """Rows of whole pages; a single page is shorter only before a break and at the end."""
+    """Yield rows of whole pages; a single page is shorter only before a break and at the end."""
     kept: Chunk | None = None
     for chunk in chunks:
         for rows in unbroken(chunk):
@@ -40,7 +40,7 @@ def page_runs(chunks: Iterable[Chunk], samples: int) -> Iterator[Chunk]:
 
 
 def full_pages(path: Path, chunks: Iterable[Chunk], samples: int) -> Iterator[Chunk]:
-    """Rows of whole pages only.
+    """Yield rows of whole pages only.
 
     Raises:
         OutputError: the recording has a gap, or ends within a page.
@@ -54,13 +54,13 @@ def full_pages(path: Path, chunks: Iterable[Chunk], samples: int) -> Iterator[Ch
 
 
 def unbroken(chunk: Chunk) -> Iterator[Chunk]:
-    """The chunk, cut at its breaks."""
+    """Yield the parts of a chunk between its breaks."""
     cuts = sorted({0, len(chunk), *chunk.breaks.tolist()})
     return (chunk.part(start, stop) for start, stop in pairwise(cuts))
 
 
 def page_means_mc(rows: Chunk, samples: int) -> NDArray[np.float64] | None:
-    """Mean temperature of each page of so many rows, (pages,); None without temperature."""
+    """Return the mean temperature of each page of `samples` rows, (pages,); None without temperature."""
     if rows.temperature_mc is None:
         return None
     first = np.arange(0, len(rows), samples)
@@ -72,7 +72,7 @@ def check_bits(path: Path, rows: Chunk, bits: int) -> None:
     """Refuse counts that do not fit.
 
     Raises:
-        OutputError: a count is beyond so many bits, sign included.
+        OutputError: a count needs more than `bits` bits, sign included.
     """
     limit = 1 << (bits - 1)
     if len(rows) and (rows.counts.min() < -limit or rows.counts.max() >= limit):
@@ -80,7 +80,7 @@ def check_bits(path: Path, rows: Chunk, bits: int) -> None:
 
 
 def known_rate(recording: Recording, rates: Iterable[float], device: str, rounded_hz: float = 0.0) -> float:
-    """The device's rate that the recording has, or that it is rounded from by so much at most.
+    """Return the device's rate nearest to the recording's, which may differ by `rounded_hz`.
 
     Raises:
         UsageError: it has no such rate; the hint names the nearest one.
@@ -93,7 +93,7 @@ def known_rate(recording: Recording, rates: Iterable[float], device: str, rounde
 
 
 def known_scale(recording: Recording, scales: Collection[tuple[float, float]], device: str) -> None:
-    """Make sure that the device has the recording's counts per g and range.
+    """Refuse counts per g and a range that the device does not have.
 
     Args:
         scales: the device's pairs of counts per g and range [g].
@@ -111,10 +111,10 @@ def known_scale(recording: Recording, scales: Collection[tuple[float, float]], d
 
 
 def start_us(path: Path, recording: Recording) -> int:
-    """Time of the first sample [us since 1970].
+    """Return the time of the first sample [us since 1970].
 
     Raises:
-        OutputError: the recording does not tell; a vendor's file has no way to say so.
+        OutputError: it is unknown, for which a vendor's file has no mark.
     """
     if recording.start_us is None:
         raise OutputError("the recording has no start time", path=path, hint=OTHER_FORMAT)
@@ -122,27 +122,27 @@ def start_us(path: Path, recording: Recording) -> int:
 
 
 def fixed_offset(timezone: str | None) -> str | None:
-    """The zone as hours and minutes east of UTC, such as +01:00; None if it is not known so."""
+    """Return the zone as hours and minutes east of UTC, such as +01:00; None for any other zone."""
     offset = "+00:00" if timezone == "UTC" else timezone or ""
     return offset if re.fullmatch(r"[+-]\d\d:\d\d", offset) else None
 
 
 def number_of(device: Device) -> int:
-    """The last eight digits of the serial number, for formats that hold a number only; 0 without any."""
+    """Return the last eight digits of the serial number, 0 if it has none."""
     return int("".join(re.findall(r"[0-9]", device.serial or ""))[-8:] or 0)
 
 
 def remark(device: Device) -> str:
-    """Model and serial number as given, in printable ASCII, for a field of remarks."""
+    """Return model and serial number in printable ASCII, for a field of remarks."""
     return re.sub(r"[^ -~]", "?", " ".join(text for text in (device.model, device.serial) if text))
 
 
 @contextmanager
 def new_file(path: Path) -> Iterator[BinaryIO]:
-    """A file to be written from its beginning.
+    """Open a file to be written from its beginning.
 
     Raises:
-        OutputError: it cannot be written, or the block fails to.
+        OutputError: it cannot be opened or written.
     """
     try:
         with path.open("wb") as file:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.recording import Problem
-from accelcal_cli.formats._problems import Event, ProblemLog, count_behind
+from accelcal_cli.formats._problems import Event, ProblemLog, text_with_count
 
 BAD = ("bad_page", "pages left out")
 GAP = ("clock_gap", "jumps ahead")
@@ -164,7 +164,7 @@ def test_problems_known_before_come_first_and_once() -> None:
 
 
 def test_messages_are_made_of_the_whole_run() -> None:
-    log = ProblemLog(describe=lambda run: f"{run.event.position}-{run.end}, {count_behind(run)}")
+    log = ProblemLog(describe=lambda run: f"{run.event.position}-{run.end}, {text_with_count(run)}")
     assert texts(logged(log, [event(BAD, 1, 2), event(BAD, 3)])) == ["1-4, pages left out: 3"]
 
 

@@ -333,7 +333,7 @@ AnyPages = TypeVar("AnyPages", bound=ScannedPages)
 AnyPages_co = TypeVar("AnyPages_co", bound=ScannedPages, covariant=True)
 
 
-class Scanner(Protocol[AnyPages_co]):
+class PageScanner(Protocol[AnyPages_co]):
     """Finds the pages in consecutive bytes of a file, which come in stretches of any length."""
 
     def feed(self, data: bytes, *, last: bool) -> AnyPages_co:
@@ -358,7 +358,7 @@ class ScannedFile(Generic[AnyPages]):
     page_bytes: int
     size: int
     compressed: bool
-    scanner: Callable[[int], Scanner[AnyPages]]
+    scanner: Callable[[int], PageScanner[AnyPages]]
     proved: bool = True
 
     def amount(self, pages: int) -> int:
@@ -400,7 +400,7 @@ class ScannedFile(Generic[AnyPages]):
 class ScannedCutter(Generic[AnyPages]):
     """Finds the pages in the bytes of a file, piece by piece; see Cutter."""
 
-    def __init__(self, scanner: Scanner[AnyPages], start_byte: int) -> None:
+    def __init__(self, scanner: PageScanner[AnyPages], start_byte: int) -> None:
         self._scanner = scanner
         self._end = start_byte
         self._position = 0

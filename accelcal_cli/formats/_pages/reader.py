@@ -19,7 +19,7 @@ from accelcal_cli.core.clock import MICROSECONDS, PageClock
 from accelcal_cli.core.recording import Chunk, Intake, Problem, Reader, Recording, cut_columns
 from accelcal_cli.formats._pages.files import AnyBlock, Block, PagedFile, PageFile, RawBlock, is_erased
 from accelcal_cli.formats._pages.pages import BAD_KINDS, DAMAGED, ERASED, BadRun, Decoded, PageBlock
-from accelcal_cli.formats._pages.timeline import Links, Spacing, Steps, Timeline, steps
+from accelcal_cli.formats._pages.timeline import PageLinks, PageSteps, PageTimeline, Spacing, steps
 from accelcal_cli.formats._problems import Event, ProblemLog
 from accelcal_cli.formats._rows import MISSING, HeldChannels, RowFilter, first_values, missing_kind
 
@@ -121,7 +121,7 @@ class PageEvents(EventMaker):
                     lost_bytes = count * self._row_bytes if kind == FAULTY_ROWS else 0
                     yield replace(self.event(position, kind, sample, count), lost_bytes=lost_bytes)
 
-    def links(self, pages: PageBlock, step: Steps, links: Links, rows_before: int) -> Iterator[Event]:
+    def links(self, pages: PageBlock, step: PageSteps, links: PageLinks, rows_before: int) -> Iterator[Event]:
         """Report lost pages and jumps of the clock between pages."""
         samples = rows_before + np.cumsum(pages.usable_rows)
         columns = (step.missing, step.back, links.ahead_us, links.behind_us)
@@ -258,7 +258,7 @@ class PageJoiner(Generic[AnyBlock]):
         events += self._events.links(pages, step, links, before)
         return self._spread(pages, links, last is not None and bool(last.broken[0]))
 
-    def _spread(self, pages: PageBlock, links: Links, broken: bool) -> Stretch:
+    def _spread(self, pages: PageBlock, links: PageLinks, broken: bool) -> Stretch:
         """Spread each page up to the next, or at the nominal rate where no next one limits it."""
         lasted = np.diff(links.time_us)
         free = links.broken & ((lasted > self._spacing.rows_us(pages.rows[:-1])) | (links.behind_us > 0))
@@ -357,7 +357,7 @@ class PageScheme(FileScheme[AnyBlock]):
     """
 
     decoder: Callable[[], PageDecoder[AnyBlock]]
-    timeline: Callable[[], Timeline]
+    timeline: Callable[[], PageTimeline]
 
     def assembler(self, sample: int = 0, *, whole: bool = True) -> PageJoiner[AnyBlock]:
         """See FileScheme."""

@@ -19,20 +19,21 @@ from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.formats._pages.pages import PageBlock
 
 RATE_TOLERANCE = 0.1
-"""Sensors run up to 6 % off their nominal rate; a page may last this much more or less."""
+"""Share by which a page may last longer or shorter; sensors run up to 6 % off their nominal rate."""
 
 STAMP_TOLERANCE_SAMPLES = 1.5
-"""And a stamp may be this many sample intervals early or late."""
+"""Sample intervals by which a stamp may be early or late in addition."""
 
 LONGEST_GAP_S = 365 * 86_400
-"""A sequence number that jumps further is taken for a new numbering."""
+"""Longest jump [s] of a sequence number; a longer one is a new numbering."""
 
 LATEST_US = 1 << 61
+"""Latest time [us] of a page, far enough from the limit of 64 bits to add to."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spacing:
-    """What is known of a recording's pages before reading them.
+    """Rate and size of a recording's pages.
 
     Attributes:
         rate: samples per second.
@@ -45,17 +46,17 @@ class Spacing:
     sequence_bits: int = 32
 
     def rows_us(self, rows: NDArray[np.int64] | int) -> NDArray[np.float64]:
-        """How long so many samples last [us]."""
+        """Return how long samples last at the nominal rate [us]."""
         return np.asarray(rows * (MICROSECONDS * self.rate.denominator) / self.rate.numerator)
 
 
 @dataclass(frozen=True, slots=True)
-class Steps:
-    """From each page to the next, (m - 1,).
+class PageSteps:
+    """Steps from each page to the next, (m - 1,).
 
     Attributes:
-        pages: by how many pages the recording went on, at least 1.
-        missing: how many of these are not in the file at all.
+        pages: number of pages by which the recording went on, at least 1.
+        missing: number of these that are not in the file at all.
         back: the sequence number did not rise.
     """
 
@@ -64,27 +65,27 @@ class Steps:
     back: NDArray[np.bool_]
 
 
-def steps(block: PageBlock, spacing: Spacing) -> Steps:
+def steps(block: PageBlock, spacing: Spacing) -> PageSteps:
     """Compare positions and sequence numbers of neighbouring pages."""
     across = np.diff(block.position)
     if block.sequence is None:
-        return Steps(across, np.zeros_like(across), np.zeros(len(across), np.bool_))
+        return PageSteps(across, np.zeros_like(across), np.zeros(len(across), np.bool_))
     rise = np.diff(block.sequence) % (1 << spacing.sequence_bits)
     longest = int(LONGEST_GAP_S * spacing.rate / spacing.rows) + 1
     back = (rise == 0) | (rise > min(longest, 1 << (spacing.sequence_bits - 1)))
     forward = np.where(back, across, rise)
-    return Steps(np.maximum(forward, across), np.maximum(forward - across, 0), back)
+    return PageSteps(np.maximum(forward, across), np.maximum(forward - across, 0), back)
 
 
 @dataclass(frozen=True, slots=True)
-class Links:
-    """Times of m pages and how each of the first m - 1 goes on.
+class PageLinks:
+    """Times of m pages, and whether each but the last is continued by the next.
 
     Attributes:
         time_us: (m,) int64, first sample of each page.
         broken: (m - 1,) bool, the next page does not continue this one.
-        ahead_us, behind_us: (m - 1,) int64, by how much the clock jumps before the next page
-            beyond what the samples explain; 0 where it does not.
+        ahead_us, behind_us: (m - 1,) int64, jump of the clock before the next page beyond what the samples
+            explain; 0 where there is none.
     """
 
     time_us: NDArray[np.int64]
@@ -93,18 +94,18 @@ class Links:
     behind_us: NDArray[np.int64]
 
 
-class Timeline(Protocol):
-    """Gives pages their times. `start` once, then `link` with overlapping stretches of pages."""
+class PageTimeline(Protocol):
+    """Gives pages their times: `start` once, then `link` with overlapping stretches of pages."""
 
     def start(self, block: PageBlock) -> int:
-        """Time of the block's first page [us]."""
+        """Return the time of the block's first page [us]."""
 
-    def link(self, block: PageBlock, step: Steps, start_us: int) -> Links:
-        """Times of all pages of a block whose first page begins at `start_us`."""
+    def link(self, block: PageBlock, step: PageSteps, start_us: int) -> PageLinks:
+        """Return times and links of all pages of a block whose first page begins at `start_us`."""
 
 
 def fresh_pages(block: PageBlock) -> NDArray[np.bool_]:
-    """Which pages but the first say that they do not continue the one before, (m - 1,)."""
+    """Mark the pages after the first that say that they do not continue the one before, (m - 1,)."""
     return np.zeros(len(block) - 1, np.bool_) if block.fresh is None else block.fresh[1:]
 
 
@@ -118,11 +119,11 @@ class NominalTimeline:
         self._latest = int(LATEST_US // MICROSECONDS * spacing.rate / spacing.rows)
 
     def start(self, block: PageBlock) -> int:
-        """The file's page 0 begins at the origin."""
+        """Count from the file's page 0, which begins at the origin."""
         self._slot = int(block.position[0])
         return self._times([self._slot])[0]
 
-    def link(self, block: PageBlock, step: Steps, start_us: int) -> Links:
+    def link(self, block: PageBlock, step: PageSteps, start_us: int) -> PageLinks:
         """Count pages, by sequence number where there is one."""
         slots = self._slot + np.cumsum(np.concatenate(([0], step.pages)))
         slots = np.minimum(slots, self._latest)
@@ -131,7 +132,7 @@ class NominalTimeline:
         short = block.rows[:-1] < self._spacing.rows
         none = np.zeros(len(short), np.int64)
         broken = short | (step.pages > 1) | step.back | fresh_pages(block)
-        return Links(time_us, broken, none, none)
+        return PageLinks(time_us, broken, none, none)
 
     def _times(self, slots: list[int]) -> list[int]:
         samples_per_s = self._spacing.rate.numerator
@@ -147,11 +148,11 @@ class ExactTimeline:
         self._spacing = spacing
 
     def start(self, block: PageBlock) -> int:
-        """The first stamp."""
+        """Return the first stamp."""
         return int(stamps(block)[0])
 
-    def link(self, block: PageBlock, step: Steps, start_us: int) -> Links:
-        """A jump of the clock is what neither the samples nor `tolerance_us` explain."""
+    def link(self, block: PageBlock, step: PageSteps, start_us: int) -> PageLinks:
+        """Take for a jump of the clock whatever neither the samples nor `tolerance_us` explain."""
         time_us = stamps(block)
         lasted = np.diff(time_us)
         expected = self._spacing.rows_us(block.rows[:-1])
@@ -160,28 +161,28 @@ class ExactTimeline:
         behind = lasted < expected - np.minimum(allowed, expected / 2)
         off = np.rint(lasted - expected).astype(np.int64)
         broken = ahead | behind | (step.pages > 1) | step.back | fresh_pages(block)
-        return Links(time_us, broken, np.where(ahead, off, 0), np.where(behind, -off, 0))
+        return PageLinks(time_us, broken, np.where(ahead, off, 0), np.where(behind, -off, 0))
 
 
 def stamps(block: PageBlock) -> NDArray[np.int64]:
-    """The pages' stamps, which a timeline by stamps needs."""
+    """Return the pages' stamps, which a timeline by stamps needs."""
     assert block.time_us is not None
     return block.time_us
 
 
 def tolerance_us(expected_us: NDArray[np.float64], spacing: Spacing) -> NDArray[np.float64]:
-    """How far the length of a page may differ from the nominal one before the clock has jumped."""
+    """Return by how much the length of a page may differ from the nominal one [us] without a jump."""
     return RATE_TOLERANCE * expected_us + STAMP_TOLERANCE_SAMPLES * float(spacing.rows_us(1))
 
 
 @dataclass(frozen=True, slots=True)
 class _Next:
-    """What is known of a page and the one before it.
+    """A page and its distance from the one before.
 
     Attributes:
         stamp: the page's stamp [us].
         rows: samples of the page before.
-        advance: the same with those of lost pages between.
+        advance: these samples and those of lost pages between.
         apart: the page does not continue the one before.
         limit: misfit beyond which the clock has jumped [us].
     """
@@ -211,12 +212,12 @@ class CoarseTimeline:
         self._ahead_us = self._behind_us = 0
 
     def start(self, block: PageBlock) -> int:
-        """The first stamp."""
+        """Return the first stamp."""
         self._anchor(int(stamps(block)[0]))
         return self._anchor_us
 
-    def link(self, block: PageBlock, step: Steps, start_us: int) -> Links:
-        """Pages that keep to the nominal rate at once, from the first that does not one by one."""
+    def link(self, block: PageBlock, step: PageSteps, start_us: int) -> PageLinks:
+        """Place pages that keep to the nominal rate at once, and one by one from the first that does not."""
         apart = (step.pages > 1) | step.back | fresh_pages(block)
         before = block.rows[:-1]
         advance = before + (step.pages - 1) * self._spacing.rows
@@ -229,7 +230,7 @@ class CoarseTimeline:
         for page, known in enumerate(rest, done):
             time_us[page + 1] = self._follow(int(time_us[page]), _Next(*known))
             ahead_us[page], behind_us[page] = self._ahead_us, self._behind_us
-        return Links(time_us, apart | (ahead_us > 0) | (behind_us > 0), ahead_us, behind_us)
+        return PageLinks(time_us, apart | (ahead_us > 0) | (behind_us > 0), ahead_us, behind_us)
 
     def _steady(
         self,
@@ -238,7 +239,7 @@ class CoarseTimeline:
         apart: NDArray[np.bool_],
         time_us: NDArray[np.int64],
     ) -> int:
-        """Fill in the times of the first pages that continue each other and fit; how many they are."""
+        """Fill in times of the first pages that continue each other and fit; return their number."""
         joined = int(np.argmax(np.append(apart, True)))
         rows = np.cumsum(advance[:joined])
         rate = self._spacing.rate
@@ -252,7 +253,7 @@ class CoarseTimeline:
         return count
 
     def _follow(self, before_us: int, page: _Next) -> int:
-        """Time of a page after one at `before_us`; notes a jump of the clock."""
+        """Return the time of a page after one at `before_us`, and note a jump of the clock."""
         end_us = before_us + self._nominal(page.rows)
         self._rows += page.advance
         late = self._misfit(page.stamp, self._predicted())
@@ -277,5 +278,5 @@ class CoarseTimeline:
         return self._anchor_us + self._nominal(self._rows)
 
     def _misfit(self, stamp: int, predicted: int) -> int:
-        """How far the band of a stamp lies after (or, negative, before) a time; 0 inside."""
+        """Return how far the band of a stamp lies after (or, negative, before) a time; 0 inside."""
         return max(stamp - self._unit_us - predicted, 0) + min(stamp + self._unit_us - predicted, 0)

@@ -18,7 +18,7 @@ from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.files import PagedFile, RawBlock
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock
 from accelcal_cli.formats._pages.reader import FixedPages, Opening, PageDecoder, PagedReader
-from accelcal_cli.formats._pages.timeline import ExactTimeline, NominalTimeline, Spacing, Timeline
+from accelcal_cli.formats._pages.timeline import ExactTimeline, NominalTimeline, PageTimeline, Spacing
 from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.edf.header import (
     ANNOTATIONS,
@@ -153,7 +153,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     timed = header.plus == "D" and annotations_of(header) is not None
     start_us = (header.start_us or 0) + (0 if timed else first_onset_us(file, decoder))
 
-    def timeline() -> Timeline:
+    def timeline() -> PageTimeline:
         return ExactTimeline(spacing) if timed else NominalTimeline(spacing, start_us)
 
     scheme = FixedPages(file, spacing, lambda: decoder, timeline)

@@ -1,6 +1,6 @@
-"""An open GENEActiv .bin file: what is known of the recording, and its rows.
+"""Opens a GENEActiv .bin file: reads its header, and describes the recording.
 
-What most of the first pages have in common describes the recording; pages that differ are left out.
+The properties that most of the first pages share describe the recording; pages that differ are left out.
 """
 
 from __future__ import annotations
@@ -24,32 +24,49 @@ from accelcal_cli.formats._pages.pages import GOOD
 from accelcal_cli.formats._pages.reader import PagedReader, PageScheme
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
 from accelcal_cli.formats._rows import first_values
-from accelcal_cli.formats.geneactiv import HEADER_MAGIC, MARK, scan
+from accelcal_cli.formats.geneactiv import HEADER_MAGIC, MARK
 from accelcal_cli.formats.geneactiv.decode import (
+    LONGEST_BYTES,
+    NO_STAMP,
     RAW_LIMIT,
+    SAMPLES,
+    USUAL_BYTES,
     Factory,
+    Head,
     Scale,
     Settings,
     TextDecoder,
+    TextPages,
+    TextScanner,
     factory_of,
     factory_scale,
+    number,
     page_channels,
     raw_scale,
+    stamps_us,
     unhexed,
     whole_number,
 )
-from accelcal_cli.formats.geneactiv.scan import Head, Scanner, TextPages, number
 
 PAGES = 64
+"""Pages at the beginning that describe the recording."""
+
 UNITS_US = (1_000_000, 500_000)
-"""Devices stamp their pages with whole seconds (model 1.2) or half ones (model 1.1)."""
+"""Units of the pages' times [us]: whole seconds (model 1.2) or half seconds (model 1.1)."""
 
 FINEST_US = 1_000
 AGREEING = 0.9
+"""Share of the first pages whose times must be multiples of a unit."""
+
 HALF_SECONDS = 600
+"""Samples of two pages: at R Hz, a page lasts 600 / R half seconds."""
+
 RATE_ROUNDING = Fraction(1, 20)
+"""Most by which a page's rate [Hz] is rounded."""
 
 TAIL_BYTES = 1 << 16
+"""Bytes at the end of the file in which the last page is looked for."""
+
 USUAL_RANGE_G = 8.0
 COPY_AGAIN = "copy it again from the device"
 NO_START = "the device's clock was reset by an empty battery: its dates are not those of the recording"
@@ -57,15 +74,15 @@ HEADER_RESET = "the header's times are those of a device that was reset; the tim
 
 CALIBRATION = "Calibration Data"
 RESET_DATE = "2010-09-16"
-"""Where the clock of a device stands after its battery was empty; the header then has lost its times."""
+"""Date to which an empty battery resets a device's clock; the header then has lost its times."""
 
 NO_DEVICE = Device()
 _PAGE_LINE = re.compile(
     MARK + rb"[ \t]*(?:[\r\n]|\Z)|(?:^|(?<=\r))(?:Sequence Number:|Page Time:|[0-9A-Fa-f]{256})",
     re.MULTILINE,
 )
-"""What a page begins with, or a line of one, whichever comes first: a damaged page, even one whose lines
-end in carriage returns alone, or before which the end of a line is lost, is no part of the header."""
+"""The beginning of a page, or a line of one, whichever comes first. A damaged page is no part of the header,
+even if its lines end in carriage returns alone, or the end of the line before it is lost."""
 
 _RANGE = re.compile(r"-\s*(\d+(?:\.\d+)?)\s*to\s*(\d+(?:\.\d+)?)")
 _DRIFT = re.compile(r"clock drift (-?\d+(?:\.\d+)?) ?s")
@@ -74,18 +91,18 @@ _ZONE = re.compile(r"GMT\s*([+-]\d{2}:[0-5]\d)")
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What the header says; None if it does not.
+    """The header; a field is None if it is missing or impossible.
 
     Attributes:
         data_start: where the first page lies, bytes.
-        rate: the configured one [Hz].
-        range_g: the sensor's, +-.
+        rate: configured rate [Hz].
+        range_g: the sensor clips at +- this.
         timezone: of the device's clock, `UTC` or such as `+01:00`.
         factory: the calibration block.
-        pages: how many it announces.
+        pages: the number that it announces.
         reset: its times are those of a device that was reset.
-        drift_s: what it notes of the device's clock at the download.
-        missing: what it should say but does not, in plain words.
+        drift_s: error of the device's clock that was noted at the download.
+        missing: names of required fields that are None, for people.
     """
 
     data_start: int
@@ -135,7 +152,7 @@ def parse_header(head: bytes) -> Header:
 
 
 def _values(text: str) -> dict[str, str]:
-    """Values by their keys, the first of each; empty ones are left out."""
+    """Return the first value of each key; empty values are left out."""
     values: dict[str, str] = {}
     for line in text.splitlines():
         key, _, value = line.partition(":")
@@ -156,13 +173,13 @@ def _first(pattern: re.Pattern[str], text: str) -> str | None:
 
 
 def _range_g(text: str) -> float | None:
-    """The range of `-8 to 8`; None if it is not symmetric."""
+    """Return 8 for `-8 to 8`, None for a range that is not symmetric."""
     match = _RANGE.search(text)
     return float(match[2]) if match and float(match[1]) == float(match[2]) > 0 else None
 
 
 def _zone(text: str) -> str | None:
-    """The zone of `GMT +01:00`; None if the text is not one."""
+    """Return `+01:00` for `GMT +01:00`, None if the text is not a zone."""
     match = _ZONE.fullmatch(text)
     if match is None or int(match[1][1:3]) > WIDEST_OFFSET_H:
         return None
@@ -171,15 +188,15 @@ def _zone(text: str) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class FirstPages:
-    """What most of the first pages say.
+    """Properties that most of the first pages share.
 
     Attributes:
-        serial: as it stands there.
+        serial: as in their text.
         rate: samples per second.
-        sequence: number of the first one.
+        sequence: number of the first page.
         missing: pages before it that are not in the file, by that number.
-        unit_us: how coarse their times are [us].
-        first_values: of the channels that they tell, the first measured value; None where there is none.
+        unit_us: resolution of their times [us].
+        first_values: first measured value of each channel; None where there is none.
     """
 
     serial: bytes
@@ -203,17 +220,17 @@ def look_inside(file: ScannedFile[TextPages]) -> FirstPages | None:
 def _right_pages(found: TextPages) -> list[tuple[int, Head]]:
     """Return position and text of pages that make sense by themselves."""
     places = [place for place, kind in enumerate(found.status, found.first_position) if kind == GOOD]
-    known = scan.stamps_us([head[2] for head in found.heads]) != scan.NO_STAMP
+    known = stamps_us([head[2] for head in found.heads]) != NO_STAMP
     pages = zip(places, found.heads, found.bodies, known.tolist(), strict=True)
     return [
         (place, head)
         for place, head, body, dated in pages
-        if dated and (scan.number(head[4]) or 0) > 0 and unhexed([body]) is not None
+        if dated and (number(head[4]) or 0) > 0 and unhexed([body]) is not None
     ]
 
 
 def _common(pages: Sequence[tuple[int, Head]]) -> FirstPages:
-    stated = [(head[0], scan.number(head[4])) for _, head in pages]
+    stated = [(head[0], number(head[4])) for _, head in pages]
     serial, rate = Counter(stated).most_common(1)[0][0]
     place, first = pages[stated.index((serial, rate))]
     return FirstPages(
@@ -227,14 +244,14 @@ def _common(pages: Sequence[tuple[int, Head]]) -> FirstPages:
 
 
 def _unit_us(stamps: Sequence[bytes]) -> int:
-    """The coarsest unit of which nearly all stamps are multiples."""
-    time_us = scan.stamps_us(stamps)
+    """Return the coarsest unit [us] of which nearly all stamps are multiples."""
+    time_us = stamps_us(stamps)
     fits = (unit for unit in UNITS_US if np.mean(time_us % unit == 0) >= AGREEING)
     return next(fits, FINEST_US)
 
 
 def true_rate(rate: Fraction) -> Fraction:
-    """The true rate, of which a page states a rounded figure.
+    """Return the true rate for the rounded figure in a page.
 
     A page of 300 samples lasts a whole number of half seconds: 3.5 s at what is called 85.7 Hz
     (600/7), 4.5 s at 66.7 Hz (200/3).
@@ -261,18 +278,18 @@ class TextScheme(PageScheme[TextPages]):
         file = self.file
         if file.compressed:
             return
-        spread = max(scan.USUAL_BYTES, (file.size - file.start_byte) // max(1, pieces))
-        length = min(spread, max(1, chunk_samples // scan.SAMPLES) * scan.USUAL_BYTES)
+        spread = max(USUAL_BYTES, (file.size - file.start_byte) // max(1, pieces))
+        length = min(spread, max(1, chunk_samples // SAMPLES) * USUAL_BYTES)
         for piece in range(pieces):
             block = piece_of(file, file.start_byte + piece * spread, length)
             page = max(0, int(block.heads[0][1]) - self.first_sequence) if block.heads else 0
-            yield page * scan.SAMPLES, block
+            yield page * SAMPLES, block
 
 
 def piece_of(file: ScannedFile[TextPages], offset: int, length: int) -> TextPages:
     """Return the pages that begin within `length` bytes from `offset` on, in an uncompressed file."""
-    data = file.read(offset, length + scan.LONGEST_BYTES)
-    return Scanner(offset, inside=True).feed(data, last=True, stop=length).alone(offset + len(data))
+    data = file.read(offset, length + LONGEST_BYTES)
+    return TextScanner(offset, inside=True).feed(data, last=True, stop=length).alone(offset + len(data))
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
@@ -285,7 +302,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     probe = probe_file(path, options)
     header = parse_header(probe.head)
     file = ScannedFile(
-        path, header.data_start, scan.USUAL_BYTES, probe.size, probe.compressed, Scanner, proved=False
+        path, header.data_start, USUAL_BYTES, probe.size, probe.compressed, TextScanner, proved=False
     )
     first = look_inside(file)
     if first is None:
@@ -293,7 +310,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         what = "holds no intact page of samples" if known else "is not a GENEActiv .bin recording"
         raise UnreadableError(what, path=path, byte_offset=header.data_start, hint=COPY_AGAIN)
     settings = Settings(first.serial, first.rate, scale_of(header, options, path))
-    spacing = Spacing(true_rate(first.rate), scan.SAMPLES)
+    spacing = Spacing(true_rate(first.rate), SAMPLES)
     scheme = TextScheme(
         file,
         spacing,
@@ -311,7 +328,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
 
 
 def problems_of(header: Header, first: FirstPages, *, dated: bool) -> tuple[Problem, ...]:
-    """What is wrong before any page is read."""
+    """Return what is wrong before any page is read."""
     problems, start = [], header.data_start
     if header.missing:
         text = f"the header does not tell the device's {', '.join(header.missing)}"
@@ -325,7 +342,7 @@ def problems_of(header: Header, first: FirstPages, *, dated: bool) -> tuple[Prob
 
 
 def scale_of(header: Header, options: ReadOptions, path: Path) -> Scale:
-    """The user's counts per g for the raw values, else the factory's calibration.
+    """Return the user's counts per g for the raw values, else the factory's calibration.
 
     Raises:
         UnreadableError: there is neither.
@@ -344,7 +361,7 @@ def scale_of(header: Header, options: ReadOptions, path: Path) -> Scale:
 
 
 def describe(scheme: TextScheme, header: Header, options: ReadOptions, start_us: int | None) -> Recording:
-    """What is known of the recording."""
+    """Describe the recording, still without notes."""
     settings, file = scheme.settings, scheme.file
     serial = settings.serial.decode("ascii", "replace").strip()
     return Recording(
@@ -363,24 +380,24 @@ def describe(scheme: TextScheme, header: Header, options: ReadOptions, start_us:
 
 
 def notes(first: FirstPages, header: Header, options: ReadOptions) -> tuple[str, ...]:
-    """What a user should know of how the file was understood."""
-    found = []
+    """Return notes for the user on how the file was understood."""
+    texts = []
     serial = first.serial.decode("ascii", "replace").strip()
     if header.rate is not None and header.rate != first.rate:
-        found.append(f"the header says {float(header.rate):g} Hz, the pages {float(first.rate):g} Hz")
+        texts.append(f"the header says {float(header.rate):g} Hz, the pages {float(first.rate):g} Hz")
     if header.device.serial not in (None, serial):
-        found.append(f"the header names device {header.device.serial}, the pages {serial}")
+        texts.append(f"the header names device {header.device.serial}, the pages {serial}")
     if options.lsb_per_g is not None:
-        found.append("--lsb-per-g was given: the factory's gain and offset were not applied")
+        texts.append("--lsb-per-g was given: the factory's gain and offset were not applied")
     if header.reset:
-        found.append(HEADER_RESET)
+        texts.append(HEADER_RESET)
     if header.drift_s is not None:
-        found.append(f"the header notes a clock drift of {header.drift_s} s; the times are the device's own")
-    return tuple(found)
+        texts.append(f"the header notes a clock drift of {header.drift_s} s; the times are the device's own")
+    return tuple(texts)
 
 
 def duration_s(scheme: TextScheme, start_us: int | None) -> float | None:
-    """From the first sample to the end of the last page [s], None if that is not found."""
+    """Return the time from the first sample to the end of the last page [s], None if not found."""
     file = scheme.file
     if file.compressed or start_us is None:
         return None

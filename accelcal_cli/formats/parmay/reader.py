@@ -169,7 +169,7 @@ class Packets(ScannedPages):
     cut_bytes: int = 0
 
 
-class Scanner:
+class PacketScanner:
     """Finds the packets in the bytes of a file; see Scanner in `_pages/files.py`.
 
     Every packet begins with its signature, at which the search goes on after damage; a packet never reaches
@@ -448,7 +448,7 @@ class PacketScheme(PageScheme[Packets]):
         for piece in range(pieces):
             offset = file.start_byte + piece * (file.size - file.start_byte) // pieces
             data = file.read(offset, length)
-            yield 0, Scanner(offset, inside=True).feed(data, last=False).alone(offset + len(data))
+            yield 0, PacketScanner(offset, inside=True).feed(data, last=False).alone(offset + len(data))
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
@@ -462,7 +462,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     probe = probe_file(path, options)
     header = parse_header(probe.head)
     start = HEADER_BYTES if header.damage is None else max(0, probe.head.find(PACKET_MAGIC))
-    file = ScannedFile(path, start, USUAL_BYTES, probe.size, probe.compressed, Scanner)
+    file = ScannedFile(path, start, USUAL_BYTES, probe.size, probe.compressed, PacketScanner)
     first = look_inside(file, options)
     if first is None:
         raise UnreadableError("holds no sound packet", path=path, byte_offset=start, hint=COPY_AGAIN)

@@ -382,7 +382,7 @@ def page_scheme(file: PagedFile, layout: Layout) -> FixedPages:
     return FixedPages(file, spacing, lambda: decoder, lambda: timeline(layout, spacing))
 
 
-def timeline(layout: Layout, spacing: timelines.Spacing) -> timelines.Timeline:
+def timeline(layout: Layout, spacing: timelines.Spacing) -> timelines.PageTimeline:
     """By page stamps where there are any, finer or coarser than a sample, else by counting."""
     if layout.stamp is None:
         return timelines.NominalTimeline(spacing, layout.start.start_us if layout.start else 0)
