@@ -21,7 +21,7 @@ from accelcal_cli.core.recording import Recording
 from accelcal_cli.output.files import exists
 from accelcal_cli.pipeline.jobs import STDIN, Request
 from accelcal_cli.pipeline.options import chosen_settings, read_options
-from accelcal_cli.watching.watch import RowsToCalibrate, StepResult, Unpacker, Watch
+from accelcal_cli.watching.watch import StepResult, Unpacker, Watch
 
 if TYPE_CHECKING:
     from accelcal_cli.watching.row_stream import RowStream
@@ -119,19 +119,15 @@ def _input(recording: Path) -> Iterator[BinaryIO]:
             raise UsageError("standard input is closed", hint="give the name of a file")
         yield sys.stdin.buffer
         return
-    with contextlib.ExitStack() as stack:
-        try:
-            file = recording.open("rb", buffering=0)
-            stack.callback(_leave, file)
-        except OSError as error:
-            raise _unreadable(error, recording) from error
+    try:
+        file = recording.open("rb", buffering=0)
+    except OSError as error:
+        raise _unreadable(error, recording) from error
+    try:
         yield file
-
-
-def _leave(file: BinaryIO) -> None:
-    """Close a file that was read; an error here would cost nothing."""
-    with contextlib.suppress(OSError):
-        file.close()
+    finally:
+        with contextlib.suppress(OSError):  # all that was read is sound
+            file.close()
 
 
 def _unreadable(error: OSError, recording: Path) -> UnreadableError:
@@ -164,21 +160,17 @@ class _Outputs:
 
     def put(self, result: StepResult) -> None:
         """Write the rows, and show the events, that some bytes led to."""
-        if self._path is not None:
-            for rows in result.rows:
-                self._write(rows)
+        for rows in result.rows if self._path is not None else ():
+            if self._stream is None:
+                self._stream = self._stack.enter_context(self._begun(rows.recording))
+            right = Transform.of(rows.calibration, rows.recording.lsb_per_g, self._precision_mg)
+            self._stream.write(rows.chunk, right.apply(rows.chunk))
         for event in result.events:
             text = json.dumps(event, allow_nan=False, ensure_ascii=False)
             if self._path == STDIN:
                 click.echo(printable(text), err=True)
             else:
                 exit_codes.show(text)
-
-    def _write(self, rows: RowsToCalibrate) -> None:
-        if self._stream is None:
-            self._stream = self._stack.enter_context(self._begun(rows.recording))
-        right = Transform.of(rows.calibration, rows.recording.lsb_per_g, self._precision_mg)
-        self._stream.write(rows.chunk, right.apply(rows.chunk))
 
     def _begun(self, recording: Recording) -> RowStream:
         from accelcal_cli.watching.row_stream import RowFile, RowStream  # few runs write rows

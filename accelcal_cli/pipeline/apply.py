@@ -155,7 +155,11 @@ class DonorCoefficients(Judge):
         copied = COPIED if self.relation is Relation.OWN else ()
         if self.relation is Relation.OWN and "unchecked" in report.get(KNOWN, {}):
             copied = (*copied, KNOWN)  # which says why there is no error
-        section = _calibration_json(report["calibration"], self.donor.calibration, self.calibration)
+        section, used = report["calibration"], self.calibration
+        errors = section["standard_errors"]
+        if used != self.donor.calibration and errors is not None:
+            errors = {name: errors[name] for name in errors if not name.startswith("s")}  # without slopes
+        section = {**section, **coefficients_json(used), "standard_errors": errors}
         return {"calibration": section, **{name: report.get(name) for name in copied}}
 
 
@@ -313,23 +317,13 @@ def sentence(
 ) -> str:
     """Return the report's message: whose the coefficients are, their errors, warnings and differences."""
     cautions = [] if holdout is None else _warnings(holdout.before.mean, holdout.after.mean, limit_mg)
-    about = f"coefficients of {_donor_text(donor)}: {_errors_text(holdout)}"
+    origin, errors = donor.origin, "no two postures of stillness to judge them by"
+    if holdout is not None:
+        errors = f"{holdout.before.mean:.1f} mg before, {holdout.after.mean:.2f} mg after"
+        errors = f"{errors} on {holdout.postures} postures, none of which they were found from"
+    device = " ".join(word for word in (origin.device.model, origin.device.serial) if word) or "unknown"
+    about = f"coefficients of {origin.path} (sha256 {origin.sha256[:SHOWN_HASH]}, device {device}): {errors}"
     return printable("; ".join([about, *cautions, *_differences(donor, calibration, recording)]))
-
-
-def _donor_text(donor: Coefficients) -> str:
-    origin = donor.origin
-    device = " ".join(word for word in (origin.device.model, origin.device.serial) if word)
-    return f"{origin.path} (sha256 {origin.sha256[:SHOWN_HASH]}, device {device or 'unknown'})"
-
-
-def _errors_text(holdout: Holdout | None) -> str:
-    if holdout is None:
-        return "no two postures of stillness to judge them by"
-    return (
-        f"{holdout.before.mean:.1f} mg before, {holdout.after.mean:.2f} mg after "
-        f"on {holdout.postures} postures, none of which they were found from"
-    )
 
 
 def _differences(donor: Coefficients, calibration: Calibration, recording: Recording) -> list[str]:
@@ -369,14 +363,6 @@ def warning(report: dict[str, Any]) -> str | None:
     before_mg, after_mg = holdout["before_mg"]["mean"], holdout["after_mg"]["mean"]
     warnings = _warnings(before_mg, after_mg, report["settings"]["max_error_mg"])
     return f"warning: {report['message']}" if warnings else None
-
-
-def _calibration_json(section: dict[str, Any], whole: Calibration, used: Calibration) -> dict[str, Any]:
-    """Return the donor's section as this version writes it, of the coefficients that are used."""
-    errors = section["standard_errors"]
-    if used != whole and errors is not None:
-        errors = {name: errors[name] for name in errors if not name.startswith("s")}
-    return {**section, **coefficients_json(used), "standard_errors": errors}
 
 
 def _origin_json(donor: Coefficients) -> dict[str, Any]:

@@ -107,17 +107,17 @@ def _fitted(parts: Sequence[_Part], settings: Settings) -> _Fitted:
 
 def _misfits(fitted: _Fitted, settings: Settings) -> dict[_Part, str]:
     """Return the recordings that can hardly be of the pool's device, and why."""
-    reasons = ((part, _why_misfit(part, fitted.verdict, settings)) for part in fitted.parts)
-    return {part: why for part, why in reasons if why is not None}
-
-
-def _why_misfit(part: _Part, verdict: Judgement, settings: Settings) -> str | None:
-    fitted = verdict.calibration or verdict.candidate
-    if fitted is None or verdict.holdout is None:
-        return None
-    points, degrees = part.collector.points(), settings.posture_degrees
-    holdout = held_out(points, fitted, settings.gravity, degrees, SEEN)
-    return None if holdout is None else worse(holdout, verdict.holdout.after.median, settings.max_error_mg)
+    verdict, found = fitted.verdict, {}
+    calibration = verdict.calibration or verdict.candidate
+    if calibration is None or verdict.holdout is None:
+        return {}
+    for part in fitted.parts:
+        points, degrees = part.collector.points(), settings.posture_degrees
+        holdout = held_out(points, calibration, settings.gravity, degrees, SEEN)
+        usual_mg = verdict.holdout.after.median
+        if holdout is not None and (why := worse(holdout, usual_mg, settings.max_error_mg)) is not None:
+            found[part] = why
+    return found
 
 
 def _contradictory(verdict: Judgement, misfits: Mapping[_Part, str]) -> Judgement:
