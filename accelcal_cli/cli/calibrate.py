@@ -17,7 +17,7 @@ from accelcal_cli.cli.options import (
 )
 from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Result, plan
-from accelcal_cli.pipeline.windows import refuse_impossible
+from accelcal_cli.pipeline.windows import check_table_path
 
 
 @click.command("calibrate")
@@ -41,7 +41,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
     jobs = plan(recordings_of(recordings, values), values["output_dir"], values["output"])
     if values["windows"] is not None:
-        refuse_impossible(values["windows"], jobs)
+        check_table_path(values["windows"], jobs)
     request = request_of(values).for_jobs(jobs)
 
     def work(job: Job, bars: ProgressMaker, source: Path) -> Result:

@@ -146,8 +146,8 @@ class DonorCoefficients(Judge):
         if (simpler := without_misalignment(self.donor)) is None:
             return verdict
         used = at_reference(simpler, settings)
-        held = held_out(found.points, used, settings.gravity, settings.posture_degrees, method)
-        return replace(verdict, without_misalignment=WithoutMisalignment(used, held))
+        holdout = held_out(found.points, used, settings.gravity, settings.posture_degrees, method)
+        return replace(verdict, without_misalignment=WithoutMisalignment(used, holdout))
 
     def _donor_sections(self) -> dict[str, Any]:
         """Return the sections of the donor's report that hold here, too."""

@@ -37,7 +37,7 @@ NOT_NEAR = "no point is anywhere near 1 g; x, y and z must be in g"
 NO_POINTS = "the table holds no points"
 
 
-def refuse_impossible(path: Path, jobs: list[Job]) -> None:
+def check_table_path(path: Path, jobs: list[Job]) -> None:
     """Raise UsageError for a table of windows that cannot be written beside the jobs' outputs."""
     refuse_dash(path)
     if path.suffix.lower() not in (PARQUET, CSV):

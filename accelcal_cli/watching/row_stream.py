@@ -24,23 +24,20 @@ from accelcal_cli.output.columns import columns_of, schema_of, values_of
 from accelcal_cli.output.files import discard
 from accelcal_cli.parquet import Axes, Column
 
-ARROW, CSV = "arrow", "csv"
-KINDS = (ARROW, CSV)
-
 
 class RowStream(Closing):
     """Turns rows into the bytes of a stream as they come.
 
     Args:
         put: is called with each piece, which holds whole rows.
-        kind: one of KINDS.
+        kind: `arrow` or `csv`.
     """
 
     def __init__(self, put: Callable[[bytes], None], kind: str, recording: Recording) -> None:
         self._put, self._made = put, io.BytesIO()
         self._columns = _columns(recording)
         self._schema = schema_of(self._columns, {})
-        begin = pa.ipc.new_stream if kind == ARROW else pa_csv.CSVWriter
+        begin = pa.ipc.new_stream if kind == "arrow" else pa_csv.CSVWriter
         self._writer: Any = begin(self._made, self._schema)
 
     def write(self, chunk: Chunk, xyz: Axes) -> None:
@@ -75,7 +72,7 @@ class RowFile(Closing):
             self._file = path.open("wb", buffering=0)
         except OSError as error:
             raise output_error(error, path) from error
-        self._plain = stat.S_ISREG(os.fstat(self._file.fileno()).st_mode)
+        self._regular = stat.S_ISREG(os.fstat(self._file.fileno()).st_mode)
 
     def put(self, piece: bytes) -> None:
         """Write a piece; raises OutputError if that fails, and BrokenPipeError if the reader is gone."""
@@ -92,7 +89,7 @@ class RowFile(Closing):
 
     def _cut_off(self) -> None:
         """Remove a part of a piece, and a file without a row, as far as the disk allows."""
-        if not self._plain:
+        if not self._regular:
             return
         with contextlib.suppress(OSError):
             self._file.truncate(self._bytes)
@@ -104,7 +101,7 @@ class RowFile(Closing):
         """Bring what was written to the disk, and close the file; raises OutputError where that fails."""
         try:
             with self._file:
-                if self._plain:
+                if self._regular:
                     os.fsync(self._file.fileno())
         except OSError as error:
             raise output_error(error, self._path) from error
