@@ -1,4 +1,4 @@
-"""Arrays that lie in a stretch of bytes one number behind the other, packed or not, as tracks of a table."""
+"""Arrays whose numbers lie one behind the other in a file, packed or not, as tracks of a table."""
 
 from __future__ import annotations
 
@@ -16,11 +16,8 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Chunk, Problem, Reader
 from accelcal_cli.core.vocabulary import normalized
 from accelcal_cli.formats._bytes import PackedStream, PlainStream
-from accelcal_cli.formats._tables.attributes import Attributes
-from accelcal_cli.formats._tables.description import Plan
-from accelcal_cli.formats._tables.reader import TableReader
-from accelcal_cli.formats._tables.table import Table
-from accelcal_cli.formats._tables.tracks import Track, track_of_shape
+from accelcal_cli.formats._tables.reader import ReadingPlan, TableReader
+from accelcal_cli.formats._tables.table import Attributes, SensorTable, Track, track_of_shape
 
 Stream = PackedStream | PlainStream
 HIGHEST_RATIO = 1100
@@ -36,9 +33,9 @@ class Array:
     Attributes:
         stored: the type of its numbers in the file; `track.dtype` is what they are read as.
         by_row: a row's numbers lie side by side; else all of one axis, then all of the next.
-        stream: gives its bytes from the first one on.
+        stream: opens its bytes at the first one.
         offset: byte in the file at which its bytes begin, None if they are packed.
-        is_true: whether a checksum over them says that they are what was written.
+        is_true: tells whether a checksum says that they are what was written.
     """
 
     track: Track
@@ -57,7 +54,7 @@ def array_of(
     stream: Callable[[], Stream],
     offset: int | None,
 ) -> Array | None:
-    """An array of some shape as a track; None if it is no such array.
+    """Return an array of some shape as a track; None if it is no such array.
 
     Args:
         types: as it is stored, and as it is read.
@@ -93,12 +90,12 @@ class ArrayRows:
         return self._array.stored.itemsize * self._array.track.width
 
     def chunk_offset(self, row: int) -> int | None:
-        """Byte in the file of a row's first number; None if the array is packed."""
+        """Return the byte in the file of a row's first number; None if the array is packed."""
         offset = self._array.offset
         return None if offset is None else offset + row * self._plane_row_bytes
 
     def read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Rows start..stop-1, shape (stop - start, width), and which of them are not lost."""
+        """Return rows start..stop-1, shape (stop - start, width), and flags of those that are not lost."""
         if not self._streams or start < self._row:
             self._enter()
         for stream in self._streams:
@@ -126,13 +123,13 @@ class ArrayRows:
 
 
 @dataclass
-class ArrayTable(Table):
-    """Arrays of a file by their paths, and single numbers and texts beside them.
+class ArrayTable(SensorTable):
+    """Arrays of a file by their paths, and its single numbers and texts.
 
     Attributes:
-        missing: bytes at the end of a file that was cut short, -1 if that is not known.
-        damaged: how many entries cannot be read.
-        unknown: names of what is kept in a way that cannot be read.
+        missing: bytes that a file that was cut short lacks, -1 if that is not known.
+        damaged: number of entries that cannot be read.
+        unknown: names of entries of kinds that cannot be read.
     """
 
     path: Path
@@ -149,7 +146,7 @@ class ArrayTable(Table):
         return tuple(self.arrays[path].track for path in sorted(self.arrays))
 
     def add(self, array: Array, size: int) -> None:
-        """Take an array in; raises UnreadableError where the file, of so many bytes, cannot hold it."""
+        """Take an array in; raise UnreadableError if the file, of `size` bytes, cannot hold it."""
         if array.track.rows * array.track.width * array.stored.itemsize > size * HIGHEST_RATIO:
             raise UnreadableError(
                 f"array {array.track.path} claims {array.track.rows} rows, more than the file can hold",
@@ -159,15 +156,15 @@ class ArrayTable(Table):
         self.arrays.setdefault(array.track.path, array)
 
     def missing_bytes(self) -> int:
-        """How many bytes at the end are not there."""
+        """Return the number of bytes that the file lacks at its end."""
         return self.missing
 
     def own(self, path: str) -> Attributes:
-        """What is stated of an array: `unit` and `units` with its name before or behind."""
+        """Return what is stated of an array: `unit` and `units` with its name before or behind."""
         return Attributes([self._own(path)])
 
     def stated(self, path: str) -> Attributes:
-        """What is stated of an array, and what lies beside it and around it."""
+        """Return what is stated of an array, beside it and around it."""
         layers: list[Mapping[str, object]] = [self._own(path)]
         while True:
             path = dirname(path)
@@ -180,15 +177,12 @@ class ArrayTable(Table):
     def _own(self, path: str) -> dict[str, object]:
         name = normalized(basename(path))
         known = {name + ending for ending in UNIT_ENDINGS} | {ending + name for ending in UNIT_ENDINGS}
-        beside = [
-            one
-            for one in self.scalars
-            if dirname(one) == dirname(path) and normalized(basename(one)) in known
-        ]
-        return {"unit": self.scalars[beside[0]]} if beside else {}
+        siblings = [one for one in self.scalars if dirname(one) == dirname(path)]
+        unit = next((one for one in siblings if normalized(basename(one)) in known), None)
+        return {} if unit is None else {"unit": self.scalars[unit]}
 
     def rows(self, track: Track) -> ArrayRows:
-        """The rows of an array."""
+        """Return the rows of an array."""
         return ArrayRows(self.arrays[track.path])
 
 
@@ -199,7 +193,7 @@ class ArrayReader(TableReader):
         UnreadableError: what is packed is damaged, so that values behind that are not what was packed.
     """
 
-    def __init__(self, plan: Plan, table: ArrayTable) -> None:
+    def __init__(self, plan: ReadingPlan, table: ArrayTable) -> None:
         self._table = table
         used = [table.arrays[path] for path in sorted({track.path for track in plan.tracks})]
         self._packed = any(array.offset is None for array in used)
@@ -211,21 +205,18 @@ class ArrayReader(TableReader):
                     path=table.path,
                     hint="copy it again from its source",
                 )
-        super().__init__(replace(plan, problems=plan.problems + tuple(map(_untrue, wrong))))
+        text = "array {}: its checksum is wrong; some of its values are not what was written"
+        problems = [Problem("checksum", text.format(one.track.path), one.offset, 0) for one in wrong]
+        super().__init__(replace(plan, problems=(*plan.problems, *problems)))
 
     @contextmanager
     def table(self) -> Iterator[ArrayTable]:
-        """The arrays."""
+        """Return the arrays, which stay known."""
         yield self._table
 
     def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
-        """Yield up to `pieces` chunks; the first ones where what is packed can be entered only there."""
+        """Yield up to `pieces` chunks; only the first ones if an array is packed."""
         if self._packed:
             yield from Reader.preview(self, chunk_samples, pieces)
         else:
             yield from super().preview(chunk_samples, pieces)
-
-
-def _untrue(array: Array) -> Problem:
-    text = f"array {array.track.path}: its checksum is wrong; some of its values are not what was written"
-    return Problem("checksum", text, array.offset, 0)

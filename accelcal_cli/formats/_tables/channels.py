@@ -1,4 +1,4 @@
-"""Acceleration, and channels beside it: where a file has them, in which unit, and their rows as values.
+"""Acceleration and other channels of a table: which tracks hold them, and how numbers become counts.
 
 `CHANNELS` holds what is particular to a channel; all else passes channels on by name. A new one with one
 number for each row is one more `ColumnRule` there, and an entry of `opal.LAYOUTS` if Opal files have it.
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import NOT_CALIBRATED, Counts, Validity
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G, NOT_CALIBRATED, Counts, Validity
 from accelcal_cli.core.vocabulary import (
+    PER_G,
     ROTATION,
     TEMPERATURE,
     THERMOMETER,
@@ -23,11 +24,33 @@ from accelcal_cli.core.vocabulary import (
     UnitNames,
     names_in,
 )
-from accelcal_cli.formats._tables import tracks as tracks_of
-from accelcal_cli.formats._tables.attributes import readable
-from accelcal_cli.formats._tables.table import BLOCK_ROWS, READ_ERRORS, RowSelection, RowSource, Table
-from accelcal_cli.formats._tables.tracks import Group, Track, chosen_axes, described, split_unit
-from accelcal_cli.formats._tables.units import Scale, count_scale
+from accelcal_cli.formats._tables.table import (
+    BLOCK_ROWS,
+    READ_ERRORS,
+    Group,
+    RowSelection,
+    RowSource,
+    SensorTable,
+    Track,
+    chosen_axes,
+    described,
+    find_gyro,
+    find_named,
+    readable,
+    split_unit,
+)
+
+LARGEST_G = 127.0
+"""Values beyond this [g] are damage."""
+
+LARGEST_DPS = 32_767.0
+"""Values beyond this [deg/s] are damage."""
+
+GYRO_LSB_PER_DPS = 65_536.0
+"""Counts per deg/s given to rotation rates that arrive as decimal fractions."""
+
+EMPTY = -(1 << 63)
+"""Stands for an empty cell among whole numbers of 64 bits."""
 
 FAULTS = {
     "missing_value": "rows without a value (NaN) left out",
@@ -37,21 +60,111 @@ FAULTS = {
 LSB_PER_DPS = ("lsb_per_dps", "counts_per_dps", "gyro_lsb_per_dps", "lsb_per_deg_s")
 DPS_PER_LSB = ("dps_per_lsb", "dps_per_count", "gyro_dps_per_lsb")
 NOT_READ = "the gyroscope is not read (--gyro-unit none)"
-GYRO_LSB_PER_DPS = 65_536.0
-"""Counts per deg/s given to rates of turn that arrive as decimal fractions."""
 
-LARGEST_DPS = 32_767.0
+
+@dataclass(frozen=True, slots=True)
+class CountScale:
+    """How numbers become counts.
+
+    Attributes:
+        lsb: counts in one unit of the result (g or deg/s).
+        divisor: the size of one unit of the result in the track; None if its numbers are counts.
+        limit: largest believable magnitude, in units of the result; of no use for counts.
+        exact: the type that holds all counts of the track, None if some may not fit.
+    """
+
+    lsb: float
+    divisor: float | None = None
+    limit: float = 0.0
+    exact: type[np.int16] | type[np.int32] | None = None
+
+    def counts(self, values: NDArray[Any]) -> tuple[Counts, dict[str, NDArray[np.bool_]]]:
+        """Return counts of rows (n, 3), and by problem code the rows (n,) that have none."""
+        if self.exact is np.int16 and values.dtype.kind != "f":
+            return values.astype(np.int16), {}
+        if self.exact is np.int32 and values.dtype.kind != "f":
+            return values.astype(np.int32), {}
+        if values.dtype.kind in "iu":
+            return _narrowed(values)
+        with np.errstate(over="ignore", invalid="ignore"):
+            if values.dtype == np.float32 and self.divisor == 1.0 and self.lsb == FLOAT_LSB_PER_G:
+                return self._shifted(values)
+            return self._rounded(values.astype(np.float64))
+
+    def _shifted(self, values: NDArray[np.float32]) -> tuple[Counts, dict[str, NDArray[np.bool_]]]:
+        """Return the result of `_rounded` in half the time: a power of two moves no bit of a fraction."""
+        whole = values * np.float32(self.lsb)
+        np.rint(whole, out=whole)
+        limit = self.limit * self.lsb
+        if len(whole) and not (whole.min() >= -limit and whole.max() <= limit):
+            return self._rounded(values.astype(np.float64))
+        return whole.astype(np.int32), {}
+
+    def _rounded(self, values: NDArray[np.float64]) -> tuple[Counts, dict[str, NDArray[np.bool_]]]:
+        missing: NDArray[np.bool_] = np.isnan(values)
+        if self.divisor is None:
+            whole, limit = values, float(2**31 - 1)
+            broken = ~missing & np.isfinite(values) & (values != np.rint(values))
+        else:
+            units = values / self.divisor
+            whole, limit = np.rint(units * self.lsb), self.limit * self.lsb
+            broken = np.zeros_like(missing)
+        beyond: NDArray[np.bool_] = np.abs(whole) > limit
+        bad = missing | broken | beyond
+        faults: dict[str, NDArray[np.bool_]] = {
+            "missing_value": _rows(missing),
+            "bad_row": _rows(broken),
+            "out_of_range": _rows(beyond),
+        }
+        return np.where(bad, 0, whole).astype(np.int32), faults
+
+
+def _rows(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the rows (n,) with any of three cells true."""
+    rows: NDArray[np.bool_] = cells[:, 0] | cells[:, 1] | cells[:, 2]
+    return rows
+
+
+def _narrowed(values: NDArray[Any]) -> tuple[Counts, dict[str, NDArray[np.bool_]]]:
+    """Return whole numbers as int32, and the rows that do not fit or are empty."""
+    beyond, faults = values > 2**31 - 1, {}
+    if values.dtype.kind == "i":
+        beyond |= values < -(2**31)
+        if values.dtype.itemsize == 8:
+            faults["missing_value"] = _rows(values == EMPTY)
+    faults["out_of_range"] = _rows(beyond)
+    return np.where(beyond, 0, values).astype(np.int32), faults
+
+
+def count_scale(lsb: float, dtype: np.dtype[Any]) -> CountScale:
+    """Return the scale of numbers that are counts already."""
+    if dtype.kind == "f" or not np.can_cast(dtype, np.int32):
+        return CountScale(lsb)
+    return CountScale(lsb, exact=np.int16 if np.can_cast(dtype, np.int16) else np.int32)
+
+
+def physical_scale(unit: str, dtype: np.dtype[Any]) -> CountScale:
+    """Return the scale of numbers in g, mg or m/s2: whole ones are counts, fractions go to a fine grid."""
+    if dtype.kind in "iu":
+        return count_scale(PER_G[unit], dtype)
+    return CountScale(FLOAT_LSB_PER_G, PER_G[unit], LARGEST_G)
+
+
+def turn_scale(unit: str) -> CountScale | None:
+    """Return the scale of rotation rates in a unit, written as decimal fractions; None if it is not known."""
+    factor = ROTATION.find_in_table(unit)
+    return None if factor is None else CountScale(GYRO_LSB_PER_DPS, factor, LARGEST_DPS)
 
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """Where x, y and z are: one track of three columns or three of one, and their scale."""
+    """The tracks of x, y and z, one of three columns or three of one, and their scale."""
 
     tracks: Group
-    scale: Scale
+    scale: CountScale
 
     def values(self, sources: list[RowSource], selection: RowSelection, _before: Any = None) -> Counts:
-        """Counts (n, 3) of all rows of the selection; those that have none are left out of it."""
+        """Return counts (n, 3) of all rows of the selection; rows that have none are left out of it."""
         parts = [selection.read(source) for source in sources]
         counts, faults = self.scale.counts(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1))
         for code, bad in faults.items():
@@ -60,10 +173,12 @@ class Axes:
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
-    """A track of one number for each row, with `factor` of its units in one of the rule's.
+class ValueColumn:
+    """A track of one number for each row.
 
-    `first` is its first value, in steps of the channel.
+    Attributes:
+        factor: how much of its unit is one unit of the rule.
+        first: its first value, in steps of the channel.
     """
 
     rule: ColumnRule
@@ -74,7 +189,7 @@ class Column:
     def values(
         self, sources: list[RowSource], selection: RowSelection, before: NDArray[np.int32] | None
     ) -> NDArray[np.int32]:
-        """Values (n,) of all rows of the selection; where one is missing, the last one before it holds.
+        """Return values (n,) of all rows of the selection; where one is missing, the last one before it.
 
         Args:
             before: the value (1,) of the row before, None at the beginning.
@@ -91,19 +206,19 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Marks:
-    """Where each row comes from, as `Validity` numbers it."""
+    """A track that tells where each row comes from, as `Validity` numbers it."""
 
     tracks: Group
 
     def values(
         self, sources: list[RowSource], selection: RowSelection, _before: Any = None
     ) -> NDArray[np.uint8]:
-        """Values (n,) of all rows of the selection; those of no meaning are those of measured rows."""
+        """Return values (n,) of all rows of the selection; unknown ones count as measured."""
         found = selection.read(sources[0])[:, 0] % NOT_CALIBRATED
         return np.where((found >= 0) & (found <= max(Validity)), found, Validity.MEASURED).astype(np.uint8)
 
 
-Channel = Axes | Column | Marks
+Channel = Axes | ValueColumn | Marks
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,9 +226,9 @@ class ColumnRule:
     """How a channel of one number for each row is found and read.
 
     Attributes:
-        noun: what it is, in messages; `unit`: of its limits, in messages.
-        names: of its track, as `normal` leaves them.
-        units: find how much one such unit is in others.
+        noun: the channel in messages; `unit`: the unit of its limits in messages.
+        names: of its track, normalized.
+        units: find how much of a unit is one unit of the limits.
         endings: of names that state the unit; decimal fractions that state nothing have it too.
         low, high: values beyond these are not believed.
         steps: of the channel in one unit.
@@ -130,11 +245,11 @@ class ColumnRule:
     width: int = 1
 
     def candidates(self, tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
-        """Tracks that may hold it."""
-        return tracks_of.find_named(tracks, accel, self.names)
+        """Return tracks that may hold it."""
+        return find_named(tracks, accel, self.names)
 
-    def find(self, table: Table, group: Group, unit: str | None = None) -> Column | str:
-        """The channel in a track, or why it is not used; `unit` outweighs what is stated."""
+    def find(self, table: SensorTable, group: Group, unit: str | None = None) -> ValueColumn | str:
+        """Return the channel in a track, or why it is not used; `unit` outweighs what is stated."""
         factor = self.units.find_in_table(unit) if unit else self._stated_factor(table, group[0])
         if factor is None:
             return f"its unit is not {self.unit}"
@@ -142,16 +257,16 @@ class ColumnRule:
             first = self._first(table.rows(group[0]), group[0].rows, factor)
         except (UnreadableError, *READ_ERRORS):
             return "it is damaged"
-        return f"it holds no {self.noun}" if first is None else Column(self, group, factor, first)
+        return f"it holds no {self.noun}" if first is None else ValueColumn(self, group, factor, first)
 
-    def _stated_factor(self, table: Table, track: Track) -> float | None:
+    def _stated_factor(self, table: SensorTable, track: Track) -> float | None:
         unit = table.own(track.path).text("units", "unit")
         if unit is not None:
             return self.units.find_in_table(unit)
         return 1.0 if track.name.lower().endswith(self.endings) or track.dtype.kind == "f" else None
 
     def _first(self, source: RowSource, rows: int, factor: float) -> int | None:
-        """The first value [steps], None if there is none at all."""
+        """Return the first value [steps], None if there is none at all."""
         for start in range(0, rows, BLOCK_ROWS):
             values = self.steps_of(*source.read(start, min(start + BLOCK_ROWS, rows)), factor)
             known = values[~np.isnan(values)]
@@ -160,7 +275,7 @@ class ColumnRule:
         return None
 
     def steps_of(self, rows: NDArray[Any], good: NDArray[np.bool_], factor: float) -> NDArray[np.float64]:
-        """Rows (n, 1) as steps of the channel (n,), NaN where there is no believable value."""
+        """Return rows (n, 1) as steps of the channel (n,), NaN where there is no believable value."""
         with np.errstate(over="ignore", invalid="ignore"):
             values = rows[:, 0].astype(np.float64)
             if factor != 1:
@@ -175,22 +290,22 @@ class ColumnRule:
 
 @dataclass(frozen=True, slots=True)
 class TurnRule:
-    """How rates of turn around x, y and z are found and read; see `ColumnRule`."""
+    """How rotation rates around x, y and z are found and read; see `ColumnRule`."""
 
     noun: str
     unit: str
     width: int = 3
 
     def candidates(self, tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
-        """Tracks that may hold them."""
-        return tracks_of.find_gyro(tracks, accel)
+        """Return tracks that may hold them."""
+        return find_gyro(tracks, accel)
 
     def find(
-        self, table: Table, group: Group, unit: str | None = None, lsb: float | None = None
+        self, table: SensorTable, group: Group, unit: str | None = None, lsb: float | None = None
     ) -> Axes | str:
-        """The channel in tracks, or why it is not used; `unit` and `lsb` outweigh what they state."""
+        """Return the channel in tracks, or why it is not used; `unit` and `lsb` outweigh what they state."""
         if lsb is not None:
-            scale: Scale | None = _in_counts(lsb, group)
+            scale: CountScale | None = _turn_count_scale(lsb, group)
         else:
             scale = turn_scale(unit) if unit else self._stated_scale(group, table)
         if scale is None:
@@ -202,27 +317,21 @@ class TurnRule:
             return "it is damaged"
         return Axes(group, scale)
 
-    def _stated_scale(self, group: Group, table: Table) -> Scale | None:
-        """From `lsb_per_dps` or `dps_per_lsb` for counts, from the unit for decimal fractions."""
+    def _stated_scale(self, group: Group, table: SensorTable) -> CountScale | None:
+        """Return the scale by `lsb_per_dps` or `dps_per_lsb`, or by the unit of decimal fractions."""
         stated, own = table.stated(group[0].path), table.own(group[0].path).text("units", "unit")
         per_count, counts = stated.number(*DPS_PER_LSB), stated.number(*LSB_PER_DPS)
         lsb = 1 / per_count if counts is None and per_count else counts
         if lsb is not None and lsb > 0:
-            return _in_counts(lsb, group)
+            return _turn_count_scale(lsb, group)
         named = own or split_unit(group[0].name)[1] or stated.text("units", "unit")
         return turn_scale(named or "")
 
 
-def turn_scale(unit: str) -> Scale | None:
-    """Return the scale of rotation rates in a unit, written as decimal fractions; None if it is not known."""
-    factor = ROTATION.find_in_table(unit)
-    return None if factor is None else Scale(GYRO_LSB_PER_DPS, factor, LARGEST_DPS)
-
-
-def _in_counts(lsb: float, group: Group) -> Scale:
-    """Counts of which so many are 1 deg/s."""
+def _turn_count_scale(lsb: float, group: Group) -> CountScale:
+    """Return the scale of counts, `lsb` of which are 1 deg/s."""
     widest = max((item.dtype for item in group), key=lambda dtype: dtype.itemsize)
-    return count_scale(lsb, widest) if widest.kind in "iu" else Scale(lsb)
+    return count_scale(lsb, widest) if widest.kind in "iu" else CountScale(lsb)
 
 
 CHANNELS: dict[str, TurnRule | ColumnRule] = {
@@ -242,9 +351,9 @@ CHANNELS: dict[str, TurnRule | ColumnRule] = {
 
 
 def find_channels(
-    table: Table, tracks: tuple[Track, ...], accel: Track, options: ReadOptions
+    table: SensorTable, tracks: tuple[Track, ...], accel: Track, options: ReadOptions
 ) -> tuple[dict[str, Channel], tuple[str, ...]]:
-    """The channels that are as long as the acceleration, and notes: what is there but not used, and why.
+    """Return the channels that are as long as the acceleration, and notes on what is there but not used.
 
     Raises:
         UsageError: --gyro-columns names nothing.
@@ -261,7 +370,11 @@ def find_channels(
             notes.append(f"no {rule.noun} is used: several {table.word}s fit ({paths})")
         if len(groups) != 1:
             continue
-        channel = _found(rule, table, groups[0], options)
+        channel: Channel | str
+        if isinstance(rule, TurnRule):
+            channel = rule.find(table, groups[0], options.gyro_unit, options.lsb_per_dps)
+        else:
+            channel = rule.find(table, groups[0])
         if isinstance(channel, str):
             notes.append(f"{readable(groups[0][0].path)} is not used: {channel}")
         else:
@@ -270,7 +383,11 @@ def find_channels(
 
 
 def _candidates(
-    rule: TurnRule | ColumnRule, table: Table, tracks: tuple[Track, ...], accel: Track, options: ReadOptions
+    rule: TurnRule | ColumnRule,
+    table: SensorTable,
+    tracks: tuple[Track, ...],
+    accel: Track,
+    options: ReadOptions,
 ) -> tuple[Group, ...]:
     if not isinstance(rule, TurnRule) or options.gyro_columns is None:
         return rule.candidates(tracks, accel)
@@ -283,14 +400,8 @@ def _candidates(
     return (group,)
 
 
-def _found(rule: TurnRule | ColumnRule, table: Table, group: Group, options: ReadOptions) -> Channel | str:
-    if isinstance(rule, TurnRule):
-        return rule.find(table, group, options.gyro_unit, options.lsb_per_dps)
-    return rule.find(table, group)
-
-
 def dps_per_lsb(channels: dict[str, Channel]) -> tuple[float, float, float] | None:
-    """deg/s in one count of each axis of the gyroscope; None without one."""
+    """Return deg/s in one count of each axis of the gyroscope; None without one."""
     gyro = channels.get("gyro_counts")
     if not isinstance(gyro, Axes):
         return None

@@ -1,47 +1,310 @@
-"""The rows of a table as chunks, once it is known what to read: what all formats of named columns share."""
+"""Reads a table: decides what to read and how (`plan_of`), and streams its rows as chunks (`TableReader`).
+
+All formats of named columns share this. The names that are understood are listed in docs/hdf5-files.md and
+docs/tables.md.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
 from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass, field, replace
 from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core import recording
-from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformClock, rate_fraction
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core import recording as recordings
+from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformClock, rate_fraction, utc_offset_s
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.local_time import FOLLOWED
-from accelcal_cli.core.recording import Channels, Chunk, Problem, Reader
+from accelcal_cli.core.recording import Channels, Chunk, Device, Problem, Reader, Recording
+from accelcal_cli.core.vocabulary import ACCELERATION, PER_G
+from accelcal_cli.formats._gravity import guess_unit, likely_counts, usual_length
 from accelcal_cli.formats._problems import ProblemLog, Run
 from accelcal_cli.formats._stamps import GAP_PERIODS
-from accelcal_cli.formats._tables.attributes import readable
-from accelcal_cli.formats._tables.description import Plan
-from accelcal_cli.formats._tables.table import REFUSE_ABOVE_BYTES, RowSelection, Table
-from accelcal_cli.formats._tables.times import RowTimes
+from accelcal_cli.formats._tables.channels import (
+    LARGEST_G,
+    Axes,
+    Channel,
+    CountScale,
+    count_scale,
+    dps_per_lsb,
+    find_channels,
+    physical_scale,
+)
+from accelcal_cli.formats._tables.table import (
+    REFUSE_ABOVE_BYTES,
+    Attributes,
+    RowSelection,
+    SensorTable,
+    TableSource,
+    Track,
+    chosen_axes,
+    find_accel,
+    good_rows,
+    readable,
+    split_unit,
+)
+from accelcal_cli.formats._tables.times import RowTimes, Stamps, TableTimeline, checked_rate, find_timeline
+
+LEAST_LSB = 1e-9
+"""Smallest believable number of counts in one g."""
+
+LSB_NAMES = ("lsb_per_g", "counts_per_g", "count_per_g", "lsbs_per_g", "sensitivity_lsb_per_g")
+RANGE_NAMES = ("range_g", "accel_range_g", "full_scale_g", "dynamic_range_g")
+SERIAL_NAMES = ("serial", "serial_number", "device_serial", "device_id", "sensor_id")
+MODEL_NAMES = ("model", "device_model", "device", "device_type", "sensor_model")
+FIRMWARE_NAMES = ("firmware", "firmware_version", "device_firmware")
+ZONE_NAMES = ("timezone", "time_zone", "tz")
+LARGEST_RANGE_G = 1000.0
+"""A stated range above this is not believed."""
 
 SINGLE = 100
-"""Problems of a kind that are given one by one."""
+"""Problems of one kind that are given one by one; more are summed up."""
 
 PIECE_BYTES = 16 << 20
-"""Of the columns' values at a time, however many samples are wanted: wide numbers take memory."""
+"""Bytes of values that are read at a time, however many samples are wanted: wide numbers take memory."""
 
 AHEAD = ("clock_gap", "jumps forward of the times")
 BACK = ("clock_back", "jumps back of the times")
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingPlan:
+    """What is read and how, found out when the recording was opened.
+
+    Attributes:
+        problems: go with the first rows.
+        missing_bytes: of a file cut short; its problem goes with the last rows.
+    """
+
+    recording: Recording
+    rows: int
+    accel: Axes
+    stamps: Stamps | None = None
+    channels: dict[str, Channel] = field(default_factory=dict)
+    problems: tuple[Problem, ...] = ()
+    missing_bytes: int = 0
+
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        """All tracks that are read."""
+        groups = (self.accel.tracks, *(channel.tracks for channel in self.channels.values()))
+        stamps = () if self.stamps is None else (self.stamps.track,)
+        return (*(track for group in groups for track in group), *stamps)
+
+
+def source_of(
+    table: SensorTable, tracks: tuple[Track, ...], options: ReadOptions, damaged: int = 0
+) -> TableSource:
+    """Find the acceleration of a table, and what is stated of it.
+
+    Raises:
+        UnreadableError: nothing is known as acceleration, or several things are.
+        UsageError: an option names nothing.
+    """
+    if options.columns is not None:
+        group = chosen_axes(tracks, options.columns, table)
+    else:
+        group = find_accel(tracks, table, options.sensor)
+    return TableSource(table, options, tracks, group, table.stated(group[0].path), damaged)
+
+
+def plan_of(source: TableSource, format_name: str) -> ReadingPlan:
+    """Decide what to read of a table, and how.
+
+    Raises:
+        UnreadableError: its times make no sense, or no unit, rate or scale fits or is stated.
+        UsageError: an option names nothing.
+    """
+    timeline = find_timeline(source)
+    rate = checked_rate(timeline.rate_hz, source.path)
+    scale, scale_notes = _scale(source)
+    accel = Axes(source.group, scale)
+    channels, notes = find_channels(source.table, source.tracks, source.accel, source.options)
+    recording = _recording(source, format_name, timeline, rate, accel, channels)
+    return ReadingPlan(
+        recording=replace(recording, notes=timeline.notes + scale_notes + notes + recording.notes),
+        rows=source.accel.rows,
+        accel=accel,
+        stamps=timeline.stamps,
+        channels=channels,
+        problems=timeline.problems + header_problems(source.attributes, source.damaged),
+        missing_bytes=source.table.missing_bytes(),
+    )
+
+
+def _recording(
+    source: TableSource,
+    name: str,
+    timeline: TableTimeline,
+    rate: float,
+    accel: Axes,
+    channels: dict[str, Channel],
+) -> Recording:
+    attributes = source.attributes
+    rows = source.accel.rows
+    zone, zone_notes = _zone(source, timeline)
+    range_g = attributes.number(*RANGE_NAMES)
+    axes = [item for item in (accel, *channels.values()) if isinstance(item, Axes)]
+    known = timeline.stamps is None and all(item.scale.exact is not None for item in axes)
+    return Recording(
+        path=source.path,
+        format=name,
+        rate_hz=rate,
+        lsb_per_g=accel.scale.lsb,
+        total_bytes=source.path.stat().st_size,
+        device=Device(
+            attributes.text(*MODEL_NAMES), attributes.text(*SERIAL_NAMES), attributes.text(*FIRMWARE_NAMES)
+        ),
+        range_g=range_g if range_g is not None and 0 < range_g <= LARGEST_RANGE_G else None,
+        start_us=timeline.start_us,
+        timezone=zone,
+        has_offsets=timeline.has_offsets,
+        stamped=timeline.stamps is not None and not timeline.stamps.scale.base_us,
+        samples=rows if known else None,
+        duration_s=rows / rate if timeline.duration_s is None else timeline.duration_s,
+        has_temperature="temperature_mc" in channels,
+        gyro_dps_per_lsb=dps_per_lsb(channels),
+        notes=zone_notes,
+    )
+
+
+def _zone(source: TableSource, timeline: TableTimeline) -> tuple[str | None, tuple[str, ...]]:
+    """Return the zone that the file states; times that are UTC for certain outweigh any name."""
+    name = source.attributes.text(*ZONE_NAMES)
+    zone = known_zone(name)
+    if timeline.is_utc:
+        place = name if zone is None else zone
+        return "UTC", () if place in (None, "UTC") else (
+            f"its times are UTC; it names the time zone {place}",
+        )
+    return zone, () if name is None or zone else (f"its time zone {name!r} is not known and was not used",)
+
+
+def _scale(source: TableSource) -> tuple[CountScale, tuple[str, ...]]:
+    """Return the scale, and a note if gravity decided the unit; the user's unit outweighs the rest."""
+    unit, lsb = _unit_and_lsb(source)
+    notes: tuple[str, ...] = ()
+    if unit is None:
+        unit = guess_unit(_some_values(source), source.path)
+        notes = (f"unit: {unit} (judged by the length of gravity)",)
+    dtype = np.result_type(*(item.dtype for item in source.group))
+    if unit == "counts":
+        return _count_scale(source, _checked_lsb(lsb, source), dtype), notes
+    return physical_scale(unit, dtype), notes
+
+
+def _some_values(source: TableSource) -> NDArray[np.float64]:
+    """Return values (n, 3) from all over the table."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        parts = [spread_rows(source.table, item).astype(np.float64) for item in source.group]
+    rows = min(map(len, parts))
+    return np.concatenate([part[:rows] for part in parts], axis=1)
+
+
+def _unit_and_lsb(source: TableSource) -> tuple[str | None, float | None]:
+    """Return the unit (None: gravity has to tell) and counts per g."""
+    options = source.options
+    file_unit, file_lsb = _shared_unit_and_lsb(source)
+    lsb = file_lsb if options.lsb_per_g is None else options.lsb_per_g
+    if options.unit is not None:
+        return options.unit, lsb
+    whole = all(item.dtype.kind in "iu" for item in source.group)
+    if lsb is not None and (whole or file_unit is None):
+        return "counts", lsb
+    if file_unit is None:
+        return "counts" if whole else None, lsb
+    if (unit := ACCELERATION.find_in_table(file_unit)) is not None:
+        return unit, lsb
+    raise UnreadableError(
+        f"the unit {file_unit!r} of {readable(source.accel.path)} is not known",
+        path=source.path,
+        hint=f"give --unit {'|'.join(PER_G)}|counts",
+    )
+
+
+def _shared_unit_and_lsb(source: TableSource) -> tuple[str | None, float | None]:
+    """Return unit and counts per g by the attributes of the axes, which must not contradict each other."""
+    attributes = [source.table.stated(item.path) for item in source.group]
+    stated = {found.text("units", "unit") for found in attributes} - {None}
+    units = stated or {split_unit(item.name)[1] for item in source.group} - {None}
+    scales = {found.number(*LSB_NAMES) for found in attributes} - {None}
+    if len(units) > 1 or len(scales) > 1:
+        raise UnreadableError(
+            "the axes have different units or counts per g", path=source.path, hint="give them one scale"
+        )
+    return next(iter(units), None), next(iter(scales), None)
+
+
+def _checked_lsb(lsb: float | None, source: TableSource) -> float:
+    path = source.path
+    if lsb is None:
+        likely = likely_counts(usual_length(_some_values(source)))
+        raise UnreadableError(
+            "the file does not state the counts per g",
+            path=path,
+            hint=f"give --lsb-per-g N{likely}, or --unit if its whole numbers are in {'|'.join(PER_G)}",
+        )
+    if not LEAST_LSB <= lsb <= recordings.FLOAT_LSB_PER_G * LARGEST_G:
+        raise UnreadableError(f"{lsb:g} counts per g cannot be right", path=path, hint="give --lsb-per-g N")
+    return lsb
+
+
+def _count_scale(source: TableSource, lsb: float, dtype: np.dtype[Any]) -> CountScale:
+    """Return the scale of counts; counts with decimal fractions (averages) go to the grid of fractions."""
+    if dtype.kind == "f":
+        for item in source.group:
+            seen = spread_rows(source.table, item)
+            seen = seen[np.isfinite(seen)]
+            if np.any(seen != np.rint(seen)):
+                return CountScale(recordings.FLOAT_LSB_PER_G, lsb, LARGEST_G)
+    return count_scale(lsb, dtype)
+
+
+def spread_rows(table: SensorTable, track: Track, places: int = 5, each: int = 1024) -> NDArray[Any]:
+    """Return some rows from the beginning, the end and between, without lost ones."""
+    rows = table.rows(track)
+    last = max(0, track.rows - each)
+    starts = sorted({place * last // (places - 1) for place in range(places)})
+    return np.concatenate([good_rows(rows, start, min(start + each, track.rows)) for start in starts])
+
+
+def known_zone(name: str | None) -> str | None:
+    """Return the name or offset of a time zone if it is one, else None."""
+    if name is None or name.upper() in ("UTC", "Z"):
+        return name and "UTC"
+    try:
+        utc_offset_s(name, 0)
+    except UsageError:
+        return None
+    return name
+
+
+def header_problems(attributes: Attributes, damaged: int = 0) -> tuple[Problem, ...]:
+    """Return a problem if attributes, datasets or groups could not be read."""
+    count = len(attributes.damaged) + damaged
+    if not count:
+        return ()
+    what = f"{count} attributes, datasets or groups cannot be read and count as absent"
+    return (Problem("damaged_header", what, None, 0, count),)
 
 
 class TableReader(Reader):
     """Streams the rows of a plan. The file is open only while a stream runs."""
 
     repack = "write it again in smaller parts"
+    """Advice on a file whose parts are too large to unpack at once."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: ReadingPlan) -> None:
         self.recording = plan.recording
         self._plan = plan
 
-    def table(self) -> AbstractContextManager[Table]:
-        """The file, opened again; raises UnreadableError where it cannot be."""
+    def table(self) -> AbstractContextManager[SensorTable]:
+        """Open the file again; raises UnreadableError where it cannot be opened."""
         raise NotImplementedError
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
@@ -56,16 +319,13 @@ class TableReader(Reader):
                 delivered += len(chunk)
                 yield chunk
         if not delivered:
-            self._refuse()
-
-    def _refuse(self) -> None:
-        plan, path = self._plan, self.recording.path
-        with self.table() as table, table.explaining():
-            raise UnreadableError(
-                f"none of the {plan.rows} rows of {readable(plan.accel.tracks[0].path)} is usable",
-                path=path,
-                hint="copy the file again from its source",
-            )
+            with self.table() as table, table.explaining():
+                track = readable(self._plan.accel.tracks[0].path)
+                raise UnreadableError(
+                    f"none of the {self._plan.rows} rows of {track} is usable",
+                    path=self.recording.path,
+                    hint="copy the file again from its source",
+                )
 
     def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
         """Yield up to `pieces` chunks spread evenly over the file."""
@@ -77,13 +337,10 @@ class TableReader(Reader):
             start = piece * rows // pieces
             yield from self._pieces(start, start + chunk_samples, chunk_samples)
 
-    def _zone_of_stamps(self) -> str | None:
-        return self.recording.timezone if self.recording.stamped else None
-
     def _pieces(self, start: int, stop: int, chunk_samples: int) -> Generator[Chunk, None, None]:
         with self.table() as table:
             with table.explaining(), table.guard(f"{table.word}s"):
-                stream = _Stream(table, self._plan, start, self._zone_of_stamps())
+                stream = _Stream(table, self._plan, start)
                 self._refuse_unbounded(stream.kept_bytes, table.word)
             step = max(1, min(chunk_samples, PIECE_BYTES // stream.row_bytes))
             for row in range(start, stop, step):
@@ -104,10 +361,11 @@ def _message(run: Run) -> str:
 
 
 class _Stream:
-    """One run through the rows: what is carried from one chunk to the next."""
+    """One run through the rows, with what is carried from one chunk to the next."""
 
-    def __init__(self, table: Table, plan: Plan, start: int, zone: str | None) -> None:
+    def __init__(self, table: SensorTable, plan: ReadingPlan, start: int) -> None:
         self._plan = plan
+        zone = plan.recording.timezone if plan.recording.stamped else None
         self._rate = rate_fraction(plan.recording.rate_hz)
         self._accel = [*map(table.rows, plan.accel.tracks)]
         self._channels = {name: [*map(table.rows, channel.tracks)] for name, channel in plan.channels.items()}
@@ -119,13 +377,12 @@ class _Stream:
         self._sample = start
         self._last_row: int | None = None
         self._last_time = 0
-        sources = chain(self._accel, *self._channels.values(), stamps)
-        read = [*sources]
-        self.row_bytes = sum(source.row_bytes for source in read)
-        self.kept_bytes = sum(source.kept_bytes for source in read)
+        sources = [*chain(self._accel, *self._channels.values(), stamps)]
+        self.row_bytes = sum(source.row_bytes for source in sources)
+        self.kept_bytes = sum(source.kept_bytes for source in sources)
 
     def piece(self, start: int, stop: int, last: bool) -> Chunk:
-        """The usable ones among rows start..stop-1 of the table."""
+        """Return the usable ones among rows start..stop-1 of the table."""
         selection = RowSelection(start, stop, self.row_bytes)
         counts = self._plan.accel.values(self._accel, selection)
         channels = self._channel_values(selection)
@@ -150,7 +407,7 @@ class _Stream:
         return chunk
 
     def _end(self, last: bool, rows: int) -> tuple[Problem, ...]:
-        """With the last rows: that the file was cut short."""
+        """Return, with the last rows, the problem that the file was cut short."""
         missing, total = self._plan.missing_bytes, self._plan.recording.total_bytes
         if not missing or not last:
             return ()
@@ -159,18 +416,18 @@ class _Stream:
         return (Problem("truncated", what, total, self._sample + rows, max(1, missing)),)
 
     def _channel_values(self, selection: RowSelection) -> Channels:
-        """All rows of each channel."""
+        """Return all rows of each channel."""
         channels: Channels = {
             name: channel.values(self._channels[name], selection, self._before.get(name))
             for name, channel in self._plan.channels.items()
         }
-        self._before = recording.cut_channels(channels, [-1])
+        self._before = recordings.cut_channels(channels, [-1])
         return channels
 
     def _clock(
         self, times: NDArray[np.int64] | None, rows: NDArray[np.int64], selection: RowSelection
     ) -> Clock:
-        """The times of the kept rows: their own, or by their place in the table."""
+        """Return the times of the kept rows: their own, or by their place in the table."""
         if times is not None:
             return StampClock(selection.kept(times))
         even = UniformClock(self._plan.recording.start_us or 0, selection.start, self._rate)
@@ -181,9 +438,9 @@ class _Stream:
     def _breaks(
         self, times: NDArray[np.int64] | None, rows: NDArray[np.int64], selection: RowSelection
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Where the kept rows do not follow on the ones before them, in place or time; where only in time."""
+        """Return rows that do not follow on the one before in place or time, and those only in time."""
         if not len(rows):
-            return recording.NO_BREAKS, recording.NO_BREAKS
+            return recordings.NO_BREAKS, recordings.NO_BREAKS
         before = self._last_row
         every = len(rows) == len(selection.keep)
         jumps = np.zeros(len(rows), np.bool_) if every else np.diff(rows, prepend=rows[0]) != 1
@@ -201,7 +458,7 @@ class _Stream:
         explained: NDArray[np.bool_],
         selection: RowSelection,
     ) -> NDArray[np.bool_]:
-        """Where the times jump; a problem unless lost rows explain it."""
+        """Return flags of rows before which the times jump; note jumps that lost rows do not explain."""
         longest = GAP_PERIODS * MICROSECONDS / self._plan.recording.rate_hz
         steps = np.diff(times, prepend=times[0] if self._last_row is None else self._last_time)
         self._last_time = int(times[-1])

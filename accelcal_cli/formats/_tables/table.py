@@ -1,30 +1,171 @@
-"""An open file as a table (`Table`), rows of its columns (`RowSource`), and those kept (`RowSelection`)."""
+"""An open file as a table: its columns (`Track`), what is stated of them (`Attributes`), and their rows.
+
+Acceleration, time, temperature and rotation rates are found by name. A format says which tracks its files
+have (`Table`) and gives the rows of each (`RowSource`); `RowSelection` notes which rows are kept.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
+from posixpath import basename, dirname
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.errors import NoRecordingError, UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.vocabulary import (
+    ACCELEROMETER,
+    GYROSCOPE,
+    TIMES,
+    UNIT_AT_END,
+    In,
+    names_in,
+    normalized,
+)
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog
-from accelcal_cli.formats._tables.attributes import Attributes, readable
-from accelcal_cli.formats._tables.tracks import Track
 
 BLOCK_ROWS = 65_536
+"""Rows that are read at a time."""
+
 REFUSE_ABOVE_BYTES = 128 << 20
-"""Of what has to be unpacked whole, of all columns together; at moments it takes three times as much."""
+"""Bytes of all columns that may be unpacked whole together; at moments it takes three times as much."""
 
 READ_ERRORS = (
     OSError, RuntimeError, ValueError, TypeError, LookupError, ArithmeticError, AttributeError, MemoryError,
     SystemError,
 )  # fmt: skip
-"""What libraries that read files map their failures to: almost any of Python's own kinds."""
+"""Errors to which libraries that read files map their failures: almost any of Python's own kinds."""
+
+ACCEL_NAMES = names_in(ACCELEROMETER, In.TABLES)
+GYRO_NAMES = names_in(GYROSCOPE, In.TABLES)
+TIME_NAMES = names_in(TIMES, In.TABLES)
+ACCEL_PREFIXES = sorted(names_in(ACCELEROMETER, In.AXES))
+GYRO_PREFIXES = sorted(names_in(GYROSCOPE, In.AXES))
+VALUE_NAMES = frozenset({"data", "values", "value", "samples", "xyz"})
+"""Names of a track that say nothing; the group around it then tells what it holds."""
+
+OTHER_SENSORS = ("gyr", "mag", "angular", "orient", "quat")
+"""Beginnings of names that rule out acceleration."""
 
 Offset = Callable[[int], int | None]
+
+
+def readable(text: str) -> str:
+    """Return a name or text of a file, with bytes that are not UTF-8, which h5py passes on, replaced."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+
+
+def plain_value(value: object) -> str | float | None:
+    """Return an attribute as text or number; None if it is neither, empty or a list."""
+    if isinstance(value, np.ndarray):
+        value = value.ravel()[0] if value.size == 1 else None
+    if isinstance(value, bytes):
+        value = value.decode("utf-8", "replace")
+    if isinstance(value, str):
+        return readable(value).replace("\0", " ").strip() or None
+    if isinstance(value, bool | int | float | np.number | np.bool_) and not np.iscomplexobj(value):
+        return float(value)
+    return None
+
+
+class Attributes:
+    """Values that are stated of a column, of the groups around it and of the file: the nearest wins.
+
+    Names are compared without case and punctuation. A value that cannot be read counts as absent; its name
+    is kept in `damaged`.
+
+    Args:
+        layers: values by their names, the nearest first.
+    """
+
+    def __init__(self, layers: Sequence[Mapping[str, object]] = ()) -> None:
+        self.damaged: list[str] = []
+        self._layers = [{normalized(name): value for name, value in layer.items()} for layer in layers]
+
+    def value(self, *names: str) -> str | float | None:
+        """Return the value of the first of these names that has one."""
+        for depth in range(len(self._layers)):
+            for name in names:
+                if (found := self.read(depth, normalized(name))) is not None:
+                    return found
+        return None
+
+    def read(self, depth: int, name: str) -> str | float | None:
+        """Return the value of a normalized name in a layer, None if there is none."""
+        return plain_value(self._layers[depth].get(name))
+
+    def text(self, *names: str) -> str | None:
+        """Return the value as text; a whole number is written without a decimal point."""
+        value = self.value(*names)
+        if isinstance(value, float):
+            return f"{value:.0f}" if value.is_integer() else str(value)
+        return value
+
+    def number(self, *names: str) -> float | None:
+        """Return the value as a number, also from text such as `100 Hz`; None if it is not one."""
+        value = self.value(*names)
+        if isinstance(value, str):
+            found = re.match(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?", value)
+            value = float(found[0]) if found else None
+        return value if value is not None and np.isfinite(value) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """A column of `rows` rows of `width` numbers; the rows run along its axis `axis`.
+
+    Attributes:
+        clock: its numbers count from 1970 on a clock of an unknown zone.
+    """
+
+    path: str
+    rows: int
+    width: int
+    axis: int
+    dtype: np.dtype[Any]
+    clock: bool = False
+
+    @property
+    def name(self) -> str:
+        """The last part of the path."""
+        return basename(self.path)
+
+    @property
+    def parent(self) -> str:
+        """The group that holds it, `/` for the file itself."""
+        return dirname(self.path)
+
+
+Group = tuple[Track, ...]
+"""One track of three numbers a row, or three tracks of one."""
+
+
+def track_of_shape(path: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Track | None:
+    """Return an array as a track of rows of 1 or 3 numbers; None if it cannot be read so.
+
+    (n,), (n, 1) and (1, n) are rows of one, (n, 3) and (3, n) rows of three; (3, 3) and (1, 3)
+    are read with the rows along the first axis.
+    """
+    if len(shape) not in (1, 2) or dtype.kind not in "iuf":
+        return None
+    if len(shape) == 1:
+        return Track(path, shape[0], 1, 0, dtype)
+    for axis in (0, 1):
+        if shape[1 - axis] in (1, 3):
+            return Track(path, shape[axis], shape[1 - axis], axis, dtype)
+    return None
+
+
+def described(tracks: Iterable[Track]) -> str:
+    """Return tracks as people read them: `/a (100 x 3), /b (100)`."""
+    shown = [f"{item.path} ({item.rows}{' x 3' if item.width == 3 else ''})" for item in tracks]
+    return ", ".join(shown[:20] + ["..."] * (len(shown) > 20)) or "none"
 
 
 class RowSource(Protocol):
@@ -32,8 +173,8 @@ class RowSource(Protocol):
 
     Attributes:
         path: the track's.
-        row_bytes: of one row.
-        kept_bytes: of what has to be kept unpacked.
+        row_bytes: bytes of one row.
+        kept_bytes: bytes that have to be kept unpacked.
     """
 
     kept_bytes: int
@@ -45,56 +186,88 @@ class RowSource(Protocol):
     def row_bytes(self) -> int: ...
 
     def read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Rows start..stop-1, shape (stop - start, width), and which of them are not lost."""
+        """Return rows start..stop-1, shape (stop - start, width), and flags of those that are not lost."""
 
     def chunk_offset(self, row: int) -> int | None:
-        """Byte in the file of the part that holds a row; None if that is not known."""
+        """Return the byte in the file of the part that holds a row; None if that is not known."""
 
 
-class Table:
+class SensorTable:
     """An open file whose tracks are known.
 
     Attributes:
-        word: what a track is called in messages.
+        word: the word for a track in messages.
     """
 
     path: Path
     word = "column"
 
     def missing_bytes(self) -> int:
-        """How many bytes at the end of a file that was cut short are not there; -1 if that is not known."""
+        """Return the number of bytes that a file that was cut short lacks; -1 if that is not known."""
         return 0
 
     def own(self, path: str) -> Attributes:
-        """What is stated of a track alone."""
+        """Return what is stated of a track alone."""
         raise NotImplementedError
 
     def stated(self, path: str) -> Attributes:
-        """What is stated of a track, then of all that is around it, up to the file."""
+        """Return what is stated of a track, then of all that is around it, up to the file."""
         raise NotImplementedError
 
     def rows(self, track: Track) -> RowSource:
-        """The rows of a track; raises UnreadableError where they cannot be read in parts."""
+        """Return the rows of a track; raise UnreadableError where they cannot be read in parts."""
         raise NotImplementedError
 
     def guard(self, what: str) -> AbstractContextManager[None]:
-        """Turns what a library raises into an UnreadableError that names the part concerned."""
+        """Turn errors of a library into an UnreadableError that names the part concerned."""
         return nullcontext()
 
     def explaining(self, damaged: int = 0) -> AbstractContextManager[None]:
-        """Adds to any error of ours that the file is cut short or damaged, if it is."""
+        """Add to any error of ours that the file is cut short or damaged, if it is."""
         return nullcontext()
 
 
+@dataclass(frozen=True, slots=True)
+class TableSource:
+    """A table being opened: all its tracks, where the acceleration is, and what is stated of it.
+
+    Attributes:
+        damaged: number of parts of the file that cannot be read.
+    """
+
+    table: SensorTable
+    options: ReadOptions
+    tracks: tuple[Track, ...]
+    group: Group
+    attributes: Attributes
+    damaged: int = 0
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.table.path
+
+    @property
+    def accel(self) -> Track:
+        """The track of acceleration, or of its x axis."""
+        return self.group[0]
+
+
+def good_rows(rows: RowSource, start: int, stop: int) -> NDArray[Any]:
+    """Return rows start..stop-1 without the lost ones, (n, width)."""
+    values, good = rows.read(start, stop)
+    return values[good]
+
+
 def nowhere(_row: int) -> None:
-    """The byte offset of a fault that lies in values, not in bytes."""
+    """Return no byte offset, for a fault that lies in values, not in bytes."""
 
 
 class RowSelection:
-    """Which of the rows start..stop-1 of the datasets are kept, and what is wrong with others.
+    """Notes which of the rows start..stop-1 of the tracks are kept, and what is wrong with others.
 
     Args:
-        row_bytes: bytes of a row in all datasets together.
+        row_bytes: bytes of a row in all tracks together.
     """
 
     def __init__(self, start: int, stop: int, row_bytes: int) -> None:
@@ -106,13 +279,13 @@ class RowSelection:
         self._faults: dict[tuple[Kind, Offset, int], list[NDArray[np.int64]]] = {}
 
     def read(self, source: RowSource) -> NDArray[Any]:
-        """All rows of a column (n, width); lost ones are zero and left out."""
+        """Return all rows of a track (n, width); lost ones are zero and left out."""
         values, good = source.read(self.start, self.stop)
         self.lose(source, ~good)
         return values
 
     def lose(self, source: RowSource, lost: NDArray[np.bool_]) -> None:
-        """Drop rows that a column has lost."""
+        """Drop rows that a track has lost."""
         if lost.any():
             kind = ("bad_page", f"rows lost in damaged or missing parts of {readable(source.path)}")
             self.leave_out(kind, lost, source.chunk_offset)
@@ -134,15 +307,15 @@ class RowSelection:
         self.note(kind, rows)
 
     def kept(self, values: Any) -> Any:
-        """The kept ones of the rows of an array."""
+        """Return the kept ones of the rows of an array."""
         return values if self.keep.all() else values[self.keep]
 
     def rows(self) -> NDArray[np.int64]:
-        """Numbers of the kept rows within the selection, (n,)."""
+        """Return the numbers of the kept rows within the selection, (n,)."""
         return np.arange(len(self.keep)) if self.keep.all() else np.flatnonzero(self.keep)
 
     def events(self, log: ProblemLog, first_sample: int) -> Iterator[Event]:
-        """What was noted, as the log takes it; `first_sample` is the number of the first kept row.
+        """Yield what was noted, as the log takes it; `first_sample` is the number of the first kept row.
 
         Rows with one fault are a run wherever it lies, in the acceleration or in the gyroscope.
         """
@@ -155,3 +328,160 @@ class RowSelection:
                 start, sample = self.start + row, first_sample + int(np.searchsorted(kept, row))
                 amounts = (count, 0, count * row_bytes)
                 yield Event(start, count, *kind, offset(start), sample, *amounts, scattered=scattered)
+
+
+def chosen_axes(
+    tracks: tuple[Track, ...], columns: tuple[str, str, str], table: SensorTable, option: str = "--columns"
+) -> Group:
+    """Return the tracks that an option names: three of one number a row, or one of three named thrice.
+
+    Raises:
+        UsageError: a name fits no track or several, or the lengths differ.
+    """
+    named = tuple(named_track(tracks, column, table) for column in columns)
+    if len(set(named)) == 1 and named[0].width == 3:
+        return named[:1]
+    if any(item.width != 1 for item in named) or len({item.rows for item in named}) != 1:
+        raise UsageError(
+            f"{option} must name three {table.word}s of one length, or one of three numbers a row thrice, "
+            f"not {described(named)}",
+            path=table.path,
+        )
+    return named
+
+
+def named_track(tracks: tuple[Track, ...], name: str, table: SensorTable) -> Track:
+    """Return the track of this path, or else the only one whose last part is this name.
+
+    Raises:
+        UsageError: there is none, or several.
+    """
+    full = "/" + name.strip().strip("/")
+    exact = [item for item in tracks if item.path == full]
+    found = exact or [item for item in tracks if normalized(item.name) == normalized(name)]
+    if len(found) != 1:
+        what = f"several {table.word}s" if found else f"no {table.word}"
+        raise UsageError(
+            f"{what} named {name!r}",
+            path=table.path,
+            hint=f"{table.word}s of the file: {described(found or tracks)}",
+        )
+    return found[0]
+
+
+def find_accel(tracks: tuple[Track, ...], table: SensorTable, sensor: str | None) -> Group:
+    """Find the tracks of acceleration by name; `sensor` is a group on their path.
+
+    Raises:
+        UsageError: several fit, or none of the named sensor.
+        UnreadableError: none fits.
+    """
+    found = [
+        group
+        for group in _groups(tracks, ACCEL_NAMES, ACCEL_PREFIXES)
+        if not any(normalized(part).startswith(OTHER_SENSORS) for part in group[0].path.split("/"))
+        and (sensor is None or sensor.strip("/").lower() in group[0].path.lower().split("/")[:-1])
+    ]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        listed = ", ".join("+".join(item.path for item in group) for group in found)
+        raise UnreadableError(
+            f"several {table.word}s may hold the acceleration: {listed}",
+            path=table.path,
+            hint=f"choose with --columns PATH,PATH,PATH (one {table.word} of three numbers a row: its path "
+            "three times)",
+        )
+    if sensor is not None:
+        raise UsageError(
+            f"no acceleration in a group named {sensor!r}",
+            path=table.path,
+            hint=f"{table.word}s of the file: {described(tracks)}",
+        )
+    if not tracks:
+        raise NoRecordingError(
+            f"no {table.word} of numbers can be found",
+            path=table.path,
+            hint="give it x, y and z, and times, as numbers",
+        )
+    raise NoRecordingError(
+        f"no {table.word} has a name known for acceleration",
+        path=table.path,
+        hint=f"name it with --columns PATH,PATH,PATH; {table.word}s of the file: {described(tracks)}",
+    )
+
+
+def find_gyro(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
+    """Find the nearest gyroscope tracks of the same length."""
+    groups = _groups(tracks, GYRO_NAMES, GYRO_PREFIXES)
+    own = sorted({item.parent for item in tracks if normalized(basename(item.parent)) in GYRO_NAMES})
+    groups += [triple for parent in own if (triple := _triple(tracks, parent, ""))]
+    groups = [group for group in groups if group[0].rows == accel.rows]
+    places = (accel.parent, dirname(accel.parent))
+    return _nearest(groups, accel) or tuple(
+        group for group in groups if group[0].parent in own and dirname(group[0].parent) in places
+    )
+
+
+def find_named(tracks: tuple[Track, ...], accel: Track, names: frozenset[str]) -> tuple[Group, ...]:
+    """Find the nearest tracks of one of these names with one number for each row of the acceleration."""
+    return _nearest(_columns(tracks, accel, lambda name: name in names), accel)
+
+
+def find_time(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
+    """Find the nearest tracks of times of the same length."""
+    return _nearest(_columns(tracks, accel, lambda name: split_time_name(name)[0] in TIME_NAMES), accel)
+
+
+def split_unit(name: str) -> tuple[str, str | None]:
+    """Return a sensor's name without its unit, and the unit: `acc_x_mg` gives accx and mg."""
+    found = UNIT_AT_END.fullmatch(name.strip())
+    return (normalized(name), None) if found is None else (normalized(found[1]), found[2])
+
+
+def split_time_name(name: str) -> tuple[str, str | None]:
+    """Return a name without its unit, and the unit: `timestamp_us` gives timestamp and us."""
+    plain = normalized(name)
+    for unit in ("us", "ms", "ns", "s"):
+        if plain not in TIME_NAMES and plain.removesuffix(unit) in TIME_NAMES:
+            return plain.removesuffix(unit), unit
+    return plain, None
+
+
+def _columns(tracks: tuple[Track, ...], accel: Track, fits: Callable[[str], bool]) -> list[Group]:
+    same = (item for item in tracks if item.width == 1 and item.rows == accel.rows)
+    return [(item,) for item in same if fits(normalized(item.name))]
+
+
+def _groups(tracks: tuple[Track, ...], names: frozenset[str], prefixes: list[str]) -> list[Group]:
+    """Return tracks of three columns, and triples of one column each, whose names fit."""
+    wide: list[Group] = [(item,) for item in tracks if item.width == 3 and _is_named(item, names)]
+    parents = sorted({item.parent for item in tracks})
+    return wide + [
+        triple for parent in parents for prefix in prefixes if (triple := _triple(tracks, parent, prefix))
+    ]
+
+
+def _is_named(track: Track, names: frozenset[str]) -> bool:
+    own = split_unit(track.name)[0]
+    return own in names or (own in VALUE_NAMES and normalized(basename(track.parent)) in names)
+
+
+def _triple(tracks: tuple[Track, ...], parent: str, prefix: str) -> Group | None:
+    """Return x, y and z of one length in a group, such as acc_x or x_acc; None unless all are there once."""
+    here = [item for item in tracks if item.parent == parent and item.width == 1]
+    names = [split_unit(item.name)[0] for item in here]
+    axes = [
+        [item for item, name in zip(here, names, strict=True) if name in (prefix + axis, axis + prefix)]
+        for axis in "xyz"
+    ]
+    if any(len(items) != 1 for items in axes) or len({items[0].rows for items in axes}) != 1:
+        return None
+    return tuple(items[0] for items in axes)
+
+
+def _nearest(groups: list[Group], accel: Track) -> tuple[Group, ...]:
+    """Return the groups in the innermost group around the acceleration."""
+    around = [group for group in groups if f"{accel.parent}/".startswith(group[0].parent.rstrip("/") + "/")]
+    depth = max((len(group[0].parent) for group in around), default=0)
+    return tuple(group for group in around if len(group[0].parent) == depth)

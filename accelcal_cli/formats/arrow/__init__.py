@@ -18,12 +18,12 @@ LARGEST_SCHEMA = 1 << 24
 
 
 def sniff_parquet(probe: Probe) -> int:
-    """100 for the magic number of Parquet."""
+    """Return 100 for the magic number of Parquet."""
     return 100 if probe.head.startswith((PARQUET_MAGIC, ENCRYPTED_MAGIC)) else 0
 
 
 def sniff_feather(probe: Probe) -> int:
-    """100 for the magic number of a file; 70 for what begins as a stream does, with a schema."""
+    """Return 100 for the magic number of a file; 70 for the beginning of a stream, a schema."""
     head = probe.head
     if head.startswith((FEATHER_MAGIC, OLD_FEATHER_MAGIC)):
         return 100

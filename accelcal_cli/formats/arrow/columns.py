@@ -1,15 +1,16 @@
-"""Columns of Arrow tables as tracks, and their values as numpy arrays.
+"""Columns of Arrow tables as tracks, their values as numpy arrays, and their rows (`PartRows`).
 
-A column of numbers is a track of one number a row, a list of three numbers one of three. What is inside a
-structure has the structure's name before its own. Empty cells are NaN among fractions, and among whole
-numbers of 64 bits, which times are, `units.EMPTY`.
+A column of numbers is a track of one number a row, a list of three numbers one of three. A field of a
+structure has the structure's name before its own. Empty cells are NaN among fractions, and EMPTY among whole
+numbers of 64 bits, which times are. Files hold rows in parts: row groups of Parquet, batches of Arrow.
 """
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,15 +18,17 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from accelcal_cli.formats._tables.attributes import Attributes, readable
-from accelcal_cli.formats._tables.tracks import Track
-from accelcal_cli.formats._tables.units import EMPTY
+from accelcal_cli.formats._tables.channels import EMPTY
+from accelcal_cli.formats._tables.table import BLOCK_ROWS, READ_ERRORS, Attributes, Track, readable
+
+ARROW_ERRORS = (pa.ArrowException, *READ_ERRORS)
+"""Errors that pyarrow raises for damaged files."""
 
 UNNAMED_INDEX = "__index_level_0__"
-"""What pandas calls the index of a table that has no name."""
+"""Name that pandas gives to the index of a table that has none."""
 
 DEEPEST = 8
-"""Structures within structures; no laboratory has more, and a damaged schema has no end."""
+"""Structures within structures; no laboratory has more, and a damaged schema may have no end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +39,7 @@ class Leaf:
         column: name of the column.
         fields: names on the way from there, through structures.
         type: of its cells.
-        own: what the metadata of its fields say.
+        own: the metadata of its fields.
     """
 
     track: Track
@@ -47,7 +50,7 @@ class Leaf:
 
 
 def leaves_of(schema: Any, rows: int) -> tuple[dict[str, Leaf], int]:
-    """All tracks of a schema by their paths, and how many columns share their name with another."""
+    """Return all tracks of a schema by their paths, and the number of names that several columns share."""
     names = Counter(schema.names)
     indexed = {"time", UNNAMED_INDEX} & set(names)
     found: dict[str, Leaf] = {}
@@ -72,12 +75,13 @@ def _leaves(field: Any, column: str, fields: tuple[str, ...], path: str, rows: i
     dtype = _dtype(number)
     if dtype is not None:
         clock = pa.types.is_timestamp(number) and number.tz is None
-        own = {**_texts(field.metadata), **_of_type(number)}
+        timed = pa.types.is_timestamp(number) or pa.types.is_duration(number)
+        own = {**_texts(field.metadata), **({"units": number.unit} if timed else {})}
         yield Leaf(Track(path, rows, width, 0, dtype, clock), column, fields, kind, own)
 
 
 def _part(name: str) -> str:
-    """A name as a part of a path: `X [m/s2]` is one."""
+    """Return a name as one part of a path, such as `X [m_s2]`."""
     return readable(name).replace("/", "_")
 
 
@@ -87,14 +91,14 @@ def _is_list(kind: Any) -> bool:
 
 
 def _stored(kind: Any) -> Any:
-    """The type of values behind extensions and dictionaries."""
+    """Return the type of values behind extensions and dictionaries."""
     while isinstance(kind, pa.BaseExtensionType):
         kind = kind.storage_type
     return kind.value_type if pa.types.is_dictionary(kind) else kind
 
 
 def _dtype(kind: Any) -> np.dtype[Any] | None:
-    """Of the values of a type of numbers or times; None for any other."""
+    """Return the numpy type of numbers or times; None for any other type."""
     types = pa.types
     if types.is_timestamp(kind) or types.is_duration(kind):
         return np.dtype(np.int64)
@@ -106,18 +110,12 @@ def _dtype(kind: Any) -> np.dtype[Any] | None:
     return None
 
 
-def _of_type(kind: Any) -> dict[str, object]:
-    """The unit of times, which their type states."""
-    timed = pa.types.is_timestamp(kind) or pa.types.is_duration(kind)
-    return {"units": kind.unit} if timed else {}
-
-
 def _texts(metadata: Mapping[bytes, bytes] | None) -> dict[str, object]:
     return {readable(key.decode("utf-8", "replace")): value for key, value in (metadata or {}).items()}
 
 
 def stated_of(schema: Any) -> dict[str, object]:
-    """What the metadata of a schema say, with the `attrs` of a pandas table."""
+    """Return the metadata of a schema, with the `attrs` of a pandas table."""
     stated = _texts(schema.metadata)
     try:
         about = json.loads(bytes(schema.metadata[b"pandas"])) if "pandas" in stated else {}
@@ -128,12 +126,12 @@ def stated_of(schema: Any) -> dict[str, object]:
 
 
 def attributes(leaf: Leaf, *around: Mapping[str, object]) -> Attributes:
-    """What is stated of a leaf, and around it."""
+    """Return what is stated of a leaf, and around it."""
     return Attributes([leaf.own, *around])
 
 
 def values_of(leaf: Leaf, batch: Any) -> NDArray[Any]:
-    """The values (n, width) of a leaf in a record batch."""
+    """Return the values (n, width) of a leaf in a record batch."""
     array = batch.column(batch.schema.get_field_index(leaf.column))
     for name in leaf.fields:
         array = _plain(array)
@@ -145,14 +143,14 @@ def values_of(leaf: Leaf, batch: Any) -> NDArray[Any]:
 
 
 def _plain(array: Any) -> Any:
-    """The array behind extensions and dictionaries."""
+    """Return the array behind extensions and dictionaries."""
     if isinstance(array.type, pa.BaseExtensionType):
         array = array.storage
     return array.dictionary_decode() if pa.types.is_dictionary(array.type) else array
 
 
 def _numbers(array: Any) -> NDArray[Any]:
-    """Numbers (n,), those that are null as NaN or EMPTY."""
+    """Return numbers (n,), nulls as NaN or EMPTY."""
     array = _plain(array)
     if pa.types.is_decimal(array.type):
         array = array.cast(pa.float64())
@@ -170,14 +168,14 @@ def _numbers(array: Any) -> NDArray[Any]:
 
 
 def _known(array: Any) -> NDArray[np.bool_]:
-    """Which cells (n,) are not null."""
+    """Return flags (n,) of cells that are not null."""
     bits = np.frombuffer(array.buffers()[0], np.uint8)
     known = np.unpackbits(bits, bitorder="little")[array.offset : array.offset + len(array)]
     return known.astype(np.bool_)
 
 
 def _triples(array: Any) -> NDArray[Any]:
-    """Lists of three numbers as (n, 3); lists that are null, or of other lengths, as NaN."""
+    """Return lists of three numbers as (n, 3); lists that are null, or of other lengths, as NaN."""
     known = _known(array) if array.null_count else np.ones(len(array), np.bool_)
     if pa.types.is_fixed_size_list(array.type):
         inner = array.values[3 * array.offset : 3 * (array.offset + len(array))]
@@ -196,3 +194,138 @@ def _triples(array: Any) -> NDArray[Any]:
 def _without(values: NDArray[Any], known: NDArray[np.bool_]) -> NDArray[Any]:
     values = values if values.dtype.kind == "f" else values.astype(np.float64)
     return np.where(known[:, None], values, np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Portion:
+    """Consecutive rows from `start` on.
+
+    Attributes:
+        values: (rows, width); None if the rows are lost.
+    """
+
+    start: int
+    rows: int
+    values: NDArray[Any] | None
+
+
+class PartRows:
+    """Reads rows of a track in order, each part once; only parts that cannot be read are lost.
+
+    Args:
+        first_rows: (parts + 1,) first rows of the parts, and the number of all rows.
+        batches: yields the values of parts first..end-1 in portions (n, width) of any length. Raises as
+            pyarrow does.
+        offset: returns the byte in the file at which a part begins.
+        pool: takes portions ahead; None if one thread does all.
+    """
+
+    def __init__(
+        self,
+        track: Track,
+        first_rows: NDArray[np.int64],
+        batches: Callable[[int, int], Iterator[NDArray[Any]]],
+        offset: Callable[[int], int | None],
+        pool: Executor | None = None,
+    ) -> None:
+        self._track, self._first_rows, self._batches = track, first_rows, batches
+        self._offset, self._pool = offset, pool
+        self._portion = Portion(0, 0, None)
+        self._portions: Iterator[Portion] = iter(())
+        self._ahead: Future[Portion | None] | None = None
+        self.kept_bytes = 0
+
+    @property
+    def path(self) -> str:
+        """The track's path."""
+        return self._track.path
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one row."""
+        return self._track.width * self._track.dtype.itemsize
+
+    def chunk_offset(self, row: int) -> int | None:
+        """Return the byte in the file of the part that holds a row; None if that is not known."""
+        return self._offset(self._part(row))
+
+    def _part(self, row: int) -> int:
+        return int(np.searchsorted(self._first_rows, row, "right")) - 1
+
+    def read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return rows start..stop-1, shape (stop - start, width), and flags of those that are not lost."""
+        parts: list[NDArray[Any]] = []
+        good = np.ones(stop - start, np.bool_)
+        row = start
+        while row < stop:
+            portion = self._portion_with(row)
+            end = min(stop, portion.start + portion.rows)
+            if portion.values is None:
+                parts.append(np.zeros((end - row, self._track.width), self._track.dtype))
+                good[row - start : end - start] = False
+            else:
+                parts.append(portion.values[row - portion.start : end - portion.start])
+            row = end
+        return (parts[0] if len(parts) == 1 else np.concatenate(parts)), good
+
+    def _portion_with(self, row: int) -> Portion:
+        """Return the portion that holds a row; begin again at the row's part unless it comes soon."""
+        here = self._portion
+        end = here.start + here.rows
+        if here.start <= row < end:
+            return here
+        part = self._part(row)
+        if here.rows == 0 or row < here.start or self._first_rows[part] > end:
+            if self._ahead is not None:
+                self._ahead.result()
+            self._ahead, self._portions = None, self._all(part)
+            self._portion = Portion(0, 0, None)
+        while not self._portion.start <= row < self._portion.start + self._portion.rows:
+            self._portion = self._next()
+        return self._portion
+
+    def _next(self) -> Portion:
+        """Return the next portion, and have the pool begin the one after it."""
+        found = next(self._portions, None) if self._ahead is None else self._ahead.result()
+        self._ahead = None if self._pool is None else self._pool.submit(next, self._portions, None)
+        assert found is not None
+        return found
+
+    def _all(self, part: int) -> Iterator[Portion]:
+        """Yield portions from the beginning of a part on; several small parts are read together."""
+        last = len(self._first_rows) - 1
+        while part < last:
+            most = int(self._first_rows[part]) + BLOCK_ROWS
+            end = max(part + 1, int(np.searchsorted(self._first_rows, most, "right")) - 1)
+            yield from self._run(part, min(end, last))
+            part = min(end, last)
+
+    def _run(self, part: int, end: int) -> Iterator[Portion]:
+        """Yield portions of parts part..end-1; several are read at once, or each alone if one fails."""
+        start, stop = int(self._first_rows[part]), int(self._first_rows[end])
+        if end - part > 1:
+            values = self._together(part, end)
+            if values is not None and len(values) == stop - start:
+                yield Portion(start, stop - start, values)
+                return
+            for one in range(part, end):
+                yield from self._run(one, one + 1)
+            return
+        row = start
+        try:
+            for values in self._batches(part, end):
+                rows = min(len(values), stop - row)
+                if rows:
+                    yield Portion(row, rows, values[:rows])
+                row += rows
+        except ARROW_ERRORS:
+            pass
+        for lost in range(row, stop, BLOCK_ROWS):
+            yield Portion(lost, min(BLOCK_ROWS, stop - lost), None)
+
+    def _together(self, part: int, end: int) -> NDArray[Any] | None:
+        try:
+            batches = [*self._batches(part, end)]
+        except ARROW_ERRORS:
+            return None
+        return np.concatenate(batches) if len(batches) > 1 else next(iter(batches), None)

@@ -1,13 +1,23 @@
-"""Arrow IPC files (Feather) and streams: a record batch at a time, of those columns alone that are needed."""
+"""Reads Arrow IPC files (Feather) and streams a record batch at a time, only the columns that are needed.
+
+A file's footer says where its batches are. A stream has none, and a file that was cut short has lost it:
+there one message follows the other. `scan` reads nothing but their heads.
+
+Source: the Arrow columnar format, "Encapsulated message format" and "IPC file format", and its FlatBuffers
+schemas: Message (version, header type, header, length of the body), RecordBatch (length, nodes, buffers,
+compression), Footer (version, schema, dictionaries, record batches: each 24 bytes, with the offset first).
+"""
 
 from __future__ import annotations
 
 import os
+import struct
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -17,19 +27,181 @@ from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.formats._bytes import ByteSource
-from accelcal_cli.formats._tables.attributes import Attributes
-from accelcal_cli.formats._tables.plan import plan_of, source_of
-from accelcal_cli.formats._tables.reader import TableReader
-from accelcal_cli.formats._tables.table import BLOCK_ROWS, Table
-from accelcal_cli.formats._tables.tracks import Track
+from accelcal_cli.formats._tables.reader import TableReader, plan_of, source_of
+from accelcal_cli.formats._tables.table import BLOCK_ROWS, Attributes, SensorTable, Track
 from accelcal_cli.formats.arrow import CONTINUATION, FEATHER_MAGIC, OLD_FEATHER_MAGIC
-from accelcal_cli.formats.arrow.columns import attributes, leaves_of, stated_of, values_of
-from accelcal_cli.formats.arrow.messages import Messages, scan
-from accelcal_cli.formats.arrow.parts import ARROW_ERRORS, PartRows
+from accelcal_cli.formats.arrow.columns import (
+    ARROW_ERRORS,
+    PartRows,
+    attributes,
+    leaves_of,
+    stated_of,
+    values_of,
+)
 
 AGAIN = "copy it again from its source"
 HIGHEST_RATIO = 1100
 """No recording has more rows for each byte of its file; a damaged message may claim any number."""
+
+BATCH = 3
+"""Header type of a record batch."""
+
+HEADER_TYPE, HEADER, BODY_LENGTH = 1, 2, 3
+ROWS, COMPRESSION = 0, 3
+FOOTER_BATCHES = 3
+"""Numbers of the fields of Message, RecordBatch and Footer."""
+
+BLOCK_BYTES = 24
+FILE_END = FEATHER_MAGIC.rstrip(b"\0")
+LARGEST_HEAD = 1 << 26
+"""A message whose head claims more bytes is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """A record batch.
+
+    Attributes:
+        offset: byte at which its message begins.
+        packed: its body is compressed.
+    """
+
+    offset: int
+    rows: int
+    body_bytes: int
+    packed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Messages:
+    """The messages of a file in their order.
+
+    Attributes:
+        first: byte at which the first message, the schema, begins.
+        missing: bytes that the last message should have beyond the end of the file; -1 where a file ends
+            without its footer; 0 for a whole one.
+        damaged: number of batches that cannot be found; they stand as batches without rows.
+    """
+
+    batches: tuple[Batch, ...]
+    first: int
+    missing: int
+    damaged: int = 0
+
+
+def scan(path: Path) -> Messages:
+    """Find the batches of an Arrow IPC file or stream; of one that is cut short, the first ones."""
+    with path.open("rb") as file:
+        size = path.stat().st_size
+        if file.read(len(FEATHER_MAGIC)) != FEATHER_MAGIC:
+            return _one_by_one(file, size, 0)
+        offsets = _listed(file, size)
+        if offsets is None:
+            return _one_by_one(file, size, len(FEATHER_MAGIC))
+        found = [_read(file, offset) for offset in offsets]
+        batches = [one.batch if one and one.batch and one.end <= size else None for one in found]
+        known = tuple(batch or Batch(0, 0, 0, False) for batch in batches)
+        return Messages(known, len(FEATHER_MAGIC), 0, batches.count(None))
+
+
+def _listed(file: BinaryIO, size: int) -> list[int] | None:
+    """Return where the messages of batches begin by the footer; None without a footer."""
+    tail = len(FILE_END) + 4
+    file.seek(max(0, size - tail))
+    end = file.read(tail)
+    length = int.from_bytes(end[:4], "little")
+    if end[4:] != FILE_END or length + tail > size:
+        return None
+    file.seek(size - tail - length)
+    footer = file.read(length)
+    try:
+        at = _field(footer, _at("<I", footer, 0), FOOTER_BATCHES)
+        vector = at + _at("<I", footer, at)
+        places = range(vector + 4, vector + 4 + BLOCK_BYTES * _at("<I", footer, vector), BLOCK_BYTES)
+        return [_at("<q", footer, place) for place in places] if at and places.stop <= length else None
+    except (struct.error, ValueError):
+        return None
+
+
+def _one_by_one(file: BinaryIO, size: int, first: int) -> Messages:
+    """Go from message to message, up to the end or to bytes that are no message."""
+    batches: list[Batch] = []
+    place, missing = first, -1 if first else 0
+    while place < size:
+        found = _read(file, place)
+        if found is None:
+            return Messages(tuple(batches), first, -1)
+        if not found.kind:
+            break
+        if found.end > size:
+            return Messages(tuple(batches), first, found.end - size)
+        batches += [found.batch] if found.batch else []
+        place = found.end
+    return Messages(tuple(batches), first, missing)
+
+
+@dataclass(frozen=True, slots=True)
+class _Message:
+    """A message.
+
+    Attributes:
+        kind: 0 for the end of a stream.
+        end: byte behind its body.
+        batch: set for a record batch.
+    """
+
+    kind: int
+    end: int
+    batch: Batch | None = None
+
+
+def _read(file: BinaryIO, place: int) -> _Message | None:
+    """Return the message that begins at a byte; None if none does."""
+    if place < 0:
+        return None
+    file.seek(place)
+    head = file.read(8)
+    length = int.from_bytes(head[4:], "little", signed=True)
+    if len(head) < 8 or head[:4] != CONTINUATION or not 0 <= length <= LARGEST_HEAD:
+        return None
+    if not length:
+        return _Message(0, place + 8)
+    return _message(file.read(length), place, place + 8 + length)
+
+
+def _message(data: bytes, offset: int, body: int) -> _Message | None:
+    """Return a message whose body begins at byte `body`; None if it makes no sense."""
+    try:
+        root = _at("<I", data, 0)
+        kind = _at("<B", data, _field(data, root, HEADER_TYPE))
+        body_bytes = _at("<q", data, where) if (where := _field(data, root, BODY_LENGTH)) else 0
+        batch = None
+        if kind == BATCH:
+            at = _field(data, root, HEADER)
+            table = at + _at("<I", data, at)
+            rows = _at("<q", data, where) if (where := _field(data, table, ROWS)) else 0
+            batch = Batch(offset, rows, body_bytes, bool(_field(data, table, COMPRESSION)))
+    except (struct.error, ValueError):
+        return None
+    sound = body_bytes >= 0 and kind and (batch is None or batch.rows >= 0)
+    return _Message(kind, body + body_bytes, batch) if sound else None
+
+
+def _field(data: bytes, table: int, number: int) -> int:
+    """Return the place of a field of a FlatBuffers table; 0 if it has its default."""
+    fields = table - _at("<i", data, table)
+    place = 4 + 2 * number
+    if fields < 0 or place + 2 > _at("<H", data, fields):
+        return 0
+    offset = _at("<H", data, fields + place)
+    return table + offset if offset else 0
+
+
+def _at(form: str, data: bytes, place: int) -> int:
+    if place < 0:
+        raise ValueError("before the beginning")
+    (value,) = struct.unpack_from(form, data, place)
+    return int(value)
 
 
 def open_recording(path: Path, options: ReadOptions) -> IpcReader:
@@ -50,14 +222,14 @@ class IpcReader(TableReader):
 
     @contextmanager
     def table(self) -> Iterator[IpcTable]:
-        """The file; batches are taken ahead where several threads may work."""
+        """Open the file; batches are read ahead where several threads may work."""
         with thread_pool(self.threads, "feather") as pool, opened(self.recording.path, pool) as table:
             yield table
 
 
 @contextmanager
-def _given_by_disk(path: Path) -> Iterator[None]:
-    """Raise UnreadableError for what the system says; what Arrow says of a damaged file has no number."""
+def _disk_errors(path: Path) -> Iterator[None]:
+    """Raise UnreadableError for errors of the system; those of Arrow for a damaged file have no number."""
     try:
         yield
     except OSError as error:
@@ -67,14 +239,14 @@ def _given_by_disk(path: Path) -> Iterator[None]:
 
 
 class _Batches:
-    """The batches of a file, for one column: by their numbers, or one after the other in a stream."""
+    """The batches of a file for one column, by their numbers, or one after the other in a stream."""
 
     def __init__(self, name: str, path: Path, messages: Messages, columns: list[int] | None) -> None:
         self._name, self._path, self._first = name, path, messages.first
         self._options = pa.ipc.IpcReadOptions(use_threads=False, included_fields=columns)
         self._whole = messages.first > 0 and not messages.missing
         self._next = 0
-        with _given_by_disk(path):
+        with _disk_errors(path):
             self._open()
 
     def _open(self) -> None:
@@ -88,12 +260,12 @@ class _Batches:
 
     @property
     def schema(self) -> Any:
-        """Of the columns."""
+        """The schema of the columns."""
         return self._reader.schema
 
     def batch(self, number: int) -> Any:
-        """A record batch; raises as pyarrow does, and UnreadableError where the disk does not give it."""
-        with _given_by_disk(self._path):
+        """Return a record batch; raise as pyarrow does, and UnreadableError if the disk fails."""
+        with _disk_errors(self._path):
             return self._read(number)
 
     def _read(self, number: int) -> Any:
@@ -113,11 +285,11 @@ class _Batches:
         self._source.close()
 
 
-class IpcTable(Table):
+class IpcTable(SensorTable):
     """An open Arrow IPC file or stream.
 
     Attributes:
-        damaged: how many columns cannot be told apart, and batches cannot be found.
+        damaged: number of columns that cannot be told apart, and of batches that cannot be found.
     """
 
     def __init__(
@@ -139,7 +311,7 @@ class IpcTable(Table):
         self.tracks = tuple(sorted((leaf.track for leaf in self._leaves.values()), key=lambda one: one.path))
 
     def missing_bytes(self) -> int:
-        """How many bytes are missing at the end; -1 where that is not known."""
+        """Return the number of bytes that are missing at the end; -1 if that is not known."""
         return self._messages.missing
 
     @contextmanager
@@ -154,15 +326,15 @@ class IpcTable(Table):
             raise
 
     def own(self, path: str) -> Attributes:
-        """The metadata of a column."""
+        """Return the metadata of a column."""
         return attributes(self._leaves[path])
 
     def stated(self, path: str) -> Attributes:
-        """The metadata of a column, then those of the file."""
+        """Return the metadata of a column, then those of the file."""
         return attributes(self._leaves[path], self._stated)
 
     def rows(self, track: Track) -> PartRows:
-        """The rows of a column."""
+        """Return the rows of a column."""
         leaf = self._leaves[track.path]
         kind = self._schema.field(leaf.column).type
         nested = pa.types.is_nested(kind) or pa.types.is_dictionary(kind)
@@ -175,18 +347,18 @@ class IpcTable(Table):
                 for start in range(0, len(batch), BLOCK_ROWS):
                     yield values_of(leaf, batch.slice(start, BLOCK_ROWS))
 
-        found = PartRows(track, self._first_rows, batches, self._offset, self._pool)
+        def offset(number: int) -> int:
+            return self._messages.batches[number].offset
+
+        found = PartRows(track, self._first_rows, batches, offset, self._pool)
         largest = max((batch.rows for batch in self._messages.batches if batch.packed), default=0)
         found.kept_bytes = largest * found.row_bytes if largest > BLOCK_ROWS else 0
         return found
 
-    def _offset(self, number: int) -> int | None:
-        return self._messages.batches[number].offset
-
 
 @contextmanager
 def opened(path: Path, pool: Executor | None = None) -> Iterator[IpcTable]:
-    """An Arrow IPC file or stream, closed afterwards; of one that was cut short, what is left.
+    """Open an Arrow IPC file or stream, and close it afterwards; of one cut short, the rest is read.
 
     Raises:
         UnreadableError: its schema is damaged, or it is of the first version of Feather.

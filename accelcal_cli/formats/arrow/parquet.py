@@ -1,4 +1,4 @@
-"""Parquet files: a column at a time, a few pages at a time; damaged row groups lose their own rows only."""
+"""Reads Parquet files a column and a few pages at a time; damaged row groups lose only their own rows."""
 
 from __future__ import annotations
 
@@ -20,33 +20,35 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.core.recording import METADATA_KEY, Calibrated, Chunk, Reader
 from accelcal_cli.formats._bytes import ByteSource
-from accelcal_cli.formats._tables.attributes import Attributes
 from accelcal_cli.formats._tables.channels import Marks
-from accelcal_cli.formats._tables.description import Plan
-from accelcal_cli.formats._tables.plan import plan_of, source_of
-from accelcal_cli.formats._tables.reader import TableReader
-from accelcal_cli.formats._tables.table import BLOCK_ROWS, Table
-from accelcal_cli.formats._tables.tracks import Track
+from accelcal_cli.formats._tables.reader import ReadingPlan, TableReader, plan_of, source_of
+from accelcal_cli.formats._tables.table import BLOCK_ROWS, Attributes, SensorTable, Track
 from accelcal_cli.formats.arrow import ENCRYPTED_MAGIC, PARQUET_MAGIC
-from accelcal_cli.formats.arrow.columns import attributes, leaves_of, stated_of, values_of
-from accelcal_cli.formats.arrow.parts import ARROW_ERRORS, PartRows
+from accelcal_cli.formats.arrow.columns import (
+    ARROW_ERRORS,
+    PartRows,
+    attributes,
+    leaves_of,
+    stated_of,
+    values_of,
+)
 from accelcal_cli.parquet import row_group_offsets
 
 PAGES_BYTES, WHOLE_BYTES = 1 << 20, 32 << 20
-"""Of a column are read at a time: a row group may be as long as the recording. In a shorter one a column
-is read whole, and pyarrow believes no page that claims to be longer (else it asks for up to 2 GB)."""
+"""Bytes of a column that are read at a time: a row group may be as long as the recording. In a shorter one a
+column is read whole, and pyarrow believes no page that claims to be longer (else it asks for up to 2 GB)."""
 
 HIGHEST_RATIO = 1100
 """No recording has more rows for each byte of its file; a damaged footer may claim any number."""
 
 FARTHEST_ROWS = 1 << 22
-"""Within a row group nothing can be entered but its beginning."""
+"""Longest row group [rows] of a preview that is spread evenly: each can be entered only at its beginning."""
 
 LARGEST_TEXT, MOST_ENTRIES = 100_000_000, 2_000_000
 """Bytes of a text, and entries of a list, in the footer."""
 
 MOST_LOOKED_AT = 1 << 22
-"""Bytes of a footer, read for where row groups begin (2 s); of a longer one that is not told."""
+"""Longest footer [bytes] that is searched for where row groups begin (2 s)."""
 
 REFUSED = "refused"
 LONGEST_WORD, LARGEST_MG = 40, 1e6
@@ -67,8 +69,8 @@ def open_recording(path: Path, options: ReadOptions) -> ParquetReader:
         return ParquetReader(plan, table.longest)
 
 
-def as_ours(plan: Plan, calibrated: Calibrated | None, tracks: tuple[Track, ...]) -> Plan:
-    """The plan of a file that accelcal wrote, which says which of its rows were measured."""
+def as_ours(plan: ReadingPlan, calibrated: Calibrated | None, tracks: tuple[Track, ...]) -> ReadingPlan:
+    """Return the plan of a file that accelcal wrote, which marks the rows that were measured."""
     marks = Marks(tuple(track for track in tracks if track.path == "/validity"))
     channels = {**plan.channels, "validity": marks} if marks.tracks else plan.channels
     return replace(plan, recording=replace(plan.recording, calibrated=calibrated), channels=channels)
@@ -77,13 +79,13 @@ def as_ours(plan: Plan, calibrated: Calibrated | None, tracks: tuple[Track, ...]
 class ParquetReader(TableReader):
     """Streams the rows of a plan."""
 
-    def __init__(self, plan: Plan, longest: int) -> None:
+    def __init__(self, plan: ReadingPlan, longest: int) -> None:
         super().__init__(plan)
         self._longest = longest
 
     @contextmanager
     def table(self) -> Iterator[ParquetTable]:
-        """The file; portions are taken ahead where several threads may work."""
+        """Open the file; portions are read ahead where several threads may work."""
         with thread_pool(self.threads, "parquet") as pool, opened(self.recording.path, pool) as table:
             yield table
 
@@ -95,13 +97,13 @@ class ParquetReader(TableReader):
             yield from super().preview(chunk_samples, pieces)
 
 
-class ParquetTable(Table):
+class ParquetTable(SensorTable):
     """An open Parquet file.
 
     Attributes:
-        is_ours: whether accelcal wrote it.
+        is_ours: True if accelcal wrote it.
         calibrated: set for a calibrated recording of ours.
-        damaged: how many columns cannot be told apart.
+        damaged: number of columns that cannot be told apart.
         longest: rows of the longest row group.
     """
 
@@ -131,7 +133,7 @@ class ParquetTable(Table):
         return np.cumsum([0, *groups], dtype=np.int64)
 
     def _origin(self, schema: Any) -> tuple[bool, Calibrated | None]:
-        """Whether we wrote it, and how it was calibrated; one that was refused holds raw values."""
+        """Return whether we wrote it, and how it was calibrated; a refused one holds raw values."""
         text = (schema.metadata or {}).get(METADATA_KEY)
         if text is None:
             return False, None
@@ -156,15 +158,15 @@ class ParquetTable(Table):
         )
 
     def own(self, path: str) -> Attributes:
-        """The metadata of a column."""
+        """Return the metadata of a column."""
         return attributes(self._leaves[path])
 
     def stated(self, path: str) -> Attributes:
-        """The metadata of a column, then those of the file."""
+        """Return the metadata of a column, then those of the file."""
         return attributes(self._leaves[path], self._stated)
 
     def rows(self, track: Track) -> PartRows:
-        """The rows of a column."""
+        """Return the rows of a column."""
         leaf, whole, paged = self._leaves[track.path], self._again(0), self._again(PAGES_BYTES)
         names = [".".join((leaf.column, *leaf.fields))]
 
@@ -178,14 +180,14 @@ class ParquetTable(Table):
         return PartRows(track, self._first_rows, batches, self._offset, self._pool)
 
     def _offset(self, group: int) -> int | None:
-        """Byte at which the first column of a row group begins."""
+        """Return the byte at which the first column of a row group begins."""
         if self._begins is None:
             self._begins = row_group_offsets(self.path, MOST_LOOKED_AT)
         return self._begins[group] if group < len(self._begins) else None
 
 
 def _section(text: bytes) -> dict[str, Any]:
-    """Our metadata; empty where they are damaged."""
+    """Return our metadata; empty if they are damaged."""
     try:
         found = json.loads(text)
     except (ValueError, RecursionError):
@@ -195,7 +197,7 @@ def _section(text: bytes) -> dict[str, Any]:
 
 @contextmanager
 def opened(path: Path, pool: Executor | None = None) -> Iterator[ParquetTable]:
-    """A Parquet file, closed afterwards.
+    """Open a Parquet file, and close it afterwards.
 
     Raises:
         UnreadableError: its footer is missing, damaged or encrypted.
@@ -233,7 +235,7 @@ def opened(path: Path, pool: Executor | None = None) -> Iterator[ParquetTable]:
 
 
 def _refuse_ends(path: Path) -> None:
-    """Raise UnreadableError where the first and the last bytes are not those of a whole Parquet file."""
+    """Raise UnreadableError if the first or the last bytes are not those of a whole Parquet file."""
     with ByteSource(path) as source:
         if source.compressed:
             raise UnreadableError(

@@ -29,8 +29,7 @@ from accelcal_cli.core.vocabulary import (
     In,
     names_in,
 )
-from accelcal_cli.formats._tables.channels import NOT_READ, turn_scale
-from accelcal_cli.formats._tables.units import Scale as TurnScale
+from accelcal_cli.formats._tables.channels import NOT_READ, CountScale, turn_scale
 from accelcal_cli.formats.csv.cells import (
     DATE_ALONE,
     MISSING,
@@ -414,7 +413,7 @@ class GyroColumns(NamedTuple):
     """The columns of x, y and z, and how their numbers become counts."""
 
     xyz: tuple[int, int, int]
-    scale: TurnScale
+    scale: CountScale
 
 
 def find_gyroscope(
@@ -475,10 +474,10 @@ def _named_gyroscopes(titles: list[Title], dialect: Dialect, roles: Roles) -> li
 
 def _gyro_scale(
     titles: list[Title], xyz: tuple[int, int, int], export: ExportDescription, options: ReadOptions
-) -> TurnScale | None:
+) -> CountScale | None:
     """Return the scale by the user, the names of the columns, or the vendor; None if none states it."""
     if options.lsb_per_dps is not None:
-        return TurnScale(options.lsb_per_dps)
+        return CountScale(options.lsb_per_dps)
     hints = {title.hint for title in titles if title.number in xyz and microseconds_in(title.hint) is None}
     named = next(iter(hints)) if len(hints) == 1 else ""
     unit = options.gyro_unit or named or export.gyro_unit

@@ -37,7 +37,7 @@ from accelcal_cli.formats._stamps import (
     shared_pace,
     shares_stamps,
 )
-from accelcal_cli.formats._tables.units import Scale as TurnScale
+from accelcal_cli.formats._tables.channels import CountScale
 from accelcal_cli.formats.csv import BIDS_CHANNELS, BIDS_MOTION, bids_channels_path
 from accelcal_cli.formats.csv.cells import (
     ORDERS,
@@ -100,7 +100,7 @@ class Detected:
     line_bytes: float
     guessed_unit: bool
     head: bytes
-    gyro: TurnScale | None = None
+    gyro: CountScale | None = None
     gyro_notes: tuple[str, ...] = ()
 
     @property

@@ -23,7 +23,7 @@ from accelcal_cli.core.recording import Channels, cut_channels, cut_columns, joi
 from accelcal_cli.core.system import process_is_ours
 from accelcal_cli.core.vocabulary import COUNTS, PHYSICAL_UNITS
 from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME
-from accelcal_cli.formats._tables.units import Scale as TurnScale
+from accelcal_cli.formats._tables.channels import CountScale
 from accelcal_cli.formats.csv.cells import (
     MISSING,
     AccelScale,
@@ -317,7 +317,7 @@ class RowParser:
         parser: TableParser,
         scale: AccelScale,
         first_values: dict[str, int],
-        gyro: TurnScale | None = None,
+        gyro: CountScale | None = None,
     ) -> None:
         self._parser = parser
         self._scale = scale

@@ -12,7 +12,7 @@ FIRST_USER_BLOCK = 512
 
 
 def has_signature(head: bytes) -> bool:
-    """Whether HDF5's signature stands at byte 0, 512, 1024, 2048, ... (HDF5 File Format, II.A)."""
+    """Return True if HDF5's signature stands at byte 0, 512, 1024, 2048, ... (HDF5 File Format, II.A)."""
     offset = 0
     while offset < len(head):
         if head.startswith(SIGNATURE, offset):
@@ -22,7 +22,7 @@ def has_signature(head: bytes) -> bool:
 
 
 def sniff_opal(probe: Probe) -> int:
-    """100 for an HDF5 file with an Opal version and sensors."""
+    """Return 100 for an HDF5 file with an Opal version and sensors."""
     if probe.compressed or not has_signature(probe.head):
         return 0
     from accelcal_cli.formats.hdf5 import opal
@@ -41,7 +41,7 @@ OPAL = Format(
 
 
 def sniff(probe: Probe) -> int:
-    """90 for the signature; a more special format of HDF5 files may claim more."""
+    """Return 90 for the signature; a more special format of HDF5 files may claim more."""
     return 90 if has_signature(probe.head) else 0
 
 

@@ -1,4 +1,4 @@
-"""HDF5 files opened, listed and asked for attributes, without an error of h5py ever leaving.
+"""Opens HDF5 files, lists their nodes and reads attributes; no error of h5py leaves this module.
 
 The HDF5 library (1.14 and 2.0) loops forever over a global heap whose object sizes are damaged, and refuses
 a file that was cut short even where what is left could be read: `SoundBytes` stands between it and the file.
@@ -22,17 +22,22 @@ import numpy as np
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.vocabulary import normalized
 from accelcal_cli.formats._bytes import ByteSource
-from accelcal_cli.formats._tables.attributes import Attributes, plain_value
-from accelcal_cli.formats._tables.table import READ_ERRORS
+from accelcal_cli.formats._tables.table import READ_ERRORS, Attributes, plain_value
 
 HEAP_MAGIC = b"GCOL\x01\0\0\0"
 HEAP_HEADER = OBJECT_HEADER = 16
 LARGEST_HEAP_READ = 1 << 20
+"""Reads up to this size [bytes] are searched for heaps; larger ones are of data."""
+
 LARGEST_ATTRIBUTE = 1 << 16
 SPARE_BYTES = 256 << 20
+"""Memory that the HDF5 library may ask for to read a text."""
+
 LONGEST_TEXT = 1 << 16
 MATLAB_CLASS = "MATLAB_class"
 STATUS = Path("/proc/self/statm")
+"""Tells how much memory the process uses."""
+
 H5PY_ERRORS = READ_ERRORS
 """h5py maps the failures of the HDF5 library to almost any of Python's own kinds."""
 
@@ -54,11 +59,11 @@ class SoundBytes(io.RawIOBase):
         self._claimed = claimed
 
     def readable(self) -> bool:
-        """Always."""
+        """Return True always."""
         return True
 
     def seekable(self) -> bool:
-        """Always."""
+        """Return True always."""
         return True
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
@@ -69,7 +74,7 @@ class SoundBytes(io.RawIOBase):
         return self._file.seek(offset, whence)
 
     def tell(self) -> int:
-        """The place of the next read."""
+        """Return the place of the next read."""
         return self._file.tell()
 
     def readinto(self, buffer: Any, /) -> int:
@@ -92,7 +97,7 @@ class SoundBytes(io.RawIOBase):
 
 
 def heaps_are_sound(block: bytes) -> bool:
-    """Whether the objects of every global heap that begins in a block lie within it.
+    """Return True if the objects of every global heap that begins in a block lie within it.
 
     Source: HDF5 File Format Specification, III.E (Global Heap), with 8-byte lengths.
     """
@@ -119,10 +124,10 @@ def _heap_is_sound(heap: bytes) -> bool:
 
 @contextmanager
 def bounded_memory() -> Iterator[None]:
-    """Let larger allocations in the block fail, on systems that can say how much is in use.
+    """Let larger allocations in the block fail, on systems that can say how much memory is in use.
 
     A text whose length is damaged makes the HDF5 library (1.14 and 2.0) ask for up to 4 GB before it
-    looks whether there is so much.
+    checks that the text is there.
     """
     if sys.platform == "win32" or not STATUS.exists():
         yield
@@ -154,12 +159,15 @@ def h5py_guard(path: Path, what: str) -> Iterator[None]:
 
 @contextmanager
 def open_hdf5(path: Path) -> Iterator[Any]:
-    """An open h5py.File, closed afterwards; of one that was cut short, what is left.
+    """Open an h5py.File, and close it afterwards; of one that was cut short, the rest can be read.
 
     Raises:
         UnreadableError: it is compressed, damaged, or not an HDF5 file.
     """
-    _refuse_gzip(path)
+    with ByteSource(path) as source:
+        compressed = source.compressed
+    if compressed:
+        raise UnreadableError("is an HDF5 file inside gzip", path=path, hint="unpack it first with gunzip")
     with _opened(path) as file:
         yield file
 
@@ -183,22 +191,15 @@ def _opened(path: Path, claimed: int = 0) -> Iterator[Any]:
 
 
 def missing_bytes(file: Any, path: Path) -> int:
-    """How many bytes at the end of a file that was cut short are not there."""
+    """Return the number of bytes that a file that was cut short lacks at its end."""
     try:
         return max(0, int(file.id.get_filesize()) - path.stat().st_size)
     except H5PY_ERRORS:
         return 0
 
 
-def _refuse_gzip(path: Path) -> None:
-    with ByteSource(path) as source:
-        compressed = source.compressed
-    if compressed:
-        raise UnreadableError("is an HDF5 file inside gzip", path=path, hint="unpack it first with gunzip")
-
-
 def _open_error(path: Path, error: Exception, claimed: int) -> UnreadableError:
-    """What h5py's complaint means for the person who has the file."""
+    """Return h5py's complaint as an error for the person who has the file."""
     text, size, hint = str(error), 0, "copy it again from its source"
     if claimed:
         size = path.stat().st_size
@@ -235,14 +236,14 @@ def explaining(path: Path, missing: int, damaged: int = 0) -> Iterator[None]:
 
 
 def members(group: Any) -> tuple[list[tuple[str, Any]], int]:
-    """Groups and datasets directly in a group, without links elsewhere; and how many are damaged."""
+    """Return groups and datasets directly in a group, without links elsewhere, and how many are damaged."""
     found, damaged = [], 0
     try:
         names = list(group)
     except H5PY_ERRORS:
         return [], 1
     for name in names:
-        if name.startswith("#"):  # MATLAB's own: what cells and objects refer to
+        if name.startswith("#"):  # MATLAB keeps there what cells and objects refer to
             continue
         try:
             if isinstance(group.get(name, getlink=True), h5py.HardLink):
@@ -253,12 +254,12 @@ def members(group: Any) -> tuple[list[tuple[str, Any]], int]:
 
 
 def text_list(value: object) -> list[str]:
-    """A list attribute of texts, each without padding."""
+    """Return the texts of a list attribute, each without padding."""
     return [str(plain_value(item) or "") for item in np.atleast_1d(np.asarray(value, dtype=object))]
 
 
 def _is_plain(node: Any, name: str) -> bool:
-    """Whether an attribute is one number or text; reading damaged ones of other kinds is not safe."""
+    """Return True if an attribute is one number or text; damaged ones of other kinds are not safe to read."""
     attribute = h5py.h5a.open(node.id, name.encode())
     kinds = (h5py.h5t.TypeIntegerID, h5py.h5t.TypeFloatID, h5py.h5t.TypeStringID)
     small = attribute.get_storage_size() <= LARGEST_ATTRIBUTE
@@ -286,7 +287,7 @@ class NodeAttributes(Attributes):
             return {}
 
     def read(self, depth: int, name: str) -> str | float | None:
-        """The attribute, or else the dataset, of this name."""
+        """Return the attribute, or else the dataset, of this name."""
         found = None
         if (known := self._layers[depth].get(name)) is not None:
             found = self._attribute(self._nodes[depth], str(known))
@@ -304,14 +305,14 @@ class NodeAttributes(Attributes):
 
 
 def _scalars(node: Any) -> dict[str, Any]:
-    """Datasets in a group that may hold one number or text, by their names."""
+    """Return datasets in a group that may hold one number or text, by their names."""
     if not isinstance(node, h5py.Group):
         return {}
     return {normalized(name): item for name, item in members(node)[0] if is_scalar(item)}
 
 
 def is_scalar(node: Any) -> bool:
-    """Whether a node is a small dataset of one number, or of MATLAB's letters."""
+    """Return True for a small dataset of one number, or of MATLAB's letters."""
     try:
         most = LONGEST_TEXT if _is_letters(node) else 1
         small = isinstance(node, h5py.Dataset) and node.dtype.kind in "iufb" and 0 < node.size <= most
@@ -337,7 +338,7 @@ def _scalar(dataset: Any) -> str | float | None:
 
 
 def attributes_of(file: Any, path: str) -> NodeAttributes:
-    """The attributes of a dataset or group, then of the groups that hold it, up to the file."""
+    """Return the attributes of a dataset or group, then of the groups that hold it, up to the file."""
     nodes = []
     parts = [part for part in path.split("/") if part]
     for depth in range(len(parts), -1, -1):

@@ -1,4 +1,4 @@
-"""APDM Opal recordings: HDF5 files of the vendor's own layout, several sensors in one.
+"""Reads APDM Opal recordings: HDF5 files of the vendor's own layout, several sensors in one.
 
 Version 5 (Mobility Lab, Opal V2): groups `Sensors/<id>` with `Accelerometer` [m/s2], `Gyroscope`
 [rad/s], `Temperature` [C] and `Time` [us since 1970, UTC], settings as attributes of
@@ -18,15 +18,19 @@ from accelcal_cli.core.errors import UnreadableError, UsageError, counted
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Recording
 from accelcal_cli.core.vocabulary import ACCELERATION, PER_G
-from accelcal_cli.formats._tables import description, units
-from accelcal_cli.formats._tables.attributes import Attributes, readable
-from accelcal_cli.formats._tables.channels import CHANNELS, Axes, Channel, dps_per_lsb
-from accelcal_cli.formats._tables.description import Plan
-from accelcal_cli.formats._tables.tracks import Track
-from accelcal_cli.formats._tables.units import Scale, StampScale
+from accelcal_cli.formats._tables.channels import (
+    CHANNELS,
+    Axes,
+    Channel,
+    CountScale,
+    dps_per_lsb,
+    physical_scale,
+)
+from accelcal_cli.formats._tables.reader import ReadingPlan, header_problems
+from accelcal_cli.formats._tables.table import Track, readable
+from accelcal_cli.formats._tables.times import StampScale, measured_stamps
 from accelcal_cli.formats.hdf5 import file as h5
-from accelcal_cli.formats.hdf5.datasets import Hdf5Table, as_track
-from accelcal_cli.formats.hdf5.reader import Hdf5Reader
+from accelcal_cli.formats.hdf5.reader import Hdf5Reader, Hdf5Table, as_track
 
 VERSION_NAMES = ("FileFormatVersion", "File_Format_Version")
 OLDEST, OLD, NEW = 2, 4, 5
@@ -35,7 +39,11 @@ TIME = "Time"
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where things are within the group of a sensor; of each channel (see `CHANNELS`) also its usual unit."""
+    """The paths of datasets within the group of a sensor.
+
+    Attributes:
+        channels: path and usual unit of each channel (see `CHANNELS`).
+    """
 
     accel: str
     settings: str
@@ -72,7 +80,7 @@ class Sensor:
 
 
 def is_opal(path: Path) -> bool:
-    """Whether an HDF5 file has an Opal version and sensors."""
+    """Return True if an HDF5 file has an Opal version and sensors."""
     try:
         with h5.open_hdf5(path) as file:
             return bool(_version(file)) and ("Sensors" in file or "CaseIdList" in file.attrs)
@@ -115,7 +123,7 @@ def _version(file: Any) -> int | None:
 
 
 def _new_sensors(file: Any) -> list[Sensor]:
-    """The sensors of a version 5 file that have an accelerometer."""
+    """Return the sensors of a version 5 file that have an accelerometer."""
     sensors = []
     for serial, group in h5.members(file["Sensors"])[0]:
         if LAYOUTS[NEW].accel in group:
@@ -126,7 +134,7 @@ def _new_sensors(file: Any) -> list[Sensor]:
 
 
 def _old_sensors(file: Any) -> list[Sensor]:
-    """The sensors of an older file that have an accelerometer."""
+    """Return the sensors of an older file that have an accelerometer."""
     groups = h5.text_list(file.attrs["CaseIdList"])
     labels = h5.text_list(file.attrs["MonitorLabelList"]) if "MonitorLabelList" in file.attrs else []
     labels += [""] * (len(groups) - len(labels))
@@ -152,14 +160,17 @@ def _choose(sensors: list[Sensor], wanted: str | None, path: Path) -> Sensor:
     return found[0]
 
 
-def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOptions) -> Plan:
+def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOptions) -> ReadingPlan:
     accel_track = _track(file, sensor, layout.accel, path, 3)
     settings = h5.attributes_of(file, f"{sensor.group}/{layout.settings}")
     stated_hz = options.rate_hz or settings.number("Sample Rate", "SampleRate") or None
     time_track = _track(file, sensor, TIME, path, 1, accel_track)
-    stamps, rate = description.measured_stamps(Hdf5Table(file, path), time_track, StampScale("us"), stated_hz)
+    stamps, rate = measured_stamps(Hdf5Table(file, path), time_track, StampScale("us"), stated_hz)
     accel = Axes((accel_track,), _scale(file, accel_track, options, path))
     channels = _channels(file, sensor, layout, accel_track, path)
+    zone = settings.text("Timezone")
+    notes = [f"worn at: {sensor.label}"] * bool(sensor.label)
+    notes += [f"recorded in the time zone {zone}"] * bool(zone)
     recording = Recording(
         path=path,
         format="opal",
@@ -173,17 +184,17 @@ def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOp
         duration_s=(stamps.last_us - stamps.first_us + (stamps.step_us or 0)) / MICROSECONDS,
         has_temperature="temperature_mc" in channels,
         gyro_dps_per_lsb=dps_per_lsb(channels),
-        notes=_notes(sensor, settings) + stamps.pace.notes,
+        notes=(*notes, *stamps.pace.notes),
     )
-    problems = description.header_problems(settings)
+    problems = header_problems(settings)
     missing = h5.missing_bytes(file, path)
-    return Plan(recording, accel_track.rows, accel, stamps, channels, problems, missing)
+    return ReadingPlan(recording, accel_track.rows, accel, stamps, channels, problems, missing)
 
 
 def _track(
     file: Any, sensor: Sensor, name: str, path: Path, width: int, beside: Track | None = None
 ) -> Track:
-    """A dataset of the sensor with so many numbers a row, as long as another one."""
+    """Return a dataset of the sensor with `width` numbers a row, as long as `beside`."""
     full = f"{sensor.group}/{name}"
     node = file.get(full)
     track = as_track(f"/{full}", node) if hasattr(node, "shape") else None
@@ -201,7 +212,7 @@ def _units(file: Any, track: Track, usual: str) -> str:
     return h5.NodeAttributes([file[track.path]]).text("Units") or usual
 
 
-def _scale(file: Any, track: Track, options: ReadOptions, path: Path) -> Scale:
+def _scale(file: Any, track: Track, options: ReadOptions, path: Path) -> CountScale:
     unit = options.unit or ACCELERATION.find_in_table(_units(file, track, "m/s2"))
     if unit not in PER_G:
         raise UnreadableError(
@@ -209,11 +220,11 @@ def _scale(file: Any, track: Track, options: ReadOptions, path: Path) -> Scale:
             path=path,
             hint=f"give --unit {'|'.join(PER_G)}",
         )
-    return units.physical_scale(unit, track.dtype)
+    return physical_scale(unit, track.dtype)
 
 
 def _channels(file: Any, sensor: Sensor, layout: Layout, accel: Track, path: Path) -> dict[str, Channel]:
-    """The channels beside the acceleration that can be read."""
+    """Return the channels besides the acceleration that can be read."""
     found: dict[str, Channel] = {}
     for name, (dataset, usual_unit) in layout.channels.items():
         try:
@@ -227,15 +238,9 @@ def _channels(file: Any, sensor: Sensor, layout: Layout, accel: Track, path: Pat
 
 
 def _range_g(file: Any, track: Track) -> float | None:
-    """The smaller of the two limits that the vendor gives, in g."""
+    """Return the smaller of the two limits that the vendor gives [g]."""
     settings = h5.NodeAttributes([file[track.path]])
     limits = [settings.number(name) for name in ("Upper Limit", "Lower Limit")]
     unit = PER_G.get(ACCELERATION.find_in_table(_units(file, track, "m/s2")) or "")
     found = [abs(limit) for limit in limits if limit]
     return min(found) / unit if found and unit else None
-
-
-def _notes(sensor: Sensor, settings: Attributes) -> tuple[str, ...]:
-    zone = settings.text("Timezone")
-    place = (f"worn at: {sensor.label}",) if sensor.label else ()
-    return (*place, f"recorded in the time zone {zone}") if zone else place

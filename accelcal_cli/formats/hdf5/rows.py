@@ -1,8 +1,10 @@
-"""Rows of an HDF5 dataset in bounded memory, whole HDF5 chunks at a time, damage left out (`TrackRows`).
+"""Reads rows of an HDF5 dataset in bounded memory, whole HDF5 chunks at a time, without damaged ones.
+
+`ChunkIndex` says which chunks the HDF5 library has stored, and which of them it cannot be trusted with.
 
 Chunks that are packed with gzip are taken as they are stored (`StoredChunks`) and unpacked on several
-threads: h5py lets nothing else run while it unpacks; zlib and numpy do. Whatever is not plain there (a chunk
-that is missing, damaged or packed in another way than its dataset says) is left to h5py.
+threads: h5py lets nothing else run while it unpacks; zlib and numpy do. A chunk that is missing, damaged or
+packed in another way than its dataset says is left to h5py.
 
 Chunks that are too large to unpack at once are unpacked bit by bit (`DeflatedChunks`). The bytes of an
 unpacked chunk fall into planes, one behind the other: one for each byte of a number where the shuffle filter
@@ -13,8 +15,11 @@ plane; then all planes advance together.
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator
 from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import lru_cache
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -25,40 +30,146 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.formats._bytes import PackedStream, unpacked
-from accelcal_cli.formats._tables.table import BLOCK_ROWS, REFUSE_ABOVE_BYTES
-from accelcal_cli.formats._tables.tracks import Track
+from accelcal_cli.formats._tables.table import BLOCK_ROWS, REFUSE_ABOVE_BYTES, Track
 from accelcal_cli.formats.hdf5.file import H5PY_ERRORS
-from accelcal_cli.formats.hdf5.storage import (
-    Stored,
-    chunk_info,
-    keeping_chunks,
-    refuse_impossible,
-    stored_chunks,
-)
 
 STORED_ROWS, STORED_BYTES = 1 << 20, 6 << 20
-"""At most so much is unpacked together, about what is asked for; one chunk if that has more rows."""
+"""Rows and bytes that are unpacked together, about what is asked for; one chunk if that has more rows."""
 
 LEAST_BYTES, MOST_BYTES = 1 << 14, 1 << 22
-"""Of smaller chunks h5py unpacks many in the time that one takes here; of larger ones few fit in memory."""
+"""Sizes of chunks [bytes] that are unpacked here: h5py is faster with smaller ones; few larger ones fit."""
 
 MOST_CHUNKS = 4096
-"""At a time: the HDF5 library keeps a kilobyte and more of notes on each that it reads."""
+"""Chunks that are read at a time: the HDF5 library keeps a kilobyte and more of notes on each."""
 
 STREAM_ABOVE_BYTES = 16 << 20
+"""Larger chunks are unpacked bit by bit."""
+
 SMALLEST_LOSS_ROWS = 16
+"""Rows around damage that are lost together where chunks are smaller."""
+
 LARGEST_NUMBER = 8
-"""Bytes; long doubles are larger, and no number of numpy's holds two of their halves."""
+"""Largest number [bytes] that is put together in halves; long doubles are larger."""
 
 MOST_CLAIMED = 200
-"""A dataset that claims more rows for each one that was written is not worth the time to go through it."""
+"""Most rows that a dataset may claim for each one that was written, lest going through it takes too long."""
 
 HIGHEST_RATIO = 1100
 """No filter in use packs rows more densely than deflate's 1032 bytes in one."""
 
+CACHE_SLOTS = 521
+SPARE_BYTES = 1 << 20
+"""Room in the library's cache of chunks beside the one that is kept."""
+
+KNOWN_SIZES = 4096
+CHECKSUM_BYTES = 4
+SAME_SIZE = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+"""Filters that do not change the size of a chunk, except for a checksum behind it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChunkIndex:
+    """Numbers of chunks along the rows, ascending.
+
+    Attributes:
+        written: chunks of which all columns were written.
+        impossible: chunks of which a column has a size that its filters cannot have left.
+    """
+
+    written: NDArray[np.int64]
+    impossible: NDArray[np.int64]
+
+
+class ChunkSizes:
+    """The sizes that the chunks of a dataset can have in the file.
+
+    The HDF5 library (1.14 and 2.0) believes the sizes in the index of chunks. One too short for its checksum
+    ends the process; one that no filter made shorter is filled up with what lies in memory.
+    """
+
+    def __init__(self, dataset: Any) -> None:
+        settings = dataset.id.get_create_plist()
+        self._filters = [settings.get_filter(index)[0] for index in range(settings.get_nfilters())]
+        self._whole = prod(dataset.chunks) * int(dataset.id.get_type().get_size())
+
+    def possible(self, size: int, left_out: int) -> bool:
+        """Return True if a chunk can have this size; `left_out` has a bit for each unused filter."""
+        used = {kind for index, kind in enumerate(self._filters) if not left_out >> index & 1}
+        checksum = CHECKSUM_BYTES if h5py.h5z.FILTER_FLETCHER32 in used else 0
+        if used - SAME_SIZE:
+            return size > checksum
+        return size in (self._whole, self._whole + checksum)
+
+
+def stored_chunks(dataset: Any, axis: int, columns: range) -> ChunkIndex | None:
+    """Read the index of chunks in one pass; None if it is damaged.
+
+    Asked for one by one, the chunks of a dataset of 200 000 small ones take half a minute.
+
+    Args:
+        columns: first columns of the chunks that lie side by side, all of which must be there.
+    """
+    number, column, flat = array("q"), array("q"), dataset.ndim == 1
+    impossible, possible = set(), lru_cache(KNOWN_SIZES)(ChunkSizes(dataset).possible)
+
+    def see(chunk: Any) -> None:
+        number.append(chunk.chunk_offset[axis])
+        column.append(0 if flat else chunk.chunk_offset[1 - axis])
+        if not possible(chunk.size, chunk.filter_mask):
+            impossible.add(number[-1])
+
+    try:
+        dataset.id.chunk_iter(see)
+    except H5PY_ERRORS:
+        return None
+    rows, first = np.frombuffer(number, np.int64), np.frombuffer(column, np.int64)
+    found, times = np.unique(rows[first < columns.stop], return_counts=True)
+    length = dataset.chunks[axis]
+    odd = np.array(sorted(impossible), np.int64)
+    return ChunkIndex(found[times == len(columns)] // length, odd // length)
+
+
+def refuse_impossible(
+    dataset: Any, axis: int, columns: range, rows: range, stored: ChunkIndex | None
+) -> None:
+    """Raise OSError, as h5py does elsewhere, if the library cannot be trusted with the chunks of some rows.
+
+    Args:
+        stored: the index of all chunks; None: each is asked for.
+    """
+    length = dataset.chunks[axis]
+    chunks = range(rows.start // length, -(-rows.stop // length))
+    if stored is not None:
+        first, last = np.searchsorted(stored.impossible, (chunks.start, chunks.stop))
+        sound = first == last
+    else:
+        sizes = ChunkSizes(dataset)
+        found = (chunk_info(dataset, axis, chunk * length, column) for chunk in chunks for column in columns)
+        sound = all(i.byte_offset is None or sizes.possible(i.size, i.filter_mask) for i in found)
+    if not sound:
+        raise OSError("a chunk has a size that its filters cannot have left")
+
+
+def chunk_info(dataset: Any, axis: int, row: int, column: int) -> Any:
+    """Return the library's entry for the chunk that begins at a row and column. Raises as h5py does."""
+    place = [column] * dataset.ndim
+    place[axis] = row
+    return dataset.id.get_chunk_info_by_coord(tuple(place))
+
+
+def keeping_chunks(file: Any, path: str, size: int) -> Any:
+    """Open a dataset so that chunks of `size` bytes stay unpacked until others take their place.
+
+    Rows can then be read a few at a time, without unpacking their chunk for each of them, or holding all of
+    it a second time. A dataset that is open already stays as it was opened.
+    """
+    access = h5py.h5p.create(h5py.h5p.DATASET_ACCESS)
+    access.set_chunk_cache(CACHE_SLOTS, size + SPARE_BYTES, 1.0)
+    return h5py.Dataset(h5py.h5d.open(file.id, path.encode(), access))
+
 
 def gzip_shuffled(dataset: Any, axis: int, width: int) -> bool | None:
-    """Of chunks that are nothing but gzip of all `width` columns of some rows: are their bytes shuffled?
+    """Return whether chunks that are nothing but gzip of all `width` columns of some rows are shuffled.
 
     None for any other dataset, and for numbers that are not stored as numpy knows them.
     """
@@ -78,10 +189,10 @@ def gzip_shuffled(dataset: Any, axis: int, width: int) -> bool | None:
 
 
 class StoredChunks:
-    """Rows of a dataset, along its axis `axis`, whose chunks `gzip_shuffled` knows.
+    """Unpacks rows of a dataset, along its axis `axis`, whose chunks `gzip_shuffled` knows.
 
     Args:
-        pool: unpacks several chunks at a time, and those that come next; None: one by one.
+        pool: unpacks several chunks at a time, and the next ones ahead; None: one by one.
     """
 
     def __init__(self, dataset: Any, axis: int, width: int, shuffled: bool, pool: Executor | None) -> None:
@@ -102,7 +213,7 @@ class StoredChunks:
             self._begun = self._unpacking(range(start, stop))
 
     def read(self, rows: range) -> NDArray[Any] | None:
-        """Rows (n, width), from the first one of a chunk; None if h5py has to read them.
+        """Return rows (n, width), from the first one of a chunk; None if h5py has to read them.
 
         Raises:
             OSError: a chunk holds too little; h5py would make it up from what lies in memory.
@@ -112,7 +223,7 @@ class StoredChunks:
         return values if all(list(done)) else None
 
     def _unpacking(self, rows: range) -> tuple[range, NDArray[Any], Iterator[bool]]:
-        """The rows' values, and what makes each chunk of them true when it is asked for."""
+        """Return the rows, their values to be, and an iterator that fills these in, chunk by chunk."""
         values = np.empty((len(rows), self._width), self._dtype)
         places = range(0, len(rows), self._rows)
         parts = [values[place : place + self._rows] for place in places]
@@ -120,7 +231,7 @@ class StoredChunks:
         return rows, values, each(self._unpack, rows[:: self._rows], parts)
 
     def _unpack(self, row: int, into: NDArray[Any]) -> bool:
-        """Put the chunk that begins with a row in its place, without what lies beyond the dataset's end."""
+        """Put the chunk that begins with a row in its place, cut at the dataset's end."""
         raw = self._raw(row)
         if raw is None or len(raw) > self._bytes:
             return False
@@ -132,7 +243,7 @@ class StoredChunks:
         return True
 
     def _raw(self, row: int) -> bytes | None:
-        """A chunk by its first row, unpacked; None if it is absent, damaged or packed otherwise."""
+        """Return a chunk by its first row, unpacked; None if it is absent, damaged or packed otherwise."""
         place = [0] * self._ndim
         place[self._axis] = row
         try:
@@ -174,7 +285,7 @@ class DeflatedChunks:
         self._planes: list[PackedStream] = []
 
     def read(self, start: int, stop: int) -> NDArray[Any]:
-        """Rows start..stop-1 of one chunk, shape (n, width); fewer where it is damaged.
+        """Return rows start..stop-1 of one chunk, shape (n, width); fewer if it is damaged.
 
         Raises:
             OSError: the chunk is not there or cannot be read.
@@ -205,7 +316,7 @@ class DeflatedChunks:
         self._chunk, self._row = chunk, chunk * self._chunk_rows
 
     def _take(self, rows: int) -> NDArray[Any]:
-        """The next rows of all planes put together, as many as every plane still gives."""
+        """Return the next rows of all planes put together, as many as every plane still gives."""
         parts = [b"".join(plane.pieces(rows * self._row_bytes)) for plane in self._planes]
         rows = min(len(part) for part in parts) // self._row_bytes
         raw = np.frombuffer(b"".join(part[: rows * self._row_bytes] for part in parts), np.uint8)
@@ -219,12 +330,12 @@ class DeflatedChunks:
 class TrackRows:
     """Reads rows of a track in order; each HDF5 chunk is decompressed once.
 
-    A block that cannot be read is narrowed down to the HDF5 chunks concerned; their rows, and
-    those of chunks that were never written, are marked as lost.
+    A block that cannot be read is narrowed down to the HDF5 chunks concerned; their rows, and the rows of
+    chunks that were never written, are marked as lost.
 
     Args:
         pool: unpacks ahead where it can; None if one thread does all.
-        stored: of datasets by path, what `stored_chunks` found, for the next who opens them.
+        stored: indexes of chunks by the paths of datasets, kept for the next time that they are opened.
 
     Raises:
         UnreadableError: the dataset's storage is of a kind that cannot be read in parts.
@@ -236,7 +347,7 @@ class TrackRows:
         track: Track,
         path: Path,
         pool: Executor | None = None,
-        stored: dict[str, Stored | None] | None = None,
+        stored: dict[str, ChunkIndex | None] | None = None,
     ) -> None:
         self.dataset = file[track.path]
         self._track = track
@@ -263,7 +374,7 @@ class TrackRows:
         self._refuse_hardly_written()
 
     def _chunking(self) -> tuple[int, int]:
-        """Rows of one HDF5 chunk, and bytes of all chunks side by side that hold them."""
+        """Return the rows of one HDF5 chunk, and the bytes of all chunks side by side that hold them."""
         chunks = self.dataset.chunks
         if chunks is None:
             return 1, 0
@@ -314,7 +425,7 @@ class TrackRows:
             )
 
     def _is_unwritten(self) -> bool:
-        """Whether no value was ever written; a damaged index of chunks does not say."""
+        """Return True if no value was ever written; a damaged index of chunks does not tell."""
         try:
             return bool(self.dataset.id.get_storage_size() == 0)
         except H5PY_ERRORS:
@@ -333,8 +444,8 @@ class TrackRows:
         except H5PY_ERRORS:
             return True
 
-    def _index(self) -> Stored | None:
-        """What is known of all chunks; None where only each one's place tells."""
+    def _index(self) -> ChunkIndex | None:
+        """Return the index of all chunks; None if each has to be asked for."""
         if self.path not in self._known:
             self._known[self.path] = stored_chunks(self.dataset, self._track.axis, self._columns())
         return self._known[self.path]
@@ -350,12 +461,15 @@ class TrackRows:
         return self._track.width * self._track.dtype.itemsize
 
     def read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Rows start..stop-1, shape (stop - start, width), and which of them are not lost."""
+        """Return rows start..stop-1, shape (stop - start, width), and flags of those that are not lost."""
         values, good = [], []
         row = start
         while row < stop:
             if not self._start <= row < self._stop:
-                self._load(*self.block(row))
+                self._start, self._stop = self.block(row)
+                self._values, self._good = self._read(self._start, self._stop)
+                if self._stored is not None and self._stop < self._track.rows:
+                    self._stored.begin(*self.block(self._stop))
             here = slice(row - self._start, min(stop, self._stop) - self._start)
             values.append(self._values[here])
             good.append(self._good[here])
@@ -365,7 +479,7 @@ class TrackRows:
         return np.concatenate(values), np.concatenate(good)
 
     def block(self, row: int) -> tuple[int, int]:
-        """The rows to read together with this one: a multiple of the HDF5 chunk, or a part of it."""
+        """Return the rows to read together with this one: a multiple of the HDF5 chunk, or a part of it."""
         size = self._chunk_rows
         most = BLOCK_ROWS if self._stored is None else min(STORED_ROWS, STORED_BYTES // self.row_bytes)
         if size <= most:
@@ -380,14 +494,8 @@ class TrackRows:
         start = chunk + (row - chunk) // step * step
         return start, min(start + step, chunk + size, self._track.rows)
 
-    def _load(self, start: int, stop: int) -> None:
-        self._values, self._good = self._read(start, stop)
-        self._start, self._stop = start, stop
-        if self._stored is not None and stop < self._track.rows:
-            self._stored.begin(*self.block(stop))
-
     def _read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Rows, zero and marked where lost; what was never written is not read at the ends, which is slow."""
+        """Return rows, zero and marked where lost; unwritten ends are not read, which would be slow."""
         written = np.flatnonzero(self._written(start, stop)) if self._has_holes else range(stop - start)
         if not len(written):
             return np.zeros((stop - start, self._track.width), self._track.dtype), np.zeros(
@@ -401,7 +509,7 @@ class TrackRows:
         return values, good
 
     def _read_between(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Rows as `_read` gives them; what cannot be read is halved along chunk borders."""
+        """Return rows as `_read` does; rows that cannot be read are halved along chunk borders."""
         try:
             values = self.fetch(start, stop)
             good = self._written(start, start + len(values))
@@ -418,13 +526,13 @@ class TrackRows:
         return values, good
 
     def _middle(self, start: int, stop: int) -> int | None:
-        """A chunk border near the middle; None if the rows are lost together."""
+        """Return a chunk border near the middle; None if the rows are lost together."""
         step = self._chunk_rows * max(1, SMALLEST_LOSS_ROWS // self._chunk_rows)
         half = start + max(1, (stop - start) // 2 // step) * step
         return half if half < stop and self._stream is None else None
 
     def fetch(self, start: int, stop: int) -> NDArray[Any]:
-        """Rows start..stop-1 at once, (n, width); fewer where a stream breaks off. Raises as h5py does."""
+        """Return rows start..stop-1, (n, width); fewer if a stream breaks off. Raises as h5py does."""
         if self._stream is not None:
             return self._stream.read(start, stop)
         if self._stored is not None and (values := self._stored.read(range(start, stop))) is not None:
@@ -439,7 +547,7 @@ class TrackRows:
         return np.array(part, order="C").reshape(-1, self._track.width)
 
     def _written(self, start: int, stop: int) -> NDArray[np.bool_]:
-        """Which rows lie in chunks that exist; HDF5 makes others up from a fill value."""
+        """Return flags of rows in chunks that exist; HDF5 makes others up from a fill value."""
         if not self._has_holes:
             return np.ones(stop - start, np.bool_)
         size = self._chunk_rows
@@ -453,9 +561,9 @@ class TrackRows:
         return np.repeat(written, size)[start % size :][: stop - start]
 
     def chunk_offset(self, row: int) -> int | None:
-        """Byte in the file of the HDF5 chunk that holds a row; None if there is none.
+        """Return the byte in the file of the HDF5 chunk that holds a row; None if there is none.
 
-        Where the row's columns are in several chunks: the first one's, None if any is missing.
+        If the row's columns are in several chunks, it is that of the first one, None if any is missing.
         """
         if self.dataset.chunks is None:
             return None

@@ -17,7 +17,11 @@ from accelcal_cli.core.formats import Encoder
 from accelcal_cli.core.recording import Chunk, Recording
 
 CHUNK_ROWS = 65_536
+"""Rows of an HDF5 chunk."""
+
 FILE_VERSIONS = ("earliest", "v110")
+"""Versions of the format that the HDF5 library may use."""
+
 EPOCH = datetime(1970, 1, 1)
 
 
@@ -52,7 +56,7 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
 
 
 class _Target(io.RawIOBase):
-    """A file whose failed writes are kept until they are asked for: HDF5 would not survive them.
+    """A file that keeps failed writes until they are asked for: HDF5 would not survive them.
 
     Args:
         file: without a buffer, which would try to write again what failed, wherever HDF5 goes next.
@@ -107,7 +111,9 @@ class _Writer:
         self._recording = recording
         self._rate = rate_fraction(recording.rate_hz)
         self._rows = 0
-        self._since = _year_before(recording.start_us or 0)
+        start = EPOCH + timedelta(microseconds=recording.start_us or 0)
+        # Times count from a year before on the device's clock: numbers that count from 1970 are UTC.
+        self._since = start if start == EPOCH else datetime(max(start.year - 1, 1971), 1, 1)
         self._since_us = (self._since - EPOCH) // timedelta(microseconds=1)
 
     def append(self, chunk: Chunk) -> None:
@@ -126,7 +132,7 @@ class _Writer:
         self._rows += len(chunk)
 
     def _dataset(self, name: str, values: Any, **attributes: Any) -> Any:
-        """The dataset of this name, made when its first values come."""
+        """Return the dataset of this name, made when its first values come."""
         if name not in self._file:
             dataset = self._file.create_dataset(
                 name,
@@ -148,7 +154,7 @@ class _Writer:
         dataset[start:] = values
 
     def _add_times(self, chunk: Chunk) -> None:
-        """Times are written from the beginning once they leave the even grid."""
+        """Write times, from the beginning on, once they leave the even grid."""
         times = chunk.clock.times(0, len(chunk))
         if "time" not in self._file:
             if np.array_equal(times, self._even(self._rows, self._rows + len(chunk))):
@@ -162,14 +168,8 @@ class _Writer:
         return UniformClock(self._recording.start_us or 0, 0, self._rate).times(start, stop)
 
 
-def _year_before(start_us: int) -> datetime:
-    """From when times count: on the device's clock, since numbers that count from 1970 are UTC."""
-    start = EPOCH + timedelta(microseconds=start_us)
-    return start if start == EPOCH else datetime(max(start.year - 1, 1971), 1, 1)
-
-
 def _describe(accel: Any, recording: Recording) -> None:
-    """What the reader needs, and what is known of the device; unknown things are left away."""
+    """State what the reader needs, and what is known of the device; unknown facts are left out."""
     start = recording.start_us
     _set(
         accel,

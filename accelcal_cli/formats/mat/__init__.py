@@ -1,4 +1,4 @@
-"""MATLAB files of versions 5 to 7. Those of version 7.3 are HDF5 files, which `formats/hdf5` reads.
+"""MATLAB files of versions 5 to 7. Files of version 7.3 are HDF5 files, which `formats/hdf5` reads.
 
 Source: MathWorks, "MAT-File Format" (MAT-File Level 5: 116 bytes of text; a version and the letters IM or MI,
 by the order of bytes, at byte 124).
@@ -14,7 +14,7 @@ LITTLE, BIG = b"\x00\x01IM", b"\x01\x00MI"
 
 
 def sniff(probe: Probe) -> int:
-    """90 for the version and the order of bytes of level 5; more where the text says so, too."""
+    """Return 90 for the version and the order of bytes of level 5; 100 if the text says so, too."""
     if probe.head[VERSION] not in (LITTLE, BIG):
         return 0
     return 100 if probe.head.startswith(b"MATLAB 5.0 MAT-file") else 90

@@ -9,10 +9,11 @@ from accelcal_cli.core.formats import ZIP_MAGIC, Format, Probe
 
 MEMBER_SUFFIX = b".npy"
 NAME_LENGTH, NAME = slice(26, 28), 30
+"""Places of the length of the first member's name, and of the name."""
 
 
 def sniff(probe: Probe) -> int:
-    """100 for a zip file whose first member is an array."""
+    """Return 100 for a zip file whose first member is an array."""
     if not probe.head.startswith(ZIP_MAGIC):
         return 0
     length = int.from_bytes(probe.head[NAME_LENGTH], "little")

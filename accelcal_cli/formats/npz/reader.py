@@ -1,4 +1,4 @@
-"""Archives of NumPy arrays as tables: members are read in place, whether they are packed or not.
+"""Reads archives of NumPy arrays as tables; members are read in place, packed or not.
 
 Source: NumPy's documentation, "numpy.lib.format" (the head of an array), and PKWARE's APPNOTE.TXT, 4.3.7 (the
 head of a member, whose bytes begin 30 bytes and the lengths of its name and its extra field later).
@@ -21,12 +21,12 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats._bytes import PIECE_BYTES, ByteSource, PackedStream, PlainStream
 from accelcal_cli.formats._tables.arrays import Array, ArrayReader, ArrayTable, Stream, array_of
-from accelcal_cli.formats._tables.attributes import readable
-from accelcal_cli.formats._tables.plan import plan_of, source_of
+from accelcal_cli.formats._tables.reader import plan_of, source_of
+from accelcal_cli.formats._tables.table import readable
 
 LOCAL_HEAD, LOCAL_LENGTHS = 30, slice(26, 30)
 HEAD_BYTES = 1 << 14
-"""Of an array: NumPy's own limit is 10 000 characters."""
+"""Bytes read for the head of an array; NumPy's own limit is 10 000 characters."""
 
 LONGEST_TEXT = 1 << 16
 MOST_MEMBERS = 4096
@@ -35,7 +35,7 @@ ZIP_ERRORS = (
     OSError, RuntimeError, ValueError, LookupError, EOFError, OverflowError, SyntaxError, MemoryError,
     RecursionError, TypeError, zipfile.BadZipFile, zlib.error, tokenize.TokenError,
 )  # fmt: skip
-"""What zipfile and NumPy raise for damaged files."""
+"""Errors that zipfile and NumPy raise for damaged files."""
 
 
 def open_recording(path: Path, options: ReadOptions) -> ArrayReader:
@@ -99,7 +99,7 @@ def _add(table: ArrayTable, name: str, member: zipfile.ZipInfo, size: int) -> No
 
 
 def _head(data: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
-    """Shape, whether the first axis runs fastest, type, and bytes of the head of an array."""
+    """Return shape, whether the first axis runs fastest, type, and bytes of the head of an array."""
     stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
@@ -110,17 +110,16 @@ def _head(data: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
 
 
 def _scalar(head: bytes, length: int, dtype: np.dtype[Any]) -> object:
-    """The one number or text of an array."""
+    """Return the only number or text of an array."""
     if dtype.hasobject or not 0 < dtype.itemsize <= LONGEST_TEXT:
         raise ValueError("no plain value")
     try:
         return np.frombuffer(head, dtype, 1, length)[0]
-    except SystemError as error:  # of a text with a character that is none
+    except SystemError as error:  # a text holds an invalid character
         raise ValueError("no text") from error
 
 
 def _stream(path: Path, member: zipfile.ZipInfo) -> Stream:
-    """The bytes of a member."""
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or member.flag_bits & 1:
         raise ValueError("encrypted, or packed in another way")
     begin = _offset(path, member)
@@ -130,7 +129,7 @@ def _stream(path: Path, member: zipfile.ZipInfo) -> Stream:
 
 
 def _offset(path: Path, member: zipfile.ZipInfo) -> int:
-    """Byte in the file at which a member's own bytes begin."""
+    """Return the byte in the file at which a member's own bytes begin."""
     with path.open("rb") as file:
         file.seek(member.header_offset)
         lengths = file.read(LOCAL_HEAD)[LOCAL_LENGTHS]
@@ -141,7 +140,7 @@ def _offset(path: Path, member: zipfile.ZipInfo) -> int:
 
 
 def _is_true(path: Path, member: zipfile.ZipInfo) -> bool:
-    """Whether the checksum of a member is right."""
+    """Return True if the checksum of a member is right."""
     crc, stream, left = 0, _stream(path, member), member.file_size
     while left > 0:
         pieces = [*stream.pieces(min(left, PIECE_BYTES))]

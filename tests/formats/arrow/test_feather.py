@@ -15,7 +15,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.formats import find_format
 from accelcal_cli.formats.arrow import FEATHER
-from accelcal_cli.formats.arrow.messages import scan
+from accelcal_cli.formats.arrow.ipc import scan
 from tests.formats.cuts import every_byte, table_cuts
 from tests.formats.make_hdf5 import Read
 from tests.formats.make_hdf5 import read as read_of

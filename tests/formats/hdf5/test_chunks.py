@@ -16,7 +16,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.formats._tables import reader as tables
-from accelcal_cli.formats._tables.tracks import Track
+from accelcal_cli.formats._tables.table import Track
 from accelcal_cli.formats.hdf5 import HDF5
 from accelcal_cli.formats.hdf5 import rows as hdf5_rows
 from tests.formats.make_hdf5 import Read, about, joined, write

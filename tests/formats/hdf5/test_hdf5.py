@@ -15,7 +15,7 @@ from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import find_format
-from accelcal_cli.formats._tables.attributes import readable
+from accelcal_cli.formats._tables.table import readable
 from accelcal_cli.formats.hdf5 import HDF5
 from accelcal_cli.formats.hdf5 import rows as _hdf5_rows
 from accelcal_cli.formats.hdf5.file import heaps_are_sound
