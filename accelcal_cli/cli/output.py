@@ -212,7 +212,10 @@ def run_jobs(
         values: the options `quiet`, `verbose` and `as_json`.
         written: the output that a result's line names.
     """
-    return exit_codes.of_all([_one(job, work, values, written) for job in jobs])
+    codes = []
+    for job in jobs:
+        codes.append(_one(job, work, values, written))
+    return exit_codes.of_all(codes)
 
 
 def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result], Path | None]) -> int:

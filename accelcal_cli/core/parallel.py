@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from itertools import islice
+from itertools import islice, repeat
 from threading import Lock
 from typing import Any, TypeVar, cast
 
@@ -103,26 +103,23 @@ def parallel_map(
         return
     threads = min(threads, most, MOST_THREADS)
     with ThreadPoolExecutor(threads, thread_name_prefix="parallel-map") as pool:
-        submitted = _submitted(work, items, pool)
-        waiting = deque(islice(submitted, min(threads + QUEUED, most) - 1))
+        submitted: Iterator[Future[R]] = map(pool.submit, repeat(work), items)
+        waiting: deque[Future[R]] = deque()
+        failure: Exception | None = None
         try:
-            while waiting:
-                waiting.extend(islice(submitted, 1))
+            while True:
+                try:
+                    waiting.extend(islice(submitted, min(threads + QUEUED, most) - len(waiting)))
+                except Exception as error:  # of taking an item, whose turn has not come yet
+                    failure, submitted = error, iter(())
+                if not waiting:
+                    break
                 yield waiting.popleft().result()
         finally:
             for future in waiting:
                 future.cancel()
-
-
-def _submitted(work: Callable[[T], R], items: Iterable[T], pool: Executor) -> Iterator[Future[R]]:
-    """The work on each item; where taking one fails, that failure in its place."""
-    try:
-        for item in items:
-            yield pool.submit(work, item)
-    except Exception as error:
-        failed: Future[R] = Future()
-        failed.set_exception(error)
-        yield failed
+    if failure is not None:
+        raise failure
 
 
 class BackgroundCalls:

@@ -52,21 +52,6 @@ class RowGroup:
         """The bytes of the group."""
         return [part for chunk in self.chunks for part in chunk.parts]
 
-    def fields(self, offset: int) -> Struct:
-        """Return the footer's description of the group that begins at this byte of the file."""
-        columns, start = [], offset
-        for chunk in self.chunks:
-            meta = _moved(chunk.meta, start - len(MAGIC))
-            columns.append([(CHUNK_OFFSET, I64, 0), (META_DATA, STRUCT, meta)])
-            start += value_of(meta, PACKED)
-        return [
-            (COLUMNS, LIST, columns),
-            (GROUP_UNPACKED, I64, sum(value_of(chunk.meta, UNPACKED) for chunk in self.chunks)),
-            (GROUP_ROWS, I64, self.rows),
-            (GROUP_OFFSET, I64, offset),
-            (GROUP_PACKED, I64, start - offset),
-        ]
-
 
 class Footer:
     """The footer of a file, to which row groups are added.
@@ -83,9 +68,21 @@ class Footer:
         self._groups: list[bytes] = []
 
     def add(self, group: RowGroup, offset: int) -> None:
-        """Add the next group, which begins at this byte of the file."""
+        """Describe the next group, which begins at this byte of the file."""
         self._rows += group.rows
-        self._groups.append(thrift.written(group.fields(offset)))
+        columns, start = [], offset
+        for chunk in group.chunks:
+            meta = _moved(chunk.meta, start - len(MAGIC))
+            columns.append([(CHUNK_OFFSET, I64, 0), (META_DATA, STRUCT, meta)])
+            start += value_of(meta, PACKED)
+        fields: Struct = [
+            (COLUMNS, LIST, columns),
+            (GROUP_UNPACKED, I64, sum(value_of(chunk.meta, UNPACKED) for chunk in group.chunks)),
+            (GROUP_ROWS, I64, group.rows),
+            (GROUP_OFFSET, I64, offset),
+            (GROUP_PACKED, I64, start - offset),
+        ]
+        self._groups.append(thrift.written(fields))
 
     def tail(self) -> bytes:
         """Return the bytes that end the file."""

@@ -151,20 +151,18 @@ P = TypeVar("P", bound="Portion")
 R = TypeVar("R")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class _FilledGroup(Generic[R]):
     """A row group that is not encoded yet.
 
     Attributes:
+        rows: how many are in memory.
         results: what `fill` returned for each portion.
-        steps: times of each portion that is not empty.
-        arrays: the rows of the other columns, by name.
+        steps: times of each portion.
     """
 
-    rows: int
-    results: list[R]
-    steps: list[Steps]
-    arrays: dict[str, NDArray[Any]]
+    def __init__(self, columns: Sequence[Column]) -> None:
+        self.rows, self.results, self.steps = 0, list[R](), list[Steps]()
+        self.memory: Memory = [(column, np.empty(ROW_GROUP_ROWS, column.dtype)) for column in columns]
 
 
 class ParquetSink:
@@ -208,37 +206,41 @@ class ParquetSink:
         Raises:
             OutputError: the disk is full, or fails.
         """
-        filled = (self._filled(group, fill) for group in _grouped(portions))
         group_bytes = ROW_GROUP_ROWS * sum(np.dtype(column.dtype).itemsize for column in self._others)
         most = min(max(FEWEST_GROUPS, GROUPS_BYTES // max(1, group_bytes)), MOST_GROUPS)
-        with contextlib.closing(parallel_map(self._encoded, filled, self._threads, most)) as encoded:
+        groups = self._filled(portions, fill)
+        with contextlib.closing(parallel_map(self._encoded, groups, self._threads, most)) as encoded:
             for group, results in encoded:
                 self._append(group)
                 yield results
 
-    def _filled(self, portions: list[P], fill: Callable[[P, Memory], R]) -> _FilledGroup[R]:
-        """Fill a row group from `portions`, and let go of them."""
+    def _filled(self, portions: Iterator[P], fill: Callable[[P, Memory], R]) -> Iterator[_FilledGroup[R]]:
+        """Put portions into memory, cut at the ends of row groups; yield one empty group for no rows."""
         assert self._time.clock is not None
-        rows = sum(map(len, portions))
-        arrays = [np.empty(rows, column.dtype) for column in self._others]
-        results, steps, start = [], [], 0
+        group, none = _FilledGroup[R](self._others), True
         for portion in portions:
-            stop = start + len(portion)
-            memory = [(column, array[start:stop]) for column, array in zip(self._others, arrays, strict=True)]
-            results.append(fill(portion, memory))
-            steps.append(self._time.clock(portion).steps(0, len(portion)))
-            start = stop
-        portions.clear()
-        names = [column.name for column in self._others]
-        return _FilledGroup(rows, results, steps, dict(zip(names, arrays, strict=True)))
+            start = 0
+            while start < len(portion):
+                part = portion.part(start, min(len(portion), start + ROW_GROUP_ROWS - group.rows))
+                stop = group.rows + len(part)
+                memory = [(column, array[group.rows : stop]) for column, array in group.memory]
+                group.results.append(fill(part, memory))
+                group.steps.append(self._time.clock(part).steps(0, len(part)))
+                start, group.rows = start + len(part), stop
+                if stop == ROW_GROUP_ROWS:
+                    yield group
+                    group, none = _FilledGroup[R](self._others), False
+        if group.rows or none:
+            yield group
 
     def _encoded(self, group: _FilledGroup[R]) -> tuple[RowGroup, list[R]]:
         """Encode a row group; runs on any thread."""
-        chunks = _dictionary_chunks(self._others, group.arrays)
+        arrays = {column.name: array[: group.rows] for column, array in group.memory}
+        chunks = _dictionary_chunks(self._others, arrays)
         chunks[self._time.name] = self._time_chunk(joined_steps(group.steps) if group.steps else None)
         for column in self._others:
             if column.name not in chunks:
-                values = _values_of_stored(column, group.arrays)
+                values = _values_of_stored(column, arrays)
                 single = values.dtype == np.float32
                 encode = float_chunk if single else self._pyarrow_chunk
                 chunks[column.name] = encode(column.name, values)
@@ -293,23 +295,6 @@ class ParquetSink:
         self._flushes.close()
         with contextlib.suppress(OSError):
             self._file.close()
-
-
-def _grouped(portions: Iterator[P]) -> Iterator[list[P]]:
-    """Cut portions at the ends of row groups; yield the portions of each, `[]` once if there are no rows."""
-    group: list[P] = []
-    left, none = ROW_GROUP_ROWS, True
-    for portion in portions:
-        start = 0
-        while start < len(portion):
-            stop = min(len(portion), start + left)
-            group.append(portion.part(start, stop))
-            left, start = left - (stop - start), stop
-            if not left:
-                yield group
-                group, left, none = [], ROW_GROUP_ROWS, False
-    if group or none:
-        yield group
 
 
 def _dictionary_chunks(

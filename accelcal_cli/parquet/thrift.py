@@ -27,7 +27,8 @@ def read(data: bytes) -> Struct:
         IndexError: the structure goes beyond the end of the data.
         ValueError: a whole number has more than 64 bits.
     """
-    return _Reader(data).struct()
+    structure: Struct = _Reader(data).value(STRUCT)
+    return structure
 
 
 def value_of(fields: Struct, number: int) -> Any:
@@ -39,44 +40,36 @@ class _Reader:
     def __init__(self, data: bytes) -> None:
         self._data, self._at = data, 0
 
-    def struct(self) -> Struct:
-        fields, number = [], 0
-        while head := self._byte():
-            step, kind = head >> 4, head & 15
-            number = number + step if step else self._whole()
-            fields.append((number, kind, self._value(kind)))
-        return fields
-
-    def _value(self, kind: int) -> Any:
+    def value(self, kind: int) -> Any:
+        """Read a value with all that is in it."""
+        if kind == STRUCT:
+            fields, number = [], 0
+            while head := self._byte():
+                step, inner = head >> 4, head & 15
+                number = number + step if step else self._integer()
+                fields.append((number, inner, self.value(inner)))
+            return fields
+        if kind in (LIST, SET):
+            head = self._byte()
+            size, inner = head >> 4, head & 15
+            values = []
+            for _ in range(self._varint() if size == 15 else size):
+                values.append(self._byte() if inner in (TRUE, FALSE) else self.value(inner))
+            return values if inner == STRUCT else (inner, values)
+        if kind in WHOLE:
+            return self._integer()
         if kind in (TRUE, FALSE):
             return None
-        if kind in WHOLE:
-            return self._whole()
-        if kind in (LIST, SET):
-            return self._list()
-        if kind == STRUCT:
-            return self.struct()
-        size = {I8: 1, DOUBLE: 8}.get(kind)
-        return self._bytes(self._varint() if size is None else size)
-
-    def _list(self) -> Any:
-        head = self._byte()
-        size, kind = head >> 4, head & 15
-        size = self._varint() if size == 15 else size
-        if kind == STRUCT:
-            return [self.struct() for _ in range(size)]
-        values = [self._byte() if kind in (TRUE, FALSE) else self._value(kind) for _ in range(size)]
-        return (kind, values)
-
-    def _byte(self) -> int:
-        self._at += 1
-        return self._data[self._at - 1]
-
-    def _bytes(self, count: int) -> bytes:
+        count = {I8: 1, DOUBLE: 8}.get(kind)
+        count = self._varint() if count is None else count
         self._at += count
         if self._at > len(self._data):
             raise IndexError
         return self._data[self._at - count : self._at]
+
+    def _integer(self) -> int:
+        value = self._varint()
+        return value >> 1 ^ -(value & 1)
 
     def _varint(self) -> int:
         value = shift = 0
@@ -86,60 +79,43 @@ class _Reader:
                 raise ValueError
         return value | byte << shift
 
-    def _whole(self) -> int:
-        value = self._varint()
-        return value >> 1 ^ -(value & 1)
+    def _byte(self) -> int:
+        self._at += 1
+        return self._data[self._at - 1]
 
 
 def written(fields: Struct) -> bytes:
     """Return the bytes of a structure."""
     data = bytearray()
-    _write_struct(data, fields)
+    _write(data, STRUCT, fields)
     return bytes(data)
 
 
-def _write_struct(data: bytearray, fields: Struct | bytes) -> None:
-    if isinstance(fields, bytes):
-        data += fields
-        return
-    last = 0
-    for number, kind, value in fields:
-        step = number - last
-        if 0 < step < 16:
-            data.append(step << 4 | kind)
-        else:
-            data.append(kind)
-            data += zigzag(number)
-        _write_value(data, kind, value)
-        last = number
-    data.append(0)
-
-
-def _write_value(data: bytearray, kind: int, value: Any) -> None:
-    if kind in WHOLE:
-        data += zigzag(value)
-    elif kind == STRUCT:
-        _write_struct(data, value)
+def _write(data: bytearray, kind: int, value: Any) -> None:
+    """Append a value with all that is in it."""
+    if kind == STRUCT and not isinstance(value, bytes):
+        last = 0
+        for number, inner, part in value:
+            step = number - last
+            data += bytes([step << 4 | inner]) if 0 < step < 16 else bytes([inner]) + zigzag(number)
+            _write(data, inner, part)
+            last = number
+        data.append(0)
     elif kind in (LIST, SET):
-        _write_list(data, value)
+        inner, values = (STRUCT, value) if isinstance(value, list) else value
+        size = len(values)
+        data += bytes([size << 4 | inner]) if size < 15 else bytes([15 << 4 | inner]) + varint(size)
+        if inner in (TRUE, FALSE):
+            data += bytes(values)
+        else:
+            for one in values:
+                _write(data, inner, one)
+    elif kind in WHOLE:
+        data += zigzag(value)
     elif kind == BINARY:
         data += varint(len(value)) + value
     elif kind not in (TRUE, FALSE):
         data += value
-
-
-def _write_list(data: bytearray, value: Any) -> None:
-    kind, values = (STRUCT, value) if isinstance(value, list) else value
-    if len(values) < 15:
-        data.append(len(values) << 4 | kind)
-    else:
-        data.append(15 << 4 | kind)
-        data += varint(len(values))
-    if kind in (TRUE, FALSE):
-        data += bytes(values)
-        return
-    for one in values:
-        _write_value(data, kind, one)
 
 
 def varint(value: int) -> bytes:

@@ -182,28 +182,30 @@ class OwnCalibration(Judge):
 
     def judged(self, found: Survey) -> Verdict:
         """Return the judgement of the profile's procedure."""
-        verdict, procedure = self._judged(found), found.method.procedure
-        if not isinstance(procedure, procedures.PaperProcedure):
-            return verdict
-        timed = with_collection_time(verdict.judgement, procedure.collector, found.recording)
-        return replace(verdict, judgement=timed)
-
-    def _judged(self, found: Survey) -> Verdict:
-        learnt = self.learnt
-        sections = {} if learnt is None else {"prior": learnt.as_json()}
+        learnt, recording, procedure = self.learnt, found.recording, found.method.procedure
         if found.damage is not None:
-            return Verdict(found.damage, sections)
-        if (before := found.recording.calibrated) is not None:
+            judgement = found.damage
+        elif recording.calibrated is not None:
             how = procedures.fitting(replace(self.settings, prior=NO_PRIOR))
-            return Verdict(as_it_is(found.points, how, before.told()), sections)
-        fitter = procedures.fitting(self.settings, None if learnt is None else learnt.prior)
-        judgement = advised(found.method.procedure.judge(fitter), found.facts, found.recording, self.settings)
-        if learnt is not None:
-            judgement = replace(judgement, message=f"{judgement.message}; {learnt.told()}")
+            judgement = as_it_is(found.points, how, recording.calibrated.told())
+        else:
+            how = procedures.fitting(self.settings, None if learnt is None else learnt.prior)
+            judgement = advised(procedure.judge(how), found.facts, recording, self.settings)
+            judgement = self._with_notes(judgement, found)
+        if isinstance(procedure, procedures.PaperProcedure):
+            judgement = with_collection_time(judgement, procedure.collector, recording)
+        return Verdict(judgement, {} if learnt is None else {"prior": learnt.as_json()})
+
+    def _with_notes(self, judgement: Judgement, found: Survey) -> Judgement:
+        """Return the judgement with a message that names the prior, repeated windows and a change."""
+        notes = [] if self.learnt is None else [self.learnt.told()]
         if repeated := found.method.segmenter.counts.repeated:
-            text = f"{counted(repeated, 'still window')} repeat earlier ones exactly and were left out"
-            judgement = replace(judgement, message=f"{judgement.message}; {text}")
-        return Verdict(_with_change(judgement, found.facts), sections)
+            notes.append(f"{counted(repeated, 'still window')} repeat earlier ones exactly and were left out")
+        if judgement.change is not None:
+            followed = judgement.calibration is not None and judgement.calibration.correction is not None
+            change = told(judgement.change, found.facts.utc_offset_s, followed=followed)
+            notes += [] if change is None else [change]
+        return replace(judgement, message="; ".join([judgement.message, *notes]))
 
 
 def with_collection_time(judgement: Judgement, collector: PaperCollector, recording: Recording) -> Judgement:
@@ -212,15 +214,6 @@ def with_collection_time(judgement: Judgement, collector: PaperCollector, record
         return judgement
     hours = round(collector.full_after / recording.rate_hz / 3600, 6)
     return replace(judgement, coverage=replace(judgement.coverage, subsets_full_after_h=hours))
-
-
-def _with_change(judgement: Judgement, facts: Facts) -> Judgement:
-    """The judgement whose message says how the sensor changed."""
-    if judgement.change is None:
-        return judgement
-    followed = judgement.calibration is not None and judgement.calibration.correction is not None
-    text = told(judgement.change, facts.utc_offset_s, followed=followed)
-    return judgement if text is None else replace(judgement, message=f"{judgement.message}; {text}")
 
 
 @contextmanager

@@ -8,6 +8,7 @@ nor on the length of the chunks. Recordings are opened with `open_marked`, for t
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +135,7 @@ class MarkingReader(Reader):
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """See `Reader`."""
         chunks = map(in_columns, self.reader.chunks(chunk_samples))
-        return (with_clipping(chunk, self.recording) for chunk in chunks)
+        return map(partial(with_clipping, recording=self.recording), chunks)
 
     def intake(self) -> Intake:
         """See `Reader`."""

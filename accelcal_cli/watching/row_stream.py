@@ -20,7 +20,7 @@ from accelcal_cli.core.clock import utc_offset_s
 from accelcal_cli.core.errors import output_error
 from accelcal_cli.core.recording import Chunk, Closing, Recording
 from accelcal_cli.core.results import Facts, SampleCounts
-from accelcal_cli.output.columns import columns_of, schema_of, values_of
+from accelcal_cli.output.columns import recording_columns, schema_of, values_of
 from accelcal_cli.output.files import discard
 from accelcal_cli.parquet import Axes, Column
 
@@ -124,4 +124,4 @@ def _columns(recording: Recording) -> Sequence[Column]:
         if recording.start_us is None
         else utc_offset_s(recording.timezone, recording.start_us),
     )
-    return columns_of(recording, facts)
+    return recording_columns(recording, facts)

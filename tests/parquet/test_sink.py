@@ -24,7 +24,7 @@ from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.gyroscope import Bias, Gyroscope
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Facts, SampleCounts
-from accelcal_cli.output.columns import NO_RATE, NO_TEMPERATURE_MC, columns_of, schema_of
+from accelcal_cli.output.columns import NO_RATE, NO_TEMPERATURE_MC, recording_columns, schema_of
 from accelcal_cli.output.files import refuse_foreign, written_by_us
 from accelcal_cli.parquet import Column, Memory, Numbers, ParquetSink, sink, thrift
 from accelcal_cli.parquet.pages import PAGE_ROWS
@@ -57,7 +57,7 @@ def columns(*, temperature: bool, gyroscope: bool, utc: bool) -> list[Column]:
         utc_offset_s=3600 if utc else None,
     )
     recording = Recording(Path("a"), "csv", 100.0, 256.0, 0, gyro_dps_per_lsb=(0.1, 0.2, 0.3))
-    return columns_of(recording, facts)
+    return recording_columns(recording, facts)
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ def test_angular_rates_of_a_chunk_are_computed_once(monkeypatch: pytest.MonkeyPa
         counts=SampleCounts(), has_temperature=False, has_gyroscope=True, utc_offset_s=None,
     )  # fmt: skip
     recording = Recording(Path("a"), "csv", 100.0, 256.0, 0, gyro_dps_per_lsb=(0.1, 0.2, 0.3))
-    rates = columns_of(recording, facts, gyroscope=verdict)[4:7]
+    rates = recording_columns(recording, facts, gyroscope=verdict)[4:7]
     random = np.random.default_rng(1)
 
     def chunk() -> Chunk:

@@ -10,8 +10,8 @@ import pytest
 from accelcal_cli.core.calibration import Transform
 from accelcal_cli.core.clock import StampClock
 from accelcal_cli.core.recording import Chunk
-from accelcal_cli.output.columns import NO_TEMPERATURE_MC
-from accelcal_cli.pipeline.export import beyond, numbers_of_axes
+from accelcal_cli.output.columns import NO_TEMPERATURE_MC, numbers_of_axes
+from accelcal_cli.pipeline.export import beyond
 
 ROWS = 20_000
 COUNTS = np.random.default_rng(1).integers(-300, 300, (ROWS, 3)).astype(np.int16)
