@@ -165,7 +165,7 @@ class BorrowTask(ReplacementTask):
     round: ClassVar[str] = BORROW
     refusal: ClassVar[str] = "borrowed nothing"
 
-    def stands(self, entry: Entry) -> bool:
+    def is_current(self, entry: Entry) -> bool:
         """See `RoundTask`: what was tried is unchanged, and if nothing was accepted, all were tried."""
         tried = len(entry.inputs)
         assert entry.row is not None
@@ -175,7 +175,7 @@ class BorrowTask(ReplacementTask):
 
 def tasks(study: Study, known: StudyState) -> list[BorrowTask]:
     """See `Round`; what was pooled lends, but does not borrow."""
-    settings, common, standing = study.request.settings, common_of(study), known.standing
+    settings, common, standing = study.request.settings, common_of(study), known.recordings
     rows = {name: one.last.row for name, one in standing.items() if one.last.row and not one.last.failed}
     settled = [name for name, one in standing.items() if one.last is not one.own]
     compare = settings.profile == DEFAULT.profile

@@ -34,7 +34,7 @@ default (`acregmax` in nfs(5))."""
 BLIND_S = 60.0
 """Time [s] after which a run that cannot read its lock writes nothing more: it may have been taken over."""
 SIGNS = 2
-"""Changes of a lock that show that its run lives: a cache may show the first one after the run has ended."""
+"""Number of changes of a lock that show that its run lives: a cache may show one after it has ended."""
 UNFINISHED_S = 60.0
 """Age [s] from which a lock without all its content is that of a run that died while it wrote it."""
 BEGINNING, LONGEST = '{"host": ', 4096
@@ -44,7 +44,7 @@ GO_ON = "what was done is kept, and the same command does the rest"
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """How long runs of other hosts may be silent [s], and what is called with a line about the wait."""
+    """How long [s] runs of other hosts may be silent, and what is called with a line about the wait."""
 
     silence_s: float
     notify: Callable[[str], None]
@@ -210,7 +210,7 @@ def _is_ours(path: Path, text: str) -> bool:
 
 
 def _remove_ended(paths: Iterable[Path], patience: Patience | None) -> dict[Path, str]:
-    """Remove the locks of runs that have ended, or raise LockedError; returns those of other hosts."""
+    """Remove locks whose runs have ended, or raise LockedError; returns the other hosts' locks, with host."""
     locks = {path: lock for path in paths if (lock := read_lock(path)) is not None}
     unknown = {path: lock for path, lock in locks.items() if not lock.has_ended()}
     for path, lock in unknown.items():
@@ -244,7 +244,7 @@ def _one_that_lives(paths: Iterable[Path], silence_s: float) -> Path | None:
 
 
 def _refusal(path: Path, lock: Lock, *, seen: bool = False) -> LockedError:
-    """Say why a lock is not ours; `seen`: its run gave signs of life."""
+    """Return the error for a lock of another run; `seen`: that run gave signs of life."""
     hint = "wait for it to end"
     if lock.run and lock.run.get("host") != host() and not seen:
         hint = f"if it is no longer running there, remove {path.name}, or give --takeover MINUTES"

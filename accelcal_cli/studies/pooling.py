@@ -1,4 +1,4 @@
-"""The two rounds of pools: a device's recordings are calibrated as one, and each gets the coefficients."""
+"""The two rounds of pools: a device's recordings are calibrated as one, then each gets the coefficients."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ PREFIX = "study.pool."
 
 @dataclass(frozen=True, slots=True)
 class PoolTask:
-    """The recordings of one device to be calibrated as one.
+    """The recordings of one device that are calibrated as one.
 
     Attributes:
-        item: stands for all of them; its report is the pool's.
-        names: of the members.
-        stamps: of the members' files when their own results were found.
-        inputs: identities of the members' own results, by name; then names of the copies.
-        copies: recordings that are members once more.
+        item: represents all of them; its report is the pool's.
+        names: names of the members.
+        stamps: stamps of the members' files when their own results were found.
+        inputs: hashes of the members' own results, by name; then names of the copies.
+        copies: recordings with the content of a member, which do not count.
     """
 
     item: Item
@@ -49,7 +49,7 @@ class PoolTask:
     inputs: tuple[str, ...]
     copies: tuple[Member, ...] = ()
 
-    def stands(self, entry: Entry) -> bool:
+    def is_current(self, entry: Entry) -> bool:
         """See `RoundTask`."""
         return entry.inputs == self.inputs
 
@@ -58,7 +58,7 @@ class PoolTask:
         return self.entry({"outcome": FAILED, "exit_code": code, "message": message}, again=again)
 
     def entry(self, result: dict[str, Any], *, again: bool = False) -> Entry:
-        """What is remembered of the pool."""
+        """Return the entry of the pool."""
         row = {"device_serial": self.serial, "recordings": len(self.members), **result}
         written = file_stamp(self.item.job.report)
         name = self.item.job.report.name
@@ -68,17 +68,17 @@ class PoolTask:
 
 
 def pool_tasks(study: Study, known: StudyState) -> list[PoolTask]:
-    """See `Round`: a task for each pool."""
-    return [pool_of(study, known, members) for members in members_of(study, known.standing)]
+    """Return a task for each pool (see `Round`)."""
+    return [pool_of(study, known, members) for members in members_of(study, known.recordings)]
 
 
 def members_of(study: Study, standing: Mapping[str, RecordingState]) -> list[list[str]]:
-    """Names of the recordings of each pool, without copies."""
+    """Return the names of the recordings of each pool, without copies."""
     return pools(_own_rows(standing), study.request.settings.max_damage_percent)
 
 
 def copies_of(standing: Mapping[str, RecordingState]) -> dict[str, str]:
-    """Names of recordings that count once, since they are copies, each with the name that counts."""
+    """Return the names of copies, each with the name of the recording that counts."""
     return copies(_own_rows(standing))
 
 
@@ -87,8 +87,8 @@ def _own_rows(standing: Mapping[str, RecordingState]) -> dict[str, Row]:
 
 
 def pool_of(study: Study, known: StudyState, names: list[str]) -> PoolTask:
-    """The task of a pool of these members."""
-    states = [known.standing[name] for name in names]
+    """Return the task of a pool of these members."""
+    states = [known.recordings[name] for name in names]
     rows: list[Row] = [one.own.row or {} for one in states]
     report = study.out / f"{_name(rows[0])}{REPORT_SUFFIX}"
     stands_for = Item(
@@ -97,8 +97,11 @@ def pool_of(study: Study, known: StudyState, names: list[str]) -> PoolTask:
         ((sum(one.item.size for one in states), 0),),
     )
     members = tuple(Member(one.item.source, line["sha256"]) for one, line in zip(states, rows, strict=True))
-    more = sorted(name for name, first in copies_of(known.standing).items() if first in names)
-    again = tuple(Member(known.standing[name].item.source, _sha256(known, name)) for name in more)
+    more = sorted(name for name, first in copies_of(known.recordings).items() if first in names)
+    again = tuple(
+        Member(one.item.source, (one.own.row or {})["sha256"])
+        for one in (known.recordings[name] for name in more)
+    )
     return PoolTask(
         stands_for,
         common_of(study),
@@ -111,13 +114,8 @@ def pool_of(study: Study, known: StudyState, names: list[str]) -> PoolTask:
     )
 
 
-def _sha256(known: StudyState, name: str) -> str:
-    digest: str = (known.standing[name].own.row or {})["sha256"]
-    return digest
-
-
 def _name(line: Row) -> str:
-    """A name of the pool's files that its members have in common, and no other pool has."""
+    """Return the stem of the pool's files, from what its members have in common."""
     shared = [line[name] for name in ("device_serial", "device_model", "lsb_per_g", "range_g")]
     digest = hashlib.sha256(json.dumps(shared).encode()).hexdigest()[:8]
     return f"{PREFIX}{re.sub(r'[^A-Za-z0-9_-]', '_', line['device_serial'])[:40]}-{digest}"
@@ -137,7 +135,7 @@ def make_pool(task: PoolTask, report_progress: ProgressCallback) -> TaskResult:
 
 
 def remove_pools(out: Path, keep: Collection[str]) -> None:
-    """Remove the reports of pools that there are no longer.
+    """Remove the reports of pools that no longer exist.
 
     Raises:
         OutputError: one cannot be removed, or OUT cannot be listed.
@@ -145,14 +143,10 @@ def remove_pools(out: Path, keep: Collection[str]) -> None:
     with looking_at(out):
         found = sorted(out.glob(f"{PREFIX}*{REPORT_SUFFIX}"))
     for path in found:
-        if path.name.removesuffix(REPORT_SUFFIX) not in keep and _of_a_pool(path):
+        if path.name.removesuffix(REPORT_SUFFIX) in keep or (report := load_report(path)) is None:
+            continue
+        if report["recording"].get("format") == FORMAT:  # else a member's, which has a pool section too
             remove(path)
-
-
-def _of_a_pool(path: Path) -> bool:
-    """Whether a file is the report of a pool; a member's has a section of that name, too."""
-    report = load_report(path)
-    return report is not None and report["recording"].get("format") == FORMAT
 
 
 POOLING = Round(POOL, make_pool, pool_tasks, of_pools=True)
@@ -163,7 +157,7 @@ class PooledTask(ReplacementTask):
     """One recording that gets the coefficients in its pool's report.
 
     Attributes:
-        copy_of: the name of the recording that counts in its place; None if it counts itself.
+        copy_of: name of the recording with the same content that counts; None if this one counts.
     """
 
     report: Path
@@ -173,16 +167,16 @@ class PooledTask(ReplacementTask):
 
 
 def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:
-    """See `Round`: a task for each member of a pool that has coefficients."""
-    tasks, common, again = [], common_of(study), copies_of(known.standing)
-    for members in members_of(study, known.standing):
+    """Return a task for each member of a pool that has coefficients (see `Round`)."""
+    tasks, common, again = [], common_of(study), copies_of(known.recordings)
+    for members in members_of(study, known.recordings):
         one = pool_of(study, known, members)
         entry = known.pools.get(one.item.name)
         if entry is None or entry.row is None or entry.row["outcome"] not in GOOD:
             continue
         together = hashlib.sha256("".join(one.inputs).encode()).hexdigest()[:16]
         for name in (*members, *(name for name, first in again.items() if first in members)):
-            state, first = known.standing[name], again.get(name)
+            state, first = known.recordings[name], again.get(name)
             inputs = (identity(state.own.row or {}), together)
             tasks.append(PooledTask(state.item, common, state.own, inputs, one.item.job.report, first))
     return tasks
@@ -198,18 +192,18 @@ def pooled(task: PooledTask, report_progress: ProgressCallback) -> TaskResult:
     return task.result(result, row_of(item, task.common, result) | _instead(task, result))
 
 
-def said_of_copy(first: str) -> str:
-    """What is said of a recording that does not count in its pool."""
+def copy_note(first: str) -> str:
+    """Return the note on a recording that does not count in its pool."""
     return f"a copy of {first}, which counts once in the pool"
 
 
 def _instead(task: PooledTask, result: Result) -> dict[str, Any]:
-    """Columns that say of which pool a row's coefficients are, and what they do to its own windows."""
+    """Return the columns of the pool, and of its effect on the recording's own windows."""
     pool_view = result.view.pool
     assert pool_view is not None
     columns = {"pool": task.report.name, "pool_recordings": len(pool_view.recordings)}
     if task.copy_of is not None:
-        columns["message"] = printable(f"{result.view.message}; {said_of_copy(task.copy_of)}")
+        columns["message"] = printable(f"{result.view.message}; {copy_note(task.copy_of)}")
     if (windows := pool_view.own_windows) is not None:
         columns |= {
             "windows_before_mg": windows.before_mg.mean,

@@ -258,13 +258,13 @@ def _learning(study: Study, standing: Mapping[str, RecordingState]) -> Learning:
 def tasks(study: Study, known: StudyState) -> list[PriorTask]:
     """See `Round`: a task for each recording with points, for which enough others are known."""
     assert study.prior is not None
-    learning, common, found = _learning(study, known.standing), common_of(study), []
+    learning, common, found = _learning(study, known.recordings), common_of(study), []
     for name, row in learning.rows.items():
         if row["outcome"] == Outcome.BORROWED or not row["cells"]:
             continue
         prior = learning.prior(name, study.prior)
         if prior is not None:
-            state = known.standing[name]
+            state = known.recordings[name]
             content = json.dumps(prior.as_json(), sort_keys=True)
             inputs = (identity(row), hashlib.sha256(content.encode()).hexdigest()[:16])
             found.append(PriorTask(state.item, common, state.own, inputs, prior))
@@ -275,7 +275,7 @@ def without_prior(study: Study, known: StudyState) -> Iterator[str]:
     """What a person should know of models for which no prior can be learnt."""
     if study.prior is None:
         return
-    for model, number in _learning(study, known.standing).models_without():
+    for model, number in _learning(study, known.recordings).models_without():
         if not model:
             yield "recordings that do not say their device's model learn nothing from other devices"
         else:

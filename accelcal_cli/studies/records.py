@@ -1,4 +1,9 @@
-"""What flows between the parts of a study: its files, their results, tasks and those who carry them out."""
+"""Records of a study: its files, what became of each, the ledger of that, and the contract of executors.
+
+The ledger keeps a line for each recording and round. It only saves work: without it, or where it does not
+fit, a worker looks at the outputs and hashes the recording. Each line begins with its checksum: a line that
+is damaged, cut short or of another version is not read.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +23,10 @@ from accelcal_cli.pipeline.jobs import FileStamp, Job, file_stamp
 from accelcal_cli.pipeline.options import StatedOption
 
 FAILED = "failed"
-"""The summary's outcome of a recording that gave no report."""
+"""Outcome in the summary of a recording that has no report."""
 
 OWN = "own"
-"""The first round of a study: each recording's own result."""
+"""Name of the first round, which finds each recording's own result."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,12 +34,12 @@ class Item:
     """A file of the study.
 
     Attributes:
-        name: its place under OUT with its full file name, `/` between folders: what it is known by.
-        stamps: its own stamp, and those of the files beside it that may describe it; None for none. Then
-            that of what files state of how it is read, where they state something.
-        refusal: why nothing can be done with it, found before any work.
-        aside: not to be started now, since `--include` does not name it.
-        choices: what files state of how it is read.
+        name: path under OUT with its full file name and `/` between folders, which identifies it.
+        stamps: its own stamp, and those of the files beside it that may describe it; None for a missing one.
+            Then the stamp of the options that files state for it, where they state any.
+        refusal: reason why it cannot be worked on, found before any work.
+        aside: whether `--include` leaves it out, so that it is not started now.
+        choices: options that files state for it.
     """
 
     name: str
@@ -46,32 +51,32 @@ class Item:
 
     @property
     def source(self) -> Path:
-        """The file."""
+        """Path of the file."""
         return self.job.source
 
     @property
     def size(self) -> int:
-        """Bytes; 0 where it cannot be looked at."""
+        """Number of bytes; 0 if it cannot be read."""
         return 0 if self.stamps[0] is None else self.stamps[0][0]
 
     @property
     def changed_s(self) -> float:
-        """When it was last changed [s since 1970]."""
+        """Time of the last change [s since 1970]."""
         return 0.0 if self.stamps[0] is None else self.stamps[0][1] / 1e9
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """What became of an item in one round; a line of the ledger.
+    """The result of an item in one round, which is a line of the ledger.
 
     Attributes:
-        stamps: the item's when it was worked on.
-        asked: a hash of the settings and the version.
-        row: its row in the summary; None for a file that is no recording.
+        stamps: stamps of the item when it was worked on.
+        asked: hash of the settings and the version.
+        row: row in the summary; None for a file that is no recording.
         outputs: name under OUT and stamp of each file written.
         again: whether it must be tried again, because the fault was not in the recording.
-        round: the round that it is of.
-        inputs: identities of what else the result was made of, in the order in which it was looked at.
+        round: name of the round.
+        inputs: hashes of all else that the result was made from, in the order of use.
     """
 
     name: str
@@ -85,13 +90,13 @@ class Entry:
 
     @property
     def failed(self) -> bool:
-        """Whether it gave no report."""
+        """True if there is no report."""
         return self.row is not None and self.row["outcome"] == FAILED
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingState:
-    """What is known of a recording after some rounds: its own result, and the last one."""
+    """The results of a recording after some rounds: its own, and the latest."""
 
     item: Item
     own: Entry
@@ -99,13 +104,13 @@ class RecordingState:
 
 
 ProgressCallback = Callable[[float], None]
-"""Called where the work is done with the part of its task that is done, 0 to 1."""
+"""Called by the work with the part of the task that is done, 0 to 1."""
 
 TaskFunction = Callable[[Any, ProgressCallback], Any]
-"""What is done with a task; a function of a module, and its task and answer can be pickled."""
+"""The work on one task: a module-level function whose argument and result can be pickled."""
 
 ProgressDelta = Callable[[Any, float], None]
-"""Called with a task and by how much more of it is done; less than 0 where it begins anew."""
+"""Called with a task and the additional part that is done, negative if the task starts anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,10 +118,10 @@ class Finished:
     """One task that ended.
 
     Attributes:
-        result: what the work returned; None if the worker ended before that.
-        fault: what happened to the worker, else None.
-        retry: whether the fault may lie in the machine and not in the task.
-        lacking: whether the machine had not enough of something.
+        result: return value of the work; None if the worker ended before that.
+        fault: what happened to the worker; None if the work returned.
+        retry: whether the machine may be at fault, and not the task.
+        lacking: whether the machine ran out of a resource.
     """
 
     task: Any
@@ -127,20 +132,20 @@ class Finished:
 
 
 class Executor(Protocol):
-    """Does tasks, several at a time; the failure of one does not affect the others."""
+    """Carries out several tasks at a time; the failure of one does not affect the others."""
 
     def run(self, tasks: list[Any]) -> Generator[Finished, None, None]:
-        """Do all tasks; yields each as it ends. Nothing is left running when the iteration is given up."""
+        """Carry out all tasks and yield each as it ends; closing the generator stops what still runs."""
 
 
 LINE = re.compile(rb"^[0-9a-f]{8} \{", re.MULTILINE)
 HALF_A_LINE = re.compile(rb"\s*[0-9a-f]{0,8} ?")
 LOOKED_AT = 1 << 20
-"""Bytes of a file in which a line of ours is looked for."""
+"""Number of bytes of a file that are searched for a line of a ledger."""
 
 
 class Ledger:
-    """Entries by name and round, and a file to which new ones are added as they come.
+    """Entries by name and round, and the file to which new ones are added.
 
     A process that is killed leaves at worst half a line, which is not read.
     """
@@ -148,10 +153,10 @@ class Ledger:
     def __init__(
         self, path: Path, others: Iterable[Path] = (), wanted: Callable[[str], bool] = lambda _name: True
     ) -> None:
-        """Read the entries of `path` and of others; what cannot be read is as if it were not there.
+        """Read the entries of `path` and of other ledgers; what cannot be read is ignored.
 
         Args:
-            wanted: whether entries of a name are looked for; others are not kept in memory.
+            wanted: returns True for the names whose entries are kept in memory.
         """
         self.path = path
         self.out = path.parent
@@ -163,9 +168,7 @@ class Ledger:
                     self._entries.setdefault((entry.name, entry.round), []).append(entry)
 
     def known(self, item: Item, asked: str, name: str = OWN) -> Entry | None:
-        """What came of a file in a round, with these settings and this version.
-
-        Of several entries one whose outputs are there is taken."""
+        """Return the entry of an unchanged file with these settings, best one whose outputs are there."""
         if item.stamps[0] is None:
             return None
         entries = self._entries.get((item.name, name), ())
@@ -173,29 +176,29 @@ class Ledger:
         return next((one for one in same if self.in_place(one)), same[0] if same else None)
 
     def as_it_was(self, item: Item, asked: str) -> Item:
-        """The item with the stamps of its last own result, if it has one; as it is, if not."""
+        """Return the item with the stamps of its last own result; unchanged if it has none."""
         own = [one for one in self._entries.get((item.name, OWN), ()) if one.asked == asked and one.row]
         return replace(item, stamps=own[-1].stamps) if own else item
 
     def current(self, item: Item, asked: str, name: str = OWN) -> Entry | None:
-        """The entry that still stands: it is known, and its outputs are there."""
+        """Return the entry of an unchanged file if its outputs are there."""
         entry = self.known(item, asked, name)
         return entry if entry is not None and self.in_place(entry) else None
 
     def latest(self, name: str, asked: str, which: str) -> Entry | None:
-        """The last entry of a round whose outputs are there, whatever became of the file since."""
+        """Return the latest entry of a round whose outputs are there, even if the file has changed."""
         good = [one for one in self._entries.get((name, which), ()) if one.asked == asked and not one.failed]
         return next((one for one in reversed(good) if self.in_place(one)), None)
 
-    def held(self, name: str, asked: str, rounds: Iterable[str]) -> list[Entry]:
-        """The last entry of each of these rounds, whatever became of the file and of the outputs since."""
+    def latest_of(self, name: str, asked: str, rounds: Iterable[str]) -> list[Entry]:
+        """Return the latest entry of each of these rounds, even if the file or its outputs have changed."""
         last = [self._entries[name, which][-1] for which in rounds if (name, which) in self._entries]
         return [one for one in last if one.asked == asked]
 
-    def of_others(self, item: Item, rounds: Iterable[str]) -> list[Entry]:
-        """What a run with other options left of a recording: its own result, then that which replaced it.
+    def with_other_options(self, item: Item, rounds: Iterable[str]) -> list[Entry]:
+        """Return the own result that a run with other options left, then the one that replaced it.
 
-        Empty where the outputs of the last of them are not there."""
+        The list is empty if the outputs of its last entry are not there."""
         own = [one for one in self._entries.get((item.name, OWN), ()) if one.row is not None][-1:]
         later = [one for name in rounds for one in self._entries.get((item.name, name), ())[-1:]]
         there = [one for one in later if own and one.asked == own[0].asked and self.in_place(one)]
@@ -203,11 +206,11 @@ class Ledger:
         return own + there[-1:] if last and self.in_place(last[0]) else []
 
     def in_place(self, entry: Entry) -> bool:
-        """Whether the outputs that lie there are those of an entry."""
+        """Return True if an entry's outputs are there unchanged."""
         return all(file_stamp(self.out / name) == stamp for name, stamp in entry.outputs)
 
     def add(self, entry: Entry) -> None:
-        """Keep an entry. A disk that is full costs the memory, not the work."""
+        """Add an entry; if the disk is full, only the memory of it is lost."""
         self._entries[entry.name, entry.round] = [entry]
         with contextlib.suppress(OSError, OutputError):
             if self._file is None:
@@ -218,13 +221,13 @@ class Ledger:
             os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Close the file, if there is one."""
+        """Close the file if it is open."""
         if self._file is not None:
             with contextlib.suppress(OSError):
                 self._file.close()
 
     def tidy(self, entries: Iterable[Entry]) -> None:
-        """Write these entries alone, by name."""
+        """Rewrite the file with these entries alone, sorted by name."""
         with (
             contextlib.suppress(OutputError),
             replacing(self.path) as temporary,
@@ -243,7 +246,7 @@ def _checksum(data: bytes) -> str:
 
 
 def _read(path: Path) -> Iterator[Entry]:
-    """Entries of a file. Texts that are alike are one: of 100 000 rows they would be much of the memory."""
+    """Yield the entries of a file; equal texts become one object, which saves much memory."""
     texts: dict[str, str] = {}
     with contextlib.suppress(OSError, OutputError), open_plain(path, "rb") as lines:
         for line in lines:
@@ -252,7 +255,7 @@ def _read(path: Path) -> Iterator[Entry]:
 
 
 def _shared(value: Any, texts: dict[str, str]) -> Any:
-    """The value with the same text wherever one was met before."""
+    """Replace texts by equal ones that were met before."""
     if isinstance(value, str):
         return texts.setdefault(value, value)
     if isinstance(value, dict):
@@ -261,7 +264,7 @@ def _shared(value: Any, texts: dict[str, str]) -> Any:
 
 
 def is_ledger(path: Path) -> bool:
-    """Whether a file can be a ledger, of which damage has left something: then it may be replaced.
+    """Return True if a file is a ledger, or what damage has left of one, and may be replaced.
 
     Raises:
         OSError, OutputError: see `open_plain`.
@@ -276,18 +279,18 @@ def _parsed(line: bytes, texts: dict[str, str]) -> Entry | None:
     if checksum != _checksum(text).encode():
         return None
     try:
-        held: dict[str, Any] = _shared(json.loads(text), texts)
-        if not all(isinstance(held[name], str) for name in ("name", "asked", "round")):
+        saved: dict[str, Any] = _shared(json.loads(text), texts)
+        if not all(isinstance(saved[name], str) for name in ("name", "asked", "round")):
             return None
         return Entry(
-            name=held["name"],
-            stamps=tuple(None if one is None else (one[0], one[1]) for one in held["stamps"]),
-            asked=held["asked"],
-            row=held["row"],
-            outputs=tuple((name, (found[0], found[1])) for name, found in held["outputs"]),
-            again=held["again"],
-            round=held["round"],
-            inputs=tuple(held["inputs"]),
+            name=saved["name"],
+            stamps=tuple(None if one is None else (one[0], one[1]) for one in saved["stamps"]),
+            asked=saved["asked"],
+            row=saved["row"],
+            outputs=tuple((name, (found[0], found[1])) for name, found in saved["outputs"]),
+            again=saved["again"],
+            round=saved["round"],
+            inputs=tuple(saved["inputs"]),
         )
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
         return None

@@ -1,6 +1,6 @@
 """What there is to do in a study: a `Plan` of the own results, then a `RoundPlanner` of later rounds.
 
-All that decides whether an earlier result stands is here and in the ledger (`records.py`). A worker looks
+All that decides whether an earlier result is valid is here and in the ledger (`records.py`). A worker looks
 once more at the report that is there (`pipeline/outputs.py`), for a study whose ledger is lost. A `Round`
 gives tasks to workers, and the results of earlier rounds decide which.
 """
@@ -27,26 +27,27 @@ from accelcal_cli.studies.study import REPLACING, WHOLE, Study
 from accelcal_cli.studies.task import Common, Task
 
 MANY = 1 << 20
+"""A number of recordings that keeps all workers busy."""
 
 
 @dataclass(frozen=True, slots=True)
 class StudyState:
-    """What is known when a round begins.
+    """The results that are known when a round begins.
 
     Attributes:
-        standing: the recordings that have a result, by name.
-        pools: what became of each pool of recordings, by its own name.
+        recordings: results of recordings, by name.
+        pools: result of each pool of recordings, by the pool's name.
     """
 
-    standing: dict[str, RecordingState] = field(default_factory=dict)
+    recordings: dict[str, RecordingState] = field(default_factory=dict)
     pools: dict[str, Entry] = field(default_factory=dict)
 
     def take(self, one: Round, name: str, entry: Entry) -> None:
-        """Replace what is known of a recording, or of a pool, by what a round made of it."""
+        """Set the latest result of a recording or of a pool."""
         if one.of_pools:
             self.pools[name] = entry
         else:
-            self.standing[name] = replace(self.standing[name], last=entry)
+            self.recordings[name] = replace(self.recordings[name], last=entry)
 
 
 class RoundTask(Task, Protocol):
@@ -54,10 +55,10 @@ class RoundTask(Task, Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Recordings whose result may change with it."""
+        """Names of the recordings whose result the task may replace."""
 
-    def stands(self, entry: Entry) -> bool:
-        """Whether an earlier entry of the round is what would come of it now."""
+    def is_current(self, entry: Entry) -> bool:
+        """Return True if an earlier entry of the round is what the task would give now."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +66,11 @@ class Round:
     """A round after that of the own results.
 
     Attributes:
-        name: by which its entries are known.
-        work: what a worker does with a task; returns a `TaskResult`.
-        tasks: one for each recording (or pool) that the round concerns, from what is known. On these
-            alone, and on the recording's files, its result may depend.
-        of_pools: whether its tasks are of pools, and no recording's result is replaced.
+        name: name in its entries.
+        work: the work on a task, which returns a `TaskResult`.
+        tasks: returns one task for each recording (or pool) that the round concerns. Its result may depend
+            on the task and the recording's files alone.
+        of_pools: whether its tasks are of pools, so that it replaces no recording's result.
     """
 
     name: str
@@ -79,19 +80,19 @@ class Round:
 
 
 def common_of(study: Study, recordings: int = MANY) -> Common:
-    """What tasks on so many recordings share; a cluster counts its threads itself."""
+    """Return what the tasks of a study share; a cluster counts its threads itself."""
     threads = 1 if study.dask is not None else system.threads(workers_of(study, recordings))
     return Common(study.out, replace(study.request, threads=threads), study.asked())
 
 
 def workers_of(study: Study, recordings: int) -> int:
-    """Processes of this machine that work at a time on so many recordings."""
+    """Return the number of processes of this machine that work on so many recordings at a time."""
     wanted = study.jobs if study.dask is None else None
     return min(wanted or system.workers(recordings), max(1, recordings))
 
 
 def ledger_of(study: Study) -> Ledger:
-    """What is remembered: the run's own entries, those of the shards, and for a shard those of the whole.
+    """Return the ledger of a run, with the entries of all shards, and for a shard with those of the whole.
 
     A shard reads neither the ledgers of its siblings, which have nothing of its own, nor others' entries.
 
@@ -111,14 +112,15 @@ class Plan:
     """What a study found, before it does anything.
 
     Attributes:
-        done: recordings whose entry stands.
+        done: recordings whose earlier result is valid, each with its entry.
         todo: recordings to work on.
-        waiting: recordings that are not begun.
+        waiting: recordings that are not started.
         left_out: entries of files that are no recordings.
-        late: names of all that is left for a later run, done before or not.
-        changing: of these the ones whose file is not that of the earlier result; it may be half there.
-        kept: what earlier runs with other options made of recordings that this one does not name.
-        notes: what a person should know: patterns of `study.toml` that no file fits, links not followed.
+        late: names of the recordings that are left for a later run, done before or not.
+        changing: names of late recordings whose file has changed since the earlier result; it may be
+            incomplete.
+        kept: results of earlier runs with other options, of recordings that this run does not name.
+        notes: lines for the user: patterns of `study.toml` that no file fits, links that are not followed.
     """
 
     done: list[tuple[Item, Entry]] = field(default_factory=list)
@@ -131,17 +133,17 @@ class Plan:
     notes: list[str] = field(default_factory=list)
 
     def ahead(self) -> int:
-        """How many recordings wait that were changed in the future, by this machine's clock."""
+        """Return the number of waiting recordings changed in the future, by this machine's clock."""
         now = time.time()
         return sum(item.changed_s > now for item in self.waiting)
 
     def sources(self) -> list[Path]:
-        """The files of all recordings."""
+        """Return the files of all recordings."""
         return [item.source for item in (*(item for item, _ in self.done), *self.todo, *self.waiting)]
 
 
 def plan(study: Study, ledger: Ledger) -> Plan:
-    """Look at all files; nothing is written.
+    """Look at all files and decide what there is to do; writes nothing.
 
     Raises:
         UsageError: one of the folders is not a folder, or they hold no recording, or none for which an option
@@ -167,7 +169,7 @@ def plan(study: Study, ledger: Ledger) -> Plan:
 
 
 def _concerned(study: Study, items: list[Item]) -> tuple[list[Item], list[Item]]:
-    """The items that a shard has to look at, its own and those with their outputs, and the others."""
+    """Return the items that a shard looks at, its own and those that share their outputs, and the others."""
     if study.shard.whole:
         return items, []
     reports = {item.job.report for item in items if study.shard.owns(item.name)}
@@ -187,7 +189,7 @@ def _require_use(study: Study, recordings: list[Item]) -> None:
 
 
 def as_stated(item: Item, request: Request) -> Item:
-    """A file with what others state of how it is read; refused where that makes no sense."""
+    """Return an item with the options that files state for it; refused if they make no sense."""
     try:
         choices = request.choices_of(item.source)
         with_stated(request.options, choices, item.source)
@@ -202,16 +204,16 @@ def as_stated(item: Item, request: Request) -> Item:
 
 
 def unfit_patterns(rules: Sequence[FolderRules], items: Sequence[Item]) -> list[str]:
-    """Patterns of `study.toml` that none of the files fits, each with the file's name."""
+    """Return a note for each pattern of `study.toml` that fits no file."""
     fitting = {(one.path, pattern) for one in rules for item in items for pattern in one.fitting(item.source)}
-    named = dict.fromkeys((one.path, pattern) for one in rules for pattern in one.patterns)
-    unfit = [one for one in named if one not in fitting]
+    every = dict.fromkeys((one.path, pattern) for one in rules for pattern in one.patterns)
+    unfit = [one for one in every if one not in fitting]
     return [f'no file fits "{pattern}" of {path}' for path, pattern in unfit]
 
 
 @dataclass(frozen=True, slots=True)
 class _Planning:
-    """A plan in the making."""
+    """Fills a plan."""
 
     study: Study
     ledger: Ledger
@@ -219,10 +221,8 @@ class _Planning:
     plan: Plan
 
     def looked_at(self, item: Item) -> Item:
-        """A file as it counts: one that is left for later as it was when it was worked on."""
-        return self._as_it_counts(as_stated(item, self.study.request))
-
-    def _as_it_counts(self, now: Item) -> Item:
+        """Return an item with its stated options; one left for later has the stamps of its last result."""
+        now = as_stated(item, self.study.request)
         if not (now.aside or _left_for_later(self.study, now)):
             return now
         item = self.ledger.as_it_was(now, self.asked)
@@ -236,7 +236,7 @@ class _Planning:
         return [item for item in items if not item.aside and self.keeps(item)]
 
     def keeps(self, item: Item) -> bool:
-        """Whether a file is one of the study's recordings; those that are not are remembered too."""
+        """Return True for a recording; of other files, remember that they are none."""
         entry, named = self.ledger.known(item, self.asked), bool(self.study.where.include)
         request = self.study.request
         if entry is not None and not entry.failed and (entry.row is not None or not named):
@@ -249,10 +249,10 @@ class _Planning:
         return recording
 
     def place(self, item: Item) -> None:
-        """Put a recording of the shard where it belongs."""
+        """Put a recording of the shard into the list where it belongs."""
         if not self.study.shard.owns(item.name):
             return
-        study, entry = self.study, self._standing(item)
+        study, entry = self.study, self._valid_entry(item)
         begin = not study.collect and item.name not in self.plan.late
         redo = entry is not None and item.refusal is None and _is_redone(study, entry)
         if entry is not None and not (redo and begin):
@@ -267,28 +267,28 @@ class _Planning:
         known = self.ledger.known(item, self.asked)
         if known is not None and known.row is None:
             self.plan.left_out.append(known)
-        elif (entry := self._standing(item)) is not None:
+        elif (entry := self._valid_entry(item)) is not None:
             self.plan.done.append((item, entry))
         else:
-            self.plan.kept += self.ledger.of_others(item, REPLACING)
+            self.plan.kept += self.ledger.with_other_options(item, REPLACING)
 
-    def _standing(self, item: Item) -> Entry | None:
-        """The entry of a recording's own result; what a later round made of it may lie in its place."""
+    def _valid_entry(self, item: Item) -> Entry | None:
+        """Return the valid entry of the own result, even if a later round has replaced its outputs."""
         if item.refusal is None:
             own = self.ledger.known(item, self.asked)
             stands = own is not None and (self.ledger.in_place(own) or self._replaced(item))
-            return own if stands and own is not None and self._named(item, own) else None
+            return own if stands and own is not None and self._has_present_names(item, own) else None
         kind = UsageError if item.source.is_file() else UnreadableError
         row = summary.failed(item, kind.exit_code, f"{printable(item.source)}: {item.refusal}")
         return Entry(item.name, item.stamps, self.asked, row, again=True)
 
-    def _named(self, item: Item, entry: Entry) -> bool:
-        """Whether the outputs have the names that they would be given now."""
+    def _has_present_names(self, item: Item, entry: Entry) -> bool:
+        """Return True if the outputs have the names that they would get now."""
         out = self.study.out
         return {out / name for name, _ in entry.outputs} <= set(item.job.outputs)
 
     def _replaced(self, item: Item) -> bool:
-        """Whether the outputs are those of a later round, which can be taken back if the file is the same."""
+        """Whether the outputs are those of a later round, which can be undone if the file is unchanged."""
         rounds = self.study.replacing
         if rounds and item.name not in self.plan.changing:
             rounds = REPLACING
@@ -298,11 +298,11 @@ class _Planning:
 
 @dataclass(slots=True)
 class RoundPlanner:
-    """What is done in a round, and what stands from an earlier run.
+    """Decides what is done in a round, and what is taken from an earlier run.
 
     Attributes:
-        untouched: names of recordings that must not be read, since they wait and are not what they were, and
-            of all that would be pooled with one.
+        untouched: names of recordings that must not be read, since they wait and have changed, and of all
+            that would be pooled with one.
     """
 
     study: Study
@@ -312,9 +312,9 @@ class RoundPlanner:
     def of(
         self, one: Round, tasks: Sequence[RoundTask]
     ) -> tuple[list[RoundTask], list[tuple[RoundTask, Entry]]]:
-        """Tasks to do, and those with an entry to take.
+        """Return the tasks to do, and those whose earlier entry is taken.
 
-        What is not to be touched keeps what it has: it is never among the first.
+        Recordings that must not be read keep what they have: they are never among the tasks to do.
         """
         todo, taken = [], []
         latest, asked = self.ledger.latest, self.study.asked()
@@ -322,23 +322,23 @@ class RoundPlanner:
             waits = not self.untouched.isdisjoint(task.names)
             if waits:
                 self.untouched |= set(task.names)
-            entry = latest(task.item.name, asked, one.name) if waits else self._standing(one, task)
+            entry = latest(task.item.name, asked, one.name) if waits else self._valid_entry(one, task)
             if entry is not None:
                 taken.append((task, entry))
             elif not waits:
                 todo.append(task)
         return todo, taken
 
-    def _standing(self, one: Round, task: RoundTask) -> Entry | None:
-        """What an earlier run made of a task, if that is what would come of it now."""
+    def _valid_entry(self, one: Round, task: RoundTask) -> Entry | None:
+        """Return the earlier entry of a task if it is what the task would give now."""
         study, entry = self.study, self.ledger.current(task.item, self.study.asked(), one.name)
         if entry is None or _is_redone(study, entry):
             return None
-        return entry if task.stands(entry) else None
+        return entry if task.is_current(entry) else None
 
 
 def overlooked(study: Study) -> int:
-    """How many recordings are no part of the study because they lie below OUT.
+    """Return the number of recordings that are ignored because they lie below OUT.
 
     Raises:
         UsageError: one of the folders is not a folder.
@@ -348,14 +348,14 @@ def overlooked(study: Study) -> int:
 
 
 def _left_for_later(study: Study, item: Item) -> bool:
-    """Whether a recording is too new to be begun, or too old; an earlier result of it stands meanwhile.
+    """Whether a recording is too new to be started, or too old; an earlier result stays valid meanwhile.
 
-    What was changed further in the future than the wait is has a wrong time: it would wait for years.
+    One that was changed further in the future than `settle_s` has a wrong time: it would wait for years.
     """
     too_new = study.settle_s > 0 and abs(time.time() - item.changed_s) < study.settle_s
     return too_new or (study.newer_than_s is not None and item.changed_s < study.newer_than_s)
 
 
 def _is_redone(study: Study, entry: Entry) -> bool:
-    """Whether what was done is done again, although neither recording nor settings have changed."""
+    """Whether a recording is done again although neither it nor the settings have changed."""
     return study.request.force or entry.again or (study.retry_failed and entry.failed)

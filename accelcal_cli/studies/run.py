@@ -1,6 +1,6 @@
-"""A study from beginning to end: lock, find out what is left to do in each round, do it, sum up.
+"""A study from beginning to end: take the lock, plan, carry out each round, write the summary.
 
-With `--dry-run` it only says what it would do.
+`preview` (`--dry-run`) only says what a run would do.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from accelcal_cli.studies.borrowing import BORROWING
 from accelcal_cli.studies.cluster import Cluster, Notify, WorkerRequirements, calibrate_in_user_folder, code
 from accelcal_cli.studies.discovery import SUMMARY, as_if_alone, places, refuse_foreign
 from accelcal_cli.studies.lock import Lease
-from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools, said_of_copy
+from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, copy_note, remove_pools
 from accelcal_cli.studies.prior import LEARNING, without_prior
 from accelcal_cli.studies.process_pool import ProcessPool, sweep_folders
 from accelcal_cli.studies.records import (
@@ -54,27 +54,27 @@ from accelcal_cli.studies.task import BUG, NO_MEMORY, CalibrationTask, Task, Tas
 PRELOAD = "accelcal_cli.studies.preload"
 
 TABLE_S, TABLE_TIMES = 5.0, 20.0
-"""While a study runs, the table is brought up to date after so long, and so many times what that takes."""
+"""Shortest time between updates of the table while a study runs, [s] and as a multiple of an update's."""
 
 
 class StudyObserver(Protocol):
-    """Who is informed while a study runs."""
+    """Receives what happens while a study runs."""
 
     def begin(self, items: Sequence[Item]) -> None:
-        """Before these recordings are worked on."""
+        """Called before these recordings are worked on."""
 
     def advance(self, bytes_done: float) -> None:
-        """So many more bytes are done."""
+        """Called with the number of further bytes that are done."""
 
     def finished(self, item: Item, result: TaskResult) -> None:
-        """A recording's last result is there: it is done, was done before, or failed."""
+        """Called with a recording's last result: it is done, was done before, or failed."""
 
     def note(self, text: str) -> None:
-        """What a person should know meanwhile."""
+        """Called with a line for the user."""
 
 
 def rounds(study: Study) -> tuple[Round, ...]:
-    """The rounds after that of the own results; a shard has none, since a device may have several shards."""
+    """Return the rounds after that of the own results; a shard, which may split a device, has none."""
     if not study.shard.whole:
         return ()
     wanted = ((POOLING, study.pool), (APPLY_POOLS, study.pool), (BORROWING, study.borrow))
@@ -82,7 +82,7 @@ def rounds(study: Study) -> tuple[Round, ...]:
 
 
 def run(study: Study, observer: StudyObserver) -> Summary:
-    """Do a study.
+    """Carry out a study.
 
     Raises:
         UsageError: see `plan`; or there is nothing to collect.
@@ -136,7 +136,7 @@ def unlock(study: Study) -> lock.Lock | None:
 
 
 def _tidy(planned: Plan, lease: Lease) -> None:
-    """Remove what killed runs left for their workers, and what those left that were taken over."""
+    """Remove temporary files of killed runs of this host, and of runs of other hosts that were taken over."""
     sweep_folders()
     outputs = [path for item in (*planned.todo, *planned.waiting) for path in item.job.outputs]
     for path, lost in lease.lost.items():
@@ -144,13 +144,13 @@ def _tidy(planned: Plan, lease: Lease) -> None:
 
 
 def _of_waiting(study: Study, planned: Plan, ledger: Ledger) -> list[Entry]:
-    """What is known of recordings that are not begun: a run with other options may build on it."""
+    """Return the entries of waiting recordings, on which a run with other options may build."""
     rounds = (OWN, *REPLACING)
-    return [entry for item in planned.waiting for entry in ledger.held(item.name, study.asked(), rounds)]
+    return [entry for item in planned.waiting for entry in ledger.latest_of(item.name, study.asked(), rounds)]
 
 
 def _other_locks(study: Study) -> tuple[Path, ...]:
-    """A shard keeps others of the whole study away; shards do not hinder each other."""
+    """Return the locks that exclude this run: the whole study and its shards exclude each other."""
     if study.shard.whole:
         with looking_at(study.out):
             return tuple(sorted(study.out.glob("study.*-of-*.lock")))
@@ -158,7 +158,7 @@ def _other_locks(study: Study) -> tuple[Path, ...]:
 
 
 def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
-    standing, pools = study_run.known.standing, study_run.known.pools
+    states, pools = study_run.known.recordings, study_run.known.pools
     return Summary(
         rows=study_run.rows(planned.kept),
         settings=_settings(study),
@@ -166,13 +166,13 @@ def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
         ahead=planned.ahead(),
         left_out=len(planned.left_out),
         kept=len({entry.name for entry in planned.kept}),
-        up_to_date=len(set(standing) - study_run.worked),
+        up_to_date=len(set(states) - study_run.worked),
         pools={name: pools[name].row or {} for name in sorted(pools)},
     )
 
 
 def _settings(study: Study) -> dict[str, Any]:
-    """All that decides the results but the recordings."""
+    """Return all settings that decide the results."""
     own, rules = study.settings(), study.request.rules
     several = len({one.folder for one in rules}) > 1
     stated = {(f"{one.folder.name}/" if several else "") + one.path.name: one.as_json() for one in rules}
@@ -181,12 +181,12 @@ def _settings(study: Study) -> dict[str, Any]:
 
 
 class StudyRun:
-    """A study under way.
+    """A study while it is carried out.
 
     Attributes:
-        planned: what there was to do.
-        lease: what allows it to write in OUT; it is confirmed before each write that two runs must not do.
-        worked: names of recordings that were given to a worker.
+        planned: the plan at its beginning.
+        lease: the lock that allows it to write in OUT, confirmed before each write that two runs must not do.
+        worked: names of the recordings that were given to a worker.
     """
 
     def __init__(
@@ -197,7 +197,7 @@ class StudyRun:
         self.known = StudyState()
         self.worked: set[str] = set()
         self.planned = planned
-        self._table = _TableOnTheWay(self, ledger)
+        self._table = _InterimTable(self, ledger)
         self._ledger = ledger
         self._observer = observer
         self._rounds = rounds(study)
@@ -205,7 +205,7 @@ class StudyRun:
         self._pending: dict[str, TaskResult] = {}
 
     def run(self) -> None:
-        """All rounds; the table of what is done so far is there, however they end."""
+        """Carry out all rounds; if they fail, the table has what is done so far."""
         try:
             self._run(self.planned)
         except BaseException:
@@ -213,22 +213,22 @@ class StudyRun:
             raise
 
     def rows(self, kept: Sequence[Entry]) -> list[dict[str, Any]]:
-        """Rows of the table, by name: of what is done now, and of earlier results that stand in its place."""
+        """Return the rows of the table by name, those of `kept` where there is no newer result."""
         last = {entry.name: entry.row for entry in kept}
-        last |= {name: one.last.row for name, one in self.known.standing.items()}
+        last |= {name: one.last.row for name, one in self.known.recordings.items()}
         return [row for _, row in sorted(last.items()) if row is not None]
 
     def _run(self, planned: Plan) -> None:
         self._planner.untouched |= planned.changing
         for item, entry in planned.done:
-            self._own(item, TaskResult(entry, up_to_date=self._was_told(item, entry)))
+            self._own(item, TaskResult(entry, up_to_date=self._was_reported(item, entry)))
         self.lease.confirm()
         for item in planned.todo:
             if item.job != (alone := as_if_alone(item)):
                 withdraw(alone)
         self._calibrate(planned.todo)
-        for name, first in copies_of(self.known.standing).items() if self.study.pool else ():
-            self._observer.note(printable(f"{name}: {said_of_copy(first)}"))
+        for name, first in copies_of(self.known.recordings).items() if self.study.pool else ():
+            self._observer.note(printable(f"{name}: {copy_note(first)}"))
         for text in without_prior(self.study, self.known):
             self._observer.note(text)
         for one in self._rounds:
@@ -239,18 +239,18 @@ class StudyRun:
         if self._rounds:
             self._restore(frozenset())
             for name in sorted(self._pending):
-                self._report(self.known.standing[name].item, self._pending[name])
+                self._report(self.known.recordings[name].item, self._pending[name])
 
-    def _was_told(self, item: Item, entry: Entry) -> bool:
-        """Whether an earlier run said the same of a file; what is refused by its place or name may be new."""
+    def _was_reported(self, item: Item, entry: Entry) -> bool:
+        """Return True if an earlier run reported the same; a refusal by place or name may be new."""
         known = self._ledger.known(item, entry.asked)
         return item.refusal is None or (known is not None and known.row == entry.row)
 
     def entries(self) -> list[Entry]:
-        """What is to be remembered."""
-        standing = self.known.standing.values()
-        later = [one.last for one in standing if one.last is not one.own]
-        return [*(one.own for one in standing), *later, *self.known.pools.values()]
+        """Return the entries of all results."""
+        states = self.known.recordings.values()
+        later = [one.last for one in states if one.last is not one.own]
+        return [*(one.own for one in states), *later, *self.known.pools.values()]
 
     def _calibrate(self, items: Sequence[Item]) -> None:
         common = common_of(self.study, len(items))
@@ -266,8 +266,8 @@ class StudyRun:
         self._ledger.add(entry)
 
     def _own(self, item: Item, result: TaskResult) -> None:
-        """An own result; it is reported at once if no later round can replace it."""
-        self.known.standing[item.name] = RecordingState(item, result.entry, result.entry)
+        """Set an own result, and report it if no later round can replace it."""
+        self.known.recordings[item.name] = RecordingState(item, result.entry, result.entry)
         self._pending.pop(item.name, None)
         if self._rounds and not result.entry.failed:
             self._pending[item.name] = result
@@ -275,18 +275,18 @@ class StudyRun:
             self._report(item, result)
 
     def _report(self, item: Item, result: TaskResult) -> None:
-        """Report a result; of a recording that `--include` does not name, only a new one."""
+        """Report a result; one of a recording that `--include` does not name only if it is new."""
         if not (item.aside and result.up_to_date):
             self._observer.finished(item, result)
 
     def _restore(self, concerned: Set[str]) -> None:
-        """Put own results back in place where an earlier run replaced them and this one does not.
+        """Put own results back that an earlier run replaced and this one does not.
 
-        It is done once all that is replaced is known, and before others' reports are read.
+        This is done once all replacements are known, and before other recordings' reports are read.
         """
         left_alone = concerned | self._planner.untouched
-        standing = [one for name, one in sorted(self.known.standing.items()) if name not in left_alone]
-        own = [one for one in standing if one.last is one.own]
+        others = [one for name, one in sorted(self.known.recordings.items()) if name not in left_alone]
+        own = [one for one in others if one.last is one.own]
         self._calibrate([one.item for one in own if not self._ledger.in_place(one.own)])
 
     def _later(self, one: Round, tasks: Sequence[RoundTask]) -> None:
@@ -305,15 +305,15 @@ class StudyRun:
             self._pending[item.name] = result
 
 
-class _TableOnTheWay:
-    """`study.csv` while a study runs: what is done, and of the rest what an earlier run made of it."""
+class _InterimTable:
+    """`study.csv` while a study runs, with earlier results of the recordings that are not done yet."""
 
     def __init__(self, study_run: StudyRun, ledger: Ledger) -> None:
         self._run, self._ledger = study_run, ledger
         self._due = time.monotonic() + TABLE_S
 
     def write_if_due(self) -> None:
-        """Bring it up to date now and then."""
+        """Update the table if the last update is long enough ago."""
         began = time.monotonic()
         if began >= self._due:
             self.write()
@@ -321,7 +321,7 @@ class _TableOnTheWay:
             self._due = now + max(TABLE_S, TABLE_TIMES * (now - began))
 
     def write(self) -> None:
-        """Bring it up to date; what cannot be written is told at the end."""
+        """Update the table; a failure is reported at the end of the study only."""
         study, rows = self._run.study, self._run.rows(self._before)
         with contextlib.suppress(OutputError, LockedError):
             if rows:
@@ -332,7 +332,10 @@ class _TableOnTheWay:
     def _before(self) -> list[Entry]:
         planned = self._run.planned
         left = (*planned.todo, *planned.waiting)
-        return [*planned.kept, *(entry for item in left for entry in self._ledger.of_others(item, REPLACING))]
+        return [
+            *planned.kept,
+            *(entry for item in left for entry in self._ledger.with_other_options(item, REPLACING)),
+        ]
 
 
 def results(
@@ -345,7 +348,7 @@ def results(
     """Have tasks done, the largest first, so that the last to end is a small one.
 
     Args:
-        check: called whenever a task is further; what it raises ends the work.
+        check: called at each progress of a task; an error that it raises ends the work.
     """
     if not tasks:
         return
@@ -379,9 +382,9 @@ def executor_for(
     on_progress: ProgressDelta,
     notify: Notify,
 ) -> Executor:
-    """Processes of this machine for so many recordings, or the cluster that was named.
+    """Return processes of this machine, or the cluster that was named.
 
-    A cluster finds the own results; what a device's recordings have in common is found here.
+    A cluster finds the own results only: later rounds, which compare recordings, are done here.
     """
     if study.dask is None or work is not calibrated:
         return ProcessPool(work, workers_of(study, recordings), study.timeout_s, PRELOAD, on_progress)
@@ -393,14 +396,14 @@ def executor_for(
 
 
 def _requirements(study: Study, cwd: Path) -> WorkerRequirements:
-    """The lock is the mark: it is there while the study runs, and no other run's is like it."""
+    """Return what a worker must see; the mark is the lock, whose content is unique to this run."""
     mark = cwd / study.lock
     folders = tuple(cwd / folder for folder in study.where.folders)
     return WorkerRequirements(__version__, code(), folders, mark, mark.read_text("utf-8"))
 
 
 def tidy(task: Task, lost: str | None = None) -> None:
-    """Remove what killed processes of this machine left, and one of another that is known to be gone."""
+    """Remove temporary files of killed processes of this machine, and of `lost` on another one."""
     for path in task.item.job.outputs:
         with contextlib.suppress(OSError):
             sweep(path)
@@ -409,12 +412,12 @@ def tidy(task: Task, lost: str | None = None) -> None:
 
 
 def preview(study: Study, note: Callable[[str], None]) -> dict[Item, str]:
-    """What a run would do with each recording: `todo`, `waiting`, or the outcome that it has.
+    """Return what a run would do with each recording: `todo`, `waiting`, or the outcome that it has.
 
-    What a later round does is decided by what is known now; nothing is locked or written.
+    The tasks of later rounds are decided by what is known now; nothing is locked or written.
 
     Args:
-        note: is told what a person should know.
+        note: called with each line for the user.
 
     Raises:
         UsageError: see `plan`.
@@ -433,8 +436,8 @@ def preview(study: Study, note: Callable[[str], None]) -> dict[Item, str]:
     planner = RoundPlanner(study, ledger, planned.changing)
     for one in rounds(study):
         todo, taken = planner.of(one, one.tasks(study, known))
-        states |= {known.standing[name].item: "todo" for task in todo for name in task.names}
+        states |= {known.recordings[name].item: "todo" for task in todo for name in task.names}
         for task, entry in taken:
             known.take(one, task.item.name, entry)
-    named = [one for one in known.standing.values() if not one.item.aside]
+    named = [one for one in known.recordings.values() if not one.item.aside]
     return {one.item: (one.last.row or {})["outcome"] for one in named} | states

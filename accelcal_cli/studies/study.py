@@ -1,4 +1,4 @@
-"""What a study should do: `Study`, and `Shard` for a part of it."""
+"""What a study is asked to do: `Study`, and `Shard` for a part of it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from accelcal_cli.studies.discovery import Where
 SLURM = "slurm"
 POOL, POOLED, BORROW, PRIOR = "pool", "pooled", "borrow", "prior"
 REPLACING = (POOLED, BORROW, PRIOR)
-"""Rounds after that of the own results that may replace one."""
+"""Names of the rounds that may replace an own result."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,23 +30,23 @@ class Shard:
     number: int = 1
 
     def owns(self, name: str) -> bool:
-        """Whether a recording of this name is this shard's; no other recording decides on it."""
+        """Return True if a recording of this name belongs to the shard; only the name decides."""
         digest = hashlib.sha256(name.encode("utf-8", "surrogateescape")).digest()
         return int.from_bytes(digest[:8], "big") % self.number == self.index - 1
 
     @property
     def whole(self) -> bool:
-        """Whether it is all of the study."""
+        """True if it is the whole study."""
         return self.number == 1
 
     @property
     def basename(self) -> str:
-        """Of the summary, the ledger and the lock."""
+        """Stem of the summary, the ledger and the lock."""
         return "study" if self.whole else f"study.{self.index}-of-{self.number}"
 
 
 def shard(text: str | None, environment: Mapping[str, str] = os.environ) -> Shard:
-    """The shard that `--shard` means: `2/8`, or `slurm` for this task of a job array.
+    """Return the shard that `--shard` names: `2/8`, or `slurm` for this task of a job array.
 
     Raises:
         UsageError: it is neither, or this is no task of a job array whose numbers rise by one.
@@ -64,7 +64,7 @@ def shard(text: str | None, environment: Mapping[str, str] = os.environ) -> Shar
 
 
 def _slurm(environment: Mapping[str, str]) -> Shard:
-    """Slurm's sbatch(1), "output environment variables": the array's task, its least and how many."""
+    """Return the shard of a task of a job array (sbatch(1), "output environment variables")."""
     names = ("SLURM_ARRAY_TASK_ID", "SLURM_ARRAY_TASK_MIN", "SLURM_ARRAY_TASK_COUNT")
     words = [environment.get(name, "") for name in names]
     if not all(word.isdecimal() for word in words):
@@ -80,21 +80,21 @@ WHOLE = Shard()
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """What is asked for.
+    """What a study is asked to do.
 
     Attributes:
-        jobs: workers; None for as many as CPUs and memory allow, or as the cluster has.
-        timeout_s: the longest one recording may take.
-        settle_s: files modified within this many seconds are skipped for now.
-        newer_than_s: what was last changed before [s since 1970] is not begun.
-        retry_failed: try again what failed and has not changed.
-        collect: begin nothing; sum up what the shards have done.
+        jobs: number of workers; None for as many as CPUs and memory allow, or as the cluster has.
+        timeout_s: longest time for one recording.
+        settle_s: age below which a file is skipped for now.
+        newer_than_s: time [s since 1970] before which a file must not have been changed last to be started.
+        retry_failed: whether recordings that failed and have not changed are tried again.
+        collect: whether to start nothing, and sum up what the shards have done.
         dask: address or scheduler file of the cluster that does the work; None for processes here.
-        pool: recordings of one device are calibrated as one.
-        borrow: what cannot be calibrated well may use coefficients of its device's other recordings.
-        prior: kind of prior that is learnt from the own results, which are found with that of the request;
-            None: these stay.
-        takeover_s: a run of another host that was silent for so long has ended; None: that is not known.
+        pool: whether recordings of one device are calibrated as one.
+        borrow: whether a recording that cannot be calibrated well may use coefficients of its device.
+        prior: kind of prior that is learnt from the own results (which are found with the request's prior);
+            None if they stay.
+        takeover_s: silence after which a run of another host is taken to have ended; None if never.
     """
 
     where: Where
@@ -119,11 +119,11 @@ class Study:
 
     @property
     def lock(self) -> Path:
-        """What one run at a time holds."""
+        """Path of the lock, which one run at a time holds."""
         return self.out / f"{self.shard.basename}.lock"
 
     def settings(self) -> dict[str, Any]:
-        """All that decides the recordings' own results but the recordings and their layout files."""
+        """Return all settings that decide the recordings' own results."""
         return {
             **self.request.effective_settings(self.request.options.layout).as_json(),
             "integers": self.request.integers,
@@ -132,11 +132,11 @@ class Study:
 
     @property
     def replacing(self) -> tuple[str, ...]:
-        """The later rounds whose results may replace a recording's own."""
+        """Names of the asked rounds whose results may replace a recording's own."""
         wanted = ((POOLED, self.pool), (BORROW, self.borrow), (PRIOR, self.prior is not None))
         return tuple(name for name, given in wanted if given)
 
     def asked(self) -> str:
-        """A hash of settings and version: an earlier entry with another no longer stands."""
+        """Return a hash of settings and version, with which alone an earlier entry is valid."""
         text = json.dumps([__version__, self.settings()], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]

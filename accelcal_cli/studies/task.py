@@ -1,4 +1,4 @@
-"""What a worker does with one recording, and the result that it returns."""
+"""The work on one recording, which a worker does, and the result that it returns."""
 
 from __future__ import annotations
 
@@ -26,17 +26,19 @@ from accelcal_cli.pipeline.outputs import applied_by_hand
 from accelcal_cli.studies import summary
 from accelcal_cli.studies.records import Entry, Item, ProgressCallback
 
-REFUSED = 4
-BUG = 70
-NO_MEMORY = 71
+REFUSED, BUG, NO_MEMORY = 4, 70, 71
+"""Exit codes in rows of the summary."""
+
 REPORT_S = 0.2
+"""Shortest interval [s] at which a worker reports progress."""
+
 STAGES = {"reading": 0.0, "writing": 0.5}
-"""Where in the work a stage begins; each is half of it."""
+"""Part of the work before each stage, which is half of it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Common:
-    """What the tasks of a study share.
+    """Settings that the tasks of a study share.
 
     Attributes:
         out: folder of the study's outputs.
@@ -49,14 +51,14 @@ class Common:
 
 
 class Task(Protocol):
-    """Something to do for one recording in one round; it can be pickled."""
+    """The work on one recording in one round; it can be pickled."""
 
     @property
     def item(self) -> Item:
-        """The recording."""
+        """The recording to work on."""
 
     def failure(self, code: int, message: str, *, again: bool) -> Entry:
-        """What is remembered if it cannot be done."""
+        """Return the entry that is kept if the work fails."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +66,7 @@ class CalibrationTask:
     """One recording to calibrate.
 
     Attributes:
-        named: how the user named the recording, if its path is another where the work is done.
+        named: path of the recording as the user gave it, if the work is done with another one.
     """
 
     item: Item
@@ -73,7 +75,7 @@ class CalibrationTask:
 
     @property
     def job(self) -> Job:
-        """The item's job, with the name that its report gives the recording."""
+        """The item's job, with the path that the report names."""
         return self.item.job if self.named is None else replace(self.item.job, source=self.named)
 
     def failure(self, code: int, message: str, *, again: bool) -> Entry:
@@ -84,12 +86,12 @@ class CalibrationTask:
 
 @dataclass(frozen=True, slots=True)
 class TaskResult:
-    """What a worker reports.
+    """The result that a worker returns.
 
     Attributes:
         up_to_date: whether nothing had to be done.
         problems: code and message of each problem of the file.
-        trace: the traceback of a bug in accelcal.
+        trace: traceback of a bug in accelcal.
     """
 
     entry: Entry
@@ -103,7 +105,7 @@ Work = Callable[[AnyTask, ProgressCallback], TaskResult]
 
 
 def guarded(work: Work[AnyTask]) -> Work[AnyTask]:
-    """Work that returns a result whatever happens, unless the process is to end."""
+    """Decorate work so that it returns a result whatever happens, unless the process is to end."""
 
     @functools.wraps(work)
     def guarded_work(task: AnyTask, report_progress: ProgressCallback) -> TaskResult:
@@ -141,7 +143,7 @@ def calibrated(task: CalibrationTask, report_progress: ProgressCallback) -> Task
 
 
 def row_of(item: Item, common: Common, result: Result) -> dict[str, Any]:
-    """A result's row in the summary."""
+    """Return a result's row in the summary."""
     code = REFUSED if result.outcome is Outcome.REFUSED else 0
     names = {
         "parquet": None if result.parquet is None else _under(common, result.parquet),
@@ -152,7 +154,7 @@ def row_of(item: Item, common: Common, result: Result) -> dict[str, Any]:
 
 
 def outputs_of(item: Item, common: Common, result: Result) -> tuple[tuple[str, FileStamp], ...]:
-    """Name under OUT and stamp of each file of a result."""
+    """Return name under OUT and stamp of each file of a result."""
     paths = [path for path in (result.parquet, result.job.report) if path is not None]
     if common.request.integers and item.job.integers.exists():
         paths.append(item.job.integers)
@@ -161,20 +163,20 @@ def outputs_of(item: Item, common: Common, result: Result) -> tuple[tuple[str, F
 
 
 def problems_of(result: Result) -> tuple[str, ...]:
-    """Code and message of each problem of a result's file."""
+    """Return code and message of each problem of a result's file."""
     problems = result.view.file_health.problems
     return tuple(f"{problem.code}: {problem.message}" for problem in problems)
 
 
 @dataclass(frozen=True, slots=True)
 class ReplacementTask:
-    """One recording whose own result may give way to one with coefficients found elsewhere.
+    """One recording whose own result may be replaced by one with coefficients found elsewhere.
 
     Attributes:
-        own: its own result.
-        inputs: identities of its own result and of all else that decides, in the order in which it is used.
-        round: by which its entries are known.
-        refusal: what the message of a row says before the reason why the own result stays.
+        own: entry of its own result.
+        inputs: hashes of its own result and of all else that decides, in the order of use.
+        round: name of the round in its entries.
+        refusal: text in a row's message before the reason why the own result stays.
     """
 
     item: Item
@@ -195,7 +197,7 @@ class ReplacementTask:
         assert self.own.row is not None
         return self.own.row
 
-    def stands(self, entry: Entry) -> bool:
+    def is_current(self, entry: Entry) -> bool:
         """See `RoundTask`."""
         return entry.inputs == self.inputs
 
@@ -213,18 +215,18 @@ class ReplacementTask:
         *,
         again: bool = False,
     ) -> Entry:
-        """What is remembered of the round; `inputs` if not all were needed."""
+        """Return the entry of the round; `inputs` are those that were used, if not all were."""
         item, used = self.item, self.inputs if inputs is None else inputs
         return Entry(item.name, item.stamps, self.common.asked, row, outputs, again, self.round, used)
 
     def kept(self, why: str) -> dict[str, Any]:
-        """The own result's row, and why it stays."""
+        """Return the own result's row, with the reason why it stays."""
         return {**self.own_row, "message": f"{self.own_row['message']}; {self.refusal}: {why}"}
 
     def result(
         self, result: Result, row: dict[str, Any], inputs: tuple[str, ...] | None = None
     ) -> TaskResult:
-        """What the worker returns."""
+        """Return the result of the task."""
         entry = self.entry(row, outputs_of(self.item, self.common, result), inputs)
         return TaskResult(entry, result.up_to_date, problems_of(result))
 
@@ -234,7 +236,7 @@ def _under(common: Common, path: Path) -> str:
 
 
 class StageProgress:
-    """Turns the bytes of each stage into the part of the work that is done."""
+    """Converts the bytes of each stage to the part of the work that is done."""
 
     def __init__(self, report_progress: ProgressCallback) -> None:
         self.report_progress = report_progress
@@ -242,7 +244,7 @@ class StageProgress:
         self._part = 0.0
 
     def stage(self, name: str, total: int) -> Progress:
-        """See `ProgressMaker`; a stage that comes again shows only when it is further than before."""
+        """See `ProgressMaker`; a repeated stage is shown only once it is further than before."""
         start = STAGES.get(name, 0.5)
 
         def moved(done: int) -> None:

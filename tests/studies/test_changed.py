@@ -29,7 +29,7 @@ def known(folder: Path) -> tuple[Study, StudyState]:
     held = StudyState()
     for item in found.todo:
         entry = calibrated(CalibrationTask(item, Common(study.out, study.request, study.asked())), told).entry
-        held.standing[item.name] = RecordingState(item, entry, entry)
+        held.recordings[item.name] = RecordingState(item, entry, entry)
     return study, held
 
 

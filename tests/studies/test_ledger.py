@@ -88,7 +88,7 @@ def test_a_line_is_its_checksum_and_its_json(base: Path) -> None:
         assert int(line[:8], 16) == zlib.crc32(line[9:])
         said = json.loads(line[9:])
         assert said["round"] == "own"
-        assert len(ledger.held(said["name"], said["asked"], ["own"])) == 1
+        assert len(ledger.latest_of(said["name"], said["asked"], ["own"])) == 1
 
 
 @pytest.mark.parametrize(
