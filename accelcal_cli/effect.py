@@ -1,5 +1,7 @@
-"""What a recording's calibration changes in measures of activity (`accelcal effect`), with what the true
-parameters of a simulated one would give beside it."""
+"""`accelcal effect`: measures of activity of one recording, raw and calibrated, epoch by epoch and together.
+
+Of a simulated recording whose true parameters are known, also with these.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,6 @@ from typing import Any
 from accelcal_cli.core.calibration import Transform
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import UsageError, printable
-from accelcal_cli.core.recording import Recording
 from accelcal_cli.output.coefficients import without_misalignment
 from accelcal_cli.output.files import csv_text, open_plain, refuse_foreign, replacing
 from accelcal_cli.pipeline.activity import (
@@ -36,20 +37,20 @@ from accelcal_cli.pipeline.jobs import (
     refuse_overwriting,
 )
 from accelcal_cli.pipeline.quality import judged_by
-from accelcal_cli.pipeline.simulate import TrueParameters, true_parameters
+from accelcal_cli.pipeline.simulate import true_parameters
 
 HEAD = ("time", "samples")
 MEASURES = ("enmo_mg", "mad_mg", "pim_mg_s", "zcm")
-"""Columns of the table of epochs, each for every version."""
+"""Columns of the table of epochs, repeated for every version."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredEffect:
-    """What was found in one recording.
+    """The effect of a calibration on one recording.
 
     Attributes:
-        outcome, message: of its calibration.
-        effect: as in a report.
+        outcome, message: outcome of the calibration, and its message.
+        effect: measures of activity, as in a report.
     """
 
     path: Path
@@ -96,7 +97,7 @@ def effect(
 
 
 def _versions(path: Path, run: RecordingRun, found: FirstPass) -> list[Version]:
-    """Those of the result, or of coefficients that are applied; last the true one, where it is known."""
+    """Return the versions of the result, or of applied coefficients, and the true one if it is known."""
     data, donor = found.data, run.request.coefficients
     made = versions_of(data)
     if donor is not None and data.judgement.calibration is not None:
@@ -105,19 +106,17 @@ def _versions(path: Path, run: RecordingRun, found: FirstPass) -> list[Version]:
         used = None if simpler is None else at_reference(simpler, settings)
         made = versions(data.recording, data.judgement.calibration, used, settings.precision_mg)
     truth = true_parameters(path)
-    return made if truth is None else [*made, Version(TRUE, None, _true(truth, data.recording))]
-
-
-def _true(truth: TrueParameters, recording: Recording) -> Transform:
+    if truth is None:
+        return made
     parameters = (truth.gain, truth.offset_g, truth.slope_g_per_c, truth.reference_c)
-    return Transform(*parameters, recording.lsb_per_g)
+    return [*made, Version(TRUE, None, Transform(*parameters, data.recording.lsb_per_g))]
 
 
 @contextmanager
 def _epochs(
     table: Path | None, source: Path, made: list[Version], epoch_s: int, offset_s: int | None
 ) -> Iterator[Write]:
-    """What writes epochs into a table: a row each, and columns for each version."""
+    """Open the table and yield a function that appends epochs to it, a row each."""
     if table is None:
         yield lambda _tables: None
         return
@@ -135,7 +134,7 @@ def _epochs(
 
 
 def _lines(part: EpochTable, epoch_s: int, offset_s: int | None) -> Iterator[list[object]]:
-    """Time, number of samples, and the measures of each version, epoch by epoch."""
+    """Yield time, number of samples, and the measures of each version, epoch by epoch."""
     columns: list[list[object]] = [[iso_time(one, offset_s) for one in part.start_us.tolist()]]
     columns.append(part.rows.tolist())
     for epochs in part.epochs:
@@ -147,7 +146,7 @@ def _lines(part: EpochTable, epoch_s: int, offset_s: int | None) -> Iterator[lis
 
 
 def as_json(found: MeasuredEffect) -> dict[str, Any]:
-    """What was found, as an object."""
+    """Return the effect as a JSON object."""
     return {
         "recording": printable(found.path),
         "outcome": found.outcome,
@@ -157,7 +156,7 @@ def as_json(found: MeasuredEffect) -> dict[str, Any]:
 
 
 def check_table(table: Path, *, force: bool) -> None:
-    """Refuse to write epochs where something else is.
+    """Refuse to write epochs over another file.
 
     Raises:
         UsageError: its name is that of another kind of file.
@@ -171,7 +170,7 @@ def check_table(table: Path, *, force: bool) -> None:
 
 
 def _is_ours(table: Path) -> bool:
-    """Whether a file begins as such a table does."""
+    """Return True if a file begins as a table of epochs does."""
     head = ",".join((*HEAD, MEASURES[0])).encode()
     try:
         with open_plain(table, "rb") as file:

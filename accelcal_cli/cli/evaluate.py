@@ -13,7 +13,7 @@ PARTS = {
     "smoothing": "Noise at rest after a rolling mean or median (Table 1 of Grammenos et al. 2018).",
     "gravity": "Standard versus local gravity (Table 8 of Grammenos et al. 2018).",
 }
-"""Each lives in the module of its name in `laboratory` and binds `command`."""
+"""One-line help of each command, whose module of the laboratory has its name and binds `command`."""
 
 command = LazyGroup(
     "evaluate",

@@ -73,7 +73,8 @@ class TerminalObserver:
         """See `StudyObserver`."""
         row = result.entry.row
         assert row is not None
-        known = self._known(result)
+        quiet = self._values["quiet"] and not self._values["all_failures"]
+        known = result.up_to_date and quiet  # an earlier run said so, and only news are wanted
         self.codes.append(exit_codes.OK if known else row["exit_code"])
         if known:
             return
@@ -81,10 +82,6 @@ class TerminalObserver:
         with self._aside(fresh=not result.up_to_date):
             self._print(item, row)
             self._comment(item, row, result)
-
-    def _known(self, result: TaskResult) -> bool:
-        """Whether an earlier run said so already, and only news are wanted."""
-        return result.up_to_date and self._values["quiet"] and not self._values["all_failures"]
 
     def note(self, text: str) -> None:
         """See `StudyObserver`."""
@@ -94,7 +91,7 @@ class TerminalObserver:
 
     @contextlib.contextmanager
     def _aside(self, *, fresh: bool) -> Iterator[None]:
-        """Lines above the bar, and the bar as it is after them."""
+        """Let the block print lines above the bar, then update the bar."""
         if self._bar is None:
             yield
             return
@@ -208,7 +205,7 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
 
 
 def _unlock(study: Study) -> int:
-    """Remove the study's lock, and say whose it was."""
+    """Remove the study's lock and say whose it was."""
     from accelcal_cli.studies.run import unlock
 
     lock = unlock(study)
@@ -252,7 +249,7 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
 
 
 def _refuse_other_rounds(prior: str, values: dict[str, Any]) -> None:
-    """Raise UsageError for what would use a device's other recordings a second time."""
+    """Raise UsageError for options that would use a device's other recordings a second time."""
     for option, given in (("--pool", values["pool"]), ("--borrow", values["borrow"])):
         if given:
             text = f"--prior {prior} does not go with {option}: both use a device's other recordings"
@@ -260,7 +257,7 @@ def _refuse_other_rounds(prior: str, values: dict[str, Any]) -> None:
 
 
 def _seconds(moment: datetime | None) -> float | None:
-    """A local time in seconds since 1970; raises UsageError for one that this machine cannot place."""
+    """Return a local time [s since 1970]; raises UsageError if it is outside the range of the clock."""
     try:
         return None if moment is None else moment.timestamp()
     except (ValueError, OverflowError, OSError) as error:
@@ -268,10 +265,7 @@ def _seconds(moment: datetime | None) -> float | None:
 
 
 def _preview(study: Study, values: dict[str, Any]) -> int:
-    """A line for each recording: path, `todo`, `waiting` or its outcome, and the options that files state.
-
-    With -q none.
-    """
+    """Print a line for each recording: path, `todo`, `waiting` or outcome, and stated options; none with -q."""
     from accelcal_cli.studies.run import preview
 
     def note(text: str) -> None:
@@ -293,14 +287,14 @@ def _preview(study: Study, values: dict[str, Any]) -> int:
 
 
 def _stated(item: Item) -> list[str]:
-    """What files state of how a recording is read, and which; no text where nothing is stated."""
+    """Return the options that files state for a recording, with these files, as one text or none."""
     origins = dict.fromkeys(one.origin for one in item.choices)
     parts = [f"{' '.join(str(c) for c in item.choices if c.origin == one)} ({one})" for one in origins]
     return ["; ".join(parts)] if parts else []
 
 
 def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, values: dict[str, Any]) -> int:
-    """Sum up on stderr; returns the exit code."""
+    """Sum up on stderr and return the exit code."""
     for pool in summary.pools.values():
         if pool["outcome"] in (FAILED, Outcome.REFUSED):
             device = printable(f"the {pool['recordings']} recordings of device {pool['device_serial']}")

@@ -1,1 +1,1 @@
-"""A folder of recordings, in parallel and resumable: found, shared out to workers, summed up."""
+"""Studies: calibrate a folder of recordings in parallel and resumably, and sum up."""

@@ -1,6 +1,6 @@
 """The round in which recordings that cannot be calibrated well borrow coefficients of their device.
 
-Which recording may use whose coefficients is decided from the rows of the table alone.
+The rows of the table alone decide which recording may use whose coefficients.
 """
 
 from __future__ import annotations
@@ -27,21 +27,19 @@ from accelcal_cli.studies.task import ReplacementTask, StageProgress, TaskResult
 Row = Mapping[str, Any]
 
 MOST_DONORS = 3
-"""So many are tried before a recording keeps its own result."""
+"""Number of donors that are tried before a recording keeps its own result."""
 
 GOOD = (Outcome.CALIBRATED, Outcome.REDUCED_MODEL, Outcome.ALREADY_GOOD)
-POORER_TIMES = 2.0
-POORER_MG = 1.0
-"""A calibration is looked at again where its held-out error is at least so many times that of the device's
-best recording, and so many mg more; otherwise a study of good recordings would be read twice."""
+POORER_TIMES, POORER_MG = 2.0, 1.0
+"""A calibrated recording borrows only if its held-out error is at least POORER_TIMES that of the device's
+best recording and POORER_MG [mg] more; otherwise a study of good recordings would be read twice."""
 
 
 def pools(rows: Mapping[str, Row], max_damage_percent: float) -> list[list[str]]:
-    """Names of the recordings that are calibrated as one, by device and name; each pool has two at least.
+    """Return the names of the recordings that are calibrated as one, by device and name, at least two each.
 
     They agree in serial, model, counts per g and range, are not too damaged, have a result of their own, and
-    their sensor did not change meanwhile.
-    Of copies of one recording only the first is named.
+    their sensor did not change while it recorded. Of copies of one recording only the first is named.
 
     Args:
         rows: own results by name.
@@ -50,7 +48,7 @@ def pools(rows: Mapping[str, Row], max_damage_percent: float) -> list[list[str]]
     for serial, device in _devices(rows).items():
         for name, row in device.items():
             refused = row["outcome"] == Outcome.REFUSED
-            if _changed(row):
+            if _sensor_changed(row):
                 continue
             if row["outcome"] in GOOD or (refused and not _damaged(row, max_damage_percent)):
                 key = (serial, row["device_model"] or "", row["lsb_per_g"], row["range_g"] or 0.0)
@@ -61,7 +59,7 @@ def pools(rows: Mapping[str, Row], max_damage_percent: float) -> list[list[str]]
 
 
 def copies(rows: Mapping[str, Row]) -> dict[str, str]:
-    """Recordings of a device with the bytes of another one: name, and the first name of the same."""
+    """Return the names of copies of a device's recordings, each with the first name of the same bytes."""
     first: dict[tuple[str, str], str] = {}
     for name in sorted(rows):
         first.setdefault((rows[name]["device_serial"], rows[name]["sha256"]), name)
@@ -69,8 +67,8 @@ def copies(rows: Mapping[str, Row]) -> dict[str, str]:
     return {name: one for name, one in firsts.items() if name != one and rows[name]["device_serial"]}
 
 
-def _changed(row: Row) -> bool:
-    """Whether the sensor changed meanwhile: then no one set of coefficients is the recording's."""
+def _sensor_changed(row: Row) -> bool:
+    """Whether the sensor changed while it recorded, so that no one set of coefficients fits."""
     return row.get("change") not in (None, "none")
 
 
@@ -81,13 +79,13 @@ def _damaged(row: Row, max_percent: float) -> bool:
 def donors(
     rows: Mapping[str, Row], max_damage_percent: float, *, compare: bool, settled: Collection[str] = ()
 ) -> dict[str, list[str]]:
-    """For each recording that should borrow, by name, whom it may ask: the nearest in time first.
+    """Return the possible donors of each recording that should borrow, the nearest in time first.
 
-    Who should borrow does not lend, so that nothing is lent on.
+    A recording that should borrow does not lend, so that nothing is lent on.
 
     Args:
         rows: results by name.
-        settled: names of those that do not ask, since a result is not their own.
+        settled: names of the recordings that do not borrow, since their result is not their own.
         compare: whether calibrated recordings may borrow, too, if they are poorer than others.
     """
     found: dict[str, list[str]] = {}
@@ -98,16 +96,18 @@ def donors(
             if _borrows(name, device, max_damage_percent, compare=compare)
         }
         good = [name for name in device if name not in recipients and device[name]["outcome"] in GOOD]
-        lending = [name for name in good if not _changed(device[name])]
+        lending = [name for name in good if not _sensor_changed(device[name])]
         for name in sorted(recipients):
-            near = sorted((_apart_s(device[name], rows[one]), one) for one in _alike(name, lending, device))
+            near = sorted(
+                (_seconds_between(device[name], rows[one]), one) for one in _same_model(name, lending, device)
+            )
             if near:
                 found[name] = [one for _, one in near[:MOST_DONORS]]
     return found
 
 
 def _devices(rows: Mapping[str, Row]) -> dict[str, dict[str, Row]]:
-    """Rows by name, by serial; recordings without one belong to no device."""
+    """Return rows by name, by serial; recordings without one belong to no device."""
     found: dict[str, dict[str, Row]] = {}
     for name, row in rows.items():
         if row["device_serial"]:
@@ -115,8 +115,8 @@ def _devices(rows: Mapping[str, Row]) -> dict[str, dict[str, Row]]:
     return found
 
 
-def _alike(name: str, others: list[str], rows: Mapping[str, Row]) -> list[str]:
-    """Of other recordings of the same serial those whose model is not another one."""
+def _same_model(name: str, others: list[str], rows: Mapping[str, Row]) -> list[str]:
+    """Return the other recordings of the same serial whose model is not a different one."""
     model = rows[name]["device_model"]
     return [
         one for one in others if one != name and (not model or rows[one]["device_model"] in (model, None, ""))
@@ -129,15 +129,15 @@ def _borrows(name: str, device: Mapping[str, Row], max_damage_percent: float, *,
         return not _damaged(row, max_damage_percent)
     if not compare or row["outcome"] not in GOOD:
         return False
-    others = [device[one] for one in _alike(name, list(device), device)]
+    others = [device[one] for one in _same_model(name, list(device), device)]
     best = min((one["after_mg"] for one in others if one["outcome"] in GOOD), default=row["after_mg"])
     return bool(row["after_mg"] >= POORER_TIMES * best and row["after_mg"] - best >= POORER_MG)
 
 
-def _apart_s(one: Row, other: Row) -> float:
-    """Time between two recordings [s]; 0 where they overlap, endless if not known.
+def _seconds_between(one: Row, other: Row) -> float:
+    """Return the time between two recordings [s]; 0 where they overlap, infinite if not known.
 
-    By the device's clock, unless both say how far theirs was from UTC.
+    Times are those of the device's clock, unless both state their offset from UTC.
     """
     if one["start_time"] is None or other["start_time"] is None:
         return float("inf")
@@ -149,7 +149,7 @@ def _apart_s(one: Row, other: Row) -> float:
 
 
 def identity(row: Row) -> str:
-    """A hash of a result: for the same settings and version a row says all that decides its report."""
+    """Return a hash of a result: with the same settings and version, a row determines its report."""
     return hashlib.sha256(json.dumps(row, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -158,7 +158,7 @@ class BorrowTask(ReplacementTask):
     """One recording that should borrow.
 
     Attributes:
-        donors: whose coefficients it may try, in this order: name of the item, and its report.
+        donors: recordings whose coefficients it may try, in this order: name of the item, and its report.
     """
 
     donors: tuple[tuple[str, Path], ...]
@@ -166,7 +166,7 @@ class BorrowTask(ReplacementTask):
     refusal: ClassVar[str] = "borrowed nothing"
 
     def is_current(self, entry: Entry) -> bool:
-        """See `RoundTask`: what was tried is unchanged, and if nothing was accepted, all were tried."""
+        """See `RoundTask`; if nothing was accepted, all donors must have been tried."""
         tried = len(entry.inputs)
         assert entry.row is not None
         done = entry.row["outcome"] == Outcome.BORROWED or tried == len(self.inputs)
@@ -174,18 +174,18 @@ class BorrowTask(ReplacementTask):
 
 
 def tasks(study: Study, known: StudyState) -> list[BorrowTask]:
-    """See `Round`; what was pooled lends, but does not borrow."""
-    settings, common, standing = study.request.settings, common_of(study), known.recordings
-    rows = {name: one.last.row for name, one in standing.items() if one.last.row and not one.last.failed}
-    settled = [name for name, one in standing.items() if one.last is not one.own]
+    """Return the tasks (see `Round`); a pooled recording lends, but does not borrow."""
+    settings, common, states = study.request.settings, common_of(study), known.recordings
+    rows = {name: one.last.row for name, one in states.items() if one.last.row and not one.last.failed}
+    settled = [name for name, one in states.items() if one.last is not one.own]
     compare = settings.profile == DEFAULT.profile
     found = donors(rows, settings.max_damage_percent, compare=compare, settled=settled)
 
     def task(name: str, names: list[str]) -> BorrowTask:
-        own = standing[name].own
+        own = states[name].own
         inputs = (identity(own.row or {}), *(identity(rows[one]) for one in names))
-        lending = tuple((one, standing[one].item.job.report) for one in names)
-        return BorrowTask(standing[name].item, common, own, inputs, lending)
+        lending = tuple((one, states[one].item.job.report) for one in names)
+        return BorrowTask(states[name].item, common, own, inputs, lending)
 
     return [task(*pair) for pair in found.items()]
 

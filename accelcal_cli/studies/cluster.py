@@ -53,12 +53,13 @@ Notify = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class WorkerRequirements:
-    """What a worker must be and see, so that its results are the study's.
+    """Conditions that a worker must meet, so that its results are the study's.
 
     Attributes:
-        code: see `code`.
-        folders: of the recordings; absolute.
-        mark: a file in the folder of the outputs, and what it holds; absolute.
+        code: hash of the package's source (see `code`).
+        folders: absolute paths of the recordings' folders.
+        mark: absolute path of a file in the folder of the outputs.
+        content: content of `mark`.
         patience_s: how long a shared disk may take to show them.
     """
 
@@ -72,7 +73,7 @@ class WorkerRequirements:
 
 @lru_cache
 def unsuitable(requirements: WorkerRequirements) -> AccelcalError | None:
-    """Why this process must not work for a study; None if it may. Looked at once a study."""
+    """Return why this process must not work for a study; None if it may. Checked once a study."""
     here = f"the worker on {platform.node() or 'a host'}"
     if requirements.version != version.__version__:
         have = f"{here} has accelcal {version.__version__}, not {requirements.version}"
@@ -88,7 +89,7 @@ def unsuitable(requirements: WorkerRequirements) -> AccelcalError | None:
 
 
 def _hidden(requirements: WorkerRequirements) -> Path | None:
-    """What a worker does not see; a shared disk may take its time to show a new file."""
+    """Return a folder that the worker does not see, once a shared disk has had time to show it."""
     end = time.monotonic() + requirements.patience_s
     while (missing := _missing(requirements)) is not None and time.monotonic() < end:
         time.sleep(LOOK_S)
@@ -118,7 +119,7 @@ def _unwritable(mark: Path, here: str) -> AccelcalError | None:
 
 @lru_cache
 def code() -> str:
-    """A hash of this package's source: two versions of one name are not the same."""
+    """Return a hash of this package's source: builds of one version may differ."""
     root, digest = Path(version.__file__).parent.parent, hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
@@ -126,17 +127,17 @@ def code() -> str:
 
 
 def serialized_task(work: TaskFunction, task: Any, requirements: WorkerRequirements) -> bytes:
-    """Bytes to be done by `pickle.loads` in a thread of a worker.
+    """Return bytes that do the task when a worker calls `pickle.loads` on them in a thread.
 
-    Neither the scheduler nor a worker without this package, or with another, can stumble over them: the
-    task itself fails. (A worker that cannot unpickle a task of distributed's ends.)
+    The scheduler, or a worker without this package or with another version, cannot fail on them: the task
+    itself fails. (A worker that cannot unpickle one of distributed's own tasks ends.)
     """
     return pickle.dumps(_SerializedTask(work, task, requirements))
 
 
 @dataclass(frozen=True, slots=True)
 class _SerializedTask:
-    """Becomes the result of `do_task` where its pickle is loaded."""
+    """Becomes the result of `do_task` when its pickle is loaded."""
 
     work: TaskFunction
     task: Any
@@ -150,8 +151,8 @@ def do_task(content: bytes, requirements: WorkerRequirements) -> tuple[str, Any]
     """Do a task in a thread of a worker.
 
     Returns:
-        `result` and what the work returned, `unsuitable` and why this worker must not do it, or `ended` and
-        None if the task was cancelled meanwhile.
+        `result` and the result of the work; `unsuitable` and the reason why this worker must not do it; or
+        `ended` and None if the task was cancelled.
     """
     from distributed import get_worker
 
@@ -175,11 +176,11 @@ def do_task(content: bytes, requirements: WorkerRequirements) -> tuple[str, Any]
 
 
 class _CancelledError(BaseException):
-    """Nobody waits for the task any more."""
+    """The task was cancelled."""
 
 
 def _progress_callback(worker: Any, key: Any, send: Callable[[str, Any], None]) -> Callable[[float], None]:
-    """Tells the parts, not too often, and ends the work once its task is cancelled.
+    """Return a callback that reports progress every TELL_S and ends the work once its task is cancelled.
 
     A cluster cannot end a thread; the state of a task is described in distributed's "Worker State Machine".
     """
@@ -200,9 +201,9 @@ def _progress_callback(worker: Any, key: Any, send: Callable[[str, Any], None]) 
 def calibrate_in_user_folder(
     cwd: Path, task: CalibrationTask, report_progress: ProgressCallback
 ) -> TaskResult:
-    """See `calibrated`; the result and the files written are those that a process in `cwd` would give.
+    """Calibrate a recording as `calibrated` would in a process whose current folder is `cwd`.
 
-    Nobody's current folder is changed: other threads of this process may rely on it.
+    The current folder is not changed: other threads of this process may rely on it.
     """
     result = calibrated(in_user_folder(cwd, task), report_progress)
     if not result.entry.failed or result.entry.row is None:
@@ -212,7 +213,7 @@ def calibrate_in_user_folder(
 
 
 def in_user_folder(cwd: Path, task: CalibrationTask) -> CalibrationTask:
-    """The task with absolute paths."""
+    """Return the task with absolute paths."""
     job, common = task.item.job, task.common
     options = common.request.options
     there = replace(job, source=cwd / job.source, parquet=cwd / job.parquet, report=cwd / job.report)
@@ -223,7 +224,7 @@ def in_user_folder(cwd: Path, task: CalibrationTask) -> CalibrationTask:
 
 
 def _as_named(cwd: Path, task: CalibrationTask, message: str) -> str:
-    """A message with the folders as the user named them."""
+    """Return a message with the folders as the user named them."""
     layout = task.common.request.options.layout
     folders = [task.item.source.parent, task.common.out, *([] if layout is None else [layout.parent])]
     for folder in folders:
@@ -237,10 +238,10 @@ def _start(folder: Path) -> str:
 
 @contextlib.contextmanager
 def connected(address: str, notify: Notify) -> Iterator[Any]:
-    """A client of the scheduler at an address, or of the one that wrote a scheduler file.
+    """Connect a client to the scheduler at an address, or to the one that wrote a scheduler file.
 
-    It waits as long as distributed does (`distributed.comm.timeouts.connect`, 30 s unless configured). What
-    distributed would print meanwhile is hidden: the error says it in our own words.
+    It waits as long as distributed does (`distributed.comm.timeouts.connect`, 30 s unless configured). The
+    messages of distributed are hidden: the error says it in our own words.
 
     Raises:
         UsageError: distributed is not installed.
@@ -281,7 +282,7 @@ def _client(library: Any, named: str, notify: Notify) -> Any:
 
 
 def _address(named: str, wait_s: float) -> str:
-    """The address itself; for a scheduler file what it holds, once it is there."""
+    """Return the address, or that in a scheduler file once it is there."""
     if not named.endswith(".json"):
         return named
     path, end = Path(named), time.monotonic() + wait_s
@@ -303,7 +304,7 @@ def _address_in(path: Path) -> str | None:
 
 
 def _check(library: Any, address: str, wait_s: float) -> None:
-    """Ask for the version before a client is made: one of another version may fail, and then hangs."""
+    """Check the version before a client is made, which may fail or hang with another one."""
     from distributed.comm import parse_address
     from distributed.comm.registry import get_backend
 
@@ -325,7 +326,7 @@ def _check(library: Any, address: str, wait_s: float) -> None:
 
 
 async def _version(library: Any, address: str, wait_s: float) -> str:
-    """Of the scheduler's distributed."""
+    """Return the version of the scheduler's distributed."""
     secured = library.Security().get_connection_args("client")
     async with asyncio.timeout(wait_s), library.rpc(address, connection_args=secured) as scheduler:
         return str((await scheduler.versions())["packages"]["distributed"])
@@ -341,16 +342,16 @@ def _unreachable(address: str, error: Exception) -> ClusterError:
 
 @dataclass(slots=True)
 class Cluster:
-    """The workers of a scheduler.
+    """The executor of a Dask cluster: the workers of a scheduler.
 
     Attributes:
-        address: of the scheduler, or name of its scheduler file.
-        work: what is done with a task.
-        requirements: what a worker must be.
-        limit: how many tasks the cluster is given at a time; None for as many as its workers have threads.
-        timeout_s: the longest a task may take from when it began; None for no end.
+        address: address of the scheduler, or name of its scheduler file.
+        work: the work on a task.
+        requirements: conditions that a worker must meet.
+        limit: number of tasks that the cluster is given at a time; None for that of its threads.
+        timeout_s: longest time of a task from when it began; None for no limit.
         on_progress: see `ProgressDelta`.
-        notify: called with what the user should know.
+        notify: called with each line for the user.
         lost: called with a task and the `HOST.PROCESS` that began it and is gone.
     """
 
@@ -378,7 +379,7 @@ class Cluster:
 
 @dataclass(slots=True)
 class _Running:
-    """A task in the hands of the cluster; `owners` began it, all but the last of them in vain."""
+    """A task that was submitted; the processes `owners` began it, and all but the last one were lost."""
 
     task: Any
     future: Any
@@ -391,7 +392,7 @@ class _Running:
 
 @dataclass(slots=True)
 class DaskSession:
-    """One run; the keys of its tasks begin with its name.
+    """One run of an executor, whose name begins the keys of its tasks.
 
     No more tasks are submitted than can begin: if a worker is lost, distributed blames all that it held.
     """
@@ -407,7 +408,7 @@ class DaskSession:
     next_count_s: float = 0.0
 
     def run(self) -> Iterator[Finished]:
-        """Give, and listen, until nothing is left."""
+        """Submit tasks and handle events until all tasks have ended."""
         self.client.subscribe_topic(TOPIC, lambda event: self.events.put(tuple(event[1])))
         try:
             while self.waiting or self.running:
@@ -450,7 +451,7 @@ class DaskSession:
         future.add_done_callback(lambda _future: self.events.put((key, DONE, None)))
 
     def _listen(self) -> Iterator[Finished]:
-        """What comes within a moment; what others do is none of ours."""
+        """Handle the next event of this run, if there is one within POLL_S."""
         try:
             key, kind, value = self.events.get(timeout=POLL_S)
         except Empty:
@@ -473,7 +474,7 @@ class DaskSession:
         running.fraction = fraction
 
     def _done(self, key: str, running: _Running) -> Iterator[Finished]:
-        """One that is not pending any more, unless its result was lost with the worker."""
+        """Handle a task that is done, or pending again since its result was lost with the worker."""
         status = running.future.status
         if status == "pending":
             running.future.add_done_callback(lambda _future: self.events.put((key, DONE, None)))
@@ -499,7 +500,7 @@ class DaskSession:
         return result
 
     def _erred(self, key: str, running: _Running, error: Exception) -> Iterator[Finished]:
-        """The work never raises: either its workers were killed, or they could not begin the task."""
+        """Handle an error, which means that workers were killed or could not begin: the work never raises."""
         if type(error).__name__ != "KilledWorker":
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise ClusterError(
@@ -529,7 +530,7 @@ class DaskSession:
                 yield Finished(running.task, fault=f"took more than {limit / 60:g} minutes and was stopped")
 
     def _cancel_all(self) -> None:
-        """Cancel what runs, and wait a moment for it to be gone, so that nothing half-written is left."""
+        """Cancel all tasks and wait GRACE_S for them to end, so that no incomplete file is left."""
         self.client.cancel([running.future for running in self.running.values()], force=True)
         begun = {key for key, running in self.running.items() if running.at_work}
         end = time.monotonic() + GRACE_S

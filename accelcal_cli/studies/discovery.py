@@ -30,16 +30,18 @@ from accelcal_cli.studies.records import Item, is_ledger
 from accelcal_cli.studies.summary import COLUMNS
 
 NAMES = re.compile(r"study(\.\d+-of-\d+)?\.(csv|json|parquet|ledger|lock)")
+"""Names of the files that a study writes into OUT itself."""
+
 SUMMARY = (".parquet", ".csv", ".json")
 FIRST = list(COLUMNS[:2])
-"""With these columns the table of every version begins."""
+"""First columns of the table of every version."""
 
 OURS = (
     jobs.PARQUET_SUFFIX, jobs.UNCALIBRATED_SUFFIX, jobs.REPORT_SUFFIX, jobs.INTEGERS_SUFFIX,
     jobs.QUALITY_SUFFIX, ".toml", ".truth.json", ".tmp", ".part",
 )  # fmt: skip
 TABLES = "csv"
-"""The one format whose suffixes other files often have."""
+"""Name of the one format whose suffixes other files often have."""
 
 
 def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force: bool) -> None:
@@ -48,7 +50,9 @@ def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force:
     Raises:
         OutputError: such a file is in the way.
     """
-    for path in _foreign(out, base):
+    for path in (out / f"{base}{suffix}" for suffix in (*SUMMARY, ".ledger")):
+        if not path.exists() or _is_study_file(path):
+            continue
         if not force or path.resolve() in {one.resolve() for one in recordings}:
             raise OutputError(
                 "would be overwritten by the study's summary, but was not written by accelcal",
@@ -57,15 +61,8 @@ def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force:
             )
 
 
-def _foreign(out: Path, base: str) -> Iterator[Path]:
-    for suffix in (*SUMMARY, ".ledger"):
-        path = out / f"{base}{suffix}"
-        if path.exists() and not _summary(path):
-            yield path
-
-
-def _summary(path: Path) -> bool:
-    """Whether a file, and no pipe, is a summary or a ledger that a study wrote."""
+def _is_study_file(path: Path) -> bool:
+    """Return True for a summary or a ledger that a study wrote; False for pipes."""
     try:
         if not path.is_file():
             return False
@@ -84,13 +81,13 @@ def _summary(path: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Where:
-    """Where to look, and for what.
+    """Where a study looks for recordings, and for which.
 
     Attributes:
-        folders: the study; each of several lies under OUT by its own name.
+        folders: folders of the study; each of several has a folder of its own name under OUT.
         out: folder of the outputs.
-        include: patterns of file names (or of paths under the folder) of what is done now; empty for all.
-        exclude: patterns of what is left out.
+        include: patterns of names (or of paths under the folder) of files that are started; empty for all.
+        exclude: patterns of files that are left out.
     """
 
     folders: tuple[Path, ...]
@@ -100,10 +97,10 @@ class Where:
 
 
 def files(where: Where, notes: list[str]) -> list[Item]:
-    """All files that may be recordings, by name.
+    """Return all files that may be recordings, by name.
 
     Args:
-        notes: takes in which links to folders were not followed.
+        notes: receives a line for each link to a folder that was not followed.
 
     Raises:
         UsageError: one of them is not a folder, or two would share one place under OUT.
@@ -114,7 +111,7 @@ def files(where: Where, notes: list[str]) -> list[Item]:
 
 
 def _with_sets(where: Where, items: list[Item]) -> Iterator[Item]:
-    """The items, with one for all parts of a recording in the place of those of its files and their logs."""
+    """Replace the items of the files of a recording in parts, and of their logs, by one item."""
     sets: dict[Path | None, list[Item]] = {}
     for item in items:
         sets.setdefault(pattern_of_siblings(item.source), []).append(item)
@@ -127,7 +124,7 @@ def _with_sets(where: Where, items: list[Item]) -> Iterator[Item]:
 
 
 def _set(where: Where, pattern: Path, members: list[Item]) -> Item:
-    """The item of all parts of a recording."""
+    """Return the item of all parts of a recording."""
     first = min(members, key=lambda item: item.name)
     beside = first.source.relative_to(_root(where, first.source))
     folder = Path(first.name[: len(first.name) - len(beside.as_posix())])
@@ -141,23 +138,23 @@ def _set(where: Where, pattern: Path, members: list[Item]) -> Item:
 
 
 def _root(where: Where, source: Path) -> Path:
-    """The study's folder in which a file was found."""
+    """Return the study's folder that contains a file."""
     return next(folder for folder in where.folders if source.is_relative_to(folder))
 
 
 @dataclass(frozen=True, slots=True)
 class _Links:
-    """Links to folders: one whose recordings would be found twice, or without end, is not followed.
+    """Decides which links to folders are followed: not those that lead to a folder that is searched anyway.
 
     Attributes:
-        roots: real paths of the folders that are gone through.
+        roots: real paths of the folders that are searched.
     """
 
     roots: list[Path]
     notes: list[str]
 
     def follows(self, folder: Path) -> bool:
-        """Whether to go into a folder."""
+        """Return True to go into a folder, which then counts as searched."""
         if not folder.is_symlink():
             return True
         target = jobs.real(folder)
@@ -170,7 +167,7 @@ class _Links:
 
 
 def _apart(items: list[Item]) -> Iterator[Item]:
-    """A table beside a device's file of the same STEM, such as its export, has its full name as STEM."""
+    """Give a table beside a device's file of the same STEM, such as its export, its full name as STEM."""
     devices = {item.job.report for item in items if not _is_table(item)}
     for item in items:
         report, source = item.job.report, item.source
@@ -183,18 +180,18 @@ def _is_table(item: Item) -> bool:
 
 
 def as_if_alone(item: Item) -> jobs.Job:
-    """The job that a recording has where no other one of its folder shares its STEM."""
+    """Return the job that a recording has if no other one of its folder shares its STEM."""
     return _job(item.source, item.job.report.parent / jobs.stem(item.source))
 
 
 def _job(source: Path, target: Path) -> jobs.Job:
-    """The job whose outputs have a path and the usual suffixes."""
+    """Return the job whose outputs have the path `target` and the usual suffixes."""
     parquet = target.with_name(target.name + jobs.PARQUET_SUFFIX)
     return jobs.Job(source, parquet, target.with_name(target.name + jobs.REPORT_SUFFIX))
 
 
 def below_out(where: Where) -> list[Item]:
-    """Files that would be looked at if they did not lie below OUT, which is below a folder itself."""
+    """Return the files that are ignored because they lie below OUT, which is below a folder itself."""
     items, every = [], replace(where, include=(), exclude=())
     for folder, place in places(where):
         if jobs.real(folder) in jobs.real(where.out).parents and where.out.is_dir():
@@ -202,19 +199,20 @@ def below_out(where: Where) -> list[Item]:
             items += [
                 item
                 for item in _folder(every, folder / out, f"{place}{out.as_posix()}/", _Links([], []))
-                if _wanted(where, item.name.removeprefix(place))
+                if _is_named(where, item.name.removeprefix(place))
             ]
     return items
 
 
-def _wanted(where: Where, below: str) -> bool:
+def _is_named(where: Where, below: str) -> bool:
+    """Whether `include` and `exclude` leave a path below its folder in the study."""
     if fits_pattern(below, where.exclude):
         return False
     return not where.include or fits_pattern(below, where.include)
 
 
 def places(where: Where) -> list[tuple[Path, str]]:
-    """Each folder with its place under OUT; raises what `files` would raise of the folders."""
+    """Return each folder with its place under OUT; raises UsageError for what is no folder."""
     for folder in where.folders:
         if not folder.is_dir():
             raise UsageError("is not a folder", path=folder, hint="give the folder of the recordings")
@@ -256,14 +254,14 @@ def _subfolders(base: Path, names: list[str], out: Path, links: _Links) -> list[
 
 
 def _never(path: Path) -> bool:
-    """Whether a file is certainly no recording: hidden, ours, a study's, options, layouts, or part of one."""
+    """Whether a file is certainly no recording: hidden, an output, options, a layout, or part of another."""
     name = path.name
-    written = NAMES.fullmatch(name) is not None and (path.suffix not in SUMMARY or _summary(path))
+    written = NAMES.fullmatch(name) is not None and (path.suffix not in SUMMARY or _is_study_file(path))
     return name.startswith(".") or name.endswith(OURS) or written or belongs_to_another(path)
 
 
 def _plain(path: Path) -> bool:
-    """Whether it is a file, or a link whose file is gone: that is a recording that cannot be read."""
+    """Whether it is a file, or a broken link, which is a recording that cannot be read."""
     try:
         return stat.S_ISREG(path.stat().st_mode)
     except OSError:
@@ -284,7 +282,7 @@ def _unlisted(where: Where, folder: Path, place: str, error: OSError) -> Item:
 
 
 def without_collisions(items: list[Item]) -> list[Item]:
-    """Recordings with one STEM in one folder are refused, each with the other's name."""
+    """Refuse recordings that share their STEM in one folder, each with the others' names."""
     owners: dict[Path, list[Item]] = {}
     for item in items:
         owners.setdefault(item.job.report, []).append(item)
@@ -299,10 +297,10 @@ def _refused(item: Item, sharing: list[Item]) -> Item:
 
 
 def is_recording(item: Item, options: ReadOptions, *, asked_for: bool) -> bool:
-    """Whether a file is one of the study's recordings, by content.
+    """Return True if a file is one of the study's recordings, by content.
 
-    What no format fits is one all the same if its suffix is that of a device's files: it is damaged,
-    and must not be lost in silence. Of text files only those are that hold columns of numbers.
+    A file that no format fits is one if its suffix is that of a device's files: it is damaged, and must not
+    be ignored silently. Of text files only those with columns of numbers are recordings.
 
     Args:
         asked_for: the user named its kind with `--include`.
@@ -324,7 +322,7 @@ def is_recording(item: Item, options: ReadOptions, *, asked_for: bool) -> bool:
 
 
 def _holds_acceleration(form: Format, item: Item, options: ReadOptions) -> bool:
-    """Whether a table is a recording; one that is damaged may be, and must not be lost in silence."""
+    """Whether a table is a recording; a damaged one may be, and must not be ignored silently."""
     try:
         form.open(item.source, without(options, form.unused(options))).close()
     except NoRecordingError:

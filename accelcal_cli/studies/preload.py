@@ -1,4 +1,4 @@
-"""Imported once by the server that workers are forked from: what the first recording would import."""
+"""All that the first recording would import, which the server that workers are forked from imports once."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The round in which recordings are calibrated again, with what others of the study say of their sensors.
+"""The round in which recordings are calibrated again, with a prior learnt from others of the study.
 
-A prior is learnt from rows of the own results, which were found with that of the population, and never from
-the recording's own. Kind `study` is learnt from other devices of the model, `device` also from other
-recordings of the device.
+A prior is learnt from the rows of other recordings' own results, which were found with the prior of the
+population. Kind `study` is learnt from other devices of the model, `device` also from other recordings of the
+device.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ from accelcal_cli.studies.summary import PARAMETERS
 from accelcal_cli.studies.task import ReplacementTask, StageProgress, TaskResult, guarded, row_of
 
 MOST_DEVICES = 64
-"""More tell hardly more of a distribution."""
+"""Largest number of devices that a prior is learnt from; more hardly change a distribution."""
 
 EARLIEST = datetime(2000, 1, 2)
-"""Before, no such device recorded: it is where clocks begin that were never set."""
+"""Earliest start of a recording that is taken seriously; clocks that were never set begin before."""
 
 MONTH_S = 365.25 / 12 * 86_400
 OFFSETS, SLOPES = slice(6, 9), slice(9, 12)
 
 Model = tuple[Any, ...]
-"""What recordings must share to be compared: model, counts per g, range."""
+"""Model, counts per g and range, which recordings must share to be compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,19 +60,13 @@ class _Good:
     name: str
     row: Row
 
-    @property
-    def serial(self) -> str:
-        """Of its device."""
-        serial: str = self.row["device_serial"]
-        return serial
-
 
 def _model(row: Row) -> Model:
     return (row["device_model"] or "", row["lsb_per_g"], row["range_g"])
 
 
 def _is_good(row: Row, max_error_mg: float) -> bool:
-    """Whether others may learn from a result: it is the sensor's all along, and certainly good everywhere."""
+    """Whether others may learn from a result: the sensor did not change, and the error is certainly small."""
     if row["outcome"] != Outcome.CALIBRATED or row.get("change") not in (None, "none"):
         return False
     high: float | None = row["sphere_high_mg"]
@@ -81,11 +75,12 @@ def _is_good(row: Row, max_error_mg: float) -> bool:
 
 @dataclass
 class Learning:
-    """What recordings can learn from each other.
+    """Learns priors of recordings from other recordings.
 
     Args:
         rows: own results by name, found with the population's prior.
-        max_error_mg: a result may be learnt from if its error over the sphere is certainly below.
+        max_error_mg: bound on the error over the sphere, at the high end of its interval, of a result that
+            others learn from.
     """
 
     rows: Mapping[str, Row]
@@ -94,30 +89,32 @@ class Learning:
     _known: dict[tuple[str, ...], LearntPrior] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Sort what is good by model and device; of copies the first by name counts."""
+        """Sort good results by model and device; of copies the first by name counts."""
         first: dict[str, _Good] = {}
         for name in sorted(self.rows):
             row = self.rows[name]
             if _is_good(row, self.max_error_mg):
                 first.setdefault(row["sha256"], _Good(name, row))
-        for one in sorted(first.values(), key=lambda one: _shuffled(one.serial)):
-            self._devices.setdefault(_model(one.row), {}).setdefault(one.serial, []).append(one)
+        # an order that has nothing to do with how devices are numbered
+        for one in sorted(first.values(), key=lambda one: _sha256(one.row["device_serial"])):
+            devices = self._devices.setdefault(_model(one.row), {})
+            devices.setdefault(one.row["device_serial"], []).append(one)
 
     def prior(self, name: str, kind: str) -> LearntPrior | None:
-        """The prior of a recording; None where too little is known, so that the population's stays."""
+        """Return the prior of a recording; None if too little is known, so that the population's stays."""
         row = self.rows[name]
         study, known = self._of_model(row), self._devices.get(_model(row), {})
         own = _others(known.get(row["device_serial"], ()), row) if kind == DEVICE_PRIOR else []
         return _of_device(own, row, study) if own else study
 
     def models_without(self) -> Iterator[tuple[str, int]]:
-        """Models of recordings that have no prior of theirs, and from how many devices one could learn."""
+        """Yield the models without a prior, and the number of devices that are known of each."""
         few = {_model(row) for row in self.rows.values() if not self._other_devices(row)}
         for model in sorted(few, key=str):
             yield model[0], len(self._devices.get(model, ()))
 
     def _of_model(self, row: Row) -> LearntPrior | None:
-        """From other devices; each counts once."""
+        """Return the prior from other devices of the model, each of which counts once."""
         devices = self._other_devices(row)
         used = tuple(one.name for device in devices for one in device)
         if used and used not in self._known:
@@ -125,7 +122,7 @@ class Learning:
         return self._known.get(used)
 
     def _other_devices(self, row: Row) -> list[list[_Good]]:
-        """Recordings of other devices of the model; empty if there are too few devices."""
+        """Return recordings of other devices of the model; empty if there are too few devices."""
         devices: list[list[_Good]] = []
         for serial, good in self._devices.get(_model(row), {}).items():
             others = _others(good, row)
@@ -137,44 +134,42 @@ class Learning:
 
 
 def _others(good: Sequence[_Good], row: Row) -> list[_Good]:
-    """Recordings with other content."""
+    """Return the recordings with other content."""
     return [one for one in good if one.row["sha256"] != row["sha256"]]
 
 
-def _shuffled(serial: str) -> str:
-    """An order of devices that has nothing to do with how they are numbered."""
-    return hashlib.sha256(serial.encode("utf-8", "surrogateescape")).hexdigest()
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()
 
 
 def _across(devices: Sequence[Sequence[_Good]], model: str) -> LearntPrior:
     used = [one for device in devices for one in device]
     reference_c = _reference_c(used)
-    told = [_of_recordings([one.row for one in device], reference_c) for device in devices]
+    estimates = [_of_recordings([one.row for one in device], reference_c) for device in devices]
     parts = []
     for index, (centre, width) in enumerate(zip(POPULATION.centre, POPULATION.width, strict=True)):
-        some = [one for device in told if (one := device[index]) is not None]
+        some = [one for device in estimates if (one := device[index]) is not None]
         known = Told(centre, width * width)
         if len(some) >= FEWEST_DEVICES:
             known = across_devices(some, centre, width, POPULATION.freedom)
         parts.append(known)
-    hashes = sorted(one.row["sha256"] for one in used)
-    digest = hashlib.sha256("".join(hashes).encode()).hexdigest()
+    digest = _sha256("".join(sorted(one.row["sha256"] for one in used)))
     return LearntPrior(learnt(parts, reference_c), STUDY_PRIOR, model, len(devices), len(used), digest)
 
 
 def _of_recordings(rows: Sequence[Row], reference_c: float | None) -> list[Told | None]:
-    """What the recordings of one device say of each parameter."""
-    told = [_words(row, reference_c) for row in rows]
+    """Return the estimate of each parameter from the recordings of one device; None without any."""
+    each = [_estimates(row, reference_c) for row in rows]
     found: list[Told | None] = []
     for index, occasion in enumerate(OCCASION):
-        parts = [one for words in told if (one := words[index]) is not None]
+        parts = [one for estimates in each if (one := estimates[index]) is not None]
         wider = [Told(one.value, one.variance + occasion * occasion) for one in parts]
         found.append(together(wider) if wider else None)
     return found
 
 
-def _words(row: Row, reference_c: float | None) -> list[Told | None]:
-    """What a recording says of each parameter by itself, with its offsets at a temperature."""
+def _estimates(row: Row, reference_c: float | None) -> list[Told | None]:
+    """Return the estimate of each parameter from a recording alone, with offsets at a temperature."""
     values, errors = ([row[f"{start}{name}"] for name in PARAMETERS] for start in ("", "se_"))
     if row["reference_c"] is not None and reference_c is not None:
         warmer = reference_c - row["reference_c"]
@@ -189,20 +184,20 @@ def _words(row: Row, reference_c: float | None) -> list[Told | None]:
 
 
 def _reference_c(used: Sequence[_Good]) -> float | None:
-    """The lower median of the temperatures at which offsets are known; None where none has one."""
+    """Return the lower median of the reference temperatures; None if there is none."""
     known = sorted(one.row["reference_c"] for one in used if one.row["reference_c"] is not None)
     return float(known[(len(known) - 1) // 2]) if known else None
 
 
 def _of_device(own: Sequence[_Good], row: Row, study: LearntPrior | None) -> LearntPrior:
-    """From other recordings of the device, and what is known of its model."""
+    """Return the prior from other recordings of the device and the prior of its model."""
     reference_c = _reference_c(own)
     base = _at(POPULATION if study is None else study.prior, reference_c)
     month = _month(row)
-    told = [(_words(one.row, reference_c), _month(one.row)) for one in own]
+    each = [(_estimates(one.row, reference_c), _month(one.row)) for one in own]
     parts = []
     for index, known in enumerate(base):
-        past = [Past(one, when) for words, when in told if (one := words[index]) is not None]
+        past = [Past(one, when) for estimates, when in each if (one := estimates[index]) is not None]
         steps = WALK[index], OCCASION[index]
         parts.append(along_device(past, month, known, *steps) if past else known)
     sources = tuple(Source(one.name, one.row["sha256"]) for one in own)
@@ -216,7 +211,7 @@ def _of_device(own: Sequence[_Good], row: Row, study: LearntPrior | None) -> Lea
 
 
 def _at(prior: Prior, reference_c: float | None) -> list[Told]:
-    """Centres and squared widths of a prior with its offsets at a temperature."""
+    """Return centres and squared widths of a prior, with its offsets at a temperature."""
     parts = [Told(centre, width * width) for centre, width in zip(prior.centre, prior.width, strict=True)]
     if reference_c is None or prior.reference_c is None:
         return parts
@@ -229,7 +224,7 @@ def _at(prior: Prior, reference_c: float | None) -> list[Told]:
 
 
 def _month(row: Row) -> float | None:
-    """The middle of a recording on its device's clock [months since 2000]; None if it is not known."""
+    """Return the middle of a recording by its device's clock [months since 2000]; None if not known."""
     if row["start_time"] is None:
         return None
     start = datetime.fromisoformat(row["start_time"]).replace(tzinfo=None)
@@ -256,7 +251,7 @@ def _learning(study: Study, standing: Mapping[str, RecordingState]) -> Learning:
 
 
 def tasks(study: Study, known: StudyState) -> list[PriorTask]:
-    """See `Round`: a task for each recording with points, for which enough others are known."""
+    """Return a task for each recording with points for which enough others are known (see `Round`)."""
     assert study.prior is not None
     learning, common, found = _learning(study, known.recordings), common_of(study), []
     for name, row in learning.rows.items():
@@ -266,13 +261,13 @@ def tasks(study: Study, known: StudyState) -> list[PriorTask]:
         if prior is not None:
             state = known.recordings[name]
             content = json.dumps(prior.as_json(), sort_keys=True)
-            inputs = (identity(row), hashlib.sha256(content.encode()).hexdigest()[:16])
+            inputs = (identity(row), _sha256(content)[:16])
             found.append(PriorTask(state.item, common, state.own, inputs, prior))
     return found
 
 
 def without_prior(study: Study, known: StudyState) -> Iterator[str]:
-    """What a person should know of models for which no prior can be learnt."""
+    """Yield a line for the user on each model for which no prior can be learnt."""
     if study.prior is None:
         return
     for model, number in _learning(study, known.recordings).models_without():

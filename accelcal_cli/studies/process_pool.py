@@ -1,8 +1,8 @@
-"""Worker processes of this machine, each with one task at a time; a worker that dies loses only its own task.
+"""The executor of worker processes of this machine; a worker that dies loses only its own task.
 
 On Linux workers are forked from a server that has imported everything once. It listens in a folder of our
-own: that of multiprocessing would stay behind if the process is killed, and its path may be too long for the
-name of a socket.
+own: that of multiprocessing would remain if the process is killed, and its path may be too long for the name
+of a socket.
 """
 
 from __future__ import annotations
@@ -31,35 +31,37 @@ from accelcal_cli.core.system import collect_seldom, hold_to_one_thread, host, l
 from accelcal_cli.studies.records import Finished, ProgressDelta, TaskFunction
 
 LONGEST_PATH = 40
-"""Bytes of the path that leave room for the rest of a socket's name, 108 in all on Linux (unix(7))."""
+"""Bytes of a path that leave room for the rest of a socket's name, 108 in all on Linux (unix(7))."""
 
 SHORT_FOLDERS = ("/tmp", "/var/tmp")
 
 EXIT_PRIORITY = -200
-"""multiprocessing removes its own folder in ours before (at -100)."""
+"""Priority of the removal of our folder, after that of multiprocessing's own in it (-100)."""
 
 POLL_S = 1.0
-GRACE_S = 10.0
-TRIES = 5
-RETRY_S = 0.1
-"""It takes a moment until a killed server is known to be gone."""
+"""Interval [s] at which time limits are checked."""
 
-TERMINATED = 143
-NO_THREAD = 144
-"""The exit code of a process that was given no thread to watch over it."""
+GRACE_S = 10.0
+"""Time [s] that a process has to end before it is killed."""
+
+TRIES, RETRY_S = 5, 0.1
+"""Further tries to start a worker, and the wait [s] before each: a killed server is noticed late."""
+
+TERMINATED, NO_THREAD = 143, 144
+"""Exit codes of a worker that got SIGTERM, and of one that could not start its watching thread."""
 
 SERVER_GONE = 255
-"""The exit code that multiprocessing gives a process whose server is gone."""
+"""Exit code that multiprocessing gives a process whose server is gone."""
 
 
 @contextlib.contextmanager
 def forkserver_folder() -> Iterator[None]:
-    """In the block, temporary files are made in a folder that is removed when this process ends.
+    """Make temporary files in the block in a folder that is removed when this process ends.
 
-    If it is killed, the next one of this host and user removes it.
+    If the process is killed, the next one of this host and user removes the folder.
 
     Raises:
-        OSError: there is no place for one.
+        OSError: no folder can be made.
     """
     before = tempfile.tempdir
     tempfile.tempdir = str(_temporary_folder())
@@ -78,7 +80,7 @@ def _temporary_folder() -> Path:
 
 
 def sweep_folders() -> None:
-    """Remove the folders that killed processes of this host and user left."""
+    """Remove the folders of killed processes of this host and user."""
     with contextlib.suppress(OSError), os.scandir(_parent()) as entries:
         for entry in entries:
             owner = entry.name.removeprefix(_start()).split("-")[0]
@@ -113,10 +115,10 @@ class ProcessPool:
     """Workers that take tasks as they become free.
 
     Attributes:
-        work: what is done with a task.
-        number: how many work at a time.
-        timeout_s: the longest a task may take; None for no end.
-        preload: a module with all that the work imports; imported once where workers are forked.
+        work: the work on a task.
+        number: number of workers.
+        timeout_s: longest time of a task; None for no limit.
+        preload: name of a module with all that the work imports, which the server imports once.
         on_progress: see `ProgressDelta`.
     """
 
@@ -129,7 +131,7 @@ class ProcessPool:
     _busy: list[_Worker] = field(default_factory=list)
 
     def run(self, tasks: list[Any]) -> Generator[Finished, None, None]:
-        """Do all tasks; yields each as it ends. All workers are gone when the iteration is.
+        """Carry out tasks (see `Executor`); all workers have ended when the iteration has.
 
         Raises:
             OutputError: there is no worker left, and none can be started.
@@ -144,7 +146,7 @@ class ProcessPool:
             self._stop_all()
 
     def _assign(self, waiting: list[Any]) -> None:
-        """Give the last task to a worker; if none can be started, go on with those there are."""
+        """Give the last task to a worker; if none can be started, go on with the busy ones."""
         try:
             worker = self._idle.pop() if self._idle else self._start()
         except OutputError:
@@ -159,7 +161,7 @@ class ProcessPool:
             worker.pipe.send(task)
 
     def _start(self) -> _Worker:
-        """A new worker, from a new server if the first was killed."""
+        """Start a worker, from a new server if the first was killed."""
         preload = self.preload or self.work.__module__
         try:
             for _ in range(TRIES):
@@ -236,7 +238,7 @@ def _lost_worker(worker: _Worker) -> Finished:
 
 
 def _end(workers: list[_Worker]) -> None:
-    """End processes: with SIGTERM, so that they remove their temporary files, else with SIGKILL."""
+    """End processes by SIGTERM, at which they remove temporary files, or by SIGKILL after GRACE_S."""
     for worker in workers:
         worker.process.terminate()
     for worker in workers:
@@ -248,7 +250,7 @@ def _end(workers: list[_Worker]) -> None:
 
 
 def _started(work: TaskFunction, preload: str) -> _Worker:
-    """A new process, with nothing of this one's state but the pipe."""
+    """Start a process that has nothing of this one's state but the pipe."""
     hold_to_one_thread()
     ours, theirs = multiprocessing.Pipe()
     process = _process(theirs, work, preload)
@@ -265,7 +267,7 @@ def _started(work: TaskFunction, preload: str) -> _Worker:
 
 
 def _process(pipe: Connection, work: TaskFunction, preload: str) -> BaseProcess:
-    """On Linux from a server that has imported everything once, elsewhere from nothing."""
+    """Return a process, on Linux from a server that has imported everything once."""
     if sys.platform != "linux":
         return multiprocessing.get_context("spawn").Process(target=_serve, args=(pipe, work), daemon=True)
     context = multiprocessing.get_context("forkserver")
@@ -274,7 +276,7 @@ def _process(pipe: Connection, work: TaskFunction, preload: str) -> BaseProcess:
 
 
 def _start_server() -> None:
-    """Start the server that ignores Ctrl-C: it would print a traceback of what it was importing."""
+    """Start the server so that it ignores Ctrl-C, at which it would print a traceback."""
     if sys.platform != "linux":
         return
     resource_tracker.ensure_running()
@@ -286,7 +288,7 @@ def _start_server() -> None:
 
 
 def _serve(pipe: Connection, work: TaskFunction) -> None:
-    """What a worker process does: one task after another until it receives None."""
+    """Do one task after another until None is received: the loop of a worker process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _terminate)
     collect_seldom()
@@ -304,7 +306,7 @@ def _terminate(_number: int, _frame: Any) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when the one that started it is gone, however it went."""
+    """End this process when the one that started it is gone."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])

@@ -1,6 +1,6 @@
-"""The study in one table, a row for each recording, as Parquet and CSV, and its counts as JSON.
+"""The summary of a study: a table with a row for each recording as Parquet and CSV, and counts as JSON.
 
-Sorted and without times, so that a study that was interrupted ends with the same bytes as one that was not.
+Rows are sorted and have no times, so that an interrupted study ends with the same bytes as another.
 """
 
 from __future__ import annotations
@@ -75,11 +75,11 @@ COLUMNS = (
     *(f"se_{name}" for name in PARAMETERS),
     "lost_percent", "bytes", "sha256", "accelcal_version", "parquet", "report",
 )  # fmt: skip
-"""In the order of the table. Errors are held out; what is neither TEXT nor WHOLE is a number."""
+"""Columns in the order of the table. Errors are held out; columns neither TEXT nor WHOLE are numbers."""
 
 
 def failed(item: Item, code: int, message: str) -> dict[str, Any]:
-    """The row of a recording that gave no report."""
+    """Return the row of a recording that has no report."""
     failure = {"outcome": FAILED, "message": message, "bytes": item.size, "accelcal_version": __version__}
     return dict.fromkeys(COLUMNS) | {"path": printable(item.name), "exit_code": code} | failure
 
@@ -106,7 +106,7 @@ def of_report(
 
 
 def own(line: dict[str, Any]) -> dict[str, Any]:
-    """Columns that say what a recording's own result is worth, where another one took its place."""
+    """Return the columns of an own result that another one has replaced."""
     return {f"own_{name}": line[name] for name in ("outcome", "message", "after_mg")}
 
 
@@ -150,7 +150,7 @@ def _change(report: ReportView) -> dict[str, Any]:
 
 
 def _misfits(report: ReportView) -> dict[str, Any]:
-    """Return what was found that the parameters do not describe."""
+    """Return the kinds of misfit that were found."""
     if report.misfits is None:
         return {}
     return {"misfits": ", ".join(one.kind for one in report.misfits if one.found) or "none"}
@@ -170,7 +170,7 @@ def _gyroscope(report: ReportView) -> dict[str, Any]:
 
 
 def _effect(report: ReportView) -> dict[str, Any]:
-    """Return measures of activity, where they were asked for."""
+    """Return measures of activity, if they were asked for."""
     versions = {} if report.effect is None else report.effect.get("versions", {})
     return {column: versions[name][key] for (name, key), column in EFFECT.items() if name in versions}
 
@@ -201,7 +201,7 @@ def _calibration(calibration: CalibrationView | None) -> dict[str, Any]:
 
 
 def _standard_errors(calibration: CalibrationView) -> dict[str, float]:
-    """Return those of the parameters that the model leaves free: what was not fitted has none."""
+    """Return the standard errors of the parameters that the model leaves free."""
     errors = calibration.standard_errors or {}
     model = MODELS.get(calibration.model)
     free = range(len(PARAMETERS)) if model is None else model.free
@@ -210,7 +210,7 @@ def _standard_errors(calibration: CalibrationView) -> dict[str, float]:
 
 
 TOGETHER = 1 << 14
-"""Rows of a row group of `study.parquet`."""
+"""Number of rows of a row group of `study.parquet`."""
 
 WAY_OUT = "give the zone of the latter with --timezone, in a separate study if other files state their own"
 
@@ -220,12 +220,13 @@ class Summary:
     """A study's result.
 
     Attributes:
-        rows: one a recording, by path.
-        waiting: recordings that were not tried yet: too new, too old, or another shard's.
-        ahead: of these, those that were changed in the future by this machine's clock; not written.
-        left_out: files that are no recordings.
-        kept: rows of recordings that this run does not name, from one with other options.
-        up_to_date: recordings of which nothing had to be done; not part of what is written.
+        rows: one row a recording, by path.
+        waiting: number of recordings that were not tried yet: too new, too old, or another shard's.
+        ahead: number of waiting recordings that were changed in the future by this machine's clock; not
+            written.
+        left_out: number of files that are no recordings.
+        kept: number of recordings that this run does not name, whose rows are from one with other options.
+        up_to_date: number of recordings for which nothing had to be done; not written.
         pools: device, number of recordings, outcome and message of each pool, by name.
     """
 
@@ -239,16 +240,16 @@ class Summary:
     pools: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def outcomes(self) -> dict[str, int]:
-        """How many recordings had which outcome."""
+        """Return the number of recordings by outcome."""
         return dict(sorted(Counter(row["outcome"] for row in self.rows).items()))
 
     def time_zones(self) -> dict[str, int]:
-        """How many Parquet files have times in UTC, and how many in a zone that is unknown."""
+        """Return the number of Parquet files with times in UTC, and in an unknown zone."""
         zones = (row.get("time_zone") for row in self.rows if row["parquet"])
         return dict(sorted(Counter(zone for zone in zones if zone).items()))
 
     def mixed_times(self) -> str | None:
-        """What to know before the files are united, where `time` is not of one type in all of them."""
+        """Return a warning against joining the files, if `time` is not of one type in all of them."""
         zones = self.time_zones()
         if len(zones) < 2:
             return None
@@ -258,7 +259,7 @@ class Summary:
         )
 
     def counts(self) -> dict[str, Any]:
-        """The content of `study.json`."""
+        """Return the content of `study.json`."""
         return {
             "accelcal_version": __version__,
             "recordings": len(self.rows),
@@ -275,11 +276,7 @@ class Summary:
 
 
 def write(summary: Summary, out: Path, name: str) -> None:
-    """`NAME.parquet`, `NAME.csv`, and last `NAME.json`.
-
-    Raises:
-        OutputError: one cannot be written.
-    """
+    """Write `NAME.parquet`, `NAME.csv`, and last `NAME.json`; raises OutputError if one cannot be written."""
     with replacing(out / f"{name}.parquet") as temporary, temporary.open("wb") as file:
         _write_parquet(summary.rows, file)
     write_csv(summary.rows, out, name)
@@ -287,13 +284,13 @@ def write(summary: Summary, out: Path, name: str) -> None:
 
 
 def write_csv(rows: Sequence[dict[str, Any]], out: Path, name: str) -> None:
-    """`NAME.csv` alone; raises OutputError if it cannot be written."""
+    """Write `NAME.csv` alone; raises OutputError if it cannot be written."""
     cells = ([row.get(column) for column in COLUMNS] for row in rows)
     files.write_csv(out / f"{name}.csv", COLUMNS, cells)
 
 
 def _write_parquet(rows: list[dict[str, Any]], file: IO[bytes]) -> None:
-    """The rows, some at a time: as text they take ten times the memory."""
+    """Write some rows at a time: as text they take ten times the memory."""
     import pyarrow as pa  # which `study --help` does not need
     import pyarrow.parquet as pq
 
@@ -306,7 +303,7 @@ def _write_parquet(rows: list[dict[str, Any]], file: IO[bytes]) -> None:
 
 
 def _table(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.Table:
-    """Read from JSON lines: `pa.array` would load pandas, which takes half a second."""
+    """Read rows from JSON lines: `pa.array` would load pandas, which takes half a second."""
     import pyarrow.json
 
     lines = "\n".join(json.dumps({column: row.get(column) for column in COLUMNS}) for row in rows).encode()
@@ -315,7 +312,7 @@ def _table(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.Table:
 
 
 def _kind(name: str) -> str:
-    """Arrow's type of a column."""
+    """Return Arrow's type of a column."""
     if name in TEXT:
         return "string"
     return "int64" if name in WHOLE else "float64"
