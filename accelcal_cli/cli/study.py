@@ -265,7 +265,7 @@ def _seconds(moment: datetime | None) -> float | None:
 
 
 def _preview(study: Study, values: dict[str, Any]) -> int:
-    """Print a line for each recording: path, `todo`, `waiting` or outcome, and stated options; none with -q."""
+    """Print path, `todo`, `waiting` or outcome, and stated options of each recording; nothing with -q."""
     from accelcal_cli.studies.run import preview
 
     def note(text: str) -> None:

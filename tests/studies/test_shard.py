@@ -119,5 +119,5 @@ def test_a_shard_keeps_no_entries_of_others_in_memory(tmp_path: Path) -> None:
     study = Study(Where((folder,), out), Request(report_only=True), shard=shard("1/2"))
     whole, part = ledger_of(replace(study, shard=Shard())), ledger_of(study)
     for name in ("a.raw", "b.raw"):
-        assert whole.held(name, study.asked(), [OWN])
-        assert bool(part.held(name, study.asked(), [OWN])) == study.shard.owns(name)
+        assert whole.latest_of(name, study.asked(), [OWN])
+        assert bool(part.latest_of(name, study.asked(), [OWN])) == study.shard.owns(name)
