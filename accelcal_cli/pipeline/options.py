@@ -262,7 +262,13 @@ def _recalibrate(chosen: Settings, given: str | None) -> str:
 
 def _prior(chosen: Settings, given: str | None) -> str:
     """Return the prior: the given one, else the default where there can be one."""
-    why = _why_no_prior(chosen)
+    why = None
+    if chosen.profile != DEFAULT.profile:
+        why = f"--profile {chosen.profile}"
+    elif named_optimizer(chosen.optimizer).fit_penalized is None:
+        why = f"--optimizer {chosen.optimizer}"
+    elif chosen.model != "auto":
+        why = f"--model {chosen.model}"
     if given is None:
         return chosen.prior if why is None else NO_PRIOR
     if given != NO_PRIOR and why is not None:
@@ -270,15 +276,6 @@ def _prior(chosen: Settings, given: str | None) -> str:
             f"--prior {given} does not go with {why}", hint="omit one of them, or use --prior none"
         )
     return given
-
-
-def _why_no_prior(chosen: Settings) -> str | None:
-    """Return the option that leaves no room for a prior, if any."""
-    if chosen.profile != DEFAULT.profile:
-        return f"--profile {chosen.profile}"
-    if named_optimizer(chosen.optimizer).fit_penalized is None:
-        return f"--optimizer {chosen.optimizer}"
-    return None if chosen.model == "auto" else f"--model {chosen.model}"
 
 
 def with_values(chosen: AnySettings, values: dict[str, Any]) -> AnySettings:

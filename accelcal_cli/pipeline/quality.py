@@ -85,14 +85,15 @@ def quality(
         found = ready.result(judge)
     made = found.quality()
     assert made is not None
-    start = Quality(path, made, QualityState.REFUSED, made.data.judgement.message)
-    if made.data.judgement.outcome is Outcome.REFUSED:
+    judgement = made.data.judgement
+    start = Quality(path, made, QualityState.REFUSED, judgement.message)
+    if judgement.outcome is Outcome.REFUSED:
         return start
-    return (
-        _by_own_calibration(start, found)
-        if request.coefficients is None
-        else _by_donor(start, found, judge.settings)
-    )
+    if request.coefficients is not None:
+        return _by_donor(start, found, judge.settings)
+    assert judgement.calibration is not None
+    as_before_the_change = replace(judgement.calibration, correction=None)
+    return _by_periods(start, found, as_before_the_change, own=True)
 
 
 def judged_by(run: RecordingRun) -> tuple[RecordingRun, Judge]:
@@ -101,13 +102,6 @@ def judged_by(run: RecordingRun) -> tuple[RecordingRun, Judge]:
     if request.coefficients is None:
         return run, OwnCalibration(request.recording_settings)
     return with_coefficients(run, request.coefficients)
-
-
-def _by_own_calibration(start: Quality, found: FirstPass) -> Quality:
-    """Check a recording's own calibration, which holds until the sensor changes."""
-    calibration = start.made.data.judgement.calibration
-    assert calibration is not None
-    return _by_periods(start, found, replace(calibration, correction=None), own=True)
 
 
 def _by_donor(start: Quality, found: FirstPass, settings: Settings) -> Quality:

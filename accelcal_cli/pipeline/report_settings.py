@@ -169,7 +169,11 @@ def settings_from_report(document: Document) -> ReportSettings:
 
 
 def _from_values(values: dict[str, Any]) -> ReportSettings:
-    settings, options = _settings(values), _options(values["input"])
+    settings, read = _settings(values), values["input"]
+    if read.get("format") == POINTS:
+        options = Restored(ReadOptions(), (), ())
+    else:
+        options = restored(ReadOptions, _without(read, NOT_OPTIONS))
     _check(settings.record)
     _check(options.record)
     missing, unknown = _unmatched(values, settings, options)
@@ -191,13 +195,6 @@ def _settings(values: Mapping[str, Any]) -> Restored[Any]:
         missing = tuple(name for name in found.missing if name not in POSES_IF_ASKED)
         return Restored(found.record, missing, found.unknown)
     return restored(Settings, _without(values, NOT_SETTINGS + IF_ASKED))
-
-
-def _options(values: Mapping[str, Any]) -> Restored[ReadOptions]:
-    """Restore the reading options; a table of points has none."""
-    if values.get("format") == POINTS:
-        return Restored(ReadOptions(), (), ())
-    return restored(ReadOptions, _without(values, NOT_OPTIONS))
 
 
 def _without(values: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:

@@ -85,6 +85,14 @@ class ActiveCoefficients:
     calibration: Calibration
     worst_mg: float
 
+    @classmethod
+    def of(cls, judgement: Judgement, calibration: Calibration) -> ActiveCoefficients:
+        """Return a judgement's calibration, with its largest error as far as that is known."""
+        if judgement.sphere is not None:
+            return cls(calibration, judgement.sphere.worst_direction)
+        worst_mg = judgement.coverage.worst_direction_mg
+        return cls(calibration, float("inf") if worst_mg is None else worst_mg)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowsToCalibrate:
@@ -428,7 +436,7 @@ class Watch:
             self._check(active, ended, taken, result)
         if judgement.calibration is None or (active and active.calibration == judgement.calibration):
             return
-        new = ActiveCoefficients(judgement.calibration, _worst_mg(judgement))
+        new = ActiveCoefficients.of(judgement, judgement.calibration)
         if active is not None and not self._drifted and new.worst_mg > BETTER * active.worst_mg:
             return
         name = "fitted" if active is None else "refitted"
@@ -463,11 +471,3 @@ class Watch:
             "sphere_mg": reports.sphere_json(judgement.sphere, judgement.sphere_before),
             "coverage": reports.coverage_json(judgement.coverage),
         }
-
-
-def _worst_mg(judgement: Judgement) -> float:
-    """Return the largest error over the sphere, as far as it is known."""
-    if judgement.sphere is not None:
-        return judgement.sphere.worst_direction
-    worst = judgement.coverage.worst_direction_mg
-    return float("inf") if worst is None else worst
