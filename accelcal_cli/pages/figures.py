@@ -54,6 +54,23 @@ class Figure:
     text: str
 
 
+def figures_of(data: TimeSeries | None, report: ReportView) -> dict[str, list[Figure]]:
+    """Return the figures of each section of the page, in their order, of which there is something to draw."""
+    if data is None:
+        return dict.fromkeys(("change", "sphere", "time", "fit"), [])
+    sections = {
+        "change": (length_along_time(data), histogram(data)),
+        "sphere": (sphere(data, report),),
+        "time": (
+            error_by_hour(data, report.change),
+            timeline(data, report.recording),
+            residual_by_temperature(data),
+        ),
+        "fit": (convergence(data),),
+    }
+    return {name: [one for one in drawn if one is not None] for name, drawn in sections.items()}
+
+
 def length_along_time(data: TimeSeries) -> Figure | None:
     """|a| of still windows along time, before and after (F Fig. 1)."""
     values = [

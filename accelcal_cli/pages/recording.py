@@ -29,10 +29,9 @@ from accelcal_cli.output.words import (
     page_verdict,
     unchecked_poses,
 )
-from accelcal_cli.pages import figures
-from accelcal_cli.pages.figures import NEAR, Figure
+from accelcal_cli.pages.figures import NEAR, figures_of
 from accelcal_cli.pages.rendering import Rows, Table, rendered
-from accelcal_cli.pages.time_series import TimeSeries, UnfitError, hourly_table, time_series
+from accelcal_cli.pages.time_series import UnfitError, hourly_table, time_series
 
 AGAIN = "figures that need it are missing. Calibrate again with --force to have them."
 NO_FILE = f"There is no STEM.quality.json beside the report: {AGAIN}"
@@ -78,7 +77,7 @@ def page(report: Mapping[str, Any], quality: Mapping[str, Any] | None = None) ->
         verdict=page_verdict(view),
         note=note,
         facts=_facts(view),
-        figures=_drawn(view, data),
+        figures=figures_of(data, view),
         subsets=_subsets(view),
         hours=None if data is None else Table(*hourly_table(data)),
         coefficients=None if view.calibration is None else _coefficients(view.calibration),
@@ -93,23 +92,6 @@ def page(report: Mapping[str, Any], quality: Mapping[str, Any] | None = None) ->
         methods=methods_paragraph(view),
         origin=_origin(view),
     )
-
-
-def _drawn(report: ReportView, data: TimeSeries | None) -> dict[str, Figure | None]:
-    """Return the figures by name; None for those that there is nothing to draw of."""
-    names = ("length", "histogram", "sphere", "error", "timeline", "temperature", "convergence")
-    if data is None:
-        return dict.fromkeys(names)
-    drawn = (
-        figures.length_along_time(data),
-        figures.histogram(data),
-        figures.sphere(data, report),
-        figures.error_by_hour(data, report.change),
-        figures.timeline(data, report.recording),
-        figures.residual_by_temperature(data),
-        figures.convergence(data),
-    )
-    return dict(zip(names, drawn, strict=True))
 
 
 def _facts(report: ReportView) -> list[tuple[str, str]]:
