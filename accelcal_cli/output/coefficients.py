@@ -33,28 +33,28 @@ from accelcal_cli.output.report_view import AppliedView, record
 
 EQUATION = "a = K (v + o + s (T - Tref))"
 STRETCH = (0.5, 2.0)
-"""Gains of a sensor that measures about 1 g at rest lie well within (raw means of 0.5 to 1.5 g)."""
+"""Bounds of the gains of a sensor, far beyond those that measure about 1 g at rest (0.5 to 1.5 g)."""
 LARGEST_OFFSET_G = 1.0
 LARGEST_SLOPE_G_PER_C = 0.1
 ABSOLUTE_ZERO_MC = -273_150
 LAST_SAMPLE = 1 << 53
 LEAST, LARGEST = 1e-7, 1e3
-"""Of a width, a noise and degrees of freedom of a prior."""
+"""Bounds of a prior's widths, noise and degrees of freedom."""
 
 FULL_GAIN = "12"
-"""Nine entries of K and the offsets, of orientations that were known."""
+"""Model with nine entries of K and the offsets, which only known orientations determine."""
 
 USED = ("calibration", "recording", "coefficients", "outcome", "message")
-"""Sections that applying a report's coefficients to any recording needs."""
+"""Sections that are needed to apply a report's coefficients to any recording."""
 
 COPIED = (
     "without_misalignment", "sphere_mg", "change", "misfits", "holdout", "fit", "coverage", "models_tried",
 )  # fmt: skip
-"""Sections that hold for the recording itself, whatever it is applied by."""
+"""Sections that hold for the report's own recording, whoever applies its coefficients."""
 
 
 def coefficients_json(calibration: Calibration) -> dict[str, Any]:
-    """What is needed to apply a calibration."""
+    """Return everything that is needed to apply a calibration."""
     return {
         "model": calibration.model,
         "gain": calibration.gain().tolist(),
@@ -73,7 +73,7 @@ def coefficients_json(calibration: Calibration) -> dict[str, Any]:
 
 
 def _correction_json(correction: Correction | None) -> dict[str, Any] | None:
-    """What takes the place of v, knot by knot."""
+    """Return the correction of a sensor that changed, knot by knot."""
     if correction is None:
         return None
     knots = zip(correction.samples, correction.stretch, correction.shift, strict=True)
@@ -92,7 +92,7 @@ def _correction_json(correction: Correction | None) -> dict[str, Any] | None:
 
 
 def _integers(calibration: Calibration, number: int) -> dict[str, int]:
-    """Parameters by name; those above K's diagonal only where there are any."""
+    """Return the parameters by name; those above K's diagonal only where there are any."""
     named = dict(zip(PARAMETER_NAMES[:number], calibration.parameters, strict=False))
     return named | dict(zip(UPPER_NAMES, calibration.upper, strict=True)) if any(calibration.upper) else named
 
@@ -115,7 +115,7 @@ def _fixed_point(calibration: Calibration) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """The recording whose stillness coefficients were found from, and who found them."""
+    """The recording whose stillness gave coefficients, and the version that found them."""
 
     path: str
     sha256: str
@@ -125,12 +125,12 @@ class Origin:
 
 @dataclass(frozen=True, slots=True)
 class Coefficients:
-    """Coefficients of a report.
+    """Coefficients of a report, exactly as it has them.
 
     Attributes:
-        calibration: made of the fixed-point integers.
-        origin: where they come from, by whatever number of reports of `apply`.
-        by_content: whether the report's provenance does not matter.
+        calibration: from the fixed-point integers.
+        origin: the recording that they come from, through any number of reports of `apply`.
+        by_content: the report is known by its content without the provenance, not by its bytes.
     """
 
     document: Document
@@ -140,15 +140,15 @@ class Coefficients:
 
     @property
     def sha256(self) -> str:
-        """What the report is known by."""
+        """Hash by which the report is known."""
         return self.document.content_sha256 if self.by_content else self.document.sha256
 
 
 def read_coefficients(path: Path, *, by_content: bool = False) -> Coefficients:
-    """The coefficients of a report, exactly.
+    """Read the coefficients of a report, exactly.
 
     Args:
-        by_content: whether the report is known by what it says but for its provenance, or by its bytes.
+        by_content: see `Coefficients`.
 
     Raises:
         UnreadableError: see `read_document`; or a key is missing, wrong or contradicts another, or
@@ -172,13 +172,13 @@ def read_coefficients(path: Path, *, by_content: bool = False) -> Coefficients:
     return Coefficients(document, calibration, _origin(document), by_content)
 
 
-def without_misalignment(found: Coefficients) -> Calibration | None:
-    """What a report's points gave without misalignment; None where its report has nothing of the kind.
+def without_misalignment(coefficients: Coefficients) -> Calibration | None:
+    """Return the calibration without misalignment that a report has beside its own; None if it has none.
 
     Raises:
-        UnreadableError: that section cannot be.
+        UnreadableError: that section is damaged.
     """
-    document = found.document
+    document = coefficients.document
     if document.report.get("without_misalignment") is None:
         return None
     check_sections(document, ("without_misalignment",))
@@ -205,7 +205,7 @@ def _origin(document: Document) -> Origin:
 
 
 def calibration_of(section: Mapping[str, Any]) -> Calibration:
-    """The calibration of a report's `calibration` section, from its fixed-point integers.
+    """Return the calibration of a report's `calibration` section, from its fixed-point integers.
 
     Raises:
         ValueError: the integers or the model are missing or impossible; the message says which.
@@ -231,7 +231,7 @@ def calibration_of(section: Mapping[str, Any]) -> Calibration:
 
 
 def _read_correction(section: Any) -> Correction | None:
-    """What follows a sensor that changed; raises ValueError for what cannot be."""
+    """Return the correction of a sensor that changed; raises ValueError for an impossible one."""
     if section is None:
         return None
     try:
@@ -275,7 +275,7 @@ def _check_integers(named: dict[str, Any]) -> None:
 
 
 def _check_model(calibration: Calibration) -> None:
-    """A parameter that the model does not have keeps its ideal value."""
+    """Raise ValueError if a parameter that the model does not have is not at its ideal value."""
     if not isinstance(calibration.model, str) or calibration.model not in (*MODELS, FULL_GAIN):
         raise ValueError(f"calibration.model is {calibration.model!r}, which this version does not know")
     full, base = calibration.model == FULL_GAIN, calibration.model.removesuffix("T")
@@ -293,13 +293,13 @@ def _check_model(calibration: Calibration) -> None:
 
 
 def contradiction(section: Mapping[str, Any], calibration: Calibration) -> str | None:
-    """Which number of a `calibration` section is not what its own integers say, if any."""
+    """Name a number of a `calibration` section that its own integers contradict; None if they agree."""
     wrong = (name for name, value in coefficients_json(calibration).items() if section.get(name) != value)
     return next((f"calibration.{name} is not what calibration.fixed_point says" for name in wrong), None)
 
 
 def implausible(calibration: Calibration) -> str | None:
-    """Why no sensor can have such a calibration, or None."""
+    """Say why no sensor can have such a calibration; None if one can."""
     stretch = np.linalg.svd(calibration.gain(), compute_uv=False)
     if not (stretch.min() >= STRETCH[0] and stretch.max() <= STRETCH[1]):
         return f"its gain stretches by {stretch.min():.3g} to {stretch.max():.3g}, which no sensor does"
@@ -311,30 +311,32 @@ def implausible(calibration: Calibration) -> str | None:
 
 
 def learnt_prior_of(document: Document, kind: str) -> LearntPrior | None:
-    """The prior with which a report was made, if its settings name one that is learnt.
+    """Return the prior with which a report was made, if its settings name one that is learnt.
 
     Raises:
-        UnreadableError: it is missing, or cannot be.
+        UnreadableError: it is missing, or no study learns such a prior.
     """
     if kind not in LEARNT_PRIORS:
         return None
     if "prior" not in document.report:
         raise damaged(document, f"settings.prior is {kind!r}, but there is no prior")
     check_sections(document, ("prior",))
-    held = document.report["prior"]
-    centre, width = (tuple(float(held[name][key]) for key in PARAMETER_NAMES) for name in ("centre", "width"))
-    noise = [float(held["noise"][name]) for name in ("g", "spread", "freedom")]
-    reference = held["reference_c"]
+    section = document.report["prior"]
+    centre, width = (
+        tuple(float(section[name][key]) for key in PARAMETER_NAMES) for name in ("centre", "width")
+    )
+    noise = [float(section["noise"][name]) for name in ("g", "spread", "freedom")]
+    reference = section["reference_c"]
     ideal = [value / ONE for value in IDENTITY]
     close = all(abs(value - one) < LARGEST_OFFSET_G for value, one in zip(centre, ideal, strict=True))
-    possible = [*width, float(held["freedom"]), *noise]
-    if held["kind"] != kind or not close or not all(LEAST <= value <= LARGEST for value in possible):
+    possible = [*width, float(section["freedom"]), *noise]
+    if section["kind"] != kind or not close or not all(LEAST <= value <= LARGEST for value in possible):
         raise damaged(document, "it has a prior that no study learns")
     if reference is not None and not abs(reference) < LARGEST:
         raise damaged(document, "prior.reference_c cannot be")
     noise_g, spread, freedom = noise
-    prior = Prior(centre, width, float(held["freedom"]), noise_g, spread, freedom, reference)
-    model, own = held["model"], tuple(Source(one["path"], one["sha256"]) for one in held["device"])
+    prior = Prior(centre, width, float(section["freedom"]), noise_g, spread, freedom, reference)
+    model, own = section["model"], tuple(Source(one["path"], one["sha256"]) for one in section["device"])
     return LearntPrior(
         prior, kind, model["name"], model["devices"], model["recordings"], model["sha256"], own
     )

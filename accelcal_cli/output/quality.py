@@ -1,4 +1,4 @@
-"""`STEM.quality.json`: a recording along its time, and its points; what pictures of it are drawn from.
+"""`STEM.quality.json`: a recording along its time, and its points, as numbers for figures.
 
 Columns of numbers, so that two weeks and the most points that there can be fit into 200 KB. It depends on the
 recording, the settings and the version alone.
@@ -33,10 +33,10 @@ UNITS = {
     "after": "0.01 mg",
     "weight": "0.001",
 }
-"""What a whole number in a column of `points` counts."""
+"""Unit of the whole numbers in each column of `points`."""
 
 SIZE, OFF = {"mean": 0, "p95": 1}, {"p5": 2, "p50": 3, "p95": 4}
-"""Inner columns of errors in `rows`: places in `Errors`."""
+"""Inner columns of errors in `rows`, by their places in `Errors`."""
 
 
 Errors = tuple[float, float, float, float, float]
@@ -59,7 +59,7 @@ class BlockErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointErrors:
-    """The n points.
+    """The n points, with their errors.
 
     Attributes:
         points: raw, in units of local gravity.
@@ -77,12 +77,12 @@ class PointErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QualityInput:
-    """All that the document says.
+    """Everything that the document is made of.
 
     Attributes:
         rows: of b blocks of time; begun_us: when each of them begins, on the device's clock.
         errors: by the number of the block, where it has still windows.
-        folds: into how many parts the postures were dealt that were held out in turn; None if they were not.
+        folds: number of parts of the postures that were held out in turn; None if none were.
         convergence: error of the fitted points [mg], of the ideal sensor and after each step of the fit; None
             where the fit kept no record of its steps.
     """
@@ -97,7 +97,7 @@ class QualityInput:
 
 
 def quality_json(made: QualityInput) -> dict[str, Any]:
-    """The document."""
+    """Return the document."""
     data = made.data
     judgement, rate_hz = data.judgement, data.recording.rate_hz
     return {
@@ -120,20 +120,20 @@ def quality_json(made: QualityInput) -> dict[str, Any]:
 
 
 def rows_json(made: QualityInput) -> dict[str, Any]:
-    """The columns of the blocks of time."""
+    """Return the columns of the blocks of time."""
     rows, offset_s = made.rows, made.data.facts.utc_offset_s
-    found = [made.errors.get(number) for number in range(len(rows))]
+    errors = [made.errors.get(number) for number in range(len(rows))]
     calibrated = made.data.judgement.calibration is not None
     return {
         "start": [iso_time(begun, offset_s) for begun in made.begun_us],
         "samples": list(rows.samples),
         "still": list(rows.still),
         "moving": list(rows.moving),
-        "windows": [0 if one is None else one.windows for one in found],
-        "before_mg": _columns(found, lambda one: one.before, SIZE),
-        "after_mg": _columns(found, lambda one: one.after, SIZE) if calibrated else None,
-        "before_off_mg": _columns(found, lambda one: one.before, OFF),
-        "after_off_mg": _columns(found, lambda one: one.after, OFF) if calibrated else None,
+        "windows": [0 if one is None else one.windows for one in errors],
+        "before_mg": _columns(errors, lambda one: one.before, SIZE),
+        "after_mg": _columns(errors, lambda one: one.after, SIZE) if calibrated else None,
+        "before_off_mg": _columns(errors, lambda one: one.before, OFF),
+        "after_off_mg": _columns(errors, lambda one: one.after, OFF) if calibrated else None,
         "temperature_c": [None if heat is None else round(heat / 1000, 2) for heat in rows.temperature_mc],
         "gap_s": [_short(us / 1e6) for us in rows.gap_us],
         "filled": list(rows.filled),
@@ -145,17 +145,17 @@ def rows_json(made: QualityInput) -> dict[str, Any]:
 
 
 def _columns(
-    found: Sequence[BlockErrors | None], of: Callable[[BlockErrors], Errors | None], names: dict[str, int]
+    errors: Sequence[BlockErrors | None], of: Callable[[BlockErrors], Errors | None], names: dict[str, int]
 ) -> dict[str, list[float | None]]:
-    """Some errors of each block, by their places in `Errors`; None without still windows."""
-    held = [None if one is None else of(one) for one in found]
+    """Return some errors of each block, by their places in `Errors`; None without still windows."""
+    rows = [None if one is None else of(one) for one in errors]
     return {
-        name: [None if one is None else round(one[place], 2) for one in held] for name, place in names.items()
+        name: [None if one is None else round(one[place], 2) for one in rows] for name, place in names.items()
     }
 
 
 def _short(seconds: float) -> float | int:
-    """A length of time; a whole number where it is one, which nearly all are: 0."""
+    """Round a length of time; nearly all are 0, and whole numbers are shorter in JSON."""
     shown = round(seconds, 3)
     return int(shown) if shown == int(shown) else shown
 
@@ -182,7 +182,7 @@ def _whole(values: NDArray[np.float64]) -> list[int]:
 
 
 def _postures(holdout: Holdout | None, folds: int | None) -> dict[str, Any] | None:
-    """Errors of each posture where it took no part in the fit."""
+    """Return the errors of each posture where it took no part in the fit."""
     if holdout is None:
         return None
     before, after = ([round(pair[place], 2) for pair in holdout.per_posture] for place in range(2))
@@ -190,10 +190,6 @@ def _postures(holdout: Holdout | None, folds: int | None) -> dict[str, Any] | No
 
 
 def dumps_quality(document: Mapping[str, Any]) -> str:
-    """Its text: a line for each key, without further blanks."""
-    lines = (f"{json.dumps(key)}:{_text(value)}" for key, value in document.items())
-    return "{" + ",\n".join(lines) + "}\n"
-
-
-def _text(value: Any) -> str:
-    return json_text(value, separators=(",", ":"))
+    """Write the document as text: a line for each key, without further blanks."""
+    texts = {key: json_text(value, separators=(",", ":")) for key, value in document.items()}
+    return "{" + ",\n".join(f"{json.dumps(key)}:{text}" for key, text in texts.items()) + "}\n"

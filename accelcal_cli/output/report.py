@@ -1,4 +1,4 @@
-"""The JSON report: its sections made from plain records, one function each; and reports read again.
+"""The JSON report: its sections made from plain records, one function each.
 
 `build` makes the report of a recording; those of a table of points and of a pool (report_kinds.py) share
 its sections. `integers_json` is the fit as integers: points in, coefficients out, for firmware and for a
@@ -16,7 +16,7 @@ from accelcal_cli.core.arithmetic import FRACTION_BITS
 from accelcal_cli.core.calibration import PARAMETER_NAMES, UPPER_NAMES, Calibration
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import printable
-from accelcal_cli.core.gyroscope import Gyroscope
+from accelcal_cli.core.gyroscope import EQUATION, Bias, Gyroscope, TurnHoldout
 from accelcal_cli.core.local_time import ZoneChange, zone_of_times
 from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, Arithmetic, Fit, PointSet, predicted_seconds
 from accelcal_cli.core.recording import Problem, Recording
@@ -36,7 +36,7 @@ SHORT_JUMPS = (
 
 
 def calibration_json(verdict: Judgement, optimizer: dict[str, Any]) -> dict[str, Any] | None:
-    """The `calibration` object; None if there is none."""
+    """Return the `calibration` object; None if there is none."""
     calibration, fit = verdict.calibration, verdict.fit
     if calibration is None or fit is None:
         return None
@@ -69,7 +69,7 @@ def _effort(fit: Fit, arithmetic: Arithmetic) -> dict[str, Any]:
 
 
 def holdout_json(holdout: results.Holdout) -> dict[str, Any]:
-    """The `holdout` object: the number to quote."""
+    """Return the `holdout` object: the number to quote."""
     return {
         "method": holdout.method,
         "points": holdout.points,
@@ -83,12 +83,12 @@ def holdout_json(holdout: results.Holdout) -> dict[str, Any]:
 
 
 def summary_json(errors: results.ErrorSummary) -> dict[str, float]:
-    """Mean, median and 95th percentile [mg]."""
+    """Return mean, median and 95th percentile [mg]."""
     return {"mean": round(errors.mean, 4), "median": round(errors.median, 4), "p95": round(errors.p95, 4)}
 
 
 def fit_json(verdict: Judgement, windows: dict[str, Any]) -> dict[str, Any]:
-    """The `fit` object: errors on the points that were fitted."""
+    """Return the `fit` object: errors on the points that were fitted."""
     errors = verdict.fit_errors
     return {
         "points": verdict.coverage.cells if errors is None else errors.points,
@@ -100,7 +100,7 @@ def fit_json(verdict: Judgement, windows: dict[str, Any]) -> dict[str, Any]:
 
 
 def coverage_json(coverage: results.Coverage) -> dict[str, Any]:
-    """The `coverage` object."""
+    """Return the `coverage` object."""
     worst, condition = coverage.worst_direction_mg, coverage.condition_number
     return {
         "subsets": [list(row) for row in coverage.subsets],
@@ -116,7 +116,7 @@ def coverage_json(coverage: results.Coverage) -> dict[str, Any]:
 
 
 def trial_json(trial: results.Trial) -> dict[str, Any]:
-    """One entry of `models_tried`."""
+    """Return one entry of `models_tried`."""
     holdout = trial.holdout
     return {
         "model": trial.model,
@@ -128,7 +128,7 @@ def trial_json(trial: results.Trial) -> dict[str, Any]:
 
 
 def without_misalignment_json(verdict: Judgement) -> dict[str, Any] | None:
-    """The `without_misalignment` object; None where the calibration has none, or it could not be left out."""
+    """Return the `without_misalignment` object; None where there was none, or it could not be left out."""
     simpler = verdict.without_misalignment
     if simpler is None:
         return None
@@ -142,7 +142,7 @@ def without_misalignment_json(verdict: Judgement) -> dict[str, Any] | None:
 def sphere_json(
     sphere: results.SphereError | None, before: results.SphereError | None
 ) -> dict[str, Any] | None:
-    """The `sphere_mg` object; None where nothing is known of the whole sphere."""
+    """Return the `sphere_mg` object; None where nothing is known of the whole sphere."""
     if sphere is None or before is None:
         return None
     return {
@@ -155,10 +155,10 @@ def sphere_json(
 
 
 def change_json(change: results.Change | None, offset_s: int | None) -> dict[str, Any] | None:
-    """The `change` object; None where nobody looked for a change."""
+    """Return the `change` object; None where nobody looked for a change."""
     if change is None:
         return None
-    held = change.holdout
+    holdout = change.holdout
     return {
         "kind": change.kind,
         "unchecked": change.unchecked,
@@ -166,12 +166,12 @@ def change_json(change: results.Change | None, offset_s: int | None) -> dict[str
         "size_mg": change.size_mg and significant(change.size_mg),
         "offset_mg": change.offset_mg and [significant(value) for value in change.offset_mg],
         "scale_percent": change.scale_percent and [significant(value) for value in change.scale_percent],
-        "holdout": held and {name: value and significant(value) for name, value in asdict(held).items()},
+        "holdout": holdout and {key: value and significant(value) for key, value in asdict(holdout).items()},
     }
 
 
 def misfits_json(misfits: tuple[results.Misfit, ...] | None) -> list[dict[str, Any]] | None:
-    """The list `misfits`; None where nobody looked for any."""
+    """Return the list `misfits`; None where nobody looked for any."""
     if misfits is None:
         return None
     return [
@@ -189,8 +189,52 @@ def misfits_json(misfits: tuple[results.Misfit, ...] | None) -> list[dict[str, A
     ]
 
 
+def gyroscope_json(gyroscope: Gyroscope) -> dict[str, Any]:
+    """Return the `gyroscope` object: coefficients as exact as they are applied, errors to four digits."""
+    bias, errors, holdout = gyroscope.bias, gyroscope.standard_errors, gyroscope.holdout
+    of_bias = None if bias is None else bias.standard_errors
+    return {
+        "outcome": gyroscope.outcome,
+        "message": gyroscope.message,
+        "equation": EQUATION,
+        "scale": None if gyroscope.scale is None else [list(row) for row in gyroscope.scale],
+        "bias_dps": None if bias is None else list(bias.dps),
+        "temperature": None if bias is None or bias.reference_c is None else _gyroscope_slope(bias),
+        "standard_errors": {
+            "scale": None if errors is None else [[significant(one) for one in row] for row in errors],
+            "bias_dps": None if of_bias is None else [significant(one) for one in of_bias],
+        },
+        "pairs": gyroscope.pairs,
+        "pairs_left_out": gyroscope.left_out,
+        "holdout_deg": None if holdout is None else _turn_errors(holdout),
+        "rest": None if bias is None else _resting_rates(bias),
+    }
+
+
+def _gyroscope_slope(bias: Bias) -> dict[str, Any]:
+    return {"slope_dps_per_c": list(bias.slope_dps_per_c), "reference_c": bias.reference_c}
+
+
+def _turn_errors(holdout: TurnHoldout) -> dict[str, Any]:
+    return {
+        "before": significant(holdout.before),
+        "after": significant(holdout.after),
+        "ci95": [significant(one) for one in holdout.ci95],
+        "mean_before": significant(holdout.mean_before),
+        "mean_after": significant(holdout.mean_after),
+        "rms_before": significant(holdout.rms_before),
+        "rms_after": significant(holdout.rms_after),
+    }
+
+
+def _resting_rates(bias: Bias) -> dict[str, Any]:
+    rates = {"raw_dps": bias.raw_dps, "constant_dps": bias.constant_dps, "slope_dps": bias.slope_dps}
+    rounded_rates = {name: None if value is None else significant(value) for name, value in rates.items()}
+    return {"seconds": round(bias.rest_s, 3), **rounded_rates}
+
+
 def rest_json(rest: results.Rest) -> dict[str, Any] | None:
-    """The object `file_health.rest`; None without still windows."""
+    """Return the object `file_health.rest`; None without still windows."""
     if not rest.windows:
         return None
     quantiles = {name: getattr(rest, name) for name in ("median_g", "p5_g", "p95_g")}
@@ -199,17 +243,17 @@ def rest_json(rest: results.Rest) -> dict[str, Any] | None:
 
 
 def problem_json(problem: Problem) -> dict[str, Any]:
-    """One entry of `file_health.problems`."""
+    """Return one entry of `file_health.problems`."""
     return {name: getattr(problem, name) for name in ("code", "message", "byte_offset", "sample", "count")}
 
 
 def damage_json(facts: Facts) -> dict[str, Any]:
-    """The keys of `file_health` that say how much damage has taken."""
+    """Return the keys of `file_health` that say how much damage has taken."""
     return {"lost_bytes": facts.lost_bytes, "lost_percent": round(facts.lost_percent(), 4)}
 
 
 def clock_json(recording: Recording, facts: Facts, *, whole: bool = True) -> dict[str, Any]:
-    """The object `file_health.clock`; what only reading everything shows is null if not `whole`."""
+    """Return the object `file_health.clock`; what only a complete read shows is null if not `whole`."""
     jumps, change, rate = facts.jumps, facts.zone_change, facts.rate_hz
     return {
         "rate_hz_nominal": recording.rate_hz,
@@ -233,7 +277,7 @@ def _zone_change(change: ZoneChange) -> dict[str, Any]:
 
 
 def notes_json(recording: Recording, facts: Facts) -> list[str]:
-    """The recording's notes, the change of its zone, and that its stamps jump a little."""
+    """Return the recording's notes, with those on a change of its zone and on small jumps of its stamps."""
     notes = [*recording.notes]
     if facts.zone_change is not None:
         notes.append(facts.zone_change.note())
@@ -248,13 +292,13 @@ def rounded(value: float | None) -> float | None:
 
 
 def significant(value: float, digits: int = 4) -> float:
-    """Round to so many significant digits: the last bits of linear algebra differ by machine."""
+    """Round to significant digits: the last bits of linear algebra differ by machine."""
     return 0.0 if value == 0 else round(value, digits - 1 - floor(log10(abs(value))))
 
 
 @dataclass(frozen=True, slots=True)
 class WindowUse:
-    """Windows by fate, for `fit.windows`; all but `complete` add up to it.
+    """Numbers of windows by fate, for `fit.windows`; all but `complete` add up to it.
 
     Where still windows that agree are joined, the joint one counts once, by its fate, and the others
     as `joined`.
@@ -276,7 +320,7 @@ class WindowUse:
 
 @dataclass(frozen=True, slots=True)
 class FileHealth:
-    """The report's `file_health`, in the order of its keys; by default that of no samples."""
+    """`file_health` of the report, in the order of its keys; by default that of no samples."""
 
     problems: list[dict[str, Any]] = field(default_factory=list)
     counts: results.SampleCounts = field(default_factory=results.SampleCounts)
@@ -288,14 +332,14 @@ class FileHealth:
     rest: dict[str, Any] | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """The object; each of the counts is a key of its own."""
+        """Return the object; each of the counts is a key of its own."""
         keys = asdict(self)
         return {"problems": keys.pop("problems"), **keys.pop("counts"), **keys}
 
 
 @dataclass(frozen=True, slots=True)
 class JudgedInput:
-    """What the reports of all kinds are made of."""
+    """The settings and the judgement that reports of all kinds are made of."""
 
     settings: EffectiveSettings
     judgement: Judgement
@@ -304,11 +348,11 @@ class JudgedInput:
 
 @dataclass(frozen=True, slots=True)
 class ReportInput(JudgedInput):
-    """All that a recording's report is made of, save the provenance.
+    """Everything that a recording's report is made of, except the provenance.
 
     Attributes:
-        taken: sections of the report that do not follow from the judgement: those of another report
-            whose coefficients are applied, and that of the gyroscope.
+        taken: sections that do not follow from the judgement: those of another report whose coefficients
+            are applied, and that of the gyroscope.
         gyroscope: the verdict on it, None where there is none.
     """
 
@@ -322,7 +366,7 @@ class ReportInput(JudgedInput):
 
 
 def build(data: ReportInput) -> dict[str, Any]:
-    """The report without `provenance`: the same for the same input, settings and version."""
+    """Return the report without `provenance`: the same for the same input, settings and version."""
     raw = data.facts.rest.error_mg
     windows = {**asdict(data.windows), "raw_error_mg": rounded(raw)}
     change = change_json(data.judgement.change, data.facts.utc_offset_s)
@@ -336,7 +380,7 @@ def document(
     data: JudgedInput,
     change: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """A report in the order of its keys; `windows` is the object `fit.windows`."""
+    """Put the sections of a report into their order; `windows` is the object `fit.windows`."""
     verdict = data.judgement
     return {
         "schema_version": SCHEMA_VERSION,
@@ -359,7 +403,7 @@ def document(
 
 
 def parquet_metadata(data: ReportInput) -> dict[str, Any]:
-    """What the Parquet file says of itself: calibrations, recording, version; of raw values the refusal."""
+    """Return the Parquet file's metadata: calibrations, recording, version; of raw values the refusal."""
     verdict = data.judgement
     refusal = {"outcome": str(verdict.outcome), "message": verdict.message}
     return {
@@ -373,7 +417,7 @@ def parquet_metadata(data: ReportInput) -> dict[str, Any]:
 
 
 def result_json(report: dict[str, Any]) -> dict[str, Any]:
-    """Outcome and held-out error [mg] of a report, for the Parquet file."""
+    """Return outcome and held-out error [mg] of a report, for the Parquet file."""
     holdout = report["holdout"]
     error = holdout["after_mg"]["mean"] if isinstance(holdout, dict) else None
     return {"outcome": str(report["outcome"]), "held_out_mg": error}
@@ -405,7 +449,7 @@ def _recording(data: ReportInput) -> ReportRecording:
 
 
 def duration_s(recording: Recording, facts: Facts) -> float:
-    """From the first sample to one period after the last [s]."""
+    """Return the time from the first sample to one period after the last [s]."""
     if facts.first_us is None or facts.last_us is None:
         return 0.0
     return round((facts.last_us - facts.first_us) / 1e6 + 1 / recording.rate_hz, 6)
@@ -433,12 +477,12 @@ def _health(data: ReportInput) -> FileHealth:
 
 
 def dumps(report: dict[str, Any], *, pretty: bool) -> str:
-    """The report as JSON text."""
+    """Write the report as JSON text."""
     return json_text(report, indent=2 if pretty else None)
 
 
 def integers_json(data: ReportInput, points: PointSet) -> dict[str, Any] | None:
-    """Points and parameters as fixed-point integers; None if the recording was refused."""
+    """Return points and parameters as fixed-point integers; None if the recording was refused."""
     verdict = data.judgement
     if verdict.calibration is None or verdict.fit is None:
         return None

@@ -1,4 +1,4 @@
-"""Reports of other kinds than one recording's, with the same keys and nothing that only samples could tell.
+"""Reports of a table of points and of a pool: the keys of a recording's, without what only samples tell.
 
 One is that of a fit to points from a table; the other that of a pool, several recordings calibrated as one,
 with what the reports of its members say about it.
@@ -22,12 +22,12 @@ from accelcal_cli.output.report_view import ReportRecording
 
 FORMAT = "pool"
 TAKEN = ("calibration", "without_misalignment", "sphere_mg", "holdout", "fit", "coverage", "models_tried")
-"""Sections that a member's report has from its pool."""
+"""Sections that a member's report takes from its pool's."""
 
 
 @dataclass(frozen=True, slots=True)
 class PointsInput(reports.JudgedInput):
-    """All that such a report is made of.
+    """Everything that the report of a table of points is made of.
 
     Attributes:
         rows: rows of the table.
@@ -45,7 +45,7 @@ class PointsInput(reports.JudgedInput):
 
 
 def build_points(data: PointsInput) -> dict[str, Any]:
-    """The report without `provenance`."""
+    """Return the report of a table of points without `provenance`."""
     recording = ReportRecording(
         path=printable(data.path), sha256=data.sha256, bytes=data.bytes, format="points", samples=data.rows
     )
@@ -75,13 +75,13 @@ class Member:
     sha256: str
 
     def as_json(self) -> dict[str, Any]:
-        """An entry of `pool.recordings`."""
+        """Return an entry of `pool.recordings`."""
         return {"path": printable(self.path), "sha256": self.sha256}
 
 
 @dataclass(frozen=True, slots=True)
 class PoolInput(reports.JudgedInput):
-    """All that the report of a pool is made of, save the provenance.
+    """Everything that the report of a pool is made of, except the provenance.
 
     Attributes:
         left_out: recordings that contradict the others, and how.
@@ -102,7 +102,7 @@ class PoolInput(reports.JudgedInput):
 
 
 def build_pool(data: PoolInput) -> dict[str, Any]:
-    """The report without `provenance`."""
+    """Return the report of a pool without `provenance`."""
     windows = {**asdict(data.windows), "raw_error_mg": None}
     report = reports.document(_pool_recording(data), reports.FileHealth(), windows, data)
     device = data.example.device
@@ -131,7 +131,7 @@ def _pool_recording(data: PoolInput) -> ReportRecording:
 
 
 def of_member(pool: Document, report: Path, holdout: Holdout | None) -> dict[str, Any]:
-    """Sections of a member's report: those of the pool, and what the pool does to its own windows.
+    """Return the sections of a member's report: those of the pool, and what the pool does to its own windows.
 
     Args:
         report: where the member's report will be; the pool's is named by its way from there.

@@ -63,7 +63,7 @@ LATER = {
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A report as it lies in its file: `sha256` of the file, and what it says.
+    """A report as its file has it: `sha256` of the file, and its content.
 
     Attributes:
         report: with the names of this schema version.
@@ -77,19 +77,19 @@ class Document:
 
     @property
     def recording(self) -> ReportRecording:
-        """Its section `recording`, once that has been checked."""
+        """Section `recording`, once that has been checked."""
         return record(ReportRecording, self.report["recording"])
 
     @property
     def content_sha256(self) -> str:
-        """SHA-256 of what it says but for `provenance`, as JSON with sorted keys."""
-        held = self.report if self.first is None else self.first
-        content = {name: value for name, value in held.items() if name != "provenance"}
+        """SHA-256 of the content except `provenance`, as JSON with sorted keys."""
+        original = self.report if self.first is None else self.first
+        content = {name: value for name, value in original.items() if name != "provenance"}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def read_document(path: Path) -> Document:
-    """A report of this schema version or the one before; its sections are not looked at.
+    """Read a report of this schema version or the one before; its sections are not checked.
 
     Raises:
         UnreadableError: it cannot be read, is not JSON, or no report of ours that this version knows.
@@ -116,7 +116,7 @@ def read_document(path: Path) -> Document:
 
 
 def document_bytes(path: Path) -> bytes:
-    """What a report, or a file that lies beside it, holds.
+    """Read the bytes of a report, or of a file that lies beside it.
 
     Raises:
         UnreadableError: it cannot be read, or is larger than any of ours.
@@ -149,13 +149,13 @@ def check_sections(document: Document, names: tuple[str, ...]) -> None:
 
 
 def damaged(document: Document, what: str) -> UnreadableError:
-    """The error of a report that was not written so."""
+    """Return the error of a report that accelcal did not write as it is now."""
     hint = "calibrate its recording again: accelcal did not write this report as it is now"
     return UnreadableError(f"is a damaged report: {what}", path=document.path, hint=hint)
 
 
 def load(path: Path) -> dict[str, Any] | None:
-    """A JSON file that accelcal wrote, or None if the file is anything else.
+    """Read a JSON file that accelcal wrote; None if the file is anything else.
 
     Raises:
         OutputError: it is there and cannot be read.
@@ -167,7 +167,7 @@ def load(path: Path) -> dict[str, Any] | None:
 
 
 def ours(text: bytes) -> dict[str, Any] | None:
-    """The content of a JSON file that accelcal wrote, or None if it is anything else."""
+    """Return the content of a JSON file that accelcal wrote; None if it is anything else."""
     try:
         report = parsed(text.decode())
     except ValueError:
@@ -176,15 +176,15 @@ def ours(text: bytes) -> dict[str, Any] | None:
 
 
 def section(report: dict[str, Any], *names: str) -> dict[str, Any]:
-    """An object in a report, by the keys that lead to it; an empty one where there is none."""
-    found: Any = report
+    """Return an object in a report, by the keys that lead to it; an empty one if there is none."""
+    value: Any = report
     for name in names:
-        found = found.get(name) if isinstance(found, dict) else None
-    return found if isinstance(found, dict) else {}
+        value = value.get(name) if isinstance(value, dict) else None
+    return value if isinstance(value, dict) else {}
 
 
 def load_report(path: Path) -> dict[str, Any] | None:
-    """A report of ours that says whose it is, or None if the file is anything else."""
+    """Read a report of ours that says whose it is; None if the file is anything else."""
     report, needed = load(path), ("path", "sha256", "bytes")
     if report is None:
         return None
@@ -194,16 +194,16 @@ def load_report(path: Path) -> dict[str, Any] | None:
 
 
 def upgraded(report: dict[str, Any]) -> dict[str, Any]:
-    """A report of schema version 1 as this version would have written it; any other as it is."""
+    """Return a report of schema version 1 as this version would have written it; any other as it is."""
     version = report.get("schema_version")
     if version != 1 or isinstance(version, bool):
         return report
-    held = {"calibration": with_new_names(report["calibration"])} if "calibration" in report else {}
-    return report | {"schema_version": SCHEMA_VERSION} | held
+    renamed = {"calibration": with_new_names(report["calibration"])} if "calibration" in report else {}
+    return report | {"schema_version": SCHEMA_VERSION} | renamed
 
 
 def with_new_names(calibration: Any) -> Any:
-    """The `calibration` of schema version 1 with the parameters' names of this one."""
+    """Return the `calibration` of schema version 1 with today's names of the parameters."""
     if not isinstance(calibration, dict):
         return calibration
     inner = {
@@ -223,8 +223,8 @@ def _renamed(named: Any) -> Any:
 
 @cache
 def report_schema() -> dict[str, Any]:
-    """The JSON Schema of the report."""
-    from importlib import resources  # only what is there already is held against it
+    """Read the JSON Schema of the report."""
+    from importlib import resources  # most runs check no report
 
     text = resources.files("accelcal_cli.output").joinpath("report.schema.json").read_text("utf-8")
     schema: dict[str, Any] = json.loads(text)
@@ -232,25 +232,25 @@ def report_schema() -> dict[str, Any]:
 
 
 def release(version: Any) -> tuple[float, ...]:
-    """A version in order; one that is none comes after all, so that nothing is excused by it."""
+    """Return the sort key of a version; anything that is not a version sorts last."""
     numbers = re.fullmatch(r"(\d{1,6})\.(\d{1,6})\.(\d{1,6})", str(version))
     return (inf,) if numbers is None else tuple(map(int, numbers.groups()))
 
 
 @lru_cache(8)
 def schema_of_version(version: str) -> dict[str, Any]:
-    """The schema of a report that this version of accelcal wrote: it may lack what came later."""
+    """Return the schema of reports that a version of accelcal wrote, which may lack later keys."""
     schema = deepcopy(report_schema())
     for place, since in LATER.items():
         *outer, name = place.split(".")
         if release(version) < release(since):
-            for held in _objects(schema, outer):
-                held["required"] = [key for key in held.get("required", ()) if key != name]
+            for part in _objects(schema, outer):
+                part["required"] = [key for key in part.get("required", ()) if key != name]
     return schema
 
 
 def _objects(schema: dict[str, Any], names: list[str]) -> Iterator[dict[str, Any]]:
-    """What the schema says of the objects at the end of these keys."""
+    """Find the schemas of the objects at the end of a path of keys."""
     for choice in schema.get("anyOf", ()):
         yield from _objects(choice, names)
     if not names:

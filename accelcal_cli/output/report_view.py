@@ -104,7 +104,7 @@ class HoldoutView:
 
 @dataclass(frozen=True, slots=True)
 class FitView:
-    """`fit`: what was fitted; windows by fate."""
+    """`fit`: numbers of windows by fate."""
 
     windows: Mapping[str, Any]
 
@@ -218,7 +218,7 @@ class PoseView:
 
 @dataclass(frozen=True, slots=True)
 class LevelView:
-    """What an axis shows that is level [mg]."""
+    """What a level axis shows: mean and standard deviation [mg]."""
 
     mean: float
     sd: float
@@ -263,7 +263,7 @@ class KnownOrientationsView:
 
 @dataclass(frozen=True, slots=True)
 class TurnErrors:
-    """`gyroscope.holdout_deg`: direction of gravity after turns that took no part [degrees]."""
+    """`gyroscope.holdout_deg`: error of the direction of gravity after turns that took no part [degrees]."""
 
     before: float
     after: float
@@ -341,7 +341,7 @@ class PoolView:
 
 @dataclass(frozen=True, slots=True)
 class AppliedView:
-    """`coefficients`: the report whose coefficients were applied, and the recording that they are from."""
+    """`coefficients`: the report whose coefficients were applied, and the recording that they come from."""
 
     path: str
     sha256: str
@@ -354,7 +354,7 @@ class AppliedView:
 
 @dataclass(frozen=True, slots=True)
 class ErrorsView:
-    """The two sections with the errors to quote, of a report or of its `without_misalignment`."""
+    """Sections with the errors to quote, of a report or of its `without_misalignment`."""
 
     holdout: HoldoutView | None = None
     sphere_mg: SphereView | None = None
@@ -426,7 +426,7 @@ def _readers(kind: Any) -> tuple[tuple[str, Callable[[Any], Any]], ...]:
 
 
 def _reader(hint: Any) -> Callable[[Any], Any]:
-    """Return what makes a JSON value into one of a field's type: a record, a tuple of records, or itself."""
+    """Return what reads a field of a type: a record, a tuple of records, or the value as it is."""
     parts = [hint, *get_args(hint), *(one for part in get_args(hint) for one in get_args(part))]
     kind: Any = next((one for one in parts if is_dataclass(one)), None)
     if hint is Outcome:

@@ -1,4 +1,4 @@
-"""What people are told of a report: numbers, what an outcome means, what to beware of, and what to do.
+"""Words for people about a report: numbers, what an outcome means, what to beware of, and what to do.
 
 Sentences for the terminal and for pages. All of them follow from the report; nothing is judged here.
 """
@@ -64,7 +64,7 @@ NUMBERS_OF_PARAMETERS = {"3": "three", "6": "six", "9": "nine", "12": "twelve"}
 
 @dataclass(frozen=True, slots=True)
 class OutcomeWords:
-    """What an outcome means.
+    """Meaning of an outcome.
 
     Attributes:
         result: on a result's line; headline: at the beginning of a page, where that differs.
@@ -130,7 +130,7 @@ def millionths(value: float | None) -> str:
 
 
 def figure(value: float | None, digits: int = 3) -> str:
-    """Write a number for the terminal: `digits` significant ones, zeros at the end included; `-` for none."""
+    """Write a number for the terminal: significant digits, zeros at the end included; `-` for none."""
     if value is None:
         return "-"
     return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")

@@ -1,6 +1,7 @@
 """The figures of one recording's page: what each shows, its picture, and the same as a sentence.
 
-All numbers are those of the report and of `STEM.quality.json`; errors are | |a| - 1 g | in mg.
+All numbers are those of the report and of `STEM.quality.json`; errors are | |a| - 1 g | in mg. `figures_of`
+says which figures there are, and in which section of the page.
 """
 
 from __future__ import annotations
@@ -23,15 +24,16 @@ from accelcal_cli.pages.time_series import TimeSeries
 
 BARS = 40
 LEAST_MG, LARGEST_MG = 0.01, 1e4
-"""Errors beyond are drawn at the edge of a scale of powers of ten."""
+"""Ends of a scale of powers of ten, at which errors [mg] beyond it are drawn."""
 
 WORDS = {"before": "before calibration", "after": "after calibration"}
-NEAR, WINDOWS_OF_CELLS = ("−1 g", "0 g", "+1 g"), (12, 120)
-"""Still windows from which on the colour of a cell is stronger: of 5 s, those of a minute and of ten."""
+NEAR = ("−1 g", "0 g", "+1 g")
+WINDOWS_OF_CELLS = (12, 120)
+"""Numbers of still windows from which on a cell is drawn stronger: one and ten minutes of 5 s windows."""
 
 SHADES = "faint: fewer than 12 still windows · stronger: fewer than 120 · full: more"
 LEAST_BAR = 0.12
-"""Height of what is there at all on the timeline, as a share of its lane."""
+"""Least height of a bar on the timeline, as a share of its lane."""
 
 LANES = (
     ("filled", "Filled", "lane"),
@@ -42,10 +44,10 @@ LANES = (
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A figure: its heading, the picture, and what it says in a sentence.
+    """A figure: its heading, the picture, and the same in a sentence.
 
     Attributes:
-        name: of its ids.
+        name: beginning of the ids of its elements.
     """
 
     name: str
@@ -57,7 +59,7 @@ class Figure:
 def figures_of(data: TimeSeries | None, report: ReportView) -> dict[str, list[Figure]]:
     """Return the figures of each section of the page, in their order, of which there is something to draw."""
     if data is None:
-        return dict.fromkeys(("change", "sphere", "time", "fit"), [])
+        return {name: [] for name in ("change", "sphere", "time", "fit")}
     sections = {
         "change": (length_along_time(data), histogram(data)),
         "sphere": (sphere(data, report),),
@@ -72,7 +74,7 @@ def figures_of(data: TimeSeries | None, report: ReportView) -> dict[str, list[Fi
 
 
 def length_along_time(data: TimeSeries) -> Figure | None:
-    """|a| of still windows along time, before and after (F Fig. 1)."""
+    """Draw |a| of still windows along time, before and after (F Fig. 1)."""
     values = [
         one for table in data.off.values() for column in table.values() for one in column if one is not None
     ]
@@ -87,49 +89,50 @@ def length_along_time(data: TimeSeries) -> Figure | None:
         body.append(area.steps(data.spans, table["p50"], when))
     body.append(_legend(list(data.off)))
     title = "Length of gravity as the sensor measures it at rest, along time"
-    said = [
+    sentences = [
         f"{WORDS[when]} the median by the hour is {_range(known)} mg"
         for when, table in data.off.items()
         if (known := [one for one in table["p50"] if one is not None])
     ]
     text = (
-        f"At rest |a| should be 1 g: 0 on this scale. {_sentence(said)} "
+        f"At rest |a| should be 1 g: 0 on this scale. {_sentence(sentences)} "
         "Lines are medians, areas hold 90 % of the still windows."
     )
     return Figure("length", title, svg.figure("length", title, text, 290, body), text)
 
 
 def histogram(data: TimeSeries) -> Figure | None:
-    """|a| − 1 g of the points before and after, in which still windows count alike."""
-    weights, held = data.points["windows"], [one for one in WORDS if one in data.points]
+    """Draw how often |a| − 1 g of the points has which size; each still window counts once."""
+    weights, drawn = data.points["windows"], [one for one in WORDS if one in data.points]
     if not sum(weights):
         return None
-    spread = {when: _percentiles(data.points[when], weights, (0.5, 99.5)) for when in held}
+    spread = {when: _percentiles(data.points[when], weights, (0.5, 99.5)) for when in drawn}
     low, high = min(one for one, _ in spread.values()), max(one for _, one in spread.values())
     step = max(svg.round_step(high - low, BARS), LEAST_MG)
     first, last = floor(low / step), max(ceil(high / step), floor(low / step) + 1)
-    body, shares = [], {when: _shares(data.points[when], weights, step, (first, last)) for when in held}
-    for row, when in enumerate(held):
+    body, shares = [], {when: _shares(data.points[when], weights, step, (first, last)) for when in drawn}
+    for row, when in enumerate(drawn):
         top = 22 + 150 * row
         largest = max(shares[when])
         area = svg.plot((first * step, last * step), (0, 100 * largest), top, top + 96)
         axis = svg.ticks(first * step, last * step)
         body.append(area.axes(axis, svg.ticks(0, 100 * largest), "", f"{WORDS[when]}: % of still windows"))
         body.append(_bars(area, [100 * share for share in shares[when]], first * step, step, f"{when}-bar"))
-    height = 22 + 150 * len(held)
+    height = 22 + 150 * len(drawn)
     body.append(label((LEFT + WIDTH) / 2, height - 14, "|a| − 1 g [mg]", "soft", "middle"))
-    inner = {when: _percentiles(data.points[when], weights, (5, 95)) for when in held}
-    said = [f"{WORDS[one]} from {number(low)} to {number(high)} mg" for one, (low, high) in inner.items()]
+    inner = {when: _percentiles(data.points[when], weights, (5, 95)) for when in drawn}
+    ranges = [f"{WORDS[one]} from {number(low)} to {number(high)} mg" for one, (low, high) in inner.items()]
     title = "How far still windows are from 1 g"
-    scales = "; both rows have the same scale of mg" if len(held) > 1 else ""
-    text = f"90 % of the still windows lie {listed(said)}. The outermost bars hold what lies beyond{scales}."
+    scales = "; both rows have the same scale of mg" if len(drawn) > 1 else ""
+    text = f"90 % of the still windows lie {listed(ranges)}. "
+    text += f"The outermost bars hold what lies beyond{scales}."
     return Figure("histogram", title, svg.figure("histogram", title, text, height, body), text)
 
 
 def _shares(
     values: Sequence[float], weights: Sequence[float], step: float, ends: tuple[int, int]
 ) -> list[float]:
-    """The share of the weight in each bar; what lies beyond is in the outermost."""
+    """Return the share of the weight in each bar; what lies beyond is in the outermost."""
     first, last = ends
     sums = [0.0] * (last - first)
     for value, weight in zip(values, weights, strict=True):
@@ -156,7 +159,7 @@ def _percentiles(
 
 
 def error_by_hour(data: TimeSeries, change: ChangeView | None) -> Figure | None:
-    """Mean error of each row with the band up to its 95th percentile, and where the sensor changed."""
+    """Draw the mean error of each row, its 95th percentile, and where the sensor changed."""
     columns = [column for table in data.errors.values() for column in table.values()]
     values = [min(max(one, LEAST_MG), LARGEST_MG) for column in columns for one in column if one is not None]
     if not values:
@@ -169,23 +172,23 @@ def error_by_hour(data: TimeSeries, change: ChangeView | None) -> Figure | None:
         body.append(area.band(data.spans, table["mean"], table["p95"], f"{when}-band"))
         body.append(area.steps(data.spans, table["mean"], when))
     body.append(_legend(list(data.errors)))
-    at, told = _changed(data, change)
+    at, changed_at = _changed(data, change)
     if at is not None:
         body.append(area.upright(at, "the sensor changed"))
-    said = []
+    sentences = []
     for when, table in data.errors.items():
         known = [one for one in table["mean"] if one is not None]
-        said.append(f"{WORDS[when]} the mean by the hour is {_range(known)} mg")
+        sentences.append(f"{WORDS[when]} the mean by the hour is {_range(known)} mg")
     title = "Error by the hour"
     text = (
-        f"{_sentence(said)} Lines are means, areas reach up to the 95th percentile; "
-        f"each step up the scale is ten times as much.{told}"
+        f"{_sentence(sentences)} Lines are means, areas reach up to the 95th percentile; "
+        f"each step up the scale is ten times as much.{changed_at}"
     )
     return Figure("error", title, svg.figure("error", title, text, 290, body), text)
 
 
 def _changed(data: TimeSeries, change: ChangeView | None) -> tuple[float | None, str]:
-    """When the sensor changed, as seconds from the start, and a sentence."""
+    """Return when the sensor changed, as seconds from the start, and a sentence."""
     at = None if change is None else change.at
     if at is None:
         return None, ""
@@ -198,7 +201,7 @@ def _changed(data: TimeSeries, change: ChangeView | None) -> tuple[float | None,
 
 
 def residual_by_temperature(data: TimeSeries) -> Figure | None:
-    """|a| − 1 g of each point after calibration (or before, if there is none) against its temperature."""
+    """Draw |a| − 1 g of each point against its temperature, after calibration if there is one."""
     heat = data.points.get("temperature")
     if not heat:
         return None
@@ -226,7 +229,7 @@ def residual_by_temperature(data: TimeSeries) -> Figure | None:
 
 
 def _slope(x: Sequence[float], y: Sequence[float], weights: Sequence[float]) -> float:
-    """Of the straight line through weighted places."""
+    """Return the slope of the straight line through weighted places."""
     total = sum(weights) or 1.0
     middle = [
         sum(weight * one for weight, one in zip(weights, values, strict=True)) / total for values in (x, y)
@@ -237,7 +240,7 @@ def _slope(x: Sequence[float], y: Sequence[float], weights: Sequence[float]) -> 
 
 
 def timeline(data: TimeSeries, recording: ReportRecording) -> Figure | None:
-    """Wear, stillness, gaps, and samples that are filled, clipped or damaged, along time."""
+    """Draw wear, stillness, gaps, and samples that are filled, clipped or damaged, along time."""
     if not data.spans:
         return None
     samples, rows = data.rows["samples"], data.rows
@@ -255,7 +258,7 @@ def timeline(data: TimeSeries, recording: ReportRecording) -> Figure | None:
     area = svg.plot((0, data.seconds), (0, 1), 16, bottom + 24)
     body.append(_time_axes(area, data, [], ""))
     title = "What the recording is made of, along time"
-    text = _told_of_rows(data, recording)
+    text = _timeline_sentence(data, recording)
     return Figure("timeline", title, svg.figure("timeline", title, text, bottom + 66, body), text)
 
 
@@ -268,7 +271,7 @@ def _worn_lane(data: TimeSeries) -> str:
 
 
 def _lane(data: TimeSeries, top: float, word: str, shares: Sequence[float], kind: str) -> str:
-    """A row of the timeline: bars as high as the share."""
+    """Draw a row of the timeline: bars as high as the share."""
     heights = [max(LEAST_BAR, min(1.0, share)) if share > 0 else None for share in shares]
     area = svg.Plot(svg.Scale(0, data.seconds, LEFT, WIDTH - RIGHT), svg.Scale(0, 1, top + 18, top))
     track = path(_box(data, (0, data.seconds), top, 18), "lane-off")
@@ -285,7 +288,7 @@ def _box(data: TimeSeries, span: tuple[float, float], top: float, height: float)
 
 
 def _gap_lane(data: TimeSeries, recording: ReportRecording, top: float) -> str:
-    """Gaps where they are; those that the report does not list are not shown."""
+    """Draw the gaps that the report lists."""
     ways, track = [], path(_box(data, (0, data.seconds), top + 2, 16), "lane-off")
     for gap in recording.gaps:
         try:
@@ -298,8 +301,8 @@ def _gap_lane(data: TimeSeries, recording: ReportRecording, top: float) -> str:
     return track + path("".join(dict.fromkeys(ways)), "lane-bad")
 
 
-def _told_of_rows(data: TimeSeries, recording: ReportRecording) -> str:
-    """The timeline as a sentence."""
+def _timeline_sentence(data: TimeSeries, recording: ReportRecording) -> str:
+    """Put the timeline into a sentence."""
     worn = Counter(data.worn)
     known = worn[True] + worn[False]
     rows = data.rows
@@ -309,19 +312,20 @@ def _told_of_rows(data: TimeSeries, recording: ReportRecording) -> str:
         if still + moving
         else "there is no window"
     )
-    said = [f"worn in {worn[True]:.0f} of {counted(known, 'row')} in which that can be told", share]
+    sentences = [f"worn in {worn[True]:.0f} of {counted(known, 'row')} in which that can be told", share]
     gaps = recording.all_gaps
-    said.append(f"{counted(gaps, 'gap')} of {number(sum(rows['gap_s']))} s in all" if gaps else "no gaps")
+    gap_s = number(sum(rows["gap_s"]))
+    sentences.append(f"{counted(gaps, 'gap')} of {gap_s} s in all" if gaps else "no gaps")
     for name, word, _ in LANES:
         if total := sum(rows[name]):
-            said.append(f"{counted(int(total), 'sample')} {word.lower()}")
+            sentences.append(f"{counted(int(total), 'sample')} {word.lower()}")
     if lost := sum(rows["lost_bytes"]):
-        said.append(f"{counted(int(lost), 'byte')} lost to damage")
-    return f"{_sentence(said)} Bars are as high as the share of the row."
+        sentences.append(f"{counted(int(lost), 'byte')} lost to damage")
+    return f"{_sentence(sentences)} Bars are as high as the share of the row."
 
 
 def convergence(data: TimeSeries) -> Figure | None:
-    """Error of the fitted points after each step of the fit (F Fig. 9)."""
+    """Draw the error of the fitted points after each step of the fit (F Fig. 9)."""
     values = [min(max(one, LEAST_MG / 100), LARGEST_MG) for one in data.convergence]
     if len(values) < 2:
         return None
@@ -342,7 +346,7 @@ def convergence(data: TimeSeries) -> Figure | None:
 
 
 def sphere(data: TimeSeries, report: ReportView) -> Figure | None:
-    """Both halves of the sphere of directions, with the cells in which the sensor rested (F Figs. 4, 5)."""
+    """Draw the halves of the sphere of directions, with cells in which the sensor rested (F Figs. 4, 5)."""
     filled = _filled(data)
     if not filled:
         return None
@@ -363,13 +367,13 @@ def sphere(data: TimeSeries, report: ReportView) -> Figure | None:
 
 
 def _filled(data: TimeSeries) -> dict[tuple[int, int, int], float]:
-    """Still windows in each cell of the sphere."""
-    found: Counter[tuple[int, int, int]] = Counter()
+    """Count the still windows in each cell of the sphere."""
+    windows_of: Counter[tuple[int, int, int]] = Counter()
     columns = (data.points[name] for name in ("x", "y", "z", "windows"))
     for x, y, z, windows in zip(*columns, strict=True):
         if length := hypot(x, y, z):
-            found[svg.cell_of((x / length, y / length, z / length))] += int(windows)
-    return dict(found)
+            windows_of[svg.cell_of((x / length, y / length, z / length))] += int(windows)
+    return dict(windows_of)
 
 
 def _half(half: svg.Hemisphere, filled: Mapping[tuple[int, int, int], float]) -> str:
@@ -382,7 +386,7 @@ def _half(half: svg.Hemisphere, filled: Mapping[tuple[int, int, int], float]) ->
 
 
 def _faces(halves: Sequence[svg.Hemisphere], subsets: Sequence[Sequence[int]]) -> list[str]:
-    """The directions of the axes, with the number of points near each; those without any stand out."""
+    """Name the directions of the axes, with the number of points near each; those without any stand out."""
     parts = []
     for half in halves:
         sign = "+" if half.side > 0 else "−"
@@ -406,7 +410,7 @@ def _faces(halves: Sequence[svg.Hemisphere], subsets: Sequence[Sequence[int]]) -
 
 
 def _face(at: tuple[float, float], half: svg.Hemisphere, name: str, points: int) -> str:
-    """The name of a direction beside its place on the rim; below it that nothing is near, if so."""
+    """Write the name of a direction beside its place on the rim, and `empty` if no point is near it."""
     x, y = at
     out = 10 if x > half.x + 1 else -10 if x < half.x - 1 else 0
     down = 16 if y > half.y + 1 else -6 if y < half.y - 1 else 4
@@ -421,7 +425,7 @@ def _face(at: tuple[float, float], half: svg.Hemisphere, name: str, points: int)
 
 
 def _least_certain(halves: Sequence[svg.Hemisphere], direction: Sequence[float]) -> str:
-    """A cross at a direction."""
+    """Draw a cross at a direction."""
     length = hypot(*direction)
     if not length:
         return ""
@@ -447,21 +451,21 @@ def _time_axes(area: svg.Plot, data: TimeSeries, y_ticks: list[svg.Tick], y_name
 
 
 def _range(values: Sequence[float]) -> str:
-    """The least and the largest of some values, once if they are the same."""
+    """Write the least and the largest of some values, once if they are the same."""
     ends = dict.fromkeys(map(number, (min(values), max(values))))
     return " to ".join(ends)
 
 
-def _legend(held: Iterable[str]) -> str:
-    """Which line is which, above the area."""
+def _legend(names: Iterable[str]) -> str:
+    """Say above the area which line is which."""
     parts = []
-    for place, when in enumerate(held):
+    for place, when in enumerate(names):
         x = 420 + 170 * place
         parts.append(path(f"M{x} 10h28", when) + label(x + 34, 14, WORDS[when]))
     return "".join(parts)
 
 
 def _sentence(parts: Sequence[str]) -> str:
-    """Parts as a sentence that begins with a capital."""
+    """Join parts into a sentence that begins with a capital."""
     text = "; ".join(parts)
     return f"{text[:1].upper()}{text[1:]}." if text else ""

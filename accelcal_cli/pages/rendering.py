@@ -1,4 +1,4 @@
-"""From a template to a page: escaped, self-contained, and with a policy that lets nothing in from outside.
+"""Templates made into pages: escaped, self-contained, with a policy that lets nothing in from outside.
 
 Whatever a file says of itself reaches a page through `finalize` and autoescape alone: control characters and
 marks that turn the direction of text are shown, not obeyed, and nothing is taken for HTML.
@@ -24,7 +24,7 @@ Rows = list[list[str]]
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table: its caption, names of columns, and rows of cells; words: which columns hold words."""
+    """A table: caption, names of columns, rows of cells, and the numbers of columns that hold words."""
 
     caption: str
     head: list[str]
@@ -33,12 +33,12 @@ class Table:
 
 
 def resource(name: str) -> str:
-    """The text of a file of this package."""
+    """Read the text of a file of this package."""
     return files("accelcal_cli.pages").joinpath(name).read_text("utf-8")
 
 
 def rendered(template: str, *, style: str | None = None, script: str | None = None, **values: Any) -> str:
-    """A page, with its style and its script inside, allowed by their hashes alone.
+    """Render a page with its style and its script inside, which its policy allows by their hashes alone.
 
     Args:
         style, script: names of files of this package; the style is added to that of all pages.
@@ -54,7 +54,7 @@ def rendered(template: str, *, style: str | None = None, script: str | None = No
 
 
 def shown(value: Any) -> Any:
-    """A text without control characters and marks of direction; Markup, which is made here, as it is."""
+    """Show control characters and marks of direction in a text; leave our own Markup as it is."""
     if not isinstance(value, str) or isinstance(value, Markup) or value.isprintable():
         return value
     return printable(value)

@@ -33,11 +33,11 @@ WANTED = (
 """Columns of the study's table that the page shows."""
 
 REASONS = 8
-"""Reasons of an outcome that have a line of their own."""
+"""Number of reasons of an outcome that have a line of their own."""
 FIRST = 3
-"""Recordings of each kind of problem to look at first."""
+"""Number of recordings of each kind of problem to look at first."""
 LISTED = 1000
-"""Recordings in the list of problems: some thirty printed pages."""
+"""Number of recordings in the list of problems: some thirty printed pages."""
 DAMAGED_FROM_PERCENT = 0.1
 """Share of a recording's bytes from which damage is a problem, as for `accelcal devices`."""
 SIZES = {
@@ -46,12 +46,12 @@ SIZES = {
     "damaged": "lost_percent",
     "misfit": "sphere_mg",
 }
-"""Column that says how bad a problem is."""
+"""Columns that say how bad a problem is, by its kind."""
 HOUR_S = 3600
 CHANGES = "the sensor changes"
-"""How the clause of a message begins that tells of a change (`judge.change.told`)."""
+"""Beginning of the clause of a message that tells of a change (`judge/change.py`)."""
 CLAUSE = "; "
-"""Messages say what was found first, and then what to do."""
+"""Separator of the clauses of a message, which says what was found first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class StudyContent:
     Attributes:
         rows: the study's table, a dictionary of at least WANTED for each recording.
         pages: path of each recording's page, relative to this one; None where there is none.
-        said: the content of `study.json`; empty if there is none.
+        summary: content of `study.json`; empty if there is none.
         devices: those to service first.
         nameless: recordings without a serial number.
         drift_limit_mg: drift of an offset in a month that is a reason for service.
@@ -95,7 +95,7 @@ class StudyContent:
 
     rows: Sequence[dict[str, Any]]
     pages: Sequence[str | None]
-    said: dict[str, Any]
+    summary: dict[str, Any]
     devices: Sequence[DeviceLine]
     nameless: int
     drift_limit_mg: float
@@ -104,7 +104,7 @@ class StudyContent:
 
 @dataclass(frozen=True, slots=True)
 class ProblemKind:
-    """A kind of problem, with what to do.
+    """A kind of problem, and what to do about it.
 
     Attributes:
         short: its name in the table of all recordings.
@@ -134,32 +134,34 @@ KINDS = (
     ProblemKind("misfit", "not described", "The sensor does something that its parameters do not describe",
                 "The error is larger than it could be. The recording's page names what was found."),
 )  # fmt: skip
-"""The weightiest first: a recording is listed under the first that it has."""
+"""Kinds of problems, the weightiest first: a recording is listed under the first that it has."""
 
 
 def page(study: StudyContent) -> str:
-    """The whole page as HTML.
+    """Return the whole page as HTML.
 
     The same content gives the same text.
     """
-    devices = [_printable(line) for line in study.devices]
-    entries = [_Entry(row, address) for row, address in zip(study.rows, study.pages, strict=True)]
-    limit_mg = _limit_mg(study.said)
-    for entry in entries:
-        entry.problem = _problem(entry.row, limit_mg)
-    scatter = figures.Scatter.of([_errors(entry.row) for entry in entries])
-    groups = _groups(entries)
+    devices = [
+        replace(line, name=printable(line.name), reasons=tuple(map(printable, line.reasons)))
+        for line in study.devices
+    ]
+    limit_mg = _limit_mg(study.summary)
+    entries = [_Entry(row, href, limit_mg) for row, href in zip(study.rows, study.pages, strict=True)]
+    scatter = figures.Scatter.of([entry.errors for entry in entries])
+    groups = [(kind, [entry for entry in entries if entry.problem is kind]) for kind in KINDS]
+    groups = [(kind, sorted(members, key=_Entry.order)) for kind, members in groups if members]
     return rendered(
         "study.html",
         style="study.css",
         script="study.js",
         headline=_headline(entries),
-        notes=_notes(study),
+        notes=_notes(study.summary),
         outcomes=_outcomes(entries),
-        first=_look_first(groups),
+        first=[(kind, len(members), members[:FIRST]) for kind, members in groups],
         service=[line for line in devices if line.verdict == "service"][:FIRST],
         groups=_listed(groups),
-        problems=sum(len(found) for _, found in groups),
+        problems=sum(len(members) for _, members in groups),
         scatter=scatter,
         dots=scatter.dots([entry.outcome for entry in entries]),
         marked=_marked(scatter, entries, groups),
@@ -172,120 +174,119 @@ def page(study: StudyContent) -> str:
         csv=study.csv,
         recordings=len(entries),
         data=embedded(
-            {
-                "recordings": _recordings_table(entries, scatter),
-                "devices": _devices_table(devices),
-            }
+            {"recordings": _recordings_table(entries, scatter), "devices": _devices_table(devices)}
         ),
     )
 
 
-def _printable(line: DeviceLine) -> DeviceLine:
-    return replace(line, name=printable(line.name), reasons=tuple(map(printable, line.reasons)))
-
-
 class _Entry:
-    """A recording: its row with printable texts, its page, and its problem."""
+    """A recording: its row with printable texts, its page, and its weightiest problem.
 
-    def __init__(self, row: dict[str, Any], address: str | None) -> None:
-        self.row = {name: _text(row.get(name)) for name in WANTED}
-        self.href = None if address is None else _url(address)
+    Attributes:
+        href: address of its page, None if there is none; `./` keeps a name from being taken for a scheme.
+        message: without the name of the recording, which stands beside it anyway.
+    """
+
+    def __init__(self, row: dict[str, Any], address: str | None, limit_mg: float) -> None:
+        self.row = {name: _shown(row.get(name)) for name in WANTED}
         self.address = address
-        self.problem: ProblemKind | None = None
+        quoted = None if address is None else quote(address.encode("utf-8", "surrogateescape"))
+        self.href = None if quoted is None else f"./{quoted}"
         self.path: str = self.row["path"] or "?"
         self.outcome: str = self.row["outcome"] or "failed"
-        self.message = _without_name(self.row["message"] or "", self.path)
+        start, _, rest = (self.row["message"] or "").partition(": ")
+        name = self.path.rpartition("/")[2]
+        self.message: str = rest if rest and name in start else self.row["message"] or ""
+        self.changed = self.row["change"] not in (None, "none")
+        self.problem = self._weightiest(limit_mg)
+
+    def _weightiest(self, limit_mg: float) -> ProblemKind | None:
+        has = {
+            "failed": self.row["outcome"] == "failed",
+            "changed": self.changed,
+            "refused": self.row["outcome"] == "refused",
+            "uncertain": (self.row["sphere_high_mg"] or 0.0) > limit_mg,
+            "damaged": (self.row["lost_percent"] or 0.0) >= DAMAGED_FROM_PERCENT,
+            "misfit": self.row["misfits"] not in (None, "none"),
+        }
+        return next((kind for kind in KINDS if has[kind.key]), None)
+
+    def order(self) -> tuple[float, str]:
+        """Return the place among recordings with the same problem, the worst first."""
+        size = self.row.get(SIZES.get(self.problem.key, "")) if self.problem else None
+        return -(size or 0.0), self.path
 
     @property
     def device(self) -> str:
-        """Serial number, or what else is known of it."""
+        """Serial number, or what else is known of the device."""
         return self.row["device_serial"] or self.row["device_model"] or "-"
 
     @property
-    def found(self) -> str:
-        """One sentence about its problem."""
-        if self.problem is not None and self.problem.key == "uncertain":
+    def hours(self) -> float | None:
+        """Length of the recording [h]."""
+        seconds = self.row["duration_s"]
+        return None if seconds is None else seconds / HOUR_S
+
+    @property
+    def errors(self) -> tuple[float, float] | None:
+        """Error before and after [mg]: over the sphere, or where that is not known on held-out postures."""
+        for before, after in (("sphere_before_mg", "sphere_mg"), ("before_mg", "after_mg")):
+            if self.row[before] is not None and self.row[after] is not None:
+                return self.row[before], self.row[after]
+        return None
+
+    @property
+    def finding(self) -> str:
+        """One sentence about the problem; empty without one."""
+        kind = "" if self.problem is None else self.problem.key
+        if kind == "uncertain":
             size, most = self.row["sphere_mg"] or 0.0, self.row["sphere_high_mg"]
             return f"{size:.1f} mg over the whole sphere, but perhaps {most:.1f} mg (95 %)"
-        if self.problem is not None and self.problem.key == "damaged":
+        if kind == "damaged":
             return f"{self.row['lost_percent']:.2g} % of the file is lost; {self.message}"
-        if self.problem is not None and self.problem.key == "changed":
+        if kind == "changed":
             return self.message[max(0, self.message.find(CHANGES)) :]
-        return self.message
+        return self.message if kind else ""
+
+    @property
+    def link(self) -> int | str:
+        """Address for the script: 0 for none, 1 where it follows from the recording's name."""
+        if self.address is None:
+            return 0
+        same = self.address == re.sub(r"\.[^./]+$", "", self.path) + ".html"
+        return 1 if same else self.href or 0
 
 
-def _url(path: str) -> str:
-    """A relative path as the address of a link; `./` before it, so that no name is taken for a scheme."""
-    return f"./{quote(path.encode('utf-8', 'surrogateescape'))}"
-
-
-def _text(value: Any) -> Any:
-    """Texts as they can be shown; numbers that are none as None."""
+def _shown(value: Any) -> Any:
+    """Make texts printable, and numbers that are not finite None."""
     if isinstance(value, str):
         return printable(value)
-    if isinstance(value, float) and not isfinite(value):
-        return None
-    return value
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
-def _without_name(message: str, path: str) -> str:
-    """A message without the name of the recording before it, which stands beside it anyway."""
-    start, _, rest = message.partition(": ")
-    return rest if rest and path.rpartition("/")[2] in start else message
-
-
-def _limit_mg(said: dict[str, Any]) -> float:
-    settings = said.get("settings")
+def _limit_mg(summary: dict[str, Any]) -> float:
+    settings = summary.get("settings")
     limit = settings.get("max_error_mg") if isinstance(settings, dict) else None
     return float(limit) if isinstance(limit, int | float) else LIMIT_MG
-
-
-def _problem(row: dict[str, Any], limit_mg: float) -> ProblemKind | None:
-    """The weightiest problem of a recording."""
-    has = {
-        "failed": row["outcome"] == "failed",
-        "changed": row["change"] not in (None, "none"),
-        "refused": row["outcome"] == "refused",
-        "uncertain": (row["sphere_high_mg"] or 0.0) > limit_mg,
-        "damaged": (row["lost_percent"] or 0.0) >= DAMAGED_FROM_PERCENT,
-        "misfit": row["misfits"] not in (None, "none"),
-    }
-    return next((kind for kind in KINDS if has[kind.key]), None)
 
 
 Group = tuple[ProblemKind, list[_Entry]]
 
 
-def _groups(entries: Sequence[_Entry]) -> list[Group]:
-    """The recordings with each kind of problem, the worst first."""
-    groups = [(kind, [entry for entry in entries if entry.problem is kind]) for kind in KINDS]
-    return [(kind, sorted(found, key=_worst_first)) for kind, found in groups if found]
-
-
-def _worst_first(entry: _Entry) -> tuple[float, str]:
-    assert entry.problem is not None
-    size = entry.row.get(SIZES.get(entry.problem.key, ""))
-    return -(size or 0.0), entry.path
-
-
-def _look_first(groups: Sequence[Group]) -> list[tuple[ProblemKind, int, list[_Entry]]]:
-    return [(kind, len(found), found[:FIRST]) for kind, found in groups]
-
-
 def _listed(groups: Sequence[Group]) -> list[tuple[ProblemKind, list[_Entry], int]]:
-    """Of each kind those that are listed, LISTED in all, and how many there are."""
+    """Cut the groups to LISTED recordings in all; the number is that of all of the kind."""
     left, listed = LISTED, []
-    for kind, found in groups:
-        listed.append((kind, found[:left], len(found)))
+    for kind, members in groups:
+        listed.append((kind, members[:left], len(members)))
         left -= len(listed[-1][1])
     return listed
 
 
 def _headline(entries: Sequence[_Entry]) -> dict[str, str]:
-    """The study in a few figures."""
+    """Return the study in a few figures."""
     usable = sum(outcome_words(entry.outcome).usable for entry in entries)
-    pairs = [pair for entry in entries if (pair := _errors(entry.row)) is not None]
-    found = {
+    pairs = [entry.errors for entry in entries if entry.errors is not None]
+    headline = {
         "Recordings": f"{len(entries):,}",
         "Can be used": f"{usable:,} ({100 * usable / len(entries):.1f} %)" if entries else "0",
         "With a problem": f"{sum(entry.problem is not None for entry in entries):,}",
@@ -293,34 +294,25 @@ def _headline(entries: Sequence[_Entry]) -> dict[str, str]:
     }
     if pairs:
         before, after = (median(errors) for errors in zip(*pairs, strict=True))
-        found["Median error"] = f"{mg_of_two_digits(before)} mg before, {mg_of_two_digits(after)} mg after"
-    return found
+        headline["Median error"] = f"{mg_of_two_digits(before)} mg before, {mg_of_two_digits(after)} mg after"
+    return headline
 
 
-def _errors(row: dict[str, Any]) -> tuple[float, float] | None:
-    """Error before and after [mg]: expected over the sphere, or where not known, on held-out postures."""
-    for before, after in (("sphere_before_mg", "sphere_mg"), ("before_mg", "after_mg")):
-        if row[before] is not None and row[after] is not None:
-            return row[before], row[after]
-    return None
-
-
-def _notes(study: StudyContent) -> list[str]:
-    """What the study says of itself that someone who uses it must know."""
-    waiting, mixed = study.said.get("waiting"), study.said.get("mixed_times")
-    pools = study.said.get("pools") or {}
-    notes = (
-        [f"{counted(waiting, 'recording')} waiting: not started yet."]
-        if isinstance(waiting, int) and waiting
-        else []
-    )
-    notes += [f"{printable(mixed)}."] if isinstance(mixed, str) else []
-    notes += [f"{counted(len(pools), 'pool')} of recordings of one device."] if pools else []
+def _notes(summary: dict[str, Any]) -> list[str]:
+    """Return what users must know that the study says of itself."""
+    waiting, mixed, pools = summary.get("waiting"), summary.get("mixed_times"), summary.get("pools") or {}
+    notes = []
+    if isinstance(waiting, int) and waiting:
+        notes.append(f"{counted(waiting, 'recording')} waiting: not started yet.")
+    if isinstance(mixed, str):
+        notes.append(f"{printable(mixed)}.")
+    if pools:
+        notes.append(f"{counted(len(pools), 'pool')} of recordings of one device.")
     return notes
 
 
 def _outcomes(entries: Sequence[_Entry]) -> list[dict[str, Any]]:
-    """A line for each outcome, and one for each reason of those that are trouble."""
+    """Return a line for each outcome, and one for each reason of those that are not usable."""
     total, numbers = len(entries), Counter(entry.outcome for entry in entries)
     lines: list[dict[str, Any]] = []
     for outcome in sorted(numbers, key=lambda one: list(OUTCOMES).index(one) if one in OUTCOMES else 99):
@@ -335,10 +327,10 @@ def _outcomes(entries: Sequence[_Entry]) -> list[dict[str, Any]]:
 
 
 def _reasons(entries: Sequence[_Entry], total: int) -> list[dict[str, Any]]:
-    """The reasons of an outcome, the most frequent first; numbers in them left out."""
+    """Return the reasons of an outcome, the most frequent first, without the numbers in them."""
     clauses = [NUMBER.sub("…", entry.message.split(CLAUSE)[0]) for entry in entries]
-    found = Counter(clause or "no reason is known" for clause in clauses)
-    often = sorted(found.items(), key=lambda one: (-one[1], one[0]))
+    numbers = Counter(clause or "no reason is known" for clause in clauses)
+    often = sorted(numbers.items(), key=lambda one: (-one[1], one[0]))
     lines, others = often[:REASONS], sum(number for _, number in often[REASONS:])
     if others:
         lines.append((counted(len(often) - REASONS, "other reason"), others))
@@ -348,21 +340,19 @@ def _reasons(entries: Sequence[_Entry], total: int) -> list[dict[str, Any]]:
 def _marked(
     scatter: figures.Scatter, entries: Sequence[_Entry], groups: Sequence[Group]
 ) -> list[tuple[_Entry, float, float]]:
-    """Those to look at first that are in the scatter, with their places: links that need no script."""
-    order = [id(entry) for _, found in groups for entry in found[:FIRST]]
+    """Return the recordings to look at first with their places in the scatter: links that need no script."""
     places = {id(entry): place for entry, place in zip(entries, scatter.places, strict=True)}
-    known = {id(entry): entry for entry in entries}
-    return [(known[one], *place) for one in order if (place := places[one]) is not None]
+    first = [entry for _, members in groups for entry in members[:FIRST]]
+    return [(entry, *place) for entry in first if (place := places[id(entry)]) is not None]
 
 
 def _recordings_table(entries: Sequence[_Entry], scatter: figures.Scatter) -> dict[str, Any]:
-    """The table of all recordings, column by column, as the script reads it."""
+    """Return the table of all recordings, column by column, as the script reads it."""
     rows = [entry.row for entry in entries]
-    pairs = [_errors(row) or (None, None) for row in rows]
-    hours = [None if row["duration_s"] is None else row["duration_s"] / HOUR_S for row in rows]
-    changes = [row["change_mg"] if row["change"] not in (None, "none") else None for row in rows]
+    pairs = [entry.errors or (None, None) for entry in entries]
     outcomes = [entry.outcome.replace("_", " ") for entry in entries]
     problems = [entry.problem.short if entry.problem else "" for entry in entries]
+    changes = [entry.row["change_mg"] if entry.changed else None for entry in entries]
     return {
         "what": "recording",
         "columns": [
@@ -373,26 +363,19 @@ def _recordings_table(entries: Sequence[_Entry], scatter: figures.Scatter) -> di
             number_column("after", "after, mg", 7, (pair[1] for pair in pairs), kind="mg"),
             choice_column("device", 9, [entry.device for entry in entries]),
             minutes_column("start", "start", 10, [row["start_time"] for row in rows]),
-            number_column("hours", "hours", 5.5, hours),
+            number_column("hours", "hours", 5.5, (entry.hours for entry in entries)),
             choice_column("model", 5.5, [row["model"] or "" for row in rows]),
             number_column("change", "change, mg", 8, changes, kind="mg"),
             number_column("lost", "lost, %", 6, (row["lost_percent"] or None for row in rows)),
-            message_column("message", "what was found", 70, [e.found if e.problem else "" for e in entries]),
+            message_column("message", "what was found", 70, [entry.finding for entry in entries]),
         ],
-        "pages": [_page_of(entry) for entry in entries],
+        "pages": [entry.link for entry in entries],
         "scatter": scatter.scale(),
     }
 
 
-def _page_of(entry: _Entry) -> int | str:
-    """1 where the page is named as the recording is, so that its name need not be repeated; 0 for none."""
-    if entry.address is None:
-        return 0
-    return 1 if entry.address == re.sub(r"\.[^./]+$", "", entry.path) + ".html" else entry.href or 0
-
-
 def _devices_table(devices: Sequence[DeviceLine]) -> dict[str, Any]:
-    """The table of all devices."""
+    """Return the table of all devices."""
     verdicts = [line.verdict for line in devices]
     return {
         "what": "device",
@@ -414,7 +397,7 @@ def _devices_table(devices: Sequence[DeviceLine]) -> dict[str, Any]:
 
 
 def _drift(key: str, label: str, drifts: Sequence[figures.Drift | None]) -> list[dict[str, Any]]:
-    """Two columns: the drift and its standard error."""
+    """Return two columns: the drift and its standard error."""
     pairs = [(None, None) if drift is None else (drift.per_month, drift.error) for drift in drifts]
     return [
         number_column(key, label, 11, (pair[0] for pair in pairs)),
@@ -423,16 +406,16 @@ def _drift(key: str, label: str, drifts: Sequence[figures.Drift | None]) -> list
 
 
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
-"""A number in a message."""
+"""Pattern of a number in a message."""
 
 
 def column(key: str, label: str, kind: str, width: float, values: Sequence[Any]) -> dict[str, Any]:
-    """A column so many rem wide, whose values are of a kind that the script knows; one for each row."""
+    """Return a column `width` rem wide, whose values are of a kind that the script knows."""
     return {"key": key, "label": label, "kind": kind, "width": width, "values": values}
 
 
 def choice_column(key: str, width: float, values: Sequence[str], order: Sequence[str] = ()) -> dict[str, Any]:
-    """A column of few different texts: their list, and the place of each value in it."""
+    """Return a column of few different texts: their list, and the place of each value in it."""
     there = set(values)
     names = [*(name for name in order if name in there), *sorted(there - set(order))]
     place = {name: index for index, name in enumerate(names)}
@@ -442,19 +425,14 @@ def choice_column(key: str, width: float, values: Sequence[str], order: Sequence
 def number_column(
     key: str, label: str, width: float, values: Iterable[float | None], kind: str = "number"
 ) -> dict[str, Any]:
-    """A column of numbers to four significant digits."""
-    return column(key, label, kind, width, [_short(value) for value in values])
-
-
-def _short(value: float | None) -> float | int | None:
-    if value is None:
-        return None
-    short = float(f"{value:.4g}")
-    return int(short) if short.is_integer() else short
+    """Return a column of numbers to four significant digits."""
+    short = [None if value is None else float(f"{value:.4g}") for value in values]
+    shown = [int(one) if one is not None and one.is_integer() else one for one in short]
+    return column(key, label, kind, width, shown)
 
 
 def minutes_column(key: str, label: str, width: float, starts: Sequence[str | None]) -> dict[str, Any]:
-    """A column of times, by the clock that they were written down by, in minutes since 1970."""
+    """Return a column of times by the clock that wrote them, in minutes since 1970."""
     return column(key, label, "minutes", width, [_minutes(start) for start in starts])
 
 
@@ -466,21 +444,21 @@ def _minutes(start: str | None) -> int | None:
     return int((moment.replace(tzinfo=None) - datetime(1970, 1, 1)).total_seconds() // 60)
 
 
-def message_column(key: str, label: str, width: float, told: Sequence[str]) -> dict[str, Any]:
-    """A column of messages: the texts without their numbers once, and the numbers of each.
+def message_column(key: str, label: str, width: float, texts: Sequence[str]) -> dict[str, Any]:
+    """Return a column of messages: the texts without their numbers once, and the numbers of each.
 
     Thousands of messages differ in their numbers alone. A value is [which text, its numbers ...]; 0 for none.
     """
-    texts: dict[str, int] = {}
+    places: dict[str, int] = {}
     values: list[Any] = []
-    for message in told:
-        place = texts.setdefault(NUMBER.sub("\0", message), len(texts)) if message else 0
+    for message in texts:
+        place = places.setdefault(NUMBER.sub("\0", message), len(places)) if message else 0
         values.append([place, *NUMBER.findall(message)] if message else 0)
-    return column(key, label, "message", width, values) | {"names": [text.split("\0") for text in texts]}
+    return column(key, label, "message", width, values) | {"names": [text.split("\0") for text in places]}
 
 
 def embedded(value: Any) -> Markup:
-    """JSON that can stand in a script element: nothing in it ends the element or a line of script."""
+    """Write JSON for a script element: nothing in it ends the element or a line of script."""
     text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     for char in "<>&\u2028\u2029":
         text = text.replace(char, f"\\u{ord(char):04x}")

@@ -13,13 +13,13 @@ from typing import Any
 WIDTH, HEIGHT = 640, 400
 LEFT, RIGHT, TOP, BOTTOM = 56, 20, 12, 44
 LEAST_MG, LARGEST_MG = 0.01, 10_000.0
-"""Errors beyond are drawn at the edge."""
+"""Errors [mg] beyond which dots are drawn at the edge."""
 STEPS_MG = tuple(float(f"{step}e{power}") for power in range(-2, 6) for step in (1, 2, 5))
 MOST_TICKS = 10
 MANY = 1000
-"""Dots of which more are drawn small."""
+"""Number of dots from which on they are drawn small."""
 GRID = 2
-"""Dots are five units wide."""
+"""Grid to which dots are rounded, in units of the figure; a dot is five units wide."""
 LARGEST_DRIFTS = 30
 ROW = 18
 NAMES = 150
@@ -40,7 +40,7 @@ class Drift:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """A line of the grid: where, and what it says."""
+    """A line of the grid: its place and its label."""
 
     at: float
     label: str
@@ -64,27 +64,27 @@ class LogAxis:
 
     @classmethod
     def of(cls, values_mg: Sequence[float], begin: int, end: int) -> LogAxis:
-        """The axis that holds all of these errors, and spans a power of ten at least."""
-        held = [min(max(value, LEAST_MG), LARGEST_MG) for value in values_mg] or [1.0]
-        low = max(step for step in STEPS_MG if step <= min(held))
-        high = min(step for step in STEPS_MG if step > max(held) and step >= 10 * low)
+        """Return the axis that holds all of these errors, and spans at least a power of ten."""
+        drawn = [min(max(value, LEAST_MG), LARGEST_MG) for value in values_mg] or [1.0]
+        low = max(step for step in STEPS_MG if step <= min(drawn))
+        high = min(step for step in STEPS_MG if step > max(drawn) and step >= 10 * low)
         return cls(low, high, begin, end)
 
     def at(self, mg: float) -> float:
-        """Where an error lies; beyond the ends at the end."""
-        held = min(max(mg, self.low_mg), self.high_mg)
-        share = log10(held / self.low_mg) / log10(self.high_mg / self.low_mg)
+        """Return the place of an error; beyond the ends at the end."""
+        drawn = min(max(mg, self.low_mg), self.high_mg)
+        share = log10(drawn / self.low_mg) / log10(self.high_mg / self.low_mg)
         return round(self.begin + share * (self.end - self.begin), 1)
 
     @property
     def ticks(self) -> list[Tick]:
-        """At 1, 2 and 5 times the powers of ten, or at these alone if there are many."""
+        """Ticks at 1, 2 and 5 times the powers of ten, or at these alone if there are many."""
         inside = [step for step in STEPS_MG if self.low_mg <= step <= self.high_mg]
         few = inside if len(inside) <= MOST_TICKS else [step for step in inside if log10(step).is_integer()]
         return [Tick(self.at(step), f"{step:g}") for step in few]
 
     def scale(self) -> list[float]:
-        """What a script needs to find the place of an error."""
+        """Return what a script needs to find the place of an error."""
         return [log10(self.low_mg), log10(self.high_mg), self.begin, self.end]
 
 
@@ -104,7 +104,7 @@ class Scatter:
 
     @classmethod
     def of(cls, pairs: Sequence[tuple[float, float] | None]) -> Scatter:
-        """The scatter of errors before and after [mg]."""
+        """Return the scatter of errors before and after [mg]."""
         known = [pair for pair in pairs if pair]
         x = LogAxis.of([before for before, _ in known], LEFT, WIDTH - RIGHT)
         y = LogAxis.of([after for _, after in known], HEIGHT - BOTTOM, TOP)
@@ -112,12 +112,12 @@ class Scatter:
 
     @property
     def known(self) -> int:
-        """Recordings that are drawn."""
+        """Number of recordings that are drawn."""
         return sum(place is not None for place in self.places)
 
     @property
     def dense(self) -> bool:
-        """Whether dots must be small to be told apart."""
+        """True if dots must be small to be told apart."""
         return self.known > MANY
 
     @property
@@ -129,7 +129,7 @@ class Scatter:
         return f"M{self.x.at(low)} {self.y.at(low)}L{self.x.at(high)} {self.y.at(high)}"
 
     def dots(self, outcomes: Sequence[str]) -> list[tuple[str, str, int]]:
-        """For each outcome a path of dots (lines of no length with round ends), and how many they are.
+        """Return for each outcome a path of dots (lines of no length with round ends) and their number.
 
         Dots at the same place, to GRID units, are drawn once.
         """
@@ -143,7 +143,7 @@ class Scatter:
         return drawn
 
     def scale(self) -> dict[str, Any]:
-        """What a script needs to find the recording of a dot."""
+        """Return what a script needs to find the recording of a dot."""
         return {"before": self.x.scale(), "after": self.y.scale()}
 
 
@@ -174,12 +174,12 @@ class DriftFigure:
 
     @property
     def bottom(self) -> int:
-        """Where the rows end."""
+        """Coordinate at which the rows end."""
         return self.height - BOTTOM
 
 
 def drifts(devices: Sequence[tuple[str, Drift | None]], limit: float) -> DriftFigure | None:
-    """The figure of the fastest drifts [mg a month]; None if no device has one.
+    """Return the figure of the fastest drifts [mg a month]; None if no device has one.
 
     Args:
         limit: beyond which a drift is a reason for service [mg a month].
@@ -191,8 +191,8 @@ def drifts(devices: Sequence[tuple[str, Drift | None]], limit: float) -> DriftFi
     widest = max(1.25 * limit, *(abs(drift.per_month) for _, drift in fastest)) * 1.1
 
     def x(value: float) -> float:
-        held = min(max(value, -widest), widest)
-        return round(NAMES + (held + widest) / (2 * widest) * (WIDTH - NAMES - RIGHT), 1)
+        drawn = min(max(value, -widest), widest)
+        return round(NAMES + (drawn + widest) / (2 * widest) * (WIDTH - NAMES - RIGHT), 1)
 
     rows = [
         DriftRow(
@@ -206,19 +206,15 @@ def drifts(devices: Sequence[tuple[str, Drift | None]], limit: float) -> DriftFi
         )
         for index, (name, drift) in enumerate(fastest)
     ]
-    step = _step(widest)
+    # two to five ticks go into each side
+    power = 10.0 ** floor(log10(widest / 2))
+    step = next(digit * power for digit in (5, 2, 1) if widest >= 2 * digit * power)
     count = floor(widest / step)
     ticks = [Tick(x(step * number), f"{step * number:g}") for number in range(-count, count + 1)]
     height = TOP + ROW * len(rows) + BOTTOM
     return DriftFigure(rows, ticks, (x(-limit), x(limit)), x(0.0), WIDTH, height, len(known) - len(rows))
 
 
-def _step(widest: float) -> float:
-    """1, 2 or 5 times a power of ten, of which two to five go into the width."""
-    power = 10.0 ** floor(log10(widest / 2))
-    return next(factor * power for factor in (5, 2, 1) if widest >= 2 * factor * power)
-
-
 def bar(number: int, total: int) -> int:
-    """Width of a bar, of BAR for all; what is there at all can be seen."""
+    """Return the width of a bar, of BAR for all; a count above 0 can always be seen."""
     return 0 if not number else max(4, round(BAR * number / total))

@@ -28,26 +28,26 @@ TIME_STEPS_S = (
     *(DAY_S * days for days in (1, 2, 4, 7, 14, 28, 91, 364)),
 )
 RINGS = 5
-"""Of cells on a hemisphere: ring k of 0, 1, ... has 4 (2 k + 1), so that all cells have the same area."""
+"""Number of rings of cells on a hemisphere; ring k has 4 (2 k + 1) cells, all of the same area."""
 
 Pair = tuple[float, float]
 Tick = tuple[float, str]
 
 
 def escaped(text: str) -> str:
-    """Text for an element or an attribute, control characters shown."""
+    """Escape a text for an element or an attribute, and show control characters."""
     return html.escape(printable(text))
 
 
 def coordinate(value: float) -> str:
-    """A coordinate, to a tenth."""
+    """Write a coordinate, to a tenth."""
     text = f"{value:.1f}"
     return text.removesuffix(".0") if text != "-0.0" else "0"
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """From values low..high to coordinates start..end; values beyond are drawn at the edge.
+    """A scale from values low..high to coordinates start..end; values beyond are drawn at the edge.
 
     Attributes:
         powers: whether equal factors are equally long; low is then above 0.
@@ -60,7 +60,7 @@ class Scale:
     powers: bool = False
 
     def __call__(self, value: float) -> float:
-        """The coordinate of a value."""
+        """Return the coordinate of a value."""
         low, high = self.low, self.high
         value = low if value < low else high if value > high else value
         if self.powers:
@@ -70,7 +70,7 @@ class Scale:
 
 
 def round_step(span: float, most: int = TICKS) -> float:
-    """The smallest step of 1, 2 or 5 times a power of ten of which no more than so many fit in a span."""
+    """Return the smallest step of 1, 2 or 5 times a power of ten of which at most `most` fit in a span."""
     if not span > LEAST_SPAN:
         return 1.0
     power = floor(log10(span / most))
@@ -79,7 +79,7 @@ def round_step(span: float, most: int = TICKS) -> float:
 
 
 def ticks(low: float, high: float) -> list[Tick]:
-    """Round values within low..high."""
+    """Return round values within low..high."""
     step = round_step(high - low)
     places = max(0, -floor(log10(step)))
     values = [count * step for count in range(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1)]
@@ -87,13 +87,13 @@ def ticks(low: float, high: float) -> list[Tick]:
 
 
 def power_ticks(low: float, high: float) -> list[Tick]:
-    """Powers of ten within low..high."""
+    """Return powers of ten within low..high."""
     powers = range(ceil(log10(low) - 1e-9), floor(log10(high) + 1e-9) + 1)
     return [(10.0**power, number(10.0**power, 1)) for power in powers]
 
 
 def time_ticks(seconds: float, start: datetime | None) -> list[Tick]:
-    """Round times within so many seconds: clock times and dates, or hours if the start is unknown."""
+    """Return round times from 0 to `seconds`: clock times and dates, or hours if the start is unknown."""
     step = next((one for one in TIME_STEPS_S if seconds / one <= TIME_TICKS), seconds or 1)
     if start is None:
         return [(at * step, f"{number(at * step / HOUR_S)} h") for at in range(floor(seconds / step) + 1)]
@@ -105,7 +105,7 @@ def time_ticks(seconds: float, start: datetime | None) -> list[Tick]:
 
 
 def _moment(midnight: datetime, seconds: float) -> str:
-    """A date at midnight, else the time of day."""
+    """Write a date at midnight, else the time of day."""
     try:
         moment = midnight + timedelta(seconds=seconds)
     except OverflowError:
@@ -114,26 +114,26 @@ def _moment(midnight: datetime, seconds: float) -> str:
 
 
 def label(x: float, y: float, text: str, kind: str = "", anchor: str = "start") -> str:
-    """A text at a place."""
+    """Draw a text at a place."""
     classed = f' class="{kind}"' if kind else ""
     anchored = "" if anchor == "start" else f' text-anchor="{anchor}"'
     return f'<text x="{coordinate(x)}" y="{coordinate(y)}"{classed}{anchored}>{escaped(text)}</text>'
 
 
 def path(way: str, kind: str) -> str:
-    """A path of a class; nothing for an empty one."""
+    """Draw a path of a class; nothing for an empty one."""
     return f'<path class="{kind}" d="{way}"/>' if way else ""
 
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """An area with axes: what is drawn in it takes values, not coordinates."""
+    """A plot with two axes: what is drawn in it takes values, not coordinates."""
 
     x: Scale
     y: Scale
 
     def axes(self, x_ticks: Sequence[Tick], y_ticks: Sequence[Tick], x_name: str, y_name: str) -> str:
-        """The frame, with lines of the grid, ticks and names."""
+        """Draw the frame, lines of the grid, ticks and names."""
         (left, right), (bottom, top) = (self.x.start, self.x.end), (self.y.start, self.y.end)
         across = "".join(
             f"M{coordinate(left)} {coordinate(self.y(at))}H{coordinate(right)}" for at, _ in y_ticks
@@ -148,7 +148,7 @@ class Plot:
         return "".join(parts)
 
     def steps(self, spans: Sequence[Pair], values: Sequence[float | None], kind: str) -> str:
-        """A line that keeps each value for its span of x; none where there is no value."""
+        """Draw a line that keeps each value for its span of x, with a break where there is no value."""
         way, open_at = [], None
         for (begin, end), value in zip(spans, values, strict=True):
             if value is not None:
@@ -165,7 +165,7 @@ class Plot:
         highs: Sequence[float | None],
         kind: str,
     ) -> str:
-        """The area between two lines of steps."""
+        """Draw the area between two lines of steps."""
         way = ""
         for (begin, end), low, high in zip(spans, lows, highs, strict=True):
             if low is not None and high is not None:
@@ -174,7 +174,7 @@ class Plot:
         return path(way, kind)
 
     def bars(self, spans: Sequence[Pair], values: Sequence[float | None], kind: str) -> str:
-        """The area between the axis and a line of steps; those that touch are one."""
+        """Draw the area between the axis and a line of steps; neighbours that touch are one path."""
         way, ground, open_at = "", coordinate(self.y(self.y.low)), None
         for (begin, end), value in zip(spans, values, strict=True):
             x0, x1 = coordinate(self.x(begin)), coordinate(self.x(end))
@@ -186,17 +186,17 @@ class Plot:
         return path(way if open_at is None else f"{way}V{ground}z", kind)
 
     def line(self, pairs: Iterable[Pair], kind: str) -> str:
-        """A line from value to value."""
+        """Draw a line from value to value."""
         places = [f"{coordinate(self.x(x))} {coordinate(self.y(y))}" for x, y in pairs]
         return path(f"M{'L'.join(places)}" if places else "", kind)
 
     def dots(self, pairs: Iterable[Pair], kind: str = "dots") -> str:
-        """A dot at each place, to a whole coordinate; those at the same place once."""
+        """Draw a dot at each place, to a whole coordinate; equal places once."""
         places = [f"M{self.x(x):.0f} {self.y(y):.0f}h0" for x, y in pairs]
         return path("".join(dict.fromkeys(places)), kind)
 
     def upright(self, at: float, text: str) -> str:
-        """A line through the area at a value of x, with a word."""
+        """Draw a vertical line at a value of x, with a word beside it."""
         x = self.x(at)
         way = f"M{coordinate(x)} {coordinate(self.y.start)}V{coordinate(self.y.end)}"
         left = x > (self.x.start + self.x.end) / 2
@@ -206,7 +206,7 @@ class Plot:
 
 
 def plot(x: Pair, y: Pair, top: float, bottom: float, *, powers: bool = False) -> Plot:
-    """A plot over the width of a figure.
+    """Return a plot over the width of a figure.
 
     Args:
         x, y: least and largest values; top, bottom: coordinates; powers: of y, see `Scale`.
@@ -215,7 +215,7 @@ def plot(x: Pair, y: Pair, top: float, bottom: float, *, powers: bool = False) -
 
 
 def figure(name: str, title: str, description: str, height: float, body: Sequence[str]) -> Markup:
-    """The whole figure, with its title and its description for those who cannot see it.
+    """Return the whole figure, with its title and a description for those who cannot see it.
 
     Args:
         name: makes the ids of the page; letters and hyphens.
@@ -231,7 +231,7 @@ def figure(name: str, title: str, description: str, height: float, body: Sequenc
 
 @dataclass(frozen=True, slots=True)
 class Hemisphere:
-    """Half of the sphere of directions, by areas that are true (Lambert), seen from outside.
+    """Half of the sphere of directions in an equal-area projection (Lambert), seen from outside.
 
     Attributes:
         side: 1 for z above 0, -1 for z below; x, y: of the centre; radius: coordinates.
@@ -243,7 +243,7 @@ class Hemisphere:
     radius: float
 
     def place(self, direction: Sequence[float]) -> Pair:
-        """Where a unit vector of this half lies; y points upwards, x to the right on the upper half."""
+        """Return where a unit vector of this half lies; y points up, x to the right on the upper half."""
         x, y, z = direction
         ring, flat = sqrt(max(0.0, 1 - abs(z))), hypot(x, y)
         if flat == 0:
@@ -254,7 +254,7 @@ class Hemisphere:
         )
 
     def cell(self, ring: int, sector: int) -> str:
-        """The way around a cell, of the numbers that `cell_of` gives."""
+        """Return the outline of a cell, by the numbers that `cell_of` gives."""
         number_of, near, far = sectors(ring), self.radius * ring / RINGS, self.radius * (ring + 1) / RINGS
         turns = [2 * pi * (sector + more) / number_of for more in (0, 1)]
         (ax, ay), (bx, by), (cx, cy), (dx, dy) = (
@@ -269,12 +269,12 @@ class Hemisphere:
 
 
 def sectors(ring: int) -> int:
-    """How many cells a ring of a hemisphere has."""
+    """Return the number of cells in a ring of a hemisphere."""
     return 4 * (2 * ring + 1)
 
 
 def cell_of(direction: Sequence[float]) -> tuple[int, int, int]:
-    """Side, ring and sector of the cell in which a unit vector lies."""
+    """Return side, ring and sector of the cell in which a unit vector lies."""
     x, y, z = direction
     ring = min(RINGS - 1, int(RINGS * sqrt(max(0.0, 1 - abs(z)))))
     sector = int(sectors(ring) * ((atan2(y, x) / (2 * pi)) % 1.0)) % sectors(ring)
@@ -282,5 +282,5 @@ def cell_of(direction: Sequence[float]) -> tuple[int, int, int]:
 
 
 def all_cells() -> list[tuple[int, int]]:
-    """Ring and sector of all cells of a hemisphere."""
+    """Return ring and sector of all cells of a hemisphere."""
     return [(ring, sector) for ring in range(RINGS) for sector in range(sectors(ring))]

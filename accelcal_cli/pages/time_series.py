@@ -1,4 +1,4 @@
-"""`STEM.quality.json` as figures need it: checked column by column, with the times of its rows.
+"""`STEM.quality.json` as figures and the table by the hour need it, checked column by column.
 
 The file may be that of another result, or written by somebody else: what does not fit is not drawn, and the
 page says so.
@@ -26,14 +26,14 @@ COUNTS = ("samples", "still", "moving", "windows", "filled", "clipped", "recover
 SIZE, OFF = ("mean", "p95"), ("p5", "p50", "p95")
 POINTS = ("x", "y", "z", "windows", "posture", "before")
 LARGEST = 1e15
-"""Beyond all numbers that the file can hold."""
+"""Bound on the size of all numbers that the file can hold."""
 
 LEAST_HZ = 1e-6
 MOST_STEPS = 1000
-"""Of a fit."""
+"""Bound on the number of steps of a fit."""
 
 HOURLY, MOST_ROWS = 14 * 24, 192
-"""Rows that stand as they are, and so many at most where there are more: no page is larger than 300 KB."""
+"""Rows that are shown as they are, and the number of rows into which more are merged (pages below 300 KB)."""
 
 TOTALS = {
     "gap_s": "Gaps [s]",
@@ -42,7 +42,7 @@ TOTALS = {
     "recovered": "Recovered",
     "lost_bytes": "Lost bytes",
 }
-"""Columns of what few recordings have; those without any are left out."""
+"""Columns that are shown only if one of their rows is not 0, and their titles."""
 
 
 class UnfitError(Exception):
@@ -78,7 +78,7 @@ class TimeSeries:
 
 
 def time_series(quality: Mapping[str, Any], report: ReportView) -> TimeSeries:
-    """What the quality file of a report says; raises UnfitError if it is not of this result, or damaged."""
+    """Read the quality file of a report; raises UnfitError if it is not of this result, or damaged."""
     if "sha256" not in quality:
         raise UnfitError("is damaged")
     made = (quality.get("sha256"), quality.get("outcome"), quality.get("model"))
@@ -111,30 +111,30 @@ def time_series(quality: Mapping[str, Any], report: ReportView) -> TimeSeries:
     )
 
 
-def _object(held: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    found = held.get(name)
-    if not isinstance(found, dict):
+def _object(quality: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    value = quality.get(name)
+    if not isinstance(value, dict):
         raise UnfitError(f"is damaged ({name})")
-    return found
+    return value
 
 
 def _column(table: Mapping[str, Any], name: str, length: int) -> Column:
-    """A column of numbers and nulls."""
-    found = table.get(name)
-    if not isinstance(found, list) or len(found) != length:
+    """Return a column of numbers and nulls."""
+    values = table.get(name)
+    if not isinstance(values, list) or len(values) != length:
         raise UnfitError(f"is damaged ({name})")
-    known = [one for one in found if one is not None]
+    known = [one for one in values if one is not None]
     if not set(map(type, known)) <= {int, float} or not all(-LARGEST < one < LARGEST for one in known):
         raise UnfitError(f"is damaged ({name})")
-    return found
+    return values
 
 
 def _numbers(table: Mapping[str, Any], name: str, length: int) -> list[float]:
-    """A column without nulls."""
-    found = [one for one in _column(table, name, length) if one is not None]
-    if len(found) != length:
+    """Return a column without nulls."""
+    values = [one for one in _column(table, name, length) if one is not None]
+    if len(values) != length:
         raise UnfitError(f"is damaged ({name})")
-    return found
+    return values
 
 
 def _table(rows: Mapping[str, Any], name: str, names: Sequence[str], length: int) -> dict[str, Column]:
@@ -143,10 +143,10 @@ def _table(rows: Mapping[str, Any], name: str, names: Sequence[str], length: int
 
 
 def _worn(rows: Mapping[str, Any], length: int) -> list[bool | None]:
-    found = rows.get("worn")
-    if not isinstance(found, list) or len(found) != length:
+    values = rows.get("worn")
+    if not isinstance(values, list) or len(values) != length:
         raise UnfitError("is damaged (worn)")
-    return [one if isinstance(one, bool) else None for one in found]
+    return [one if isinstance(one, bool) else None for one in values]
 
 
 def _rate(quality: Mapping[str, Any]) -> float:
@@ -157,29 +157,28 @@ def _rate(quality: Mapping[str, Any]) -> float:
 
 
 def _points(table: Mapping[str, Any]) -> dict[str, list[float]]:
-    """Columns of the points, in g, mg and degrees C."""
+    """Return the columns of the points, in g, mg and degrees C."""
     length = len(table["x"]) if isinstance(table.get("x"), list) else 0
     if length > MAX_POINTS:
         raise UnfitError("is damaged (too many points)")
-    found = {name: _numbers(table, name, length) for name in POINTS}
-    for name, unit in (("after", 100), ("temperature", 10)):
+    columns = {name: _numbers(table, name, length) for name in POINTS}
+    for name, unit in (("before", 100), ("after", 100), ("temperature", 10)):
         if table.get(name) is not None:
-            found[name] = [value / unit for value in _numbers(table, name, length)]
-    found["before"] = [value / 100 for value in found["before"]]
-    return found
+            columns[name] = [value / unit for value in _numbers(table, name, length)]
+    return columns
 
 
 def _steps(quality: Mapping[str, Any]) -> list[float]:
-    found = quality.get("convergence")
-    if not isinstance(found, list) or len(found) > MOST_STEPS:
+    steps = quality.get("convergence")
+    if not isinstance(steps, list) or len(steps) > MOST_STEPS:
         return []
-    return _numbers(quality, "convergence", len(found))
+    return _numbers(quality, "convergence", len(steps))
 
 
 def _spans(
     times: Sequence[str], rows: Mapping[str, list[float]], rate_hz: float, recording: ReportRecording
 ) -> tuple[datetime | None, list[tuple[float, float]]]:
-    """When the rows begin and end, by their times where these ascend, else by their samples."""
+    """Return when the rows begin and end, by their times where these ascend, else by their samples."""
     lengths = [samples / rate_hz for samples in rows["samples"]]
     try:
         moments = [datetime.fromisoformat(one) for one in times]
@@ -220,18 +219,17 @@ def hourly_table(data: TimeSeries) -> tuple[str, list[str], list[list[str]]]:
         columns[f"|a| − 1 g {when}, {middle} [mg]"] = rows.merged(table["p50"], _worst)
     columns["°C"] = rows.means(data.temperature, 4)
     columns |= {title: rows.sums(data.rows[name]) for name, title in TOTALS.items() if any(data.rows[name])}
-    return _caption(together), list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
-
-
-def _caption(together: int) -> str:
-    if together == 1:
-        return "Hour by hour: all that the figures along time show"
-    each = f"{together} rows of STEM.quality.json in each row, which has their sums, mean and worst values"
-    return f"All that the figures along time show, {each}"
+    caption = "Hour by hour: all that the figures along time show"
+    if together > 1:
+        each = (
+            f"{together} rows of STEM.quality.json in each row, which has their sums, mean and worst values"
+        )
+        caption = f"All that the figures along time show, {each}"
+    return caption, list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
 
 
 class _MergedRows:
-    """Columns with so many values together.
+    """Columns of which `together` rows each are merged into one cell.
 
     Args:
         windows: how much each row counts in means.
@@ -251,20 +249,20 @@ class _MergedRows:
         return [f"{sum(part):g}" if sum(part) < 1e6 else f"{sum(part):.0f}" for part in self._parts(values)]
 
     def means(self, values: Sequence[Value], digits: int = 3) -> list[str]:
-        """Over the windows; over rows where these have no window, such as of temperatures in motion."""
-        found = []
+        """Average over the windows, or over rows where these have none (as for temperatures in motion)."""
+        means = []
         for part, windows in zip(self._parts(values), self._parts(self.windows), strict=True):
             known = [(one, weight) for one, weight in zip(part, windows, strict=True) if one is not None]
             total = sum(weight for _, weight in known)
             weighed = known if total else [(one, 1.0) for one, _ in known]
             total = total or len(known)
             mean = sum(one * weight for one, weight in weighed) / total if known else None
-            found.append(number(known[0][0] if len(known) == 1 else mean, digits))
-        return found
+            means.append(number(known[0][0] if len(known) == 1 else mean, digits))
+        return means
 
 
 def _worst(part: Sequence[Value]) -> str:
-    """What is farthest from 0."""
+    """Write the value farthest from 0."""
     known = [one for one in part if one is not None]
     return number(max(known, key=abs) if known else None)
 

@@ -32,9 +32,8 @@ from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.verdict import advised, as_it_is, damage_verdict
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import replacing, write_text
-from accelcal_cli.output.gyroscope import gyroscope_json
 from accelcal_cli.output.quality import QualityInput, dumps_quality, quality_json
-from accelcal_cli.output.report import ReportInput, integers_json
+from accelcal_cli.output.report import ReportInput, gyroscope_json, integers_json
 from accelcal_cli.pipeline import export, jobs, outputs, procedures, survey
 from accelcal_cli.pipeline.activity import EPOCH_S, EffectMeter, versions_of
 from accelcal_cli.pipeline.facts import FactsObserver, Timeline, along_time, timeline_of

@@ -154,7 +154,7 @@ def test_each_recording_is_listed_under_its_weightiest_problem_the_worst_first()
 
 def test_the_limit_of_the_settings_decides_what_is_uncertain() -> None:
     one = row("wide", sphere_high_mg=6.0)
-    at_five = page(content(one, said={"settings": {"max_error_mg": 5.0}}))
+    at_five = page(content(one, summary={"settings": {"max_error_mg": 5.0}}))
     assert "Calibrated, but uncertain" in at_five
     assert "Calibrated, but uncertain" not in page(content(one))
 
@@ -185,7 +185,7 @@ def test_hostile_texts_are_shown_and_not_obeyed() -> None:
         "pools": {HOSTILE[2]: {}},
         "settings": HOSTILE[3],
     }
-    text = page(content(*rows, devices=devices, said=said))
+    text = page(content(*rows, devices=devices, summary=said))
     text.encode()
     root = elements(text)
     check_page(root)
