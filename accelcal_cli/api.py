@@ -1,4 +1,4 @@
-"""The package from Python: what the commands do, with arrays and tables in place of files.
+"""The package from Python: the work of the commands, with arrays and tables in place of files.
 
     import accelcal_cli as accelcal
 
@@ -54,7 +54,7 @@ AnyPath = str | PathLike[str]
 
 
 def _values(options: dict[str, Any], *kinds: type) -> dict[str, Any]:
-    """What the options say, by field, None where nothing is said; as from a command line.
+    """Return the options by field, None for those that are not given, as a command line would.
 
     Raises:
         TypeError, UsageError: see `field_values`.
@@ -101,7 +101,7 @@ class Reading:
         self._reader, self._chunk_samples = reader, chunk_samples
 
     def __iter__(self) -> Iterator[Samples]:
-        """All rows in order, in pieces.
+        """Yield all rows in order, in pieces.
 
         Raises:
             UnreadableError: the recording cannot be read on.
@@ -178,11 +178,11 @@ class Result:
 
     @property
     def message(self) -> str:
-        """Why, in a sentence."""
+        """Reason of the outcome, in a sentence."""
         return str(self.report["message"])
 
     def batches(self) -> Iterator[pa.RecordBatch]:
-        """The calibrated recording in pieces, with the columns of the Parquet file; reads it once more.
+        """Yield the calibrated recording in pieces with the columns of the Parquet file; reads it once more.
 
         Raises:
             AccelcalError: the recording was refused, changed meanwhile, or cannot be read on.
@@ -204,31 +204,31 @@ class Result:
                 yield pa.record_batch(arrays, schema=schema)
 
     def table(self) -> pa.Table:
-        """All of it, in memory (a week of 100 Hz: 1.3 GB); raises what `batches` raises."""
+        """Return all of it, in memory (a week of 100 Hz: 1.3 GB); raises what `batches` raises."""
         import pyarrow as pa
 
         return pa.Table.from_batches(self.batches())
 
     def to_pandas(self) -> pd.DataFrame:
-        """The same as a data frame, with `time` as index; raises what `batches` raises."""
+        """Return all of it as a data frame, with `time` as index; raises what `batches` raises."""
         return self.table().to_pandas().set_index("time")
 
     def windows(self) -> pd.DataFrame:
-        """All still windows and what became of them, with the columns of `calibrate --windows`."""
+        """Return all still windows and what became of them, with the columns of `calibrate --windows`."""
         from accelcal_cli.output.windows import arrow
 
         table: pd.DataFrame = arrow(self._log.table(self._data, self._found.points)).to_pandas()
         return table
 
     def quality(self) -> dict[str, Any] | None:
-        """The recording along time, as in STEM.quality.json (docs/quality.md); None with profile `paper`."""
+        """Return the recording along time (docs/quality.md); None with profile `paper`."""
         from accelcal_cli.output.quality import dumps_quality, quality_json
 
         made = self._found.quality()
         return None if made is None else json.loads(dumps_quality(quality_json(made)))
 
     def write(self, folder: AnyPath | None = None, *, force: bool = False) -> tuple[Path | None, Path]:
-        """Write what the command `calibrate` writes, beside the recording or into a folder.
+        """Write the files of the command `calibrate`, beside the recording or into a folder.
 
         Returns:
             the Parquet file (None without calibrated values) and the report.
@@ -241,7 +241,7 @@ class Result:
         return result.parquet, job.report
 
     def plot(self, axes: Any = None) -> Any:
-        """|a| of still windows along time, before and after; needs matplotlib.
+        """Plot |a| of still windows along time, before and after; needs matplotlib.
 
         Args:
             axes: of matplotlib; new ones without.
@@ -291,7 +291,7 @@ def calibrate(path: AnyPath, *, report_only: bool = False, **options: Any) -> Re
 
 
 def _as_written(report: dict[str, Any]) -> dict[str, Any]:
-    """A report as it would be read from its file."""
+    """Return a report as it would be read from its file."""
     read_again: dict[str, Any] = json.loads(reports.dumps(report, pretty=False))
     return read_again
 
@@ -378,7 +378,7 @@ def apply(
     *,
     first_sample: int = 0,
 ) -> NDArray[np.float32]:
-    """Calibrated values of raw ones: a = K (v + o + s (T - Tref)).
+    """Calibrate raw values: a = K (v + o + s (T - Tref)).
 
     Args:
         report: of `calibrate`, `fit` or a file, with a calibration.
@@ -421,7 +421,7 @@ def effect(
     epoch: int = EPOCH_S,
     **options: Any,
 ) -> dict[str, Any]:
-    """What a recording's calibration changes in measures of activity, as `accelcal effect` does.
+    """Compute what calibration changes in a recording's measures of activity, as `accelcal effect` does.
 
     Args:
         coefficients: a report whose coefficients are applied; None: the recording's own calibration.
@@ -460,7 +460,7 @@ def effect(
 def study(
     folder: AnyPath, output: AnyPath, *, report_only: bool = False, jobs: int | None = None, **options: Any
 ) -> pd.DataFrame:
-    """Calibrate all recordings below a folder, as `accelcal study` does; goes on where an earlier run ended.
+    """Calibrate all recordings below a folder, as `accelcal study` does; resumes an earlier run.
 
     Args:
         output: folder of the outputs, which are written.
@@ -496,7 +496,7 @@ def study(
 
 
 class _Silent:
-    """Observes a study and says nothing."""
+    """Observer of a study that says nothing."""
 
     def begin(self, items: Any) -> None:
         """See `StudyObserver`."""

@@ -1,4 +1,4 @@
-"""A report checked against its recording: made again and compared bit for bit; nothing is written.
+"""Verify a report: make it again from its recording and compare bit for bit; nothing is written.
 
 `inputs` of a report (layout, poses, coefficients, pool) are looked for where they were and beside it. The
 calibrated Parquet file beside a report is compared with the report, and on demand value by value.
@@ -48,20 +48,20 @@ from accelcal_cli.pipeline.windows import fit_points
 from accelcal_cli.six_pose.run import known_orientations
 
 NOT_COMPARED = ("provenance", "accelcal_version")
-"""The report's provenance differs from run to run; the versions are named beside the result."""
+"""Keys that are not compared: the provenance differs from run to run, versions are shown apart."""
 
 SAYS_TIME_ZONE = "0.2.0"
-"""Parquet files of versions before this one do not say what their times are in."""
+"""Version from which on Parquet files say in which zone their times are."""
 
 DUMP = "raw"
-"""The format whose recordings `--layout` describes; sidecars of others are found by their names."""
+"""Format whose recordings `--layout` describes; the sidecars of others are found by their names."""
 
 _ABSENT = object()
 
 
 @dataclass(frozen=True, slots=True)
 class VerifyOptions:
-    """How to verify.
+    """What to compare, and where files are that have moved.
 
     Attributes:
         layout: layout file, if it is not beside the recording.
@@ -79,7 +79,7 @@ class VerifyOptions:
 
 @dataclass(frozen=True, slots=True)
 class Values:
-    """What the comparison found: the first row that differs and its column, None if none does."""
+    """Result of comparing every value: the first row that differs and its column, None if none does."""
 
     rows: int
     first_row: int | None = None
@@ -108,7 +108,7 @@ class ParquetCheck:
 
 @dataclass(frozen=True, slots=True)
 class Verified:
-    """What came of it.
+    """Result of a verification.
 
     Attributes:
         differs: keys of the report that are not what they would be now.
@@ -129,13 +129,13 @@ class Verified:
 
     @property
     def all_differing(self) -> tuple[str, ...]:
-        """What differs, in the report and (with `parquet.` before it) in the Parquet file."""
+        """Keys that differ, in the report and (with `parquet.` before them) in the Parquet file."""
         beside = () if self.parquet is None else self.parquet.differing
         return (*self.differs, *(f"parquet.{name}" for name in beside))
 
     @property
     def identical(self) -> bool:
-        """Whether the report, and the Parquet file where there is one, are reproduced."""
+        """True if the report, and the Parquet file where there is one, are reproduced."""
         return not self.all_differing
 
 
@@ -164,7 +164,7 @@ def reproduced(
     options: VerifyOptions,
     progress: ProgressMaker = no_progress,
 ) -> tuple[dict[str, Any], ParquetCheck | None]:
-    """The report made again, without `provenance`, and the check of the Parquet file beside it.
+    """Make the report again, without `provenance`, and check the Parquet file beside it.
 
     Raises:
         UnreadableError: the recording, or a file that the report was made with, cannot be read.
@@ -198,7 +198,7 @@ def reproduced(
 
 
 def judge_of(run: RecordingRun, document: Document) -> Judge:
-    """The judge that a report was made by.
+    """Return the judge that made a report.
 
     Raises:
         UsageError, UnreadableError: the pool whose coefficients it has is not there, or was changed.
@@ -233,7 +233,7 @@ def _verified(
 
 
 def _keep_paths(now: dict[str, Any], then: dict[str, Any]) -> None:
-    """Files that have moved are the same files: their hashes are compared."""
+    """Take over the paths of files that may have moved: their hashes are compared."""
     for name in ("recording", "coefficients"):
         if name in now and name in then:
             now[name]["path"] = then[name]["path"]
@@ -244,7 +244,7 @@ def _keep_paths(now: dict[str, Any], then: dict[str, Any]) -> None:
 
 
 def _leave_out_later(now: dict[str, Any], then: dict[str, Any]) -> None:
-    """Take out of a report what one of an earlier version cannot say."""
+    """Take out of a new report the keys that an earlier version could not write."""
     for place, version in LATER.items():
         *outer, name = place.split(".")
         inner, before = section(now, *outer), section(then, *outer)
@@ -266,7 +266,7 @@ def _difference(then: Any, now: Any) -> tuple[float | None, float | None]:
 
 
 def differing(one: Any, other: Any, where: str = "") -> Iterator[str]:
-    """Places such as `calibration.gain[1][0]` where two JSON values are not the same, bit for bit."""
+    """Find the places, such as `calibration.gain[1][0]`, where two JSON values differ in any bit."""
     if isinstance(one, dict) and isinstance(other, dict):
         for name in [*one, *(name for name in other if name not in one)]:
             place = f"{where}.{name}" if where else str(name)
@@ -312,14 +312,14 @@ def check_parquet(
 
 
 def _other_schema(path: Path, columns: list[Column], document: Document) -> Iterator[str]:
-    """What else the file does not say as it should: `time_zone`, its columns, their types and units."""
+    """Find what is wrong with the file's schema: `time_zone`, columns, their types and units."""
     stored = stored_schema(path, UnreadableError)
     if stored is None:
         return
-    found, expected = described(stored), described(schema_of(columns, {}))
+    described_now, expected = described(stored), described(schema_of(columns, {}))
     if release(document.report["accelcal_version"]) < release(SAYS_TIME_ZONE):
-        expected = expected | {"time_zone": found["time_zone"]}
-    yield from differing(found, expected)
+        expected = expected | {"time_zone": described_now["time_zone"]}
+    yield from differing(described_now, expected)
 
 
 def _parquet_beside(report: Path) -> Path | None:
@@ -353,7 +353,7 @@ def compare_values(run: RecordingRun, data: ReportInput, path: Path) -> Values:
 def _pairs(
     run: RecordingRun, data: ReportInput, source: ParquetSource, columns: list[Column]
 ) -> Iterator[tuple[list[NDArray[Any]], list[NDArray[Any]]]]:
-    """Columns as they are in the file and as they should be, some rows at a time."""
+    """Pair the columns as they are in the file with those that they should be, some rows at a time."""
     shown = run.progress("comparing", data.recording.total_bytes)
     chunks = run.reader.chunks(run.request.chunk_samples)
     for chunk, xyz in calibrated(chunks, transform_of(data), shown):
@@ -361,7 +361,7 @@ def _pairs(
 
 
 def _first_difference(stored: list[NDArray[Any]], expected: list[NDArray[Any]]) -> tuple[int, int] | None:
-    """Row and column of the first bits that differ; rows that the file lacks differ."""
+    """Return row and column of the first bits that differ; rows that the file lacks differ."""
     first = [_first_row(a, b) for a, b in zip(stored, expected, strict=True)]
     return min(((row, column) for column, row in enumerate(first) if row is not None), default=None)
 
@@ -375,15 +375,15 @@ def _first_row(stored: NDArray[Any], expected: NDArray[Any]) -> int | None:
 
 
 def _bits(values: NDArray[Any]) -> NDArray[Any]:
-    """Values as integers, so that a NaN equals itself and the two zeros differ."""
+    """Return values as integers, so that a NaN equals itself and the two zeros differ."""
     return np.ascontiguousarray(values).view(f"i{values.dtype.itemsize}")
 
 
-def donor_of(document: Document, named: Path | None) -> Coefficients | None:
-    """The coefficients that a report of `apply` used; None for any other report.
+def donor_of(document: Document, stated: Path | None) -> Coefficients | None:
+    """Return the coefficients that a report of `apply` used; None for any other report.
 
     Args:
-        named: where the user says their file is; else it is looked for where it was, and beside the
+        stated: where the user says their file is; else it is looked for where it was, and beside the
             report.
 
     Raises:
@@ -398,20 +398,24 @@ def donor_of(document: Document, named: Path | None) -> Coefficients | None:
     then = Path(used.path)
     beside = document.path.parent / then.name
     original = document.path.parent / then if by_content else then
-    places = (named,) if named is not None else (original, beside)
+    places = (stated,) if stated is not None else (original, beside)
     existing = [path for path in places if path.is_file()]
-    unchanged = [path for path in existing if _known_by(path, by_content=by_content) == used.sha256]
+    unchanged = [
+        path
+        for path in existing
+        if (read_document(path).content_sha256 if by_content else sha256(path)) == used.sha256
+    ]
     for path in unchanged or [path for path in existing if path is not beside]:
         return read_coefficients(path, by_content=by_content)
     raise UsageError(
-        f"was made with the coefficients in {named or then}, which is missing",
+        f"was made with the coefficients in {stated or then}, which is missing",
         path=document.path,
         hint="name the file with --coefficients",
     )
 
 
 def pool_of(document: Document) -> Document | None:
-    """The report of the pool whose coefficients a report has; None for any other report.
+    """Return the report of the pool whose coefficients a report has; None for any other report.
 
     Raises:
         UsageError: it is not where it was, seen from the report.
@@ -428,10 +432,6 @@ def pool_of(document: Document) -> Document | None:
     if pool.content_sha256 != used.sha256:
         raise UsageError(f"was made with the pool {path}, which has changed since", path=document.path)
     return pool
-
-
-def _known_by(path: Path, *, by_content: bool) -> str:
-    return read_document(path).content_sha256 if by_content else sha256(path)
 
 
 def refuse_kind(document: Document) -> None:
@@ -455,13 +455,12 @@ def refuse_other(document: Document, recording: Path) -> None:
         )
 
 
-def _unchanged(then: NamedFile | None, recording: Path, named: Path | None, what: str) -> Path | None:
-    """A file that the report was made with, if any: beside the recording or in its folder, or where the user
-    says."""
+def _unchanged(then: NamedFile | None, recording: Path, stated: Path | None, what: str) -> Path | None:
+    """Find a file that the report was made with: where the user says, or in or beside the recording."""
     if then is None:
         return None
     inside = recording / then.name
-    path = named or (inside if inside.is_file() else recording.parent / then.name)
+    path = stated or (inside if inside.is_file() else recording.parent / then.name)
     if not path.is_file() or sha256(path) != then.sha256:
         raise UsageError(
             f"is not the {what} {then.name} that the report was made with",

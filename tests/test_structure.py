@@ -240,13 +240,13 @@ def test_no_test_names_what_is_private() -> None:
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ("from accelcal_cli.verify import _known_by", ["accelcal_cli.verify._known_by"]),
+        ("from accelcal_cli.verify import _keep_paths", ["accelcal_cli.verify._keep_paths"]),
         ("from accelcal_cli.formats._problems import ProblemLog", []),
         ("from accelcal_cli.formats._problems import _x", ["accelcal_cli.formats._problems._x"]),
-        ("verify._known_by(a)", ["_known_by"]),
-        ("self._known_by = os._exit", []),
-        ("patch.setattr(verify, '_known_by', 1)", ["_known_by"]),
-        ("patch.setattr('accelcal_cli.verify._known_by', 1)", ["_known_by"]),
+        ("verify._keep_paths(a)", ["_keep_paths"]),
+        ("self._keep_paths = os._exit", []),
+        ("patch.setattr(verify, '_keep_paths', 1)", ["_keep_paths"]),
+        ("patch.setattr('accelcal_cli.verify._keep_paths', 1)", ["_keep_paths"]),
     ],
 )
 def test_private_names_are_seen_wherever_they_are(tmp_path: Path, text: str, found: list[str]) -> None:

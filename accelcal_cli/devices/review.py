@@ -19,15 +19,15 @@ from accelcal_cli.devices.trends import SIGNIFICANT, Drift, Referred, Rules, Tre
 from accelcal_cli.output.words import with_error
 
 PERHAPS = 0.05
-"""A drift that is not certain is reported if it is less probable than this by chance; our choice."""
+"""Probability below which a drift is reported although it is not certain; our choice."""
 FEWEST_DEVICES = 5
-"""Devices of one kind among which one can lie outside; our choice."""
+"""Number of devices of one kind from which on one of them can lie outside; our choice."""
 LEAST_SPREAD_MG = 0.5
-"""A smaller spread of held-out errors between devices is taken for this; our choice."""
+"""Least spread [mg] of held-out errors between devices of one kind; our choice."""
 DAMAGED_FROM_PERCENT = 0.1
-"""Share of a recording's bytes from which damage counts; our choice."""
+"""Share of a recording's bytes [%] from which damage counts; our choice."""
 REPEATED = 2
-"""Recordings that make a thing repeated."""
+"""Number of recordings that make a problem repeated."""
 
 DEVICE = ("serial", "device_model", "format", "device_firmware")
 TEMPERATURES = ("reference_c", "one_temperature_c")
@@ -47,7 +47,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Why a device should be serviced, or watched if that is not certain."""
+    """Reason to service a device, or to watch it if that is not certain."""
 
     rule: str
     text: str
@@ -84,17 +84,17 @@ class DeviceReview:
     reasons: tuple[Reason, ...] = field(default=())
 
     def counted(self, *wanted: table.Usage) -> int:
-        """How many recordings had one of these usages."""
+        """Return the number of recordings with one of these usages."""
         return sum(self.counts.get(use, 0) for use in wanted)
 
     @property
     def recordings(self) -> int:
-        """Its recordings, copies counted once."""
+        """Number of its recordings, copies counted once."""
         return sum(self.counts.values()) - self.counted(table.Usage.COPY)
 
     @property
     def refused(self) -> int:
-        """Recordings that could not be calibrated by themselves."""
+        """Number of recordings that could not be calibrated by themselves."""
         return self.counted(table.Usage.REFUSED, table.Usage.BORROWED)
 
     def fastest_drift(self, *kinds: table.Kind) -> Drift | None:
@@ -104,7 +104,7 @@ class DeviceReview:
 
     @property
     def verdict(self) -> Verdict:
-        """The worst that the reasons say."""
+        """Worst verdict that the reasons support."""
         if self.reasons:
             return Verdict.SERVICE if any(one.certain for one in self.reasons) else Verdict.WATCH
         known = bool(self.trends) or self.counted(table.Usage.GOOD) > 0
@@ -131,7 +131,7 @@ class DeviceGroup:
 
 
 def device_group(devices: Iterable[DeviceReview]) -> DeviceGroup:
-    """What is usual among devices."""
+    """Return what is usual among devices."""
     devices = list(devices)
     errors = [device.held_out_mg for device in devices if device.held_out_mg is not None]
     centre = median(errors) if errors else None
@@ -147,21 +147,21 @@ def device_group(devices: Iterable[DeviceReview]) -> DeviceGroup:
 
 
 def reasons(device: DeviceReview, others: DeviceGroup, rules: Rules) -> tuple[Reason, ...]:
-    """All of a device, the certain ones first, of each rule the worst first.
+    """Return all reasons of a device, the certain ones first, of each rule the worst first.
 
     Args:
         others: its kind, itself included.
     """
-    found = [*_drifts(device, rules), *_levels(device, rules), *_outlying(device, others, rules)]
-    found += _refused(device, others, rules)
-    found += _damaged(device, others, rules)
-    return tuple(sorted(found, key=lambda one: not one.certain))
+    listed = [*_drifts(device, rules), *_levels(device, rules), *_outlying(device, others, rules)]
+    listed += _refused(device, others, rules)
+    listed += _damaged(device, others, rules)
+    return tuple(sorted(listed, key=lambda one: not one.certain))
 
 
 def _drifts(device: DeviceReview, rules: Rules) -> Iterator[Reason]:
     limits = dict(zip(table.PARAMETERS, rules.drifts().tolist(), strict=True))
-    found = [(trend, trend.drift) for trend in device.trends if trend.drift is not None]
-    for trend, drift in sorted(found, key=lambda one: -abs(one[1].per_month) / limits[one[0].parameter]):
+    drifts = [(trend, trend.drift) for trend in device.trends if trend.drift is not None]
+    for trend, drift in sorted(drifts, key=lambda one: -abs(one[1].per_month) / limits[one[0].parameter]):
         size = abs(drift.per_month)
         if size > limits[trend.parameter] and drift.probability < PERHAPS:
             shown = f"{with_error(drift.per_month, drift.error)} {trend.parameter.unit}"
@@ -206,7 +206,7 @@ def _damaged(device: DeviceReview, others: DeviceGroup, rules: Rules) -> Iterato
 
 
 def _repeated(own: tuple[int, int], rest: tuple[int, int], percent: float) -> bool:
-    """Whether it happened twice, to so many percent, and at least twice as often as to the others."""
+    """Return True if it happened twice, in `percent` of the recordings, and twice as often as elsewhere."""
     (count, number), (elsewhere, others) = own, rest
     often = count >= REPEATED and 100 * count >= percent * number
     return often and (others == 0 or count * others >= 2 * elsewhere * number)
@@ -277,6 +277,8 @@ def _reviewed(
     starts = records.text["start_time"]
     lost = [float(value) for value in np.nan_to_num(records.number["lost_percent"][single])]
     temperature_c = float(referred.temperature_c[index])
+    own = [float(records.number["after_mg"][row]) for row in single if usage[row] in table.OWN]
+    errors = [error for error in own if isfinite(error)]
     return DeviceReview(
         records.devices[index],
         rows,
@@ -285,21 +287,15 @@ def _reviewed(
         sum(value >= DAMAGED_FROM_PERCENT for value in lost),
         starts[dated[0]] if dated else None,
         starts[dated[-1]] if dated else None,
-        _held_out(records, usage, single),
+        median(errors) if errors else None,
         temperature_c if np.isfinite(temperature_c) else None,
         max(lost, default=0.0),
         of_device,
     )
 
 
-def _held_out(records: table.Records, usage: list[table.Usage], rows: list[int]) -> float | None:
-    errors = [float(records.number["after_mg"][row]) for row in rows if usage[row] in table.OWN]
-    known = [error for error in errors if np.isfinite(error)]
-    return median(known) if known else None
-
-
 def as_json(review: Review, devices: tuple[DeviceReview, ...]) -> dict[str, Any]:
-    """All that is known of some devices; null for what is not."""
+    """Return everything that is known of some devices; null for what is not."""
     kinds = [
         {"model": model or None, "format": name or None, **asdict(known)}
         for (model, name), known in review.kinds.items()
@@ -346,7 +342,7 @@ def _trend(trend: Trend) -> dict[str, Any]:
 
 
 def row(review: Review, device: DeviceReview, position: int) -> dict[str, Any]:
-    """One recording of a device: a row of the CSV, in the study's units."""
+    """Return one recording of a device: a row of the CSV, in the study's units."""
     records = review.records
     return {
         "serial": device.key.serial,
@@ -364,14 +360,14 @@ def row(review: Review, device: DeviceReview, position: int) -> dict[str, Any]:
 
 
 def columns() -> list[str]:
-    """Names of a row's columns, in their order."""
+    """Return the names of a row's columns, in their order."""
     values = [name for one in table.PARAMETERS for name in (one.column, f"se_{one.column}")]
     moved = [name for one in AT_ONE for name in (one, f"se_{one}")]
     return [*DEVICE, "verdict", *RESULT, "use", "model", *ERRORS, *values, *TEMPERATURES, *moved, "message"]
 
 
 def _parameters(review: Review, position: int) -> dict[str, float | None]:
-    """Parameters with their standard errors, and the offsets at the device's one temperature."""
+    """Return the parameters with their standard errors, and the offsets at the device's one temperature."""
     records, moved = review.records, review.referred.records
     columns: dict[str, float | None] = {}
     for index, parameter in enumerate(table.PARAMETERS):

@@ -36,18 +36,18 @@ NUMBERS = ("before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "reference_c"
 ERRORS = tuple(f"se_{name}" for name in COLUMNS)
 WANTED = (*TEXT, *NUMBERS, *COLUMNS, *ERRORS)
 LARGEST = 1e9
-"""Of any number in a study's table that is looked at."""
+"""Bound on the size of all numbers that are read from a study's table."""
 LEAST_ERROR = 1e-12
-"""Of a parameter; they are known to 2**-29."""
+"""Least standard error of a parameter; parameters are known to 2**-29."""
 DAY_S = 86_400
 EARLIEST_DAY = 10_957.0
-"""2000-01-01: before, no such device recorded; it is where clocks begin that were never set."""
+"""Day from which on starts are believed, 2000-01-01: clocks that were never set begin there."""
 AHEAD_DAYS = 2.0
-"""A start so much later than now is a wrong clock, not another time zone."""
+"""Days by which a start may be later than now: more is a wrong clock, not another time zone."""
 
 
 class Kind(StrEnum):
-    """What a parameter is."""
+    """Kind of a parameter."""
 
     SCALE = "scale"
     MISALIGNMENT = "misalignment"
@@ -79,7 +79,7 @@ class Parameter:
 
     @property
     def label(self) -> str:
-        """For people."""
+        """Name for people."""
         return self.name.replace("_", " ")
 
 
@@ -91,7 +91,7 @@ def _parameter(index: int, axes: str) -> Parameter:
 
 AXES = ("x", "y", "z", "yx", "zx", "zy", "x", "y", "z", "x", "y", "z")
 PARAMETERS = tuple(_parameter(index, axes) for index, axes in enumerate(AXES))
-"""In the order of the core's PARAMETER_NAMES."""
+"""The parameters, in the order of the core's PARAMETER_NAMES."""
 
 SCALES, OFFSETS, SLOPES = slice(0, 3), slice(6, 9), slice(9, 12)
 IDEAL = np.array([parameter.ideal for parameter in PARAMETERS])
@@ -113,7 +113,7 @@ class DeviceKey:
 
     @property
     def kind(self) -> tuple[str, str]:
-        """Devices of one kind are compared with each other."""
+        """Model and format: devices of one kind are compared with each other."""
         return self.model, self.format
 
 
@@ -146,16 +146,16 @@ class Records:
         return len(self.days)
 
     def rows(self, device: int) -> range:
-        """The rows of a device."""
+        """Return the rows of a device."""
         return range(int(self.first[device]), int(self.first[device + 1]))
 
     def device_of(self) -> Indices:
-        """The number of each row's device, (n,)."""
+        """Return the number of each row's device, (n,)."""
         return np.repeat(np.arange(len(self.devices)), np.diff(self.first))
 
 
 def read(out: Path, now_s: float) -> Records:
-    """The table of the study in a folder.
+    """Read the table of the study in a folder.
 
     Args:
         now_s: the time [s since 1970]; recordings that begin later have no date.
@@ -168,7 +168,7 @@ def read(out: Path, now_s: float) -> Records:
 
 
 def columns(path: Path) -> dict[str, Any]:
-    """The requested columns: lists of text, arrays of numbers (NaN for none)."""
+    """Read the requested columns: lists of text, arrays of numbers (NaN for none)."""
     import pyarrow as pa  # which --help does not need
     import pyarrow.parquet as pq
 
@@ -217,7 +217,7 @@ def _texts(column: pa.ChunkedArray) -> list[str | None]:
 
 
 def _floats(column: pa.ChunkedArray) -> Floats:
-    """NaN for none. Arrow's own way to numpy loads pandas, which takes a third of a second."""
+    """Return numbers, NaN for none, without pandas (a third of a second), which Arrow would load."""
     numbers: list[Any] = column.to_pylist()
     if not all(number is None or isinstance(number, int | float) for number in numbers):
         raise ValueError(f"a column of numbers is {column.type}")
@@ -225,17 +225,15 @@ def _floats(column: pa.ChunkedArray) -> Floats:
 
 
 def records(table: dict[str, Any], latest_day: float) -> Records:
-    """Columns as recordings of devices, in their order; see `Records`."""
-    named = [row for row, serial in enumerate(table["device_serial"]) if serial]
+    """Sort columns of a table into recordings of devices; see `Records`."""
     days = [day(start, latest_day) for start in table["start_time"]]
-    keys = {row: _device(table, row) for row in named}
+    keys = _keys(table)
     starts = [(isnan(begin), 0.0 if isnan(begin) else begin) for begin in days]
-    order = sorted(named, key=lambda row: (keys[row], starts[row], table["path"][row] or ""))
+    order = sorted(keys, key=lambda row: (keys[row], starts[row], table["path"][row] or ""))
     devices = tuple(dict.fromkeys(keys[row] for row in order))
     number = {device: index for index, device in enumerate(devices)}
     counts = np.bincount([number[keys[row]] for row in order], minlength=len(devices))
-    pairs = zip(table["outcome"], table["device_serial"], strict=True)
-    nameless = [outcome for outcome, serial in pairs if not serial]
+    nameless = [outcome for row, outcome in enumerate(table["outcome"]) if row not in keys]
     values, errors = _parameters(table, order)
     return Records(
         devices,
@@ -250,10 +248,14 @@ def records(table: dict[str, Any], latest_day: float) -> Records:
     )
 
 
-def _device(table: dict[str, Any], row: int) -> DeviceKey:
-    return DeviceKey(
-        table["device_serial"][row], table["device_model"][row] or "", table["format"][row] or ""
-    )
+def _keys(table: dict[str, Any]) -> dict[int, DeviceKey]:
+    """Return the device of each row that names one."""
+    rows = zip(table["device_serial"], table["device_model"], table["format"], strict=True)
+    return {
+        row: DeviceKey(serial, model or "", name or "")
+        for row, (serial, model, name) in enumerate(rows)
+        if serial
+    }
 
 
 def _parameters(table: dict[str, Any], order: list[int]) -> tuple[Floats, Floats]:
@@ -266,7 +268,7 @@ def _parameters(table: dict[str, Any], order: list[int]) -> tuple[Floats, Floats
 
 
 def _possible(numbers: Floats) -> Floats:
-    """NaN for what no study writes: a damaged table has no sums of squares that overflow."""
+    """Replace numbers that no study writes by NaN, so that no sum of squares overflows."""
     return np.where(np.abs(numbers) <= LARGEST, numbers, nan)
 
 
@@ -276,7 +278,7 @@ def _free(model: str | None) -> list[bool]:
 
 
 def day(start: str | None, latest_day: float) -> float:
-    """Days since 1970 of a start; NaN if there is none, or if the clock cannot have been set."""
+    """Return a start in days since 1970; NaN if there is none, or the clock cannot have been set."""
     try:
         moment = datetime.fromisoformat(start or "")
     except ValueError:
@@ -287,11 +289,11 @@ def day(start: str | None, latest_day: float) -> float:
 
 
 class Usage(StrEnum):
-    """What became of a recording."""
+    """Use of a recording's coefficients."""
 
     USED = "used"
     UNDATED = "undated"
-    """Its coefficients count, but not for the drift: no start, or none that can be."""
+    """Counted, but not for the drift: the recording has no start, or an impossible one."""
     COPY = "copy"
     """The same file as another recording of the device."""
     REFUSED = "refused"
@@ -301,13 +303,13 @@ class Usage(StrEnum):
     SHARED = "shared"
     """The very coefficients of another recording: they were found once."""
     NO_ERRORS = "no errors"
-    """Its coefficients have no standard errors."""
+    """The coefficients have no standard errors."""
     OTHER_MODEL = "other model"
-    """Its offsets hold its scale errors, too, and most other recordings' do not, or the reverse."""
+    """The offsets include the scale errors, and most other recordings' do not, or the reverse."""
 
 
 COUNTED = (Usage.USED, Usage.UNDATED)
-"""Recordings whose coefficients count."""
+"""Usages of recordings whose coefficients count."""
 
 NOT_OWN: dict[str, Usage] = {
     Outcome.REFUSED: Usage.REFUSED,
@@ -316,12 +318,12 @@ NOT_OWN: dict[str, Usage] = {
 }
 
 OWN = (Usage.USED, Usage.UNDATED, Usage.OTHER_MODEL, Usage.NO_ERRORS, Usage.GOOD)
-"""Recordings whose held-out error is that of their own calibration."""
+"""Usages of recordings whose held-out error is that of their own calibration."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Evidence:
-    """What decides on the usage of recordings, by row, looked up once.
+    """Facts that decide on the usage of recordings, by row, looked up once.
 
     Attributes:
         file: the recording's hash; its row where it has none.
@@ -340,7 +342,7 @@ class _Evidence:
 
 
 def usages(records: Records) -> list[Usage]:
-    """The usage of each recording."""
+    """Return the usage of each recording."""
     known = np.isfinite(records.values)
     evidence = _Evidence(
         records,
@@ -373,7 +375,7 @@ def _of_device(evidence: _Evidence, rows: range) -> list[Usage]:
 
 
 def _of_one_family(evidence: _Evidence, rows: range, usage: list[Usage]) -> list[Usage]:
-    """Those that fitted the scale, or those that did not: the more; if as many, the former."""
+    """Set aside those that fitted no scale, or those that did, whichever are fewer."""
     scaled = [evidence.scaled[row] for row, use in zip(rows, usage, strict=True) if use in COUNTED]
     usual = 2 * sum(scaled) >= len(scaled)
     return [
@@ -396,5 +398,5 @@ def _single(evidence: _Evidence, row: int, *, shared: bool) -> Usage:
 
 
 def mask(usage: list[Usage], *wanted: Usage) -> Mask:
-    """(n,) which recordings have one of these usages."""
+    """Return which recordings have one of these usages, (n,)."""
     return np.array([use in wanted for use in usage], bool)

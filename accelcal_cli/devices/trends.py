@@ -19,20 +19,21 @@ from accelcal_cli.devices import table
 from accelcal_cli.devices.table import OFFSETS, SLOPES, Floats, Indices, Mask, Parameter, Records, Usage, mask
 
 SIGNIFICANT = 3.0
-"""Standard errors beyond which a thing is certain; of drifts, their two-sided probability (0.27 %)."""
+"""Number of standard errors beyond which a level is certain; drifts need that probability (0.27 %)."""
 SLOPE_SPAN_C = 10.0
-"""A drift of a temperature slope counts by what it does over this many degrees; our choice."""
+"""Temperature span [degrees C] over which a drift of a temperature slope counts; our choice."""
 DAYS_A_MONTH = 365.25 / 12
 FEWEST = 3
-"""Recordings needed to report a drift: two give a line, but nothing that says how good it is."""
+"""Number of recordings from which on a drift is reported: two give a line, but not how good it is."""
 TEMPERATURE_DOUBT_C = 4.0
-"""Standard deviation of the unknown mean temperature of a recording without slopes about the reference:
-our choice, of the order of the spread between people, seasons and bedrooms."""
+"""Standard deviation [degrees C] of the unknown mean temperature of a recording without slopes about the
+reference; our choice, of the order of the spread between people, seasons and bedrooms.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """Limits; what is beyond is a reason.
+    """Limits beyond which a device has a reason for service.
 
     Attributes:
         offset_mg: guaranteed limit of x and y of the ADXL345 (Analog Devices, data sheet, table 1: 0 g
@@ -62,12 +63,12 @@ class Rules:
     reference_c: float | None = None
 
     def levels(self) -> Floats:
-        """Largest distance of each parameter from its ideal, in its unit, (12,)."""
+        """Return the largest distance of each parameter from its ideal, in its unit, (12,)."""
         scale, misalignment = self.scale_percent, self.misalignment_percent
         return np.repeat([scale, misalignment, self.offset_mg, self.slope_mg_per_c], 3)
 
     def drifts(self) -> Floats:
-        """Largest drift of each parameter, in its unit a month, (12,)."""
+        """Return the largest drift of each parameter, in its unit a month, (12,)."""
         slope = self.drift_mg / SLOPE_SPAN_C
         return np.repeat([self.drift_percent, self.drift_percent, self.drift_mg, slope], 3)
 
@@ -88,21 +89,21 @@ class Measured:
     first: Indices
 
     def where(self, kept: Mask) -> Measured:
-        """Without the values of other recordings."""
+        """Return the same without the values of other recordings."""
         values = np.where(kept[:, np.newaxis], self.values, nan)
         return Measured(values, self.errors, self.days, self.first)
 
     def weights(self) -> Floats:
-        """1 / SE^2, 0 where there is no value."""
+        """Return 1 / SE^2, 0 where there is no value."""
         there = np.isfinite(self.values) & np.isfinite(self.errors)
         return np.divide(1.0, self.errors**2, out=np.zeros_like(self.errors), where=there)
 
     def total(self, values: Floats) -> Floats:
-        """Sums over each device's recordings, (d, p)."""
+        """Sum over each device's recordings, (d, p)."""
         return np.asarray(np.add.reduceat(values, self.first[:-1], axis=0) if len(values) else values[:0])
 
     def spread(self, values: Floats) -> Floats:
-        """Values of the devices for each of their recordings, (n, p)."""
+        """Repeat the values of the devices for each of their recordings, (n, p)."""
         return np.repeat(values, np.diff(self.first), axis=0)
 
 
@@ -139,7 +140,10 @@ class Line(NamedTuple):
 
 
 def means(measured: Measured) -> list[list[Mean]]:
-    """Weighted means, p of each device; errors f / sqrt(sum w), f^2 = chi^2 / (n - 1) if above 1, else 1."""
+    """Return weighted means, p of each device.
+
+    Errors are f / sqrt(sum w), f^2 = chi^2 / (n - 1) if above 1, else 1.
+    """
     weights = measured.weights()
     number, total = measured.total((weights > 0).astype(float)), measured.total(weights)
     values = np.where(weights > 0, measured.values, 0.0)
@@ -153,7 +157,7 @@ def means(measured: Measured) -> list[list[Mean]]:
 
 
 def lines(measured: Measured, least_days: float) -> list[list[Line]]:
-    """y = a + b (t - t0) with weights w = 1 / SE^2, t0 the weighted mean of the times; p of each device.
+    """Fit y = a + b (t - t0) with weights w = 1 / SE^2, t0 the weighted mean of the times; p of each device.
 
     b = sum w (t - t0) y / S, S = sum w (t - t0)^2; SE(b) = f / sqrt(S); at a time t the line's error is
     f sqrt(1 / sum w + (t - t0)^2 / S); f^2 = chi^2 / (n - 2) where that is above 1, else 1 (Birge, Physical
@@ -170,13 +174,13 @@ def lines(measured: Measured, least_days: float) -> list[list[Line]]:
 
 
 def _cells(*columns: NDArray[Any]) -> Iterator[Iterator[tuple[Any, ...]]]:
-    """From columns (d, p) each to the tuples of each device's parameters, as plain numbers."""
+    """Turn columns (d, p) into the tuples of each device's parameters, as plain numbers."""
     for device in zip(*(column.tolist() for column in columns), strict=True):
         yield zip(*device, strict=True)
 
 
 def _fitted(measured: Measured, there: Mask, number: Floats, last_day: Floats) -> tuple[Floats, ...]:
-    """Slope, its error, value and error at the last day (d, p), scatter; see `lines`."""
+    """Return slope, its error, value and error at the last day (d, p), scatter; see `lines`."""
     weights, days = measured.weights(), measured.days[:, np.newaxis]
     total = measured.total(weights)
     centre, middle = (
@@ -198,12 +202,12 @@ def _inflation(scatter: Floats) -> Floats:
 
 
 def _masked(values: Floats, kept: Mask) -> Floats:
-    """NaN in place of what is not kept."""
+    """Replace values that are not kept by NaN."""
     return np.asarray(np.where(kept, values, nan), np.float64)
 
 
 def _extremes(measured: Measured, there: Mask) -> tuple[Floats, Floats]:
-    """First and last day of each device's values, (d, p); NaN where there are none."""
+    """Return the first and last day of each device's values, (d, p); NaN where there are none."""
     if not len(there):
         return measured.values[:0], measured.values[:0]
     days = measured.days[:, np.newaxis]
@@ -251,7 +255,7 @@ def at_one_temperature(records: Records, counted: Mask, temperature_c: float | N
 
 
 def _of_devices(records: Records, sloped: Mask, temperature_c: float | None) -> tuple[Floats, Floats]:
-    """Temperature (d,) and weighted mean slope (d, 3) of each device that has slopes."""
+    """Return temperature (d,) and weighted mean slope (d, 3) of each device that has slopes."""
     chosen = np.full(len(records.devices), nan)
     slope = np.full((len(records.devices), 3), nan)
     for device in range(len(records.devices)):
@@ -307,7 +311,7 @@ class Trend:
 
 
 def trends(records: Records, usage: list[Usage], rules: Rules) -> list[tuple[Trend, ...]]:
-    """Those of each device, of the parameters that were ever measured.
+    """Return the trends of each device, of the parameters that were ever measured.
 
     Args:
         records: with their offsets at one temperature a device.

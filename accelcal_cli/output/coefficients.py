@@ -321,22 +321,22 @@ def learnt_prior_of(document: Document, kind: str) -> LearntPrior | None:
     if "prior" not in document.report:
         raise damaged(document, f"settings.prior is {kind!r}, but there is no prior")
     check_sections(document, ("prior",))
-    section = document.report["prior"]
+    stated = document.report["prior"]
     centre, width = (
-        tuple(float(section[name][key]) for key in PARAMETER_NAMES) for name in ("centre", "width")
+        tuple(float(stated[name][key]) for key in PARAMETER_NAMES) for name in ("centre", "width")
     )
-    noise = [float(section["noise"][name]) for name in ("g", "spread", "freedom")]
-    reference = section["reference_c"]
+    noise = [float(stated["noise"][name]) for name in ("g", "spread", "freedom")]
+    reference = stated["reference_c"]
     ideal = [value / ONE for value in IDENTITY]
     close = all(abs(value - one) < LARGEST_OFFSET_G for value, one in zip(centre, ideal, strict=True))
-    possible = [*width, float(section["freedom"]), *noise]
-    if section["kind"] != kind or not close or not all(LEAST <= value <= LARGEST for value in possible):
+    possible = [*width, float(stated["freedom"]), *noise]
+    if stated["kind"] != kind or not close or not all(LEAST <= value <= LARGEST for value in possible):
         raise damaged(document, "it has a prior that no study learns")
     if reference is not None and not abs(reference) < LARGEST:
         raise damaged(document, "prior.reference_c cannot be")
     noise_g, spread, freedom = noise
-    prior = Prior(centre, width, float(section["freedom"]), noise_g, spread, freedom, reference)
-    model, own = section["model"], tuple(Source(one["path"], one["sha256"]) for one in section["device"])
+    prior = Prior(centre, width, float(stated["freedom"]), noise_g, spread, freedom, reference)
+    model, own = stated["model"], tuple(Source(one["path"], one["sha256"]) for one in stated["device"])
     return LearntPrior(
         prior, kind, model["name"], model["devices"], model["recordings"], model["sha256"], own
     )
