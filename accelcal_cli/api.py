@@ -436,8 +436,8 @@ def effect(
     Raises:
         AccelcalError: it cannot be read, the options do not go together, or the coefficients are not for it.
     """
-    from accelcal_cli.effect import as_json
-    from accelcal_cli.effect import effect as measured
+    from accelcal_cli.activity_effect import as_json
+    from accelcal_cli.activity_effect import effect as measured
 
     if isinstance(epoch, bool) or not isinstance(epoch, int | np.integer):
         raise TypeError(f"epoch cannot be {epoch!r}")

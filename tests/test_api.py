@@ -198,3 +198,9 @@ def test_a_plot_shows_both(tmp_path: Path) -> None:
 def test_the_package_is_imported_without_its_api() -> None:
     text = "import sys, accelcal_cli; assert 'numpy' not in sys.modules; assert 'study' in dir(accelcal_cli)"
     subprocess.run([sys.executable, "-c", text], check=True, cwd=ROOT)
+
+
+def test_no_module_has_the_name_of_a_function() -> None:
+    """Importing such a module would put it in the place of the function."""
+    modules = {one.stem for one in Path(accelcal.__file__).parent.iterdir()}
+    assert modules & set(accelcal.__all__) == set()

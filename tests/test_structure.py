@@ -24,7 +24,7 @@ LAYER = {
     "pipeline": 3,
     "six_pose": 4,
     "watching": 4,
-    "effect": 4,
+    "activity_effect": 4,
     "exports": 4,
     "studies": 4,
     "verify": 5,

@@ -8,11 +8,11 @@ from typing import Any
 
 import click
 
+from accelcal_cli.activity_effect import MeasuredEffect, as_json, check_table, effect
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, bytes_of, each_recording, refuse_both
 from accelcal_cli.cli.quality import request_beside
 from accelcal_cli.core.errors import UsageError, printable
-from accelcal_cli.effect import MeasuredEffect, as_json, check_table, effect
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline.activity import EPOCH_S, LONGEST_EPOCH_S
