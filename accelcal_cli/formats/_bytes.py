@@ -1,4 +1,4 @@
-"""How readers take bytes from a file: plain, gzip (RFC 1952) or packed with deflate (RFC 1951).
+"""Takes bytes from a file for readers: plain, gzip (RFC 1952) or packed with deflate (RFC 1951).
 
 zlib-ng unpacks where it is installed (`accelcal[fast]`), else zlib. Both give the same bytes, also from
 damaged data, which are unpacked byte by byte up to the first impossible one. ISA-L is faster still, but

@@ -1,4 +1,4 @@
-"""Rows across block borders: values that are held, rows that are left out, samples that are repeated.
+"""Treats rows alike wherever blocks end: repeats held values, leaves out faulty rows, marks repeated samples.
 
 Each class remembers what it needs of the rows before, so that its result does not depend on where blocks end.
 """

@@ -1,1 +1,1 @@
-"""What readers of page-wise files share: pages and their times, rows, problems."""
+"""Shared by readers of files that are made of pages."""

@@ -1,4 +1,4 @@
-"""Where the pages of a file lie, and how its bytes become blocks of pages.
+"""Finds the pages of a file, and takes its bytes as blocks of pages.
 
 Pages of one length are cut off by counting bytes (`PagedFile`); pages that differ in length are found by a
 scanner of the format (`ScannedFile`). Both can be read in blocks, and cut from a file that grows.
@@ -280,7 +280,7 @@ class PageCutter:
 
 @dataclass(slots=True)
 class ScannedPages:
-    """What a scanner found in a stretch of a file, in order: a Block of pages that differ in length.
+    """The pages that a scanner found in a stretch of a file: a Block of pages that differ in length.
 
     A page is a stretch of bytes that the scanner takes for one page, sound or not.
 

@@ -1,4 +1,4 @@
-"""Decoded pages: the valid ones as columns, the others as runs; and checks of many pages at once."""
+"""Holds decoded pages, the valid ones as columns, the others as runs; checks many pages at once."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CRC16_POLYNOMIAL = 0x1021
 CRC16_START = 0xFFFF
 
 GOOD, ERASED, CHECKSUM, NONSENSE, FOREIGN, RATE, REPEATED, TEXT, LENGTH, DIGITS, NO_PAGE = range(11)
-"""What a page of a file may be."""
+"""Kinds of pages; all but GOOD are unusable."""
 
 BAD_KINDS = {
     ERASED: ("bad_page", "erased pages between pages with data, left out"),

@@ -29,7 +29,7 @@ CLOCK_AHEAD = "clock_gap", "jumps of the device clock ahead"
 CLOCK_BACK = "clock_back", "jumps of the device clock back"
 FAULTY_ROWS = "missing_value", "samples without a usable value, left out"
 BLANK_BYTES = 16
-"""Fewer bytes of 0xFF may belong to a number; as many, or fewer after erased ones, were never written."""
+"""Least number of bytes of 0xFF at the end that were never written; fewer may belong to a number."""
 
 CUT_OFF = "bytes of an incomplete page or frame at the end of the file, left out"
 BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomplete page or frame, left out"
@@ -304,7 +304,7 @@ class Assembler(Protocol[AnyBlock_contra]):
 
 @dataclass(frozen=True, slots=True)
 class FileScheme(Generic[AnyBlock]):
-    """How one file is read in blocks.
+    """Describes how one file is read in blocks.
 
     Attributes:
         spacing: rate and samples of a full page.
@@ -349,7 +349,7 @@ class FileScheme(Generic[AnyBlock]):
 
 @dataclass(frozen=True, slots=True)
 class PageScheme(FileScheme[AnyBlock]):
-    """How the pages of one file are read.
+    """Describes how the pages of one file are read.
 
     Attributes:
         decoder: makes a decoder for one pass over the file.
@@ -408,10 +408,10 @@ class PagedReader(Reader, Generic[AnyBlock]):
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """What the first block with a valid page shows.
+    """The first block with a valid page.
 
     Attributes:
-        block: its valid pages.
+        block: the valid pages.
         start_us: time of the first sample.
         first_values: as in FileScheme.
     """
@@ -423,7 +423,7 @@ class Opening:
 
 @dataclass(frozen=True, slots=True)
 class FixedPages(PageScheme[RawBlock]):
-    """How a file of pages of one length is read."""
+    """Describes how a file of pages of one length is read."""
 
     file: PagedFile
 

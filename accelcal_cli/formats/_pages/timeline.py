@@ -1,4 +1,4 @@
-"""When each page of a dump began, and where one page does not continue the page before.
+"""Finds when each page of a dump began, and where one page does not continue the page before.
 
 A timeline takes pages in file order, the last page of one call being the first of the next, so
 that the times do not depend on how many pages a call brings. Between two pages that continue

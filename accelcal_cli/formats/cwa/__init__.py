@@ -1,4 +1,4 @@
-"""Axivity AX3 and AX6 recordings (.cwa), the device's own file: how they are recognised.
+"""Recognises recordings of Axivity AX3 and AX6 devices (.cwa).
 
 Sources: the vendor's `Docs/ax3/cwa.h`, `ax3-technical.md` and `ax3-auxiliary.md`
 (github.com/digitalinteraction/openmovement). Times are the wall clock of the computer that set the
@@ -13,11 +13,11 @@ HEADER_BYTES = 1024
 HEADER_MAGIC = b"MD" + (HEADER_BYTES - 4).to_bytes(2, "little")
 SECTOR_BYTES = 512
 SECTOR_MAGIC = b"AX" + (SECTOR_BYTES - 4).to_bytes(2, "little")
-"""The first four bytes of a data sector: two letters and the length of what follows."""
+"""First four bytes of a data sector: two letters and the length of what follows."""
 
 
 def sniff(probe: Probe) -> int:
-    """100 by the header's signature; 97 by that of a data sector where the header is damaged."""
+    """Return 100 for the header's signature, 97 for that of a data sector where the header is damaged."""
     if probe.head.startswith(HEADER_MAGIC):
         return 100
     places = range(0, len(probe.head), SECTOR_BYTES)

@@ -1,7 +1,6 @@
-"""An open .cwa file: what is known of the recording, and its rows.
+"""Opens a .cwa file: describes the recording, and makes chunks of its sectors.
 
-Sectors are read a block at a time; their samples wait until the anchors that tell their times are read.
-What is wrong with sectors and between them goes to the problem log as events.
+Sectors are read a block at a time; their samples wait until the anchors that show their times are read.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ LEFT_OUT = {
     SETTINGS: ("settings_change", "data sectors with another range, scale or axes than the first, left out"),
 }
 DAMAGED = (sector.EMPTY, paged.FOREIGN, paged.CHECKSUM, paged.NONSENSE)
-"""Kinds whose bytes are lost; a sector recorded with other settings is sound."""
+"""Kinds whose bytes are lost; sectors recorded with other settings are sound."""
 
 MISSING_SECTORS = ("sequence_gap", "data sectors missing by their sequence numbers")
 RESTARTED = ("sequence_back", "restarts of the logging, where the sequence numbers begin anew")
@@ -57,7 +56,11 @@ CUT_OFF = "bytes of an incomplete sector at the end of the file, left out"
 BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomplete sector, left out"
 
 SEARCH_SECTORS = 2048
+"""Sectors that are read at a time in search of the first intact one."""
+
 LAST_SECTORS = 64
+"""Sectors before the end of the data in which the last time is looked for."""
+
 COPY_AGAIN = "copy it again from the device"
 NO_HEADER = "the header at the start of the file is damaged; settings were taken from the data sectors"
 HALF_HEADER = "the second half of the header is missing; the data sectors that stand there are read"
@@ -95,7 +98,7 @@ class SectorEvents(EventMaker):
         super().__init__(LEFT_OUT, DAMAGED)
 
     def links(self, block: SectorBlock, links: Links, sample: int) -> Iterator[Event]:
-        """Report what stands between sectors."""
+        """Report lost sectors, restarts and jumps of the clock between sectors."""
         if not (links.broken | links.overflow | links.untimed).any():
             return
         counted = {MISSING_SECTORS: links.missing, RESTARTED: links.restarted, SESSION: links.session}
@@ -130,7 +133,7 @@ class SectorEvents(EventMaker):
 
 @dataclass(frozen=True, slots=True)
 class SectorScheme(FileScheme[RawBlock]):
-    """How the sectors of one file are read."""
+    """Describes how the sectors of one file are read."""
 
     file: SectorFile
     settings: Settings
@@ -250,7 +253,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
 
 
 def header_problems(header: Header) -> Iterator[Problem]:
-    """What of the header is not there."""
+    """Yield what is missing from the header."""
     if not header.intact:
         yield Problem("damaged_header", NO_HEADER, 0, 0)
     if header.halved:
@@ -258,7 +261,7 @@ def header_problems(header: Header) -> Iterator[Problem]:
 
 
 def first_sector(file: SectorFile, header: Header) -> tuple[Any, int]:
-    """The first sector whose checksum is right (in the oldest files: that makes sense), and its place.
+    """Return the first sector whose checksum is right (in the oldest files: that makes sense), and its place.
 
     Raises:
         UnreadableError: there is none in the whole file.
@@ -280,7 +283,7 @@ def first_sector(file: SectorFile, header: Header) -> tuple[Any, int]:
 def describe(
     scheme: SectorScheme, device: Device, options: ReadOptions, clock_set: bool, notes: tuple[str, ...]
 ) -> Recording:
-    """What is known of the recording."""
+    """Describe the recording."""
     settings, file = scheme.settings, scheme.file
     start_us = scheme.first_time_us()
     end_us = last_time(scheme)
@@ -303,7 +306,7 @@ def describe(
 
 
 def last_time(scheme: SectorScheme) -> int | None:
-    """When the last sample ended [us], by the last intact sector; None if that is not found."""
+    """Return the end of the last sample [us], by the last intact sector; None if that is not found."""
     if scheme.file.compressed:
         return None
     first = max(0, scheme.file.data_pages() - LAST_SECTORS)

@@ -1,12 +1,12 @@
-"""What the header and the 512-byte data sectors of an Axivity .cwa file hold, and their samples.
+"""Decodes the header and the 512-byte data sectors of an Axivity .cwa file.
 
 Sources: the vendor's format document `Docs/ax3/cwa.h` and the notes beside it,
 `Docs/ax3/ax3-technical.md` and `ax3-auxiliary.md` (github.com/digitalinteraction/openmovement).
 All numbers are little-endian. Where header and data disagree, the data take precedence.
 
-Time: the device notes the time, to 1/32768 s, and how many samples its buffer held at that moment: an
-anchor, that is a sample number and its time. For old software it stores the number as if the time were
-the whole second before, so that the two must be put together again (`ax3-technical.md`).
+Time: the device notes the time, to 1/32768 s, and the number of samples in its buffer at that moment: an
+anchor, that is a sample number and its time. For old software it stores the number as if the time were the
+whole second before, so that the two must be put together again (`ax3-technical.md`).
 
 Temperature: the low ten bits of a sector's word stand for 3 V. Which sensor the hardware carries:
 
@@ -57,9 +57,9 @@ BEFORE_DATA = [
 HEAD = np.dtype(BEFORE_DATA)
 SECTOR = np.dtype([*BEFORE_DATA, ("data", "u1", (SAMPLE_BYTES,)), ("checksum", "<u2")])
 HEADER = struct.Struct("<4sBHIHIIIBB8sBBIBh20s448s512s")
-"""Fields of the file's header, those of `cwa.h` in order: magic and length, hardware type, device number
-(low half), session, device number (high half), start and end of logging, and so on; rate and range is
-number 12, the revision of the firmware number 14."""
+"""Fields of the file's header in the order of `cwa.h`: magic and length, hardware type, device number (low
+half), session, device number (high half), start and end of logging, and so on; field 12 is rate and range,
+field 14 the revision of the firmware."""
 
 FIELDS = np.dtype([(name, "<u2") for name in ("low", "high")])
 """The two halves of a packed sample of 32 bits."""
@@ -70,11 +70,11 @@ Sectors = NDArray[Any]
 PACKED = 0x30
 AXES_3X16, AXES_6X16 = 0x32, 0x62
 FULL_ROWS = {PACKED: 120, AXES_3X16: 80, AXES_6X16: 40, 0x92: 26}
-"""Samples in a full sector, by the byte that tells axes and packing: packed x y z; 16-bit x y z;
-gyroscope and accelerometer; gyroscope, accelerometer and magnetometer."""
+"""Samples in a full sector, by the byte for axes and packing: packed x y z; 16-bit x y z; gyroscope and
+accelerometer; gyroscope, accelerometer and magnetometer."""
 
 OVERFLOW_EVENTS = np.uint8(0x30)
-"""The sensor's (bit 4) or the firmware's (bit 5) buffer ran over: samples were lost."""
+"""Bits 4 and 5: the buffer of the sensor or of the firmware ran over, and samples were lost."""
 
 HIGHEST_RATE = 3200
 
@@ -87,26 +87,26 @@ UNSET_BYTE = 0xFF
 HAS_FRACTION = 0x8000
 
 EMPTY, OTHER, SETTINGS = ERASED, 50, 51
-"""What a sector may be beside GOOD and the kinds of BAD_KINDS: without anything written, of a kind without
-acceleration (FOREIGN is no sector at all), or recorded with other settings."""
+"""Kinds of sectors in addition to those of pages: nothing written, a kind without acceleration (FOREIGN is no
+sector at all), or recorded with other settings."""
 
 KINDS_WITHOUT_SAMPLES = [int.from_bytes(name, "little") for name in (b"UB", b"SI", b"GY", b"GX")]
 
 TEMPERATURE_MASK = 0x3FF
 NO_SENSOR = (0, TEMPERATURE_MASK)
-"""Readings at either end of the converter, which measure nothing; in the first sector: nothing is fitted."""
+"""Readings at either end of the converter, which measure nothing; in the first sector: there is no sensor."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How a sector was recorded.
+    """Settings with which a sector was recorded.
 
     Attributes:
-        rate_code: the byte that tells rate and range; 0 in the oldest files, which give the rate
-            in `old_rate_hz` and carry no checksum.
+        rate_code: the byte for rate and range; 0 in the oldest files, which give the rate in `old_rate_hz`
+            and have no checksum.
         axes_code: a key of FULL_ROWS.
         scale_bits: unit of the accelerometer (upper three) and range of the gyroscope.
-        thermometer: what the temperature words mean, None if nothing was measured.
+        thermometer: the sensor of the temperature words, None if nothing was measured.
     """
 
     rate_code: int
@@ -122,7 +122,7 @@ class Settings:
 
     @property
     def is_old(self) -> bool:
-        """Whether this is the oldest format, without checksums and fractions of seconds."""
+        """Return True for the oldest format, without checksums and fractions of seconds."""
         return self.rate_code == 0
 
     @property
@@ -137,7 +137,7 @@ class Settings:
 
     @property
     def width(self) -> int:
-        """16-bit numbers in one sample: 3, 6 or 9; 3 for packed samples too."""
+        """Number of 16-bit numbers in one sample: 3, 6 or 9; 3 for packed samples too."""
         return self.axes_code >> 4
 
     @property
@@ -153,12 +153,12 @@ class Settings:
 
 
 def rate_of(code: int) -> Fraction:
-    """Samples per second of a rate code: 3200 Hz for 15, half of it for each one less."""
+    """Return the rate [Hz] of a rate code: 3200 Hz for 15, half of it for each one less."""
     return Fraction(HIGHEST_RATE, 1 << (15 - (code & 15)))
 
 
 def settings_of(sector: Any, hardware: int | None) -> Settings:
-    """Settings of one sector (a scalar of SECTOR), recorded by a type of hardware (None: unknown)."""
+    """Return the settings of one sector (a scalar of SECTOR) of a type of hardware (None: unknown)."""
     code, axes = int(sector["rate"]), int(sector["axes"])
     old_rate = int(sector["offset"]) & 0xFFFF if code == 0 else 0
     sensor = None if int(sector["temperature"]) & TEMPERATURE_MASK in NO_SENSOR else thermometer(hardware)
@@ -166,30 +166,30 @@ def settings_of(sector: Any, hardware: int | None) -> Settings:
 
 
 def scale_mask(axes_code: int) -> int:
-    """Which of the six scale bits matter: the gyroscope's do only where there is one."""
+    """Return a mask of the scale bits that matter; those of the gyroscope do only if there is one."""
     return 0x38 if axes_code >> 4 == 3 else 0x3F
 
 
 def as_sectors(pages: NDArray[np.uint8]) -> Sectors:
-    """The fields of sectors (n, 512), as a view."""
+    """Return the fields of sectors (n, 512), as a view."""
     return pages.reshape(-1).view(SECTOR)
 
 
 def heads_of(pages: NDArray[np.uint8]) -> Sectors:
-    """The heads of sectors (n, 512), gathered: fields scattered over whole sectors are read slowly."""
+    """Return the heads of sectors (n, 512), copied together: scattered fields would be read slowly."""
     return np.ascontiguousarray(pages[:, : HEAD.itemsize]).reshape(-1).view(HEAD)
 
 
 def checksums(pages: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Sums of the 256 16-bit words of each sector (n, 512), modulo 65536; 0 where it is intact."""
+    """Return the sum of the 256 16-bit words of each sector (n, 512), modulo 65536; 0 if it is intact."""
     return np.asarray(pages.view("<u2").sum(axis=1, dtype=np.uint16))
 
 
 def plausible(pages: NDArray[np.uint8]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which sectors can be believed without knowing the recording's settings: (n,) each.
+    """Mark the sectors that can be trusted without knowing the recording's settings.
 
     Returns:
-        those that a checksum proves, and those of the oldest format, which has none.
+        (n,) those that a checksum proves, and (n,) those of the oldest format, which has none.
     """
     sectors = as_sectors(pages)
     full = np.zeros(256, np.int64)
@@ -205,15 +205,15 @@ def plausible(pages: NDArray[np.uint8]) -> tuple[NDArray[np.bool_], NDArray[np.b
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What the header says.
+    """The header of a file.
 
     Attributes:
         data_start: where the first data sector lies, bytes.
-        intact: whether the file begins with a header at all.
-        halved: whether data begin where its second half should be.
-        device: all None if it does not.
-        rate: the configured one, None if unset.
-        hardware: the hardware type it declares, None if the header is lost.
+        intact: the file begins with a header.
+        device: its fields are None if there is no header.
+        rate: the configured rate, None if unset.
+        hardware: the declared type of hardware, None if the header is lost.
+        halved: data begin where the second half of the header should be.
     """
 
     data_start: int
@@ -225,7 +225,7 @@ class Header:
 
 
 def parse_header(head: bytes) -> Header:
-    """Look at the beginning of a file; without a header, or all of it, the data may begin earlier."""
+    """Read the header; if it is missing or incomplete, the data may begin earlier."""
     if not head.startswith(HEADER_MAGIC) or len(head) < HEADER_BYTES:
         starts = (start for start in (0, SECTOR_BYTES) if head.startswith(SECTOR_MAGIC, start))
         return Header(next(starts, HEADER_BYTES), False)
@@ -244,7 +244,7 @@ def parse_header(head: bytes) -> Header:
 
 
 def device_of_sector(settings: Settings, fraction: int) -> Device:
-    """What a data sector says of its device, if the header is lost.
+    """Return what a data sector says of its device, for a file whose header is lost.
 
     Args:
         fraction: the word that holds either the fraction of the second or the device's number.
@@ -256,12 +256,12 @@ def device_of_sector(settings: Settings, fraction: int) -> Device:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchors:
-    """One anchor a sector, (n,) each.
+    """One anchor for each sector, (n,) each.
 
     Attributes:
-        row: int64, number of a sample counted from the sector's first; may lie outside the sector.
+        row: int64, number of a sample, counted from the sector's first one; it may lie outside the sector.
         time_us: int64, its time [us since 1970, device clock].
-        known: bool, the sector states a time at all.
+        known: bool, the sector has a valid time.
     """
 
     row: NDArray[np.int64]
@@ -270,7 +270,7 @@ class Anchors:
 
 
 def anchors(sectors: Sectors, settings: Settings) -> Anchors:
-    """Anchors of sectors recorded with these settings."""
+    """Return the anchors of sectors recorded with these settings."""
     seconds, known = packed_seconds(sectors["stamp"].copy())
     if settings.is_old:
         return Anchors(np.zeros(len(sectors), np.int64), seconds * MICROSECONDS, known)
@@ -282,7 +282,7 @@ def anchors(sectors: Sectors, settings: Settings) -> Anchors:
 
 
 def packed_seconds(stamp: NDArray[np.uint32]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Seconds since 1970 of packed times, and which of them are times at all.
+    """Return the seconds since 1970 of packed times, and which of them are valid.
 
     From the top: years since 2000 (6 bits), month (4), day (5), hour (5), minute (6), second (6).
     """
@@ -295,7 +295,7 @@ def packed_seconds(stamp: NDArray[np.uint32]) -> tuple[NDArray[np.int64], NDArra
 
 @cache
 def day_table() -> NDArray[np.int64]:
-    """Seconds since 1970 at the beginning of each packed year, month and day (15 bits); -1 for none."""
+    """Return the seconds since 1970 of each packed date of 15 bits, -1 for an impossible one."""
     packed = np.arange(1 << 15, dtype=np.int64)
     year, month, day = packed >> 9, packed >> 5 & 15, packed & 31
     months = ((year + 30) * 12 + month - 1).astype("M8[M]")
@@ -312,10 +312,9 @@ class SectorBlock:
         rows: (p,) int64, samples in each, at least 1.
         sequence, session: (p,) int64.
         overflow: (p,) bool, the device lost samples before or in the sector.
-        anchors: their times.
         counts: (n, 3) int16.
-        channels: of n rows each; a value that a sector has once stands in all of its rows, and MISSING
-            where it has none.
+        channels: of n rows each; a single value of a sector is repeated in all of its rows, and MISSING
+            stands for one that it lacks.
     """
 
     position: NDArray[np.int64]
@@ -334,13 +333,13 @@ class SectorBlock:
 def decode(
     pages: NDArray[np.uint8], first_position: int, settings: Settings
 ) -> tuple[SectorBlock, NDArray[np.uint8]]:
-    """The good sectors of a block, and what every sector is.
+    """Decode a block of sectors.
 
     Args:
         pages: (n, 512).
 
     Returns:
-        the good ones, and (n,) of GOOD and the other kinds.
+        The good sectors, and the kind of every sector, (n,).
     """
     heads = heads_of(pages)
     good = fitting(heads, settings)
@@ -355,7 +354,7 @@ def decode(
 
 
 def fitting(heads: Sectors, settings: Settings) -> NDArray[np.bool_]:
-    """Which sectors say that they hold samples recorded with these settings, (n,)."""
+    """Mark the sectors that claim to hold samples recorded with these settings, (n,)."""
     fits = heads["magic"] == MAGIC
     fits &= (heads["rate"] == settings.rate_code) & (heads["axes"] == settings.axes_code)
     scale = scale_mask(settings.axes_code) << 10
@@ -367,7 +366,7 @@ def fitting(heads: Sectors, settings: Settings) -> NDArray[np.bool_]:
 
 
 def classify(pages: NDArray[np.uint8], settings: Settings) -> NDArray[np.uint8]:
-    """Why sectors (n, 512) are not good: (n,) of the kinds above."""
+    """Return why sectors (n, 512) are not good: their kinds, (n,)."""
     sectors = as_sectors(pages)
     known = np.isin(sectors["axes"], list(FULL_ROWS)) & (sectors["count"] > 0)
     same = (sectors["axes"] == settings.axes_code) & (sectors["count"] > settings.rows)
@@ -383,7 +382,7 @@ def classify(pages: NDArray[np.uint8], settings: Settings) -> NDArray[np.uint8]:
 
 
 def rates(sectors: Sectors) -> NDArray[np.float64]:
-    """Rates of sectors in Hz, (n,)."""
+    """Return the rates of sectors [Hz], (n,)."""
     coded = np.array([float(rate_of(code)) for code in range(16)])[sectors["rate"] & 15]
     return np.where(sectors["rate"] == 0, sectors["offset"].view("<u2"), coded)
 
@@ -391,7 +390,7 @@ def rates(sectors: Sectors) -> NDArray[np.float64]:
 def unpack(
     heads: Sectors, pages: NDArray[np.uint8], position: NDArray[np.int64], settings: Settings
 ) -> SectorBlock:
-    """All samples of good sectors, (p,) of HEAD and (p, 512)."""
+    """Unpack the samples of good sectors, (p,) of HEAD and (p, 512)."""
     rows = heads["count"].astype(np.int64)
     used = rows if bool((rows < settings.rows).any()) else None
     accel, gyro = _samples(pages, settings)
@@ -412,12 +411,12 @@ def unpack(
 
 
 def first_values(sector: Any, settings: Settings) -> dict[str, int | None]:
-    """The first values of channels that later sectors may lack, by the first one (a scalar of SECTOR)."""
+    """Return the values of one sector (a scalar of SECTOR) for channels that later sectors may lack."""
     return {name: int(values[0]) for name, values in _measured(np.atleast_1d(sector), settings)}
 
 
 def _measured(sectors: Sectors, settings: Settings) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Channels of which a sector has one value, by name, (p,) each."""
+    """Yield the channels of which a sector has one value, by name, (p,) each."""
     if settings.thermometer is not None:
         yield "temperature_mc", settings.thermometer.temperature_mc(sectors["temperature"])
 
@@ -425,7 +424,7 @@ def _measured(sectors: Sectors, settings: Settings) -> Iterator[tuple[str, NDArr
 def _samples(
     pages: NDArray[np.uint8], settings: Settings
 ) -> tuple[NDArray[np.int16], NDArray[np.int16] | None]:
-    """Acceleration and rotation, (p, rows, 3) each, as views where they are not packed."""
+    """Return acceleration and rotation, (p, rows, 3) each, as views where they are not packed."""
     sectors = as_sectors(pages)
     if settings.axes_code == PACKED:
         return unpacked(sectors), None
@@ -437,18 +436,18 @@ def _samples(
 
 
 def _repeated(values: NDArray[np.int32], rows: int | NDArray[np.int64]) -> NDArray[np.int32]:
-    """A value of each sector in all of its rows, of which each has as many, or its own number."""
+    """Repeat the value of each sector in all of its rows: a number of rows for all, or one for each."""
     if isinstance(rows, int):  # np.repeat keeps other threads waiting
         return np.broadcast_to(values[:, np.newaxis], (len(values), rows)).copy().reshape(-1)
     return np.repeat(values, rows)
 
 
 def _joined(values: NDArray[np.int16], rows: NDArray[np.int64] | None) -> NDArray[np.int16]:
-    """Samples of all sectors one after the other, (n, 3) in memory of their own, one axis behind the other.
+    """Copy the samples of all sectors one after the other, (n, 3), each axis contiguous in memory.
 
     Args:
         values: (p, rows, 3).
-        rows: how many of each sector's are used, None if all are.
+        rows: number of used rows of each sector, None if all are used.
     """
     if rows is not None:
         return np.asfortranarray(values[np.arange(values.shape[1]) < rows[:, None]])
@@ -458,7 +457,7 @@ def _joined(values: NDArray[np.int16], rows: NDArray[np.int64] | None) -> NDArra
 
 
 def unpacked(sectors: Sectors) -> NDArray[np.int16]:
-    """Packed samples of 10 bits an axis and a common exponent as counts of 1/256 g, (p, 120, 3).
+    """Return packed samples (10 bits for each axis, and a common exponent) as counts of 1/256 g, (p, 120, 3).
 
     A word of 32 bits is, from the top, the exponent (2 bits), z, y and x. Each number is moved to
     the top of a 16-bit integer, and its sign with it, before it is shifted down again.
@@ -488,7 +487,7 @@ class Thermometer:
     formula: str
 
     def temperature_mc(self, raw: NDArray[np.uint16]) -> NDArray[np.int32]:
-        """Thousandths of a degree C of temperature words, rounded to the nearest; MISSING at either end."""
+        """Return the temperatures of words [thousandths of a degree C], MISSING at either end."""
         word = raw & TEMPERATURE_MASK
         scaled = word.astype(np.int32) * self.slope
         measured = (scaled + self.divisor // 2) // self.divisor - np.int32(self.zero)
@@ -497,7 +496,7 @@ class Thermometer:
 
     @property
     def note(self) -> str:
-        """A note for the report."""
+        """Note on the formula, for the report."""
         return f"temperature = {self.formula} degrees C ({self.part})"
 
 
@@ -507,5 +506,5 @@ _BY_HARDWARE = {0x16: MCP9701, 0x17: MCP9701, 0x18: MCP9701}
 
 
 def thermometer(hardware: int | None) -> Thermometer:
-    """The sensor of a hardware type (header byte 4); that of the format document where unknown."""
+    """Return the sensor of a type of hardware (header byte 4); MCP9700 if it is unknown."""
     return MCP9700 if hardware is None else _BY_HARDWARE.get(hardware, MCP9700)

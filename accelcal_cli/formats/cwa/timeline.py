@@ -1,7 +1,7 @@
-"""How each sector continues the one before (lost sectors, restarts, jumps of the clock), and its times.
+"""Finds how each sector continues the one before (lost sectors, restarts, jumps of the clock), and its times.
 
-The sensor has its own oscillator, percents off its nominal rate and drifting with temperature, so
-that only the anchors tell when a sample was taken: times lie on straight lines between them. Before the
+The sensor has its own oscillator, which is percents off its nominal rate and drifts with temperature, so that
+only the anchors show when a sample was taken: times lie on straight lines between them. Before the
 first and after the last anchor of an unbroken run the line goes on with the run's own rate at that end.
 Sectors begin and end on these lines; the samples of a sector are evenly spread.
 """
@@ -21,20 +21,20 @@ from accelcal_cli.formats._pages.timeline import LONGEST_GAP_S, RATE_TOLERANCE
 from accelcal_cli.formats.cwa.sector import SectorBlock
 
 STAMP_TOLERANCE_US = 250_000
-"""Beside RATE_TOLERANCE the clock may always differ by this: a stamp comes late when the memory was slow."""
+"""Difference of the clock [us] that is always allowed, for a stamp comes late when the memory was slow."""
 
 LONGEST_PERIODS = 4
-"""Where anchors have few samples between them, the clock may not pass more sampling periods for each."""
+"""Most sampling periods for each sample between anchors that have few samples between them."""
 
 LONGEST_BRIDGE = 100
-"""Times are interpolated across fewer lost sectors than this, and begin anew after more."""
+"""Lost sectors from which on times begin anew; times are interpolated across fewer."""
 
 END_ANCHORS = 32
-"""The rate at the end of a run is measured over this many anchors."""
+"""Number of anchors over which the rate at the end of a run is measured."""
 
 RUN_SHIFT = 42
 ROW_ORIGIN = 1 << 20
-"""Run number and sample number together make a key that ascends: rows stay below 2**41."""
+"""Bits and origin of sample numbers in an ascending key of run and sample; rows stay below 2**41."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,9 +72,10 @@ class Links:
 
 @dataclass(frozen=True, slots=True)
 class _Last:
-    """What must be remembered of the sector before a block.
+    """The sector before a block.
 
-    known_row, known_us: the last anchor that a sector gave itself.
+    Attributes:
+        known_row, known_us: the last anchor that a sector gave itself.
     """
 
     position: int
@@ -90,7 +91,7 @@ class _Last:
 
 @dataclass(frozen=True, slots=True)
 class _Steps:
-    """Sectors by which the numbering went on, lost sectors, and new numberings; (p,) each."""
+    """Steps of the numbering, lost sectors, and new numberings; (p,) each."""
 
     forward: NDArray[np.int64]
     missing: NDArray[np.int64]
@@ -98,12 +99,12 @@ class _Steps:
 
 
 def nominal_us(rows: NDArray[np.int64], rate: Fraction) -> NDArray[np.int64]:
-    """How long so many samples last at the nominal rate, rounded to whole microseconds."""
+    """Return how long samples last at the nominal rate, rounded to whole microseconds."""
     return (2 * MICROSECONDS * rate.denominator * rows + rate.numerator) // (2 * rate.numerator)
 
 
 class Linker:
-    """Takes blocks of good sectors in file order."""
+    """Finds how sectors continue each other; takes blocks of good sectors in file order."""
 
     def __init__(self, rate: Fraction, full_rows: int) -> None:
         self._rate = rate
@@ -112,7 +113,7 @@ class Linker:
         self._last: _Last | None = None
 
     def link(self, block: SectorBlock) -> Links:
-        """Place a block (at least one sector) after the blocks before it."""
+        """Link a block of at least one sector to the blocks before it."""
         first = self._last is None
         last = self._last or self._before(block)
         steps = self._steps(block, last)
@@ -149,7 +150,7 @@ class Linker:
         )
 
     def _before(self, block: SectorBlock) -> _Last:
-        """A full sector that the recording's first one would continue; its first sample is number 0."""
+        """Return a full sector that the recording's first one would continue; sample 0 is in the latter."""
         anchor_row = int(block.anchors.row[0])
         start = np.array([anchor_row, self._full_rows], np.int64)
         since_1970, length = (int(us) for us in nominal_us(start, self._rate))
@@ -178,7 +179,7 @@ class Linker:
     def _filled(
         self, block: SectorBlock, anchor_row: NDArray[np.int64], last: _Last
     ) -> tuple[NDArray[np.int64], tuple[int, int]]:
-        """Anchor times, by counting samples where a sector has none; and the last true anchor."""
+        """Return anchor times, by counting samples where a sector has none, and the last true anchor."""
         known, time_us = block.anchors.known, block.anchors.time_us
         if known.all():
             return time_us, (int(anchor_row[-1]), int(time_us[-1]))
@@ -191,11 +192,11 @@ class Linker:
     def _clock_jumps(
         self, passed: NDArray[np.int64], passed_us: NDArray[np.int64], few: NDArray[np.bool_]
     ) -> NDArray[np.int64]:
-        """By how much the clock jumps before each sector [us], 0 where it goes on as it should.
+        """Return the jump of the clock before each sector [us], 0 where it goes on as it should.
 
         Args:
-            few: where the sector before is not full, or anchors are close: few samples may not be spread
-                over a hole.
+            few: the sector before is not full, or anchors are close: few samples may not be spread over a
+                hole.
         """
         expected = passed * (MICROSECONDS * self._rate.denominator / self._rate.numerator)
         off = passed_us - expected
@@ -208,7 +209,7 @@ class Linker:
 
 
 def _steps(column: NDArray[np.int64], last: int) -> NDArray[np.int64]:
-    """From each sector to the next, the first from `last`."""
+    """Return the step from each sector to the next, the first from `last`."""
     return column - _previous(last, column)
 
 
@@ -218,7 +219,7 @@ def _previous(last: int, column: NDArray[np.int64]) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spans:
-    """When sectors begin and how long they last [us], (p,) int64 each."""
+    """Begin and length of sectors [us], (p,) int64 each."""
 
     time_us: NDArray[np.int64]
     span_us: NDArray[np.int64]
@@ -268,7 +269,7 @@ class _Lines:
         self._head = self._chord(self._starts, np.minimum(self._starts + END_ANCHORS - 1, ends))
 
     def _chord(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> tuple[Any, Any]:
-        """Samples and time [us] between two anchors; as at the nominal rate where they are one."""
+        """Return samples and time [us] between two anchors; at the nominal rate where they are the same."""
         window, alone = self._window, first == second
         over_rows = window.anchor_row[second] - window.anchor_row[first]
         over_us = window.anchor_us[second] - window.anchor_us[first]
@@ -276,7 +277,7 @@ class _Lines:
         return np.where(alone, nominal[0], over_rows), np.where(alone, nominal[1], over_us)
 
     def times(self, sector: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Times of samples `row` of the runs to which the sectors belong, rounded half up."""
+        """Return the times of samples `row` of the runs to which the sectors belong, rounded half up."""
         run = self._run[sector]
         key = (run << RUN_SHIFT) + (row + ROW_ORIGIN)
         before = np.searchsorted(self._key, key, side="right") - 1
@@ -291,8 +292,8 @@ class _Lines:
 class Timeline:
     """Takes linked sectors in file order; gives times as soon as they are settled.
 
-    A sector is settled when an anchor behind its end is known, or its run has ended; those at the
-    beginning of a run wait for the anchors that tell its rate.
+    A sector is settled when an anchor after its end is known, or its run has ended; sectors at the beginning
+    of a run wait for the anchors that show its rate.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -302,12 +303,12 @@ class Timeline:
         self._done = 0
 
     def feed(self, links: Links) -> Spans:
-        """Add sectors; gives the next settled ones."""
+        """Add sectors; return the times of the next settled ones."""
         self._window = self._window.extended(links)
         return self._release(self._settled())
 
     def finish(self) -> Spans:
-        """All that remain; no sector follows."""
+        """Return the times of all sectors that remain; none follows."""
         return self._release(len(self._window))
 
     def _settled(self) -> int:
@@ -320,12 +321,12 @@ class Timeline:
         return max(self._done, begun + int(np.searchsorted(ends, window.anchor_row[-1], side="right")))
 
     def _last_run(self) -> int:
-        """Where the last run begins in the window."""
+        """Return where the last run begins in the window."""
         begun = np.flatnonzero(self._window.fresh)
         return int(begun[-1]) if len(begun) else 0
 
     def _release(self, settled: int) -> Spans:
-        """Times of the sectors up to `settled`; one ends where the next begins, if that follows."""
+        """Return the times of the sectors up to `settled`; each ends where the next begins, if it follows."""
         if settled == self._done:
             return NO_SPANS
         window, lines = self._window, _Lines(self._window, self._rate)

@@ -1,9 +1,9 @@
 """Writes Axivity AX3 and, with a gyroscope, AX6 recordings: sectors of unpacked samples with checksums.
 
 Sources: the vendor's format document `Docs/ax3/cwa.h` and the notes beside it, `ax3-technical.md`
-and `ax3-auxiliary.md` (github.com/openmovementproject/openmovement). Each sector is stamped at that of its
-samples whose time lies nearest to a tick of the device's clock, 1/32768 s. A sector ends where it
-is full and where the recording has a break; the first one after a break says that samples were lost.
+and `ax3-auxiliary.md` (github.com/openmovementproject/openmovement). Each sector is stamped with the time
+of the sample that lies nearest to a tick of the device's clock, 1/32768 s. A sector ends where it is full
+and where the recording has a break; the first one after a break says that samples were lost.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ RATE_CODES = {float(sector.rate_of(code)): code for code in range(6, 16)}
 RANGE_CODES = {16.0: 0x00, 8.0: 0x40, 4.0: 0x80, 2.0: 0xC0}
 LSB_PER_G = 256.0
 GYRO_BITS = {8000 / (1 << bits) / (1 << 15): bits for bits in range(2, 7)}
-"""By deg/s in one count: ranges from 2000 to 125 deg/s."""
+"""Bits for the range of a gyroscope (2000 to 125 deg/s) by deg/s in one count."""
+
 NOT_MEASURED = 0
 WARMEST = 0x3FE
 ALWAYS, NEVER = 0, 0xFFFF_FFFF
@@ -39,10 +40,10 @@ UNSET = b"\xff"
 
 
 def sampling(recording: Recording) -> Sampling:
-    """Any number of samples; of a rate, scale and range that an AX3 or AX6 can be set to.
+    """Return a sampling with a rate, scale and range of an AX3 or AX6, for any number of samples.
 
     Raises:
-        UsageError: there is no such setting.
+        UsageError: the devices have no such setting.
     """
     device = f"an Axivity {'AX6' if has_gyroscope(recording) else 'AX3'}"
     rate_hz = _writing.known_rate(recording, RATE_CODES, device)
@@ -72,7 +73,7 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
 
 
 def header(path: Path, recording: Recording) -> bytes:
-    """The first 1024 bytes."""
+    """Return the first 1024 bytes of the file."""
     number = _writing.number_of(recording.device)
     second = np.array([_writing.start_us(path, recording) // 1_000_000])
     return sector.HEADER.pack(
@@ -99,22 +100,22 @@ def header(path: Path, recording: Recording) -> bytes:
 
 
 def has_gyroscope(recording: Recording) -> bool:
-    """Whether it is an AX6's."""
+    """Return True for a recording of an AX6."""
     return recording.gyro_dps_per_lsb is not None
 
 
 def axes_code(recording: Recording) -> int:
-    """The byte that states axes and packing."""
+    """Return the byte for axes and packing."""
     return sector.AXES_6X16 if has_gyroscope(recording) else sector.AXES_3X16
 
 
 def rate_code(recording: Recording) -> int:
-    """The byte that states rate and range."""
+    """Return the byte for rate and range."""
     return RATE_CODES[recording.rate_hz] | RANGE_CODES[recording.range_g or 0.0]
 
 
 def data_sectors(path: Path, rows: Chunk, recording: Recording) -> NDArray[np.void]:
-    """Full sectors, or a single one that is not full; without number and checksum."""
+    """Return full sectors, or a single one that is not full; without number and checksum."""
     _writing.check_bits(path, rows, 16)
     axes = axes_code(recording)
     width = min(sector.FULL_ROWS[axes], len(rows))
@@ -137,10 +138,10 @@ def data_sectors(path: Path, rows: Chunk, recording: Recording) -> NDArray[np.vo
 
 
 def stamp(path: Path, sectors: Any, time_us: NDArray[np.int64], rate_hz: int) -> None:
-    """Fill in when one sample of each sector was taken, by the times (p, samples) of all.
+    """Fill in the time of one sample of each sector, given the times (p, samples) of all.
 
-    The device notes the sample's number less those that its rate, in whole Hz, counts in the
-    fraction of the second, so that software which knows of whole seconds only is right too.
+    The device subtracts from the sample's number the samples in the fraction of the second (at its rate in
+    whole Hz), so that software which knows only whole seconds is right too.
     """
     inside = time_us % 1_000_000 * TICKS_PER_S % 1_000_000
     sample = np.minimum(inside, 1_000_000 - inside).argmin(axis=1)
@@ -153,7 +154,7 @@ def stamp(path: Path, sectors: Any, time_us: NDArray[np.int64], rate_hz: int) ->
 
 
 def packed_times(path: Path, second: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Seconds since 1970 as packed times: from the top 6 bits of years since 2000, then month, day, ...
+    """Pack seconds since 1970: from the top, 6 bits of years since 2000, then month, day, and so on.
 
     Raises:
         OutputError: a time lies outside 2000 to 2063.
@@ -171,14 +172,14 @@ def packed_times(path: Path, second: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def light_word(recording: Recording) -> int:
-    """No light; above it the range of the gyroscope. The unit of the accelerometer, 1/256 g, is 0."""
+    """Return the word for light, none, and above it the range of the gyroscope and the unit 1/256 g (0)."""
     return 0 if recording.gyro_dps_per_lsb is None else GYRO_BITS[recording.gyro_dps_per_lsb[0]] << 10
 
 
 def temperature_words(rows: Chunk, sectors: int, axes: int) -> NDArray[np.int64]:
-    """Mean temperature of each sector, as the sensor of the hardware measures it.
+    """Return the mean temperature of each sector as raw words of the hardware's sensor.
 
-    That of an AX3 of hardware 1.7 is C = raw * 0.15 - 20.5, that of an AX6 raw * 75 / 256 - 50.
+    An AX3 of hardware 1.7 measures C = raw * 0.15 - 20.5, an AX6 C = raw * 75 / 256 - 50.
     """
     means_mc = _writing.page_means_mc(rows, sector.FULL_ROWS[axes])
     if means_mc is None:
@@ -188,7 +189,7 @@ def temperature_words(rows: Chunk, sectors: int, axes: int) -> NDArray[np.int64]
 
 
 def with_checksums(sectors: NDArray[np.void]) -> NDArray[np.void]:
-    """The sectors, each with a last word that makes the sum of its 16-bit words zero."""
+    """Set the last word of each sector so that the sum of its 16-bit words is zero."""
     words = sectors.view("<u2").reshape(len(sectors), -1)
     words[:, -1] = 0 - words[:, :-1].sum(axis=1, dtype=np.uint16)
     return sectors

@@ -1,4 +1,4 @@
-"""The flash page format, our own dump of a wrist logger's memory: how its header and pages are recognised.
+"""Recognises the flash page format, our own dump of a wrist logger's memory.
 
 Specified in docs/flash-format.md.
 """

@@ -1,4 +1,4 @@
-"""An open dump in the flash page format of docs/flash-format.md: header page, data pages, rows."""
+"""Reads a dump in the flash page format of docs/flash-format.md: header page and data pages."""
 
 from __future__ import annotations
 
@@ -54,6 +54,8 @@ RATES_HZ = (Fraction(1, 1000), Fraction(100_000))
 LAYOUT = struct.Struct("<8sHHIIIIIIIhH32s32s32s")
 
 SEARCHED_PAGES = 512
+"""Pages that are read at a time in search of a valid one."""
+
 COPY_AGAIN = "copy it again from the device"
 NO_START = "the device's clock was never set: times count from its start"
 
@@ -79,7 +81,7 @@ class FlashDecoder(PageDecoder[RawBlock]):
 
 
 def page_status(pages: NDArray[np.uint8], recording_id: int) -> NDArray[np.uint8]:
-    """GOOD or a key of BAD_KINDS for each page, (p,)."""
+    """Return GOOD or a key of BAD_KINDS for each page, (p,)."""
     fields = pages.view(PAGE)[:, 0]
     status = np.full(len(pages), paged.GOOD, np.uint8)
     status[fields["recording_id"] != recording_id] = paged.FOREIGN
@@ -90,13 +92,13 @@ def page_status(pages: NDArray[np.uint8], recording_id: int) -> NDArray[np.uint8
 
 
 def sensible(fields: NDArray[np.void]) -> NDArray[np.bool_]:
-    """Which pages are data pages with possible values, (p,)."""
+    """Mark the pages that are data pages with possible values, (p,)."""
     counted = (fields["samples"] >= 1) & (fields["samples"] <= SAMPLES)
     return np.asarray((fields["magic"] == PAGE_MAGIC) & counted & (fields["microseconds"] < MICROSECONDS))
 
 
 def as_block(fields: NDArray[np.void], position: NDArray[np.int64], has_temperature: bool) -> PageBlock:
-    """Columns of valid pages."""
+    """Return valid pages as columns."""
     rows = fields["samples"].astype(np.int64)
     slots = fields["xyz"].astype(np.int16)
     full = bool((rows == SAMPLES).all())
@@ -113,7 +115,7 @@ def as_block(fields: NDArray[np.void], position: NDArray[np.int64], has_temperat
 
 
 def temperature_mc(fields: NDArray[np.void]) -> NDArray[np.int32]:
-    """Each page's temperature [thousandths of a degree C], (p,)."""
+    """Return each page's temperature [thousandths of a degree C], (p,)."""
     raw = fields["temperature"].astype(np.int32)
     milli = np.where(raw == NOT_MEASURED, np.int32(MISSING), (raw * 1000 + 64) >> 7)
     return milli.astype(np.int32)
@@ -121,10 +123,10 @@ def temperature_mc(fields: NDArray[np.void]) -> NDArray[np.int32]:
 
 @dataclass(frozen=True, slots=True)
 class FlashHeader:
-    """What page 0 says.
+    """The header, page 0.
 
     Attributes:
-        recording_id: the same number stands in every data page of the recording.
+        recording_id: number that stands in every data page of the recording.
         timezone: `UTC` or an offset such as `+01:00`; None if unknown.
         clock_set: False if the times count from power-on.
     """
@@ -140,7 +142,7 @@ class FlashHeader:
 
 
 class HeaderDamageError(Exception):
-    """Why a page is not a usable header, in plain words."""
+    """A page is not a usable header; the message says why."""
 
 
 def parse_header(page: bytes) -> FlashHeader:
@@ -179,19 +181,19 @@ def parse_header(page: bytes) -> FlashHeader:
 
 
 def positive(pair: tuple[int, int], what: str) -> Fraction:
-    """An exact fraction from numerator and denominator, both above 0."""
+    """Return the exact fraction of numerator and denominator, both above 0."""
     if 0 in pair:
         raise HeaderDamageError(f"the {what} is {pair[0]}/{pair[1]}")
     return Fraction(*pair)
 
 
 def text_field(data: bytes) -> str | None:
-    """ASCII text up to the first zero byte; None if empty."""
+    """Return ASCII text up to the first zero byte, None if it is empty."""
     return data.split(b"\0")[0].decode("ascii", "replace").strip() or None
 
 
 def zone_name(minutes: int) -> str | None:
-    """The zone of an offset east of UTC."""
+    """Return the zone of an offset east of UTC [minutes], None if it is impossible."""
     if abs(minutes) > LONGEST_ZONE_MINUTES:
         return None
     hours, rest = divmod(abs(minutes), 60)
@@ -226,7 +228,11 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
 
 
 def substitute(file: PagedFile, options: ReadOptions, error: HeaderDamageError) -> FlashHeader:
-    """A header from what the user said, where the file's own is damaged."""
+    """Return a header from the user's options, in place of a damaged one.
+
+    Raises:
+        UnreadableError: they do not give rate and counts per g.
+    """
     if options.rate_hz is None or options.lsb_per_g is None:
         raise UnreadableError(
             f"the header page is not usable: {error}",
@@ -250,7 +256,7 @@ def substitute(file: PagedFile, options: ReadOptions, error: HeaderDamageError) 
 
 
 def overridden(header: FlashHeader, options: ReadOptions, path: Path) -> FlashHeader:
-    """What the user says takes precedence over what the file says.
+    """Return the header with the user's options, which take precedence over it.
 
     Raises:
         UsageError: the rates contradict each other.
@@ -263,14 +269,14 @@ def overridden(header: FlashHeader, options: ReadOptions, path: Path) -> FlashHe
 
 
 def page_scheme(file: PagedFile, header: FlashHeader) -> FixedPages:
-    """How this file's pages are read."""
+    """Return how this file's pages are read."""
     spacing = Spacing(header.rate, SAMPLES)
     decoder = FlashDecoder(header.recording_id, header.has_temperature)
     return FixedPages(file, spacing, lambda: decoder, lambda: ExactTimeline(spacing))
 
 
 def recording(scheme: FixedPages, header: FlashHeader, opening: Opening) -> Recording:
-    """The file's description."""
+    """Describe the recording."""
     samples, duration_s = scheme.extent(opening)
     return Recording(
         path=scheme.file.path,

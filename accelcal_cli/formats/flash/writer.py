@@ -44,7 +44,7 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
 
 
 def header_page(path: Path, recording: Recording) -> bytes:
-    """Page 0."""
+    """Return page 0."""
     flags = flash.FLAG_TEMPERATURE * recording.has_temperature
     flags |= flash.FLAG_CLOCK_NEVER_SET * (recording.start_us is None)
     device = recording.device
@@ -65,7 +65,7 @@ def header_page(path: Path, recording: Recording) -> bytes:
 
 
 def exact(path: Path, value: float, what: str) -> tuple[int, int]:
-    """Numerator and denominator, each below 2**32, of a fraction that gives `value` back exactly."""
+    """Return numerator and denominator, each below 2**32, of a fraction that gives `value` back exactly."""
     for fraction in (Fraction(repr(value)), rate_fraction(value), Fraction(value)):
         if max(fraction.numerator, fraction.denominator) <= LARGEST and float(fraction) == value:
             return fraction.numerator, fraction.denominator
@@ -74,12 +74,12 @@ def exact(path: Path, value: float, what: str) -> tuple[int, int]:
 
 
 def ascii_field(text: str | None) -> bytes:
-    """Up to 32 bytes of ASCII, the rest zeros; other characters become question marks."""
+    """Return up to 32 bytes of ASCII text; other characters become question marks."""
     return (text or "").encode("ascii", "replace")[:32]
 
 
 def zone_minutes(timezone: str | None) -> int:
-    """Minutes east of UTC where the zone is a fixed offset."""
+    """Return the minutes east of UTC of a fixed offset, ZONE_UNKNOWN for any other zone."""
     if timezone == "UTC":
         return 0
     match = re.fullmatch(r"([+-])(\d\d):(\d\d)", timezone or "")
@@ -89,7 +89,7 @@ def zone_minutes(timezone: str | None) -> int:
 
 
 def data_pages(path: Path, rows: Chunk, sequence: int) -> NDArray[np.void]:
-    """Whole pages, or a single one that is not full, numbered from `sequence`."""
+    """Return whole pages, or a single one that is not full, numbered from `sequence`."""
     count, time_us = len(rows), rows.time_us
     check_fit(path, rows, time_us)
     first = np.arange(0, count, SAMPLES)
@@ -120,7 +120,7 @@ def check_fit(path: Path, rows: Chunk, time_us: NDArray[np.int64]) -> None:
 
 
 def page_temperatures(rows: Chunk, pages: int) -> NDArray[np.int16]:
-    """Mean temperature of each page [1/128 C]."""
+    """Return the mean temperature of each page [1/128 C]."""
     means_mc = page_means_mc(rows, SAMPLES)
     if means_mc is None:
         return np.full(pages, flash.NOT_MEASURED, np.int16)

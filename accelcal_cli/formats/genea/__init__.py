@@ -1,7 +1,7 @@
-"""GENEA recordings (.bin), the GENEActiv's predecessor: how they are recognised.
+"""Recognises recordings of GENEA devices (.bin), the GENEActiv's predecessor.
 
-Source: GGIRread (github.com/wadpac/GGIRread, R/readGenea.R) and its sample file; what each field means to
-this reader is described in docs/more-devices.md.
+Source: GGIRread (github.com/wadpac/GGIRread, R/readGenea.R) and its sample file; docs/more-devices.md
+says what each field means to the reader.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ HEADER_MAGIC = b"GENEA/"
 
 
 def sniff(probe: Probe) -> int:
-    """100 by the header's first line."""
+    """Return 100 for the header's first line."""
     return 100 if probe.head.startswith(HEADER_MAGIC) else 0
 
 

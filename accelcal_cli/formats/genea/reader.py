@@ -111,7 +111,7 @@ def _triple(text: str) -> tuple[int, ...] | None:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """How raw values become counts: slope * (raw + offset), `lsb_per_g` of which are 1 g."""
+    """Converts raw values to counts, slope * (raw + offset), of which `lsb_per_g` are 1 g."""
 
     lsb_per_g: float
     slopes: tuple[int, ...] = (1, 1, 1)
@@ -386,7 +386,7 @@ class GroupDecoder(PageDecoder[SampleGroups]):
 
 @dataclass(frozen=True, slots=True)
 class SlotScheme(PageScheme[SampleGroups]):
-    """How the slots of one file are read.
+    """Describes how the slots of one file are read.
 
     Attributes:
         pages: the file as pages of 2048 bytes.

@@ -1,8 +1,8 @@
-"""GENEActiv recordings (.bin), text with pages of 300 samples in hexadecimal digits: how they are recognised.
+"""Recognises GENEActiv recordings (.bin), text with pages of 300 samples in hexadecimal digits.
 
-Sources: Activinsights, GENEActiv instructions, "Understanding .bin files"; what each field means
-to this reader is described in docs/geneactiv-files.md. Times are the device's clock, which shows the local
-time of the computer that set it up.
+Source: Activinsights, GENEActiv instructions, "Understanding .bin files"; docs/geneactiv-files.md says
+what each field means to the reader. Times are those of the device's clock, which shows the local time of the
+computer that set it up.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
 
 HEADER_MAGIC = b"Device Identity"
 MARK = b"Recorded Data"
-"""The first line of a page."""
+"""First line of a page."""
 
 _END = rb"[ \t]{0,32}\r?\n"
 _ANY = rb"[^\r\n]{0,64}\r?\n"

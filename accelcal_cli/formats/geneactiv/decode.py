@@ -1,4 +1,4 @@
-"""The pages of a GENEActiv file: found in its text, damaged or not, and decoded many at a time.
+"""Finds the pages in the text of a GENEActiv file, damaged or not, and decodes many at a time.
 
 The text of a page is nine lines of `key:value`, then 300 samples as one line of 3600 hexadecimal digits.
 Numbers have as many digits as they need, lines end in LF or CR LF, and the decimal sign may be a comma (as
@@ -262,7 +262,7 @@ def whole_number(text: str) -> int | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scale:
-    """How raw values become counts.
+    """Converts raw values to counts.
 
     Attributes:
         lsb_per_g: counts in one g, of every axis.

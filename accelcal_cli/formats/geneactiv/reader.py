@@ -262,7 +262,7 @@ def true_rate(rate: Fraction) -> Fraction:
 
 @dataclass(frozen=True, slots=True)
 class TextScheme(PageScheme[TextPages]):
-    """How the pages of one file are read.
+    """Describes how the pages of one file are read.
 
     Attributes:
         settings: what its pages have in common.

@@ -1,9 +1,9 @@
 """Writes GENEActiv recordings: text with a header and pages of 300 samples in hexadecimal digits.
 
-Source: Activinsights, GENEActiv instructions, "Understanding .bin files". Gains and offsets are such
-that g = (raw * 100 - offset) / gain gives counts / counts per g. A page is stamped with the time of its
-first sample [ms]; its temperature is the mean of its samples [0.1 C]. Pages are always full and
-follow each other: a recording with a break is refused.
+Source: Activinsights, GENEActiv instructions, "Understanding .bin files". Gains and offsets are such that
+g = (raw * 100 - offset) / gain gives counts / counts per g. A page is stamped with the time of its first
+sample [ms]; its temperature is the mean of its samples [0.1 C]. Pages are always full and follow each other:
+a recording with a break is refused.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ SAMPLES = 300
 PAGE_DIGITS = 12 * SAMPLES
 BITS = 12
 RATES = [600 / halves for halves in range(6, 61)]
-"""From 100 to 10 Hz: a page lasts a whole number of half seconds."""
+"""Rates [Hz] from 100 to 10, at which a page lasts a whole number of half seconds."""
 
 RATE_ROUNDING_HZ = 0.0501
-"""Rates are written with one decimal: 66.7 Hz stands for 200/3, 18.8 Hz for 18.75."""
+"""Most by which a rate [Hz] is rounded to one decimal: 66.7 for 200/3, 18.8 for 18.75."""
 
 LSB_PER_G, RANGE_G = 256.0, 8.0
 EARLIEST_US, LATEST_US = 946_684_800_000_000, 4_102_444_800_000_000
@@ -109,10 +109,10 @@ Measurement Frequency:{rate:.1f}
 
 
 def sampling(recording: Recording) -> Sampling:
-    """Whole pages, of a rate and scale that a GENEActiv can have.
+    """Return a sampling of whole pages with a rate and scale of a GENEActiv.
 
     Raises:
-        UsageError: there is no such rate or scale.
+        UsageError: the device has no such rate or scale.
     """
     rate_hz = _writing.known_rate(recording, RATES, "a GENEActiv", RATE_ROUNDING_HZ)
     _writing.known_scale(recording, [(LSB_PER_G, RANGE_G)], "a GENEActiv")
@@ -139,7 +139,7 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
 
 
 def header(path: Path, recording: Recording, pages: int) -> bytes:
-    """The text before the first page; as long for any number of pages."""
+    """Return the text before the first page, of the same length for any number of pages."""
     device, offset = recording.device, _writing.fixed_offset(recording.timezone)
     text = HEADER.format(
         serial=_writing.number_of(device),
@@ -155,7 +155,7 @@ def header(path: Path, recording: Recording, pages: int) -> bytes:
 
 
 def data_pages(path: Path, rows: Chunk, recording: Recording, sequence: int) -> bytes:
-    """Whole pages, numbered from `sequence`."""
+    """Return whole pages, numbered from `sequence`."""
     _writing.check_bits(path, rows, BITS)
     digits = sample_digits(rows.counts)
     constants = {"serial": _writing.number_of(recording.device), "rate": recording.rate_hz}
@@ -174,19 +174,19 @@ def data_pages(path: Path, rows: Chunk, recording: Recording, sequence: int) -> 
 
 
 def lines(text: str) -> bytes:
-    """The text as the device's software writes it, lines ending in CR LF."""
+    """Return text as the device's software writes it, with lines that end in CR LF."""
     return text.replace("\n", "\r\n").encode("ascii")
 
 
 def sample_digits(counts: Counts) -> str:
-    """Twelve hexadecimal digits a sample: 12 bits each of x, y and z, then light and button, not measured."""
+    """Return twelve hexadecimal digits for each sample: 12 bits each of x, y, z; light and button are 0."""
     x, y, z = (counts.astype(np.uint16) & 0xFFF).T
     words = np.stack((x << 4 | y >> 8, y << 8 | z >> 4, z << 12), axis=1)
     return words.astype(">u2").tobytes().hex().upper()
 
 
 def stamps(path: Path, time_us: NDArray[np.int64]) -> list[str]:
-    """Times to the nearest millisecond, as 2024-03-04 00:00:00:000.
+    """Return times to the nearest millisecond, such as 2024-03-04 00:00:00:000.
 
     Raises:
         OutputError: a time lies outside 2000 to 2099.
@@ -198,7 +198,7 @@ def stamps(path: Path, time_us: NDArray[np.int64]) -> list[str]:
 
 
 def temperatures(rows: Chunk) -> list[str]:
-    """Mean temperature of each page; empty where none was measured."""
+    """Return the mean temperature of each page, empty if none was measured."""
     means_mc = _writing.page_means_mc(rows, SAMPLES)
     if means_mc is None:
         return [""] * (len(rows) // SAMPLES)

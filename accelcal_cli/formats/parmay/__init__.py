@@ -1,7 +1,7 @@
-"""Recordings of Parmay Tech's Matrix devices (.BIN), packets with a checksum each: how they are recognised.
+"""Recognises recordings of Parmay Tech's Matrix devices (.BIN), packets with a checksum each.
 
 Source: the vendor's layout as GGIRread reads it (github.com/wadpac/GGIRread, R/readParmayMatrix.R) and its
-sample files; what each field means to this reader is described in docs/more-devices.md.
+sample files; docs/more-devices.md says what each field means to the reader.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ HEADER_BYTES = 524
 
 
 def sniff(probe: Probe) -> int:
-    """100 by the header's signature behind the remarks; 97 by a packet's where the header is damaged."""
+    """Return 100 for the header's signature, 97 for a packet's where the header is damaged."""
     if probe.head.startswith(HEADER_MAGIC, REMARKS_BYTES):
         return 100
     return 97 if PACKET_MAGIC in probe.head else 0

@@ -72,12 +72,12 @@ HELD = "missing_value", "packets with samples but no rotation rates, given the l
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What stands before the first packet; a field is None if it is missing.
+    """The header before the first packet; a field is None if it is missing.
 
     Attributes:
         packets: the number that it announces.
         range_g, range_dps: ranges of accelerometer and gyroscope, +-.
-        damage: what is wrong with it, in plain words.
+        damage: what is wrong with the header, for people.
     """
 
     packets: int | None = None
@@ -87,7 +87,7 @@ class Header:
 
 
 def parse_header(head: bytes) -> Header:
-    """Read the 12 bytes before the first packet, which belong behind 512 bytes of remarks.
+    """Read the 12 bytes before the first packet, which follow 512 bytes of remarks.
 
     Args:
         head: the file's first bytes.
@@ -253,7 +253,7 @@ class PacketScanner:
 
 @dataclass(frozen=True, slots=True)
 class FirstPackets:
-    """What the first packets show.
+    """Properties of the recording that the first packets show.
 
     Attributes:
         rate: samples per second that the sensor really takes.
@@ -431,7 +431,7 @@ class PacketDecoder(PageDecoder[Packets]):
 
 @dataclass(frozen=True, slots=True)
 class PacketScheme(PageScheme[Packets]):
-    """How the packets of one file are read."""
+    """Describes how the packets of one file are read."""
 
     file: ScannedFile[Packets]
 

@@ -1,4 +1,4 @@
-"""Raw dumps of flash memory without a description of their own, and where their layout files lie.
+"""Recognises raw dumps of flash memory by their layout files, and finds these.
 
 See docs/layout-files.md.
 """
@@ -15,18 +15,18 @@ DUMP_SUFFIXES = (".raw", ".bin", ".dat")
 
 
 def named_layout(path: Path) -> Path:
-    """Where the layout of this one dump lies: `NAME.layout.toml` beside `NAME.bin` or `NAME.bin.gz`."""
+    """Return the path of a dump's own layout: `NAME.layout.toml` for `NAME.bin` or `NAME.bin.gz`."""
     name = path.name[:-3] if path.name.lower().endswith(".gz") else path.name
     return path.with_name(Path(name).stem + SUFFIX)
 
 
 def folder_layout(path: Path) -> Path:
-    """Where the layout of all dumps of a folder lies."""
+    """Return the path of the layout of all dumps of a folder."""
     return path.with_name(FOLDER_NAME)
 
 
 def is_file(path: Path) -> bool:
-    """Whether a file is there; a folder that may not be looked into has none."""
+    """Return True if a file exists; False in a folder that may not be read."""
     try:
         return path.is_file()
     except OSError:
@@ -34,33 +34,32 @@ def is_file(path: Path) -> bool:
 
 
 def check_layout(path: Path) -> None:
-    """Raise UsageError for a layout file that cannot be read, or is none."""
+    """Raise UsageError for a file that is no readable layout."""
     from accelcal_cli.formats.raw.layout import load_layout  # few recordings have one
 
     load_layout(path)
 
 
 def find_layout(path: Path, options: ReadOptions) -> Path | None:
-    """The layout file of a dump: as the user named it, else its own, else its folder's."""
+    """Return the layout file of a dump: the one that the user named, else its own, else its folder's."""
     if options.layout is not None:
         return options.layout
     return next((found for found in (named_layout(path), folder_layout(path)) if is_file(found)), None)
 
 
 def _is_of_a_dump(path: Path) -> bool:
-    """Whether the layout beside a file is that of a dump with a usual suffix."""
+    """Return True if a file's layout is that of a dump with a usual suffix in the same folder."""
     name = named_layout(path).name.removesuffix(SUFFIX)
     return any(is_file(path.with_name(name + end + gz)) for end in DUMP_SUFFIXES for gz in ("", ".gz"))
 
 
 def sniff(probe: Probe) -> int:
-    """A dump is known by its layout alone: 100 named by the user, 95 its own, 40 its folder's.
+    """Return how certain a layout makes it that a file is a dump.
 
-    Beside a file of another suffix its own scores 35, so that whatever else its content shows comes first;
-    its folder's is for the usual suffixes alone.
-
-    Below 100 unless the user names it, so that a dump with a signature is read as that format. A
-    `.raw` file for which rate and counts per g are given, but no layout, scores 30.
+    100 if the user named the layout, 95 for the dump's own, 40 for its folder's, so that a dump with a
+    signature is read as that format. A file of another suffix scores 35 for a layout of its own, so that
+    whatever else its content shows comes first, and 0 for its folder's. A `.raw` file for which rate and
+    counts per g are given, but no layout, scores 30.
     """
     options = probe.options
     if options.layout is not None:

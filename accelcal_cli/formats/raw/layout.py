@@ -1,6 +1,6 @@
-"""Layout files: what the pages and frames of a raw dump hold. See docs/layout-files.md.
+"""Reads layout files, which describe the pages and frames of a raw dump (docs/layout-files.md).
 
-A layout is read with errors that name the key, and checked: its sizes and offsets must fit together.
+Errors name the key. Sizes and offsets must fit together.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from accelcal_cli.core.recording import LARGEST_LSB_PER_G
 AXES = ("x", "y", "z")
 GYRO = ("gx", "gy", "gz")
 CHANNEL_FIELDS = {"temperature": ("temperature_mc", 1000, 1_000_000.0)}
-"""Fields of a single value beside x, y, z: which channel of a Chunk it becomes, how many of the channel's
-units are one of the field, and the largest value of the channel that was measured."""
+"""Fields of a single value: its channel in Chunk, the number of the channel's units in one of the field's,
+and the largest value of the channel that can be measured."""
 
 FIELD_NAMES = (*AXES, *CHANNEL_FIELDS, *GYRO)
 FIELD_TYPES = {"int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int24": 3, "int32": 4, "float32": 4}
@@ -32,14 +32,14 @@ TIME_TYPES = {"uint32": 4}
 CHECKSUM_BYTES = {"crc32": 4, "crc16-ccitt": 2}
 
 LARGEST_COVERS = {"crc32": 1 << 24, "crc16-ccitt": 1 << 16}
-"""Bytes: a CRC-16 takes a step, and half a kilobyte of tables, for each; it is made for a few thousand."""
+"""Most bytes that a checksum covers: a CRC-16 takes a step, and half a kilobyte of tables, for each."""
 
 STREAM_FRAMES = 256
-"""An unbroken stream is taken in pages of so many frames."""
+"""Frames of an unbroken stream that are treated as a page."""
 
 LARGEST_LAYOUT = 1 << 16
 LONGEST_LINE = 1000
-"""Bytes of a layout file, and characters of a line: what a key of many parts takes in memory grows as the
+"""Most bytes of a layout file, and most characters of a line: the memory for a key of many parts grows as the
 square of their number."""
 
 LARGEST_FRAME = 1 << 16
@@ -69,12 +69,12 @@ class Field:
 
     @property
     def end(self) -> int:
-        """Offset of the byte after it."""
+        """Offset of the byte after the field."""
         return self.offset + FIELD_TYPES[self.type]
 
     @property
     def scale(self) -> float:
-        """Degrees C, or deg/s, in one raw unit."""
+        """Degrees C or deg/s in one raw unit."""
         return 1.0 if self.per_unit is None else self.per_unit
 
 
@@ -87,7 +87,7 @@ class Sequence:
 
     @property
     def bits(self) -> int:
-        """Width, after which the numbers start from 0 again."""
+        """Width of the number, after which it starts from 0 again."""
         return 8 * SEQUENCE_TYPES[self.type]
 
 
@@ -141,7 +141,7 @@ class Layout:
 
     @property
     def block_bytes(self) -> int:
-        """Bytes of a page, or of what is taken for one in an unbroken stream."""
+        """Bytes of a page, or of the frames of an unbroken stream that are treated as one."""
         return self.page_bytes or STREAM_FRAMES * self.frame_bytes
 
 
@@ -149,7 +149,7 @@ def check_geometry(layout: Layout, path: Path, *, paged: bool) -> None:
     """Refuse sizes that contradict each other.
 
     Args:
-        paged: whether the layout gives page_bytes.
+        paged: the layout gives page_bytes.
 
     Raises:
         UsageError: names the key, the file and what is wrong.
@@ -165,11 +165,11 @@ def check_geometry(layout: Layout, path: Path, *, paged: bool) -> None:
 
 
 class ImpossibleError(Exception):
-    """Which key cannot be true, and why."""
+    """A key of the layout is impossible; the message names it and says why."""
 
 
 def check_frame(layout: Layout) -> None:
-    """Fields lie within the frame, side by side."""
+    """Check that fields lie within the frame and do not overlap."""
     if layout.frame_bytes > LARGEST_FRAME:
         raise ImpossibleError(f"dump.frame_bytes is {layout.frame_bytes}, more than {LARGEST_FRAME}")
     spans = [(field.offset, field.end, f"fields.{name}") for name, field in layout.fields.items()]
@@ -180,7 +180,7 @@ def check_frame(layout: Layout) -> None:
 
 
 def check_stream(layout: Layout) -> None:
-    """Without pages, no key about pages is allowed."""
+    """Check that a layout without pages has no key about pages."""
     if layout.page_header_bytes or layout.page_trailer_bytes:
         raise ImpossibleError("dump.page_bytes is missing, but a page header or trailer is given")
     if layout.sequence or layout.stamp or layout.checksum:
@@ -188,7 +188,7 @@ def check_stream(layout: Layout) -> None:
 
 
 def check_page(layout: Layout) -> None:
-    """A page holds its header, at least one frame and its trailer, and its keys lie outside the frames."""
+    """Check that header, trailer and a frame fit into a page, and that its keys lie outside the frames."""
     outside = layout.page_header_bytes + layout.page_trailer_bytes
     if layout.page_bytes > LARGEST_PAGE:
         raise ImpossibleError(f"dump.page_bytes is {layout.page_bytes}, more than {LARGEST_PAGE}")
@@ -207,7 +207,7 @@ def check_page(layout: Layout) -> None:
 
 
 def page_spans(layout: Layout) -> list[Span]:
-    """First byte, byte after the last, and name of each key of [page]."""
+    """Return the first byte, the byte after the last, and the name of each key of [page]."""
     keys = (
         (layout.sequence, SEQUENCE_TYPES, "page.sequence"),
         (layout.stamp, TIME_TYPES, "page.time"),
@@ -217,7 +217,7 @@ def page_spans(layout: Layout) -> list[Span]:
 
 
 def check_covers(layout: Layout) -> None:
-    """The checksum covers bytes of the page, not itself."""
+    """Check that the checksum covers bytes of the page, and not itself."""
     crc = layout.checksum
     if crc is None:
         return
@@ -234,21 +234,21 @@ def check_covers(layout: Layout) -> None:
 
 
 def check_apart(spans: list[Span]) -> None:
-    """No two spans share a byte."""
+    """Check that no two spans share a byte."""
     for (_, end, name), (start, _, other) in pairwise(sorted(spans)):
         if start < end:
             raise ImpossibleError(f"{name} and {other} overlap at byte {start}")
 
 
 def shown(value: object) -> str:
-    """A value of a layout as errors show it: no longer than a line."""
+    """Return a value as errors show it, no longer than a line."""
     short = reprlib.Repr()
     short.maxstring = short.maxother = LONGEST_SHOWN
     return short.repr(value)
 
 
 class Keys:
-    """One table of a layout. What was never asked for is unknown, and `finish` says so."""
+    """One table of a layout; `finish` refuses keys that were never read."""
 
     def __init__(self, table: Mapping[str, Any], path: Path, name: str) -> None:
         self._table = table
@@ -260,12 +260,12 @@ class Keys:
         return key in self._table
 
     def error(self, key: str, message: str, hint: str | None = None) -> UsageError:
-        """An error about one key."""
+        """Return an error about one key."""
         place = f"{self._name}.{key}" if self._name else f"[{key}]"
         return UsageError(f"layout: {place} {message}", path=self._path, hint=hint)
 
     def raw(self, key: str) -> Any:
-        """The value as TOML gave it, None if absent."""
+        """Return the value as TOML gave it, None if absent."""
         self._known.add(key)
         return self._table.get(key)
 
@@ -275,7 +275,7 @@ class Keys:
         return value
 
     def finish(self, *also: str) -> None:
-        """Refuse keys that nothing asked for, except these."""
+        """Refuse keys that were never read, except those in `also`."""
         self._known.update(also)
         for key in self._table:
             if key not in self._known:
@@ -283,11 +283,11 @@ class Keys:
                 raise self.error(key, "is not a known key", did_you_mean(key, self._known) or known)
 
     def table(self, key: str) -> Keys:
-        """A table that must be there."""
+        """Return a required table."""
         return self._required(key, self.optional_table(key))
 
     def optional_table(self, key: str) -> Keys | None:
-        """A table, or None if absent."""
+        """Return a table, None if absent."""
         value = self.raw(key)
         if value is None:
             return None
@@ -296,11 +296,11 @@ class Keys:
         return Keys(value, self._path, f"{self._name}.{key}" if self._name else key)
 
     def number(self, key: str, low: float = -math.inf, high: float = math.inf) -> float:
-        """A number that must be there."""
+        """Return a required number."""
         return self._required(key, self.optional_number(key, low, high))
 
     def optional_number(self, key: str, low: float = -math.inf, high: float = math.inf) -> float | None:
-        """A finite number within low..high, or None if absent."""
+        """Return a finite number within low..high, None if absent."""
         value = self.raw(key)
         if value is None:
             return None
@@ -311,9 +311,9 @@ class Keys:
         return float(value)
 
     def whole(self, key: str, default: int | None, low: int = 0) -> int:
-        """A whole number from `low` on; `default` None: it must be there."""
-        given = self.raw(key)
-        value = self._required(key, default if given is None else given)
+        """Return a whole number of at least `low`; it is required if `default` is None."""
+        found = self.raw(key)
+        value = self._required(key, default if found is None else found)
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.error(key, f"must be a whole number, not {shown(value)}")
         if value is not default and not low <= value <= LARGEST_BYTES:
@@ -323,21 +323,21 @@ class Keys:
         return value
 
     def text(self, key: str) -> str | None:
-        """A text, or None if absent."""
+        """Return a text, None if absent."""
         value = self.raw(key)
         if value is not None and not isinstance(value, str):
             raise self.error(key, f"must be text in quotes, not {shown(value)}")
         return value
 
     def choice(self, key: str, allowed: tuple[str, ...], default: str | None) -> str:
-        """One of a few words; `default` None: it must be there."""
+        """Return one of a few words; it is required if `default` is None."""
         value = self._required(key, self.text(key) or default)
         if value not in allowed:
             raise self.error(key, f"is {value!r}", f"allowed: {', '.join(allowed)}")
         return value
 
     def pair(self, key: str) -> tuple[int, int]:
-        """Two whole numbers that must be there."""
+        """Return a required pair of whole numbers."""
         value = self._required(key, self.raw(key))
         whole = isinstance(value, list) and [type(item) for item in value] == [int, int]
         if not whole or not 0 <= value[0] < value[1]:
@@ -346,7 +346,7 @@ class Keys:
 
 
 def parse_start(dump: Keys) -> StartTime | None:
-    """`start_time` of [dump], as an ISO 8601 text or a TOML date and time."""
+    """Parse `start_time` of [dump], an ISO 8601 text or a TOML date and time."""
     value = dump.raw("start_time")
     if value is None:
         return None
@@ -364,7 +364,7 @@ def parse_start(dump: Keys) -> StartTime | None:
 
 
 def plain_layout(rate_hz: float, lsb_per_g: float) -> Layout:
-    """An unbroken stream of x, y, z as little-endian int16."""
+    """Return the layout of an unbroken stream of x, y, z as little-endian int16."""
     fields = {axis: Field(2 * number, "int16") for number, axis in enumerate(AXES)}
     return Layout(rate_hz=rate_hz, lsb_per_g=lsb_per_g, frame_bytes=6, fields=fields)
 
@@ -419,7 +419,7 @@ def parse_layout(document: Mapping[str, Any], path: Path) -> Layout:
 
 
 def parse_field(keys: Keys) -> Field:
-    """One entry of [fields]."""
+    """Parse one entry of [fields]."""
     field = Field(
         offset=keys.whole("offset", None),
         type=keys.choice("type", tuple(FIELD_TYPES), None),
@@ -431,7 +431,7 @@ def parse_field(keys: Keys) -> Field:
 
 
 def check_fields(parsed: Mapping[str, Field], fields: Keys) -> None:
-    """x, y and z must be there, the gyroscope whole, and scales where they mean something."""
+    """Check that x, y and z are there, that the gyroscope is complete, and that scales have a meaning."""
     for name in AXES:
         if name not in parsed:
             raise fields.error(name, "is missing")
@@ -452,7 +452,7 @@ def check_fields(parsed: Mapping[str, Field], fields: Keys) -> None:
 
 
 def parse_sequence(keys: Keys | None) -> Sequence | None:
-    """`sequence` of [page]."""
+    """Parse `sequence` of [page]."""
     if keys is None:
         return None
     sequence = Sequence(keys.whole("offset", None), keys.choice("type", tuple(SEQUENCE_TYPES), None))
@@ -461,7 +461,7 @@ def parse_sequence(keys: Keys | None) -> Sequence | None:
 
 
 def parse_stamp(keys: Keys | None) -> Stamp | None:
-    """`time` of [page]."""
+    """Parse `time` of [page]."""
     if keys is None:
         return None
     offset, kind = keys.whole("offset", None), keys.choice("type", tuple(TIME_TYPES), None)
@@ -471,7 +471,7 @@ def parse_stamp(keys: Keys | None) -> Stamp | None:
 
 
 def parse_checksum(keys: Keys | None) -> Checksum | None:
-    """`crc` of [page]."""
+    """Parse `crc` of [page]."""
     if keys is None:
         return None
     offset, kind = keys.whole("offset", None), keys.choice("type", tuple(CHECKSUM_BYTES), None)

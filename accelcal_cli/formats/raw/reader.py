@@ -1,4 +1,4 @@
-"""An open raw dump: what its layout and its pages say about the recording, and its rows.
+"""Reads a raw dump: decodes its pages and frames as its layout says.
 
 `FrameValues` takes counts and the other channels out of frames, `FrameDecoder` frames out of pages.
 """
@@ -45,18 +45,18 @@ INT24_RANGE = (-(1 << 23), (1 << 23) - 1)
 SMALL, WIDE = np.iinfo(np.int16), np.iinfo(np.int32)
 
 UNUSED_FRAMES = 8
-"""So many erased frames in a row at the end of a page are unused memory, not measurements."""
+"""Least number of erased frames at the end of a page that are unused memory, not measurements."""
 
 NO_START = "the layout gives no start time and no page time: times count from 1970-01-01"
 
 
 def number_type(endian: str, kind: str) -> np.dtype[np.generic]:
-    """The numpy type of a layout's number type."""
+    """Return the numpy type of a layout's number type."""
     return np.dtype(kind).newbyteorder("<" if endian == "little" else ">")
 
 
 def whole_range(field: Field, zero: int) -> tuple[int, int]:
-    """Smallest and largest count of a whole-number field after taking `zero` off."""
+    """Return the smallest and largest count of a whole-number field after subtracting `zero`."""
     if field.type == INT24:
         low, high = INT24_RANGE
     else:
@@ -89,7 +89,7 @@ class FrameValues:
 
     @property
     def dps_per_lsb(self) -> tuple[float, float, float] | None:
-        """Degrees per second in one count of each gyroscope axis."""
+        """deg/s in one count of each gyroscope axis, None without a gyroscope."""
         if not self._rates:
             return None
         x, y, z = (FLOAT_DPS_PER_LSB if self._float_rates else field.scale for field in self._rates)
@@ -97,17 +97,17 @@ class FrameValues:
 
     @property
     def may_fail(self) -> bool:
-        """Whether a row can hold something that is not a usable number."""
+        """Return True if a row can hold something that is not a usable number."""
         ranges = [*self._axis_ranges, *self._rate_ranges]
         beyond = any(low < WIDE.min or high > WIDE.max for low, high in ranges)
         return self._float_axes or self._float_rates or beyond
 
     def records(self, frames: NDArray[np.uint8]) -> NDArray[np.void]:
-        """Frames (n, frame_bytes) as records (n,)."""
+        """Return frames (n, frame_bytes) as records (n,)."""
         return np.ascontiguousarray(frames).view(self._record)[:, 0]
 
     def counts(self, records: NDArray[np.void], faulty: NDArray[np.bool_]) -> Counts:
-        """Accelerations (n, 3); rows that hold no usable one are marked in `faulty` (n,)."""
+        """Return accelerations (n, 3), and mark rows without a usable one in `faulty` (n,)."""
         if not self._float_axes:
             zeros = [int(field.zero) for field in self._axes]
             return self._whole(records, AXES, zeros, self._axis_ranges, faulty)
@@ -118,13 +118,12 @@ class FrameValues:
         return on_grid(columns, LARGEST_G, 1 / FLOAT_LSB_PER_G, faulty)
 
     def channels(self, records: NDArray[np.void], faulty: NDArray[np.bool_]) -> Channels:
-        """What else the frames hold, MISSING where not measured; `faulty` as in `counts`."""
+        """Return the other channels, MISSING where not measured; `faulty` is as in `counts`."""
         single = [name for name in CHANNEL_FIELDS if name in self._layout.fields]
         channels: Channels = {CHANNEL_FIELDS[name][0]: self._single(records, name) for name in single}
         return channels | ({"gyro_counts": self._rotation(records, faulty)} if self._rates else {})
 
     def _rotation(self, records: NDArray[np.void], faulty: NDArray[np.bool_]) -> Counts:
-        """Rotation rates, (n, 3)."""
         if not self._float_rates:
             zeros = [-rate_zero(field) for field in self._rates]
             return self._whole(records, GYRO, zeros, self._rate_ranges, faulty)
@@ -135,7 +134,7 @@ class FrameValues:
         return on_grid(columns, LARGEST_DPS, FLOAT_DPS_PER_LSB, faulty)
 
     def _single(self, records: NDArray[np.void], name: str) -> NDArray[np.int32]:
-        """A field of CHANNEL_FIELDS as its channel, (n,)."""
+        """Return a field of CHANNEL_FIELDS as its channel, (n,)."""
         field, (_, per_unit, largest) = self._layout.fields[name], CHANNEL_FIELDS[name]
         raw = self._raw_float(records, name)
         values = (raw * field.scale + field.zero) * per_unit
@@ -144,12 +143,12 @@ class FrameValues:
         return np.where(measured, whole, MISSING).astype(np.int32)
 
     def _raw_float(self, records: NDArray[np.void], name: str) -> NDArray[np.float64]:
-        """One field as floats, (n,); a NaN of any kind, of which numpy would warn, stays one."""
-        with np.errstate(invalid="ignore"):
+        """Return one field as floats, (n,)."""
+        with np.errstate(invalid="ignore"):  # of some kinds of NaN, which stay NaN
             return self._raw(records, name).astype(np.float64)
 
     def _raw(self, records: NDArray[np.void], name: str) -> NDArray[Any]:
-        """One field as numbers, (n,)."""
+        """Return one field as numbers, (n,)."""
         if self._layout.fields[name].type != INT24:
             return np.asarray(records[name])
         order = slice(None) if self._layout.endian == "little" else slice(None, None, -1)
@@ -176,7 +175,7 @@ class FrameValues:
 
 
 def record_type(layout: Layout) -> np.dtype[np.void]:
-    """A frame as a numpy record."""
+    """Return the numpy record of a frame."""
     fields = layout.fields
     formats = [
         np.dtype((np.uint8, (3,))) if field.type == INT24 else number_type(layout.endian, field.type)
@@ -189,14 +188,14 @@ def record_type(layout: Layout) -> np.dtype[np.void]:
 
 
 def rate_zero(field: Field) -> int:
-    """A gyroscope's `zero` in whole counts."""
+    """Return a gyroscope's `zero` in whole counts."""
     return round(field.zero / field.scale)
 
 
 def on_grid(
     columns: list[NDArray[np.float64]], largest: float, step: float, faulty: NDArray[np.bool_]
 ) -> NDArray[np.int32]:
-    """Decimal fractions as whole steps, (n, 3); marks rows with a value that is not a number or too large."""
+    """Return values as whole steps, (n, 3), and mark rows with one that is not a number or too large."""
     counts = np.zeros((len(faulty), 3), np.int32)
     for axis, column in enumerate(columns):
         usable = np.abs(column) <= largest
@@ -229,7 +228,7 @@ class FrameDecoder(PageDecoder[RawBlock]):
         return Decoded(block, runs, leftover, unused_end)
 
     def _with_tail(self, raw: RawBlock) -> tuple[NDArray[np.uint8], bytes, int]:
-        """Pages, bytes that fill no frame, and the frames of the last page if a stream ends in it."""
+        """Return pages, bytes that fill no frame, and the frames of the last page if a stream ends in it."""
         frames = 0 if self._layout.page_bytes else len(raw.tail) // self._layout.frame_bytes
         if not frames:
             return raw.pages, raw.tail, 0
@@ -246,7 +245,7 @@ class FrameDecoder(PageDecoder[RawBlock]):
         return status
 
     def _intact(self, pages: NDArray[np.uint8], crc: Checksum) -> NDArray[np.bool_]:
-        """Which pages have the right checksum."""
+        """Mark the pages whose checksum is right, (p,)."""
         if crc.type == "crc32":
             actual: NDArray[np.unsignedinteger] = paged.crc32_pages(pages, crc.start, crc.stop)
             return np.asarray(actual == self._page_value(pages, crc.offset, "uint32"))
@@ -254,13 +253,13 @@ class FrameDecoder(PageDecoder[RawBlock]):
         return np.asarray(actual == self._page_value(pages, crc.offset, "uint16"))
 
     def _page_value(self, pages: NDArray[np.uint8], offset: int, kind: str) -> NDArray[np.int64]:
-        """A whole number at one place of every page, (p,)."""
+        """Return a whole number at one place of every page, (p,)."""
         code = number_type(self._layout.endian, kind)
         data = np.ascontiguousarray(pages[:, offset : offset + code.itemsize])
         return data.view(code)[:, 0].astype(np.int64)
 
     def _frames(self, pages: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The frames of each page, (p, frames, frame_bytes)."""
+        """Return the frames of each page, (p, frames, frame_bytes)."""
         layout = self._layout
         start = layout.page_header_bytes
         used = pages[:, start : start + layout.page_frames * layout.frame_bytes]
@@ -269,7 +268,7 @@ class FrameDecoder(PageDecoder[RawBlock]):
     def _used_rows(
         self, pages: NDArray[np.uint8], limit: NDArray[np.int64], status: NDArray[np.uint8]
     ) -> NDArray[np.int64]:
-        """Frames of each page without the erased ones at its end, (p,); marks pages without any."""
+        """Return the number of frames in each page before erased ones at its end, (p,); mark empty pages."""
         frames = self._frames(pages)
         rows = limit.copy()
         ended = (frames[:, -UNUSED_FRAMES:] == 0xFF).all(axis=(1, 2)) & (status == paged.GOOD)
@@ -304,7 +303,7 @@ class FrameDecoder(PageDecoder[RawBlock]):
         )
 
     def _stamps(self, pages: NDArray[np.uint8], stamp: Stamp) -> NDArray[np.int64]:
-        """Time of each page [us since 1970], (p,)."""
+        """Return the time of each page [us since 1970], (p,)."""
         unit = unit_us(stamp)
         raw = self._page_value(pages, stamp.offset, stamp.type)
         whole, rest = np.divmod(raw, unit.denominator)
@@ -312,7 +311,7 @@ class FrameDecoder(PageDecoder[RawBlock]):
 
 
 def unit_us(stamp: Stamp) -> Fraction:
-    """Microseconds in one unit of a stamp."""
+    """Return the microseconds in one unit of a stamp."""
     return (Fraction(repr(stamp.per_unit)) * MICROSECONDS).limit_denominator(1 << 20)
 
 
@@ -337,7 +336,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
 
 
 def layout_for(path: Path, options: ReadOptions) -> Layout:
-    """The dump's layout, with the user's rate and counts per g before the file's."""
+    """Return the dump's layout; the user's rate and counts per g take precedence over it."""
     layout_path = find_layout(path, options)
     if layout_path is None:
         if options.rate_hz is None or options.lsb_per_g is None:
@@ -357,7 +356,7 @@ def layout_for(path: Path, options: ReadOptions) -> Layout:
 
 
 def nothing_usable(file: PagedFile, layout: Layout) -> UnreadableError:
-    """The error for a file without one usable sample, with the likeliest reason."""
+    """Return the error for a file without any usable sample, with the likeliest reason."""
     if layout.page_bytes and file.whole_pages == 0 and not file.compressed:
         return UnreadableError(
             f"holds no whole page of {layout.page_bytes} bytes after its header",
@@ -375,7 +374,7 @@ def nothing_usable(file: PagedFile, layout: Layout) -> UnreadableError:
 
 
 def page_scheme(file: PagedFile, layout: Layout) -> FixedPages:
-    """How this file's pages are read."""
+    """Return how this file's pages are read."""
     bits = 32 if layout.sequence is None else layout.sequence.bits
     spacing = timelines.Spacing(rate_fraction(layout.rate_hz), layout.page_frames, bits)
     decoder = FrameDecoder(layout)
@@ -383,7 +382,7 @@ def page_scheme(file: PagedFile, layout: Layout) -> FixedPages:
 
 
 def timeline(layout: Layout, spacing: timelines.Spacing) -> timelines.PageTimeline:
-    """By page stamps where there are any, finer or coarser than a sample, else by counting."""
+    """Return a timeline by page stamps, finer or coarser than a sample, or by counting if there are none."""
     if layout.stamp is None:
         return timelines.NominalTimeline(spacing, layout.start.start_us if layout.start else 0)
     unit = unit_us(layout.stamp)
@@ -393,7 +392,7 @@ def timeline(layout: Layout, spacing: timelines.Spacing) -> timelines.PageTimeli
 
 
 def recording(scheme: FixedPages, layout: Layout, opening: Opening) -> Recording:
-    """The file's description."""
+    """Describe the recording."""
     values, (samples, duration_s) = FrameValues(layout), scheme.extent(opening)
     start, stamped = layout.start, layout.stamp is not None
     zone = "UTC" if stamped else None if start is None else start.timezone

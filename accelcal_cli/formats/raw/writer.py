@@ -1,8 +1,8 @@
 """Writes a raw dump, an unbroken stream of frames, and the layout file that describes it.
 
-A frame is x, y, z (int16, or int32 where the range needs it), then the temperature as int16 of
-1/128 C and the gyroscope as three int16, where the recording has them. A stream of frames has no
-place for a gap: a recording with a break is refused.
+A frame is x, y, z (int16, or int32 if the range needs it), then the temperature as int16 of 1/128 C and the
+gyroscope as three int16, if the recording has them. A stream of frames cannot hold a gap: a recording with a
+break is refused.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ OTHER_FORMAT = "choose another format, such as flash"
 
 
 def frame_type(recording: Recording) -> np.dtype[np.void]:
-    """A frame as a numpy record."""
+    """Return the numpy record of a frame."""
     largest = recording.lsb_per_g * (recording.range_g or USUAL_RANGE_G)
     number = "<i2" if largest <= 1 << 15 else "<i4"
     fields = [(axis, number) for axis in "xyz"]
@@ -56,7 +56,7 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
 
 
 def frames(path: Path, chunk: Chunk, record: np.dtype[np.void]) -> NDArray[np.void]:
-    """The chunk's rows as frames, (n,)."""
+    """Return the chunk's rows as frames, (n,)."""
     table = np.zeros(len(chunk), record)
     for number, axis in enumerate("xyz"):
         table[axis] = fitting(path, chunk.counts[:, number], record[axis])
@@ -69,7 +69,7 @@ def frames(path: Path, chunk: Chunk, record: np.dtype[np.void]) -> NDArray[np.vo
 
 
 def fitting(path: Path, values: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
-    """The values, if all fit the frame's number type."""
+    """Return the values if all fit the frame's number type, else raise OutputError."""
     limits = np.iinfo(kind.name)
     if len(values) and (values.min() < limits.min or values.max() > limits.max):
         raise OutputError("a value does not fit its field in the frame", path=path, hint=OTHER_FORMAT)
@@ -77,7 +77,7 @@ def fitting(path: Path, values: NDArray[Any], kind: np.dtype[Any]) -> NDArray[An
 
 
 def layout_text(recording: Recording) -> str:
-    """The layout file's content."""
+    """Return the content of the layout file."""
     device = recording.device
     known = {
         "rate_hz": recording.rate_hz,
@@ -93,7 +93,7 @@ def layout_text(recording: Recording) -> str:
 
 
 def field_lines(recording: Recording) -> list[str]:
-    """One line a field of the frame."""
+    """Return one line for each field of the frame."""
     record = frame_type(recording)
     scales = {"temperature": DEGREES_PER_UNIT}
     if recording.gyro_dps_per_lsb is not None:
@@ -107,7 +107,7 @@ def field_lines(recording: Recording) -> list[str]:
 
 
 def start_text(recording: Recording) -> str | None:
-    """Time of the first sample; with an offset where the recording's times are UTC."""
+    """Return the time of the first sample, with an offset if the recording's times are UTC."""
     if recording.start_us is None:
         return None
     moment = EPOCH + timedelta(microseconds=recording.start_us)
@@ -115,7 +115,7 @@ def start_text(recording: Recording) -> str | None:
 
 
 def toml(value: float | str) -> str:
-    """A TOML value; JSON text and TOML text in quotes are written alike."""
+    """Return a TOML value; JSON text and TOML text in quotes are written alike."""
     return json.dumps(value) if isinstance(value, str) else repr(float(value))
 
 
