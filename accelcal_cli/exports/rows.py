@@ -26,7 +26,7 @@ from fractions import Fraction
 from itertools import pairwise
 from math import ceil
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,9 @@ from accelcal_cli.core.recording import Validity
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.files import metadata_of, stored_schema
 from accelcal_cli.output.report_reading import section
-from accelcal_cli.parquet import ParquetSource
+
+if TYPE_CHECKING:
+    from accelcal_cli.parquet import ParquetSource
 
 NAMES = ("time", "x", "y", "z")
 NAME_ONE = "name a Parquet file that accelcal wrote, STEM.calibrated.parquet"
@@ -200,6 +202,8 @@ def open_calibrated(
     Raises:
         UnreadableError: it cannot be read, or accelcal did not write it.
     """
+    from accelcal_cli.parquet import ParquetSource  # pyarrow, which no help needs
+
     about = _described(path)
     temperature = ("temperature",) if about.has_temperature else ()
     more = about.more if everything else ()
@@ -210,7 +214,7 @@ def open_calibrated(
 def _described(path: Path) -> CalibratedFile:
     if not path.is_file():
         raise UnreadableError("is not a file that can be read", path=path, hint=NAME_ONE)
-    from accelcal_cli.output.columns import described  # pyarrow, which no help needs
+    from accelcal_cli.output.columns import described  # pyarrow
 
     metadata, schema = metadata_of(path, UnreadableError), stored_schema(path, UnreadableError)
     recording = section(metadata, "recording")
