@@ -195,26 +195,23 @@ class Wearer:
     def _bout(self, hour: float) -> Bout:
         chance = self.random.rand()
         if hour >= 23 or hour < 7:
-            return self._sleep(chance)
+            posture = self._near(SLEEP_POSTURES, 0.25)
+            if chance < 0.8:
+                return self._rest(posture, self._minutes(9.0, 0.8))
+            return self._moving(posture, self.random.uniform(5, 60), 0.15)
         if 20.5 <= hour < 21 and chance < 0.5:
             bout = self._rest(self._near((TABLE,), 0.02), self.random.uniform(300, 1200))
             return replace(bout, worn=False)
         return self._day(chance)
 
-    def _sleep(self, chance: float) -> Bout:
-        posture = self._near(SLEEP_POSTURES, 0.25)
-        if chance < 0.8:
-            return self._rest(posture, self._minutes(9.0, 0.8))
-        return self._moving(posture, self.random.uniform(5, 60), 0.15)
-
     def _day(self, chance: float) -> Bout:
         if chance < 0.35:
-            return self._rest(self._anywhere(), self._minutes(0.6, 0.9))
+            return self._rest(unit(self.random.randn(3)), self._minutes(0.6, 0.9))
         if chance < 0.6:
             return self._tremor(self._near(DESK_POSTURES, 0.3), self.random.uniform(10, 200))
         if chance < 0.8:
             return self._walking(self.random.uniform(30, 400))
-        return self._moving(self._anywhere(), self._minutes(0.9, 0.9), 0.35)
+        return self._moving(unit(self.random.randn(3)), self._minutes(0.9, 0.9), 0.35)
 
     def _minutes(self, median: float, spread: float) -> float:
         return float(np.clip(60 * median * np.exp(spread * self.random.randn()), 4, 3600))
@@ -222,9 +219,6 @@ class Wearer:
     def _near(self, postures: tuple[tuple[float, float, float], ...], spread: float) -> Floats:
         chosen = np.array(postures[self.random.randint(len(postures))])
         return unit(chosen + spread * self.random.randn(3))
-
-    def _anywhere(self) -> Floats:
-        return unit(self.random.randn(3))
 
     def _turn(self, target: Floats, seconds: float) -> tuple[Floats, int]:
         """Return directions of a bout, a smooth turn to the target and then hold; and the turn's samples."""

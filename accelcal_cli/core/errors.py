@@ -38,11 +38,10 @@ def printable(path: Path | str, *, kept: str = "") -> str:
     """
     whole = NO_BYTES.sub("\ufffd", str(path))
     text = whole.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
-    return "".join(char if char.isprintable() or char in kept else _escaped(char) for char in text)
-
-
-def _escaped(char: str) -> str:
-    return char.encode("unicode_escape").decode()
+    return "".join(
+        char if char.isprintable() or char in kept else char.encode("unicode_escape").decode()
+        for char in text
+    )
 
 
 def spreadsheet_cell(value: Any) -> Any:

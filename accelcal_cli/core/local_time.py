@@ -383,14 +383,10 @@ def _started(reader: Reader, stated: Retiming) -> tuple[Recording, int]:
     known = replace(recording, start_us=start.start_us, timezone=start.timezone or recording.timezone)
     note = STARTED.format(stated.start)
     dated = replace(known, has_offsets=start.had_offset, notes=(*recording.notes, note))
-    return dated, start.start_us - _first_us(reader)
-
-
-def _first_us(reader: Reader) -> int:
-    for chunk in reader.chunks(FIRST_SAMPLES):
-        if len(chunk):
-            return int(chunk.clock.times(0, 1)[0])
-    raise UnreadableError("holds no samples", path=reader.recording.path)
+    first = next((chunk for chunk in reader.chunks(FIRST_SAMPLES) if len(chunk)), None)
+    if first is None:
+        raise UnreadableError("holds no samples", path=recording.path)
+    return dated, start.start_us - int(first.clock.times(0, 1)[0])
 
 
 def _worn(recording: Recording, zone: str) -> tuple[Recording, int]:

@@ -331,14 +331,12 @@ class _Resampler:
         celsius = rows.celsius
         if celsius is not None:
             celsius = (celsius[before] + between * (celsius[after] - celsius[before])).astype(np.float32)
-        return SampleRows(self._times_us(start, stop), xyz, celsius)
-
-    def _times_us(self, start: int, stop: int) -> NDArray[np.int64]:
-        """Return the times of outputs, from whole numbers alone."""
-        top, below = self._period_us.as_integer_ratio()
+        # The times follow from whole numbers alone.
+        top, below = period.as_integer_ratio()
         assert self._first_us is not None
-        numbers = np.arange(start, stop, dtype=np.int64 if 2 * stop * top < LAST else object)
-        return (self._first_us + (2 * numbers * top + below) // (2 * below)).astype(np.int64)
+        numbers = number.astype(np.int64 if 2 * stop * top < LAST else object)
+        time_us = (self._first_us + (2 * numbers * top + below) // (2 * below)).astype(np.int64)
+        return SampleRows(time_us, xyz, celsius)
 
     def _filtered(
         self, xyz: NDArray[np.float32], before: NDArray[np.int64], between: Floats

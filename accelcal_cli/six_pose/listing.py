@@ -7,7 +7,7 @@ line is placed in the session: in its file, at times on the device's clock.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from fractions import Fraction
@@ -142,8 +142,13 @@ def _listed(place: LinePlace, names: Sequence[str], cells: Sequence[str], end: s
     values = dict(zip(names, cells, strict=True))
     x, y, z = (_number(values[f"{axis}{end}"], place) * UNITS[end] for axis in AXES)
     _check_length(_length((x, y, z)), place, of_rest=not end)
-    start, stop = _times(values, place)
-    return ListedPose(place, start, stop, (x, y, z), not end, _file(values, place))
+    times = [values.get(name, "") for name in TIMES]
+    # A file without times is one pose.
+    is_whole = FILE in values and not any(times)
+    start, stop = (None if is_whole else parse_moment(text, place) for text in times)
+    if FILE in values and not values[FILE]:
+        raise place.wrong("names no file")
+    return ListedPose(place, start, stop, (x, y, z), not end, values.get(FILE))
 
 
 def _check_length(length: float, place: LinePlace, *, of_rest: bool) -> None:
@@ -159,20 +164,6 @@ def _check_length(length: float, place: LinePlace, *, of_rest: bool) -> None:
 def _length(vector: Fractions3) -> float:
     x, y, z = vector
     return sqrt(x * x + y * y + z * z)
-
-
-def _file(values: Mapping[str, str], place: LinePlace) -> str | None:
-    if FILE in values and not values[FILE]:
-        raise place.wrong("names no file")
-    return values.get(FILE)
-
-
-def _times(values: Mapping[str, str], place: LinePlace) -> tuple[Moment | None, Moment | None]:
-    """Return start and end; both None, for a whole file, if both cells are empty and a file is named."""
-    start, end = (values.get(name, "") for name in TIMES)
-    if FILE in values and not start and not end:
-        return None, None
-    return parse_moment(start, place), parse_moment(end, place)
 
 
 def _number(text: str, place: LinePlace) -> Fraction:

@@ -156,10 +156,6 @@ def _too_much(path: Path, what: str) -> UnreadableError:
     )
 
 
-def _too_many(path: Path) -> UnreadableError:
-    return _too_much(path, f"has more than {MOST_MEMBERS} members")
-
-
 def _pieces(path: Path, wanted: Callable[[str], bool]) -> Iterator[tuple[str, bytes | None]]:
     """Yield wanted members in pieces, with their names; None comes before a member, b"" after it."""
     for name, stream in _members(path):
@@ -204,14 +200,10 @@ def _members(path: Path) -> Iterator[tuple[str, Stream]]:
     members = _zip_members(path) if zipped else _tar_members(path)
     for number, (name, stream) in enumerate(members):
         if number == MOST_MEMBERS:
-            raise _too_many(path)
-        yield _plain(name), stream
-
-
-def _plain(name: str) -> str:
-    """Return the last part of a member's name, as a file may have it."""
-    last = name.replace("\\", "/").rstrip("/").rpartition("/")[2].replace("\0", "")
-    return os.fsdecode(os.fsencode(last)[-LONGEST_NAME:]) if last not in ("", ".", "..") else "member"
+            raise _too_much(path, f"has more than {MOST_MEMBERS} members")
+        last = name.replace("\\", "/").rstrip("/").rpartition("/")[2].replace("\0", "")
+        safe = os.fsdecode(os.fsencode(last)[-LONGEST_NAME:]) if last not in ("", ".", "..") else "member"
+        yield safe, stream
 
 
 def _tar_members(path: Path) -> Iterator[tuple[str, Stream]]:
@@ -286,7 +278,7 @@ def _zip_members(path: Path) -> Iterator[tuple[str, Stream]]:
             yield from _zip_stream(path)
             return
         if len(archive.infolist()) > MOST_MEMBERS:
-            raise _too_many(path)
+            raise _too_much(path, f"has more than {MOST_MEMBERS} members")
         for member in archive.infolist():
             if member.flag_bits & 1:
                 raise zipfile.BadZipFile("it is encrypted")

@@ -310,7 +310,14 @@ class _PartPlacer:
 
     def placed(self, part: RecordingPart, chunk: Chunk, end_byte: int) -> Chunk:
         """Return a part's chunk as one of the recording, without rows that earlier parts have, too."""
-        problems = [self._renumbered(one, part) for one in chunk.problems]
+        problems = [
+            replace(
+                one,
+                sample=self._first_of_part + max(0, one.sample - self._dropped),
+                message=printable(f"{part.path.name}: {one.message}"),
+            )
+            for one in chunk.problems
+        ]
         skipped = self._skipped(chunk) if self._fresh and len(chunk) else 0
         kept = chunk.part(skipped, len(chunk)) if skipped else chunk
         self._dropped += skipped
@@ -375,10 +382,6 @@ class _PartPlacer:
         code, words = ("clock_back", "goes back") if step < 0 else ("clock_gap", "jumps ahead")
         text = f"the time {words} by {abs(step) / MICROSECONDS:g} s before part {part.path.name}"
         return Problem(code, printable(text), None, self._samples)
-
-    def _renumbered(self, problem: Problem, part: RecordingPart) -> Problem:
-        sample = self._first_of_part + max(0, problem.sample - self._dropped)
-        return replace(problem, sample=sample, message=printable(f"{part.path.name}: {problem.message}"))
 
     def _is_listed(self, problem: Problem) -> bool:
         """Return True for one of the first problems of its kind; count the others."""

@@ -259,14 +259,11 @@ def unpacked(payload: NDArray[np.uint8], samples: int, order: tuple[int, int, in
     values = np.empty((len(payload), pairs, 2, 3), np.int16)
     first, second, third = (triples[:, :, :, column] for column in range(3))
     even, odd = (first << 8 | second) >> 4, (second << 12 | third << 4) >> 4
-    for place, value in enumerate(_in_turn(even, odd)):
+    # Each three bytes hold a value of the pair's even sample and one of its odd one.
+    in_turn = [column for triple in range(3) for column in (even[:, :, triple], odd[:, :, triple])]
+    for place, value in enumerate(in_turn):
         values[:, :, place // 3, order[place % 3]] = value
     return values.reshape(len(payload), 2 * pairs, 3)[:, :samples]
-
-
-def _in_turn(even: NDArray[np.int16], odd: NDArray[np.int16]) -> list[NDArray[np.int16]]:
-    """Return the six values of each pair of samples: each three bytes hold an even and an odd one."""
-    return [column for triple in range(3) for column in (even[:, :, triple], odd[:, :, triple])]
 
 
 @dataclass(frozen=True, slots=True)
