@@ -152,7 +152,7 @@ COUNTS = "counts"
 """The name of raw counts of a sensor in place of a unit."""
 
 UNIT_CHOICES = (*ACCELERATION_UNITS, COUNTS)
-"""What --unit may be."""
+"""The choices of --unit."""
 
 PHYSICAL_UNITS = f"{', '.join([*ACCELERATION_UNITS][:-1])} or {[*ACCELERATION_UNITS][-1]}"
 """The units in words, for advice."""

@@ -74,7 +74,7 @@ BACK = ("clock_back", "jumps back of the times")
 
 @dataclass(frozen=True, slots=True)
 class ReadingPlan:
-    """What is read and how, found out when the recording was opened.
+    """The tracks that are read and how, found out when the recording was opened.
 
     Attributes:
         problems: go with the first rows.

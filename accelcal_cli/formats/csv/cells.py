@@ -1,4 +1,4 @@
-"""What the cells of a text file say: numbers, units, dates and times.
+"""Understands the cells of a text file: numbers, units, dates and times.
 
 Times are whole microseconds since 1970. Arrow's own ways to numpy load pandas, which takes a third of a
 second; `filled` and `floats` do without.
@@ -86,7 +86,7 @@ LONGEST_PERIOD_US = 60e6
 """A number that counts from 1970 rises by at most this a row."""
 
 
-class Kind(Enum):
+class CellKind(Enum):
     """The kind of a cell, or of a column whose cells are nearly all of it."""
 
     NUMBER = "number"
@@ -111,26 +111,26 @@ def split_line(line: str, delimiter: str) -> list[str]:
         return []
 
 
-def cell_kind(cell: str, decimal_comma: bool) -> Kind:
+def cell_kind(cell: str, decimal_comma: bool) -> CellKind:
     """Return the kind of one cell; blanks around it do not count."""
     cell = cell.strip()
     if cell in MISSING:
-        return Kind.MISSING
+        return CellKind.MISSING
     if NUMBER.fullmatch(cell) or (decimal_comma and COMMA_NUMBER.fullmatch(cell)):
-        return Kind.NUMBER
-    return Kind.TIME if DATE.fullmatch(cell) or TIME_OF_DAY.fullmatch(cell) else Kind.TEXT
+        return CellKind.NUMBER
+    return CellKind.TIME if DATE.fullmatch(cell) or TIME_OF_DAY.fullmatch(cell) else CellKind.TEXT
 
 
-def column_kind(cells: Sequence[str], decimal_comma: bool, share: float) -> Kind:
+def column_kind(cells: Sequence[str], decimal_comma: bool, share: float) -> CellKind:
     """Return the kind that this share of the cells have, unless missing; TEXT if there is none."""
     kinds = [cell_kind(cell, decimal_comma) for cell in cells]
-    missing = kinds.count(Kind.MISSING)
+    missing = kinds.count(CellKind.MISSING)
     if missing == len(kinds):
-        return Kind.MISSING
-    for kind in (Kind.NUMBER, Kind.TIME):
+        return CellKind.MISSING
+    for kind in (CellKind.NUMBER, CellKind.TIME):
         if kind in kinds and kinds.count(kind) + missing >= share * len(kinds):
             return kind
-    return Kind.TEXT
+    return CellKind.TEXT
 
 
 def number_of(cell: str) -> float | None:

@@ -34,7 +34,7 @@ from accelcal_cli.formats.csv.cells import (
     DATE_ALONE,
     MISSING,
     TIME_OF_DAY,
-    Kind,
+    CellKind,
     acceleration_unit,
     microseconds_in,
     name_and_hint,
@@ -234,7 +234,7 @@ def find_roles(
     xyz = chosen_axes(dialect, options.columns, path) or known_xyz
     xyz = xyz or _named_axes(titles, path) or _placed_axes(dialect, path)
     for column in xyz:
-        if dialect.kinds[column] is not Kind.NUMBER:
+        if dialect.kinds[column] is not CellKind.NUMBER:
             raise UnreadableError(
                 f"{dialect.column_name(column)} does not hold numbers",
                 path=path,
@@ -310,7 +310,7 @@ def _named_axes(titles: list[Title], path: Path) -> tuple[int, int, int] | None:
 
 def _placed_axes(dialect: Dialect, path: Path) -> tuple[int, int, int]:
     """Return the only numbers there are in columns without names: x,y,z or time,x,y,z."""
-    numeric = [kind is Kind.NUMBER for kind in dialect.kinds]
+    numeric = [kind is CellKind.NUMBER for kind in dialect.kinds]
     if dialect.names is None and dialect.columns == 3:
         return 0, 1, 2
     if dialect.names is None and dialect.columns == 4 and all(numeric[1:]) and _may_be_time(dialect, 0):
@@ -339,8 +339,8 @@ def _advice_on_commas(dialect: Dialect) -> str:
 
 def _may_be_time(dialect: Dialect, column: int) -> bool:
     """Return True if a column without a name can be the time: dates, or numbers that only rise."""
-    if dialect.kinds[column] is not Kind.NUMBER:
-        return dialect.kinds[column] is Kind.TIME
+    if dialect.kinds[column] is not CellKind.NUMBER:
+        return dialect.kinds[column] is CellKind.TIME
     values = [value for cell in dialect.cells(column) if (value := number_of(cell)) is not None]
     rising = all(left <= right for left, right in pairwise(values))
     return rising and (len(values) < 2 or values[-1] > values[0])
@@ -350,7 +350,7 @@ def _time_columns(
     dialect: Dialect, titles: list[Title], options: ReadOptions, xyz: tuple[int, int, int], path: Path
 ) -> tuple[int | None, int | None]:
     """Return the column of the times, None without any, and that of the dates if it is another."""
-    dated = [number for number, kind in enumerate(dialect.kinds) if kind is Kind.TIME]
+    dated = [number for number, kind in enumerate(dialect.kinds) if kind is CellKind.TIME]
     if options.time_column == "none":
         return None, None
     if options.time_column is not None:
@@ -404,7 +404,7 @@ def _channels(dialect: Dialect, titles: list[Title]) -> dict[str, int]:
             for title in titles
             if len(words := {*title.words}) == 1 and words <= rule.names and title.hint.lower() in rule.units
         ]
-        if len(found) == 1 and dialect.kinds[found[0]] is Kind.NUMBER:
+        if len(found) == 1 and dialect.kinds[found[0]] is CellKind.NUMBER:
             columns[name] = found[0]
     return columns
 
@@ -440,7 +440,7 @@ def find_gyroscope(
         )
     xyz = groups[0]
     names = ", ".join(map(dialect.column_name, xyz))
-    if any(dialect.kinds[column] is not Kind.NUMBER for column in xyz):
+    if any(dialect.kinds[column] is not CellKind.NUMBER for column in xyz):
         if chosen:
             raise UnreadableError(
                 f"{names}: not all of them hold numbers", path=path, line=dialect.names_line

@@ -64,12 +64,14 @@ from accelcal_cli.formats.csv.rows import ParsedTable, TableParser
 from accelcal_cli.formats.csv.vendors import ExportDescription, Start, export_description
 
 HEAD_BYTES = 1 << 20
-"""What is read to understand a file."""
+"""Bytes that are read to understand a file."""
 
 TAIL_BYTES = 1 << 16
-"""What is read to find the last row."""
+"""Bytes that are read to find the last row."""
 
 ABOUT = "_motion.json"
+"""End of the name of the sidecar with rate and device."""
+
 LARGEST_SIDECAR = 1 << 20
 ACCEL, GYRO, AXES = "ACCEL", "GYRO", ("x", "y", "z")
 CELSIUS = ("oC", "\u00b0C", "degC")

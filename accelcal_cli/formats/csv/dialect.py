@@ -18,7 +18,7 @@ from accelcal_cli.formats.csv.cells import (
     BYTE_ORDER_MARK,
     COMMA_NUMBER,
     POINT_NUMBER,
-    Kind,
+    CellKind,
     cell_kind,
     column_kind,
     decode,
@@ -170,7 +170,7 @@ class Dialect:
     """
 
     normaliser: Normaliser
-    kinds: tuple[Kind, ...]
+    kinds: tuple[CellKind, ...]
     names: tuple[str, ...] | None
     units: tuple[str, ...] | None
     names_line: int
@@ -251,7 +251,7 @@ class _Layout:
 
     raw_lines: list[bytes]
     normaliser: Normaliser
-    kinds: tuple[Kind, ...]
+    kinds: tuple[CellKind, ...]
 
     @classmethod
     def of(cls, raw_lines: list[bytes], normaliser: Normaliser, tail: int) -> _Layout:
@@ -264,7 +264,7 @@ class _Layout:
             return cls(raw_lines, normaliser, ())
         rows = [row for row in rows if len(row) == width]
         kinds = _column_kinds(rows, delimiter, 0.9)
-        if Kind.MISSING in kinds or tail < SURE_LINES:
+        if CellKind.MISSING in kinds or tail < SURE_LINES:
             share = 0.5 if tail < SURE_LINES else 0.9
             everywhere = [row for row in _rows(raw_lines, normaliser) if len(row) == width]
             kinds = _column_kinds(everywhere, delimiter, share)
@@ -272,9 +272,9 @@ class _Layout:
 
     @property
     def score(self) -> float:
-        if self.kinds.count(Kind.NUMBER) < 3:
+        if self.kinds.count(CellKind.NUMBER) < 3:
             return 0.0
-        return sum(kind in (Kind.NUMBER, Kind.TIME) for kind in self.kinds) / len(self.kinds)
+        return sum(kind in (CellKind.NUMBER, CellKind.TIME) for kind in self.kinds) / len(self.kinds)
 
     def dialect(self, offset: int) -> Dialect | None:
         """Return the full layout of lines from this byte on, None if no run of rows begins anywhere."""
@@ -304,9 +304,13 @@ class _Layout:
             return False
         comma = self.normaliser.delimiter != ","
         pairs = zip(row, self.kinds, strict=True)
-        found = {(kind, cell_kind(cell, comma)) for cell, kind in pairs if kind in (Kind.NUMBER, Kind.TIME)}
+        found = {
+            (kind, cell_kind(cell, comma)) for cell, kind in pairs if kind in (CellKind.NUMBER, CellKind.TIME)
+        }
         filled = any(kind is other for kind, other in found)
-        return filled and all(other in (kind, Kind.MISSING) for kind, other in found if kind is Kind.NUMBER)
+        return filled and all(
+            other in (kind, CellKind.MISSING) for kind, other in found if kind is CellKind.NUMBER
+        )
 
     def _names(self, first: int) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None, int]:
         """Return the names, the units if a second line below them gives these, and the line of the names."""
@@ -325,9 +329,9 @@ class _Layout:
             text = " ".join(text.split())
         cells = [cell.strip() for cell in split_line(text, self.normaliser.delimiter)]
         if len(cells) == len(self.kinds) - 1:
-            cells = [*cells, ""] if self.kinds[-1] is Kind.MISSING else ["", *cells]
+            cells = [*cells, ""] if self.kinds[-1] is CellKind.MISSING else ["", *cells]
         kinds = {cell_kind(cell, False) for cell in cells}
-        words = Kind.TEXT in kinds and Kind.NUMBER not in kinds
+        words = CellKind.TEXT in kinds and CellKind.NUMBER not in kinds
         return tuple(cells) if len(cells) == len(self.kinds) and words else None
 
 
@@ -343,7 +347,7 @@ def _numbered(raw_lines: list[bytes], normaliser: Normaliser, first: int) -> lis
     return [(line, row) for line, row in enumerate(rows, first) if row]
 
 
-def _column_kinds(rows: list[list[str]], delimiter: str, share: float) -> tuple[Kind, ...]:
+def _column_kinds(rows: list[list[str]], delimiter: str, share: float) -> tuple[CellKind, ...]:
     return tuple(column_kind(cells, delimiter != ",", share) for cells in zip(*rows, strict=True))
 
 

@@ -12,7 +12,6 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Closing
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats.csv.cells import BYTE_ORDER_MARK
-from accelcal_cli.formats.csv.dialect import Dialect
 
 PIECE_BYTES = 1 << 18
 """Bytes taken from the file at a time."""
@@ -63,6 +62,51 @@ def lone_block(data: bytes, line: int, offset: int) -> Block:
     return Block(data, b"", line, count_lines(data), offset, offset + len(data), 0, False, False)
 
 
+class LineCutter:
+    """Cuts the bytes of a text file, in the pieces in which they come, into blocks of whole lines.
+
+    Args:
+        skip: bytes before the first line that is wanted.
+        line: number of that line.
+    """
+
+    def __init__(self, path: Path, skip: int, line: int) -> None:
+        self._path = path
+        self._skip = self._offset = skip
+        self._line = line
+        self._rest = b""
+        self._zeros = 0
+
+    def cut(self, pieces: list[bytes]) -> bytes:
+        """Return the lines that end in the next pieces; there may be none.
+
+        Raises:
+            UnreadableError: a line does not end within 1 MiB.
+        """
+        if self._skip:
+            data = b"".join(pieces)
+            pieces = [data[self._skip :]]
+            self._skip -= min(self._skip, len(data))
+        endless = self._zeros > 0 and any(piece.strip(b"\0") for piece in pieces)
+        lines, self._rest = _cut([self._rest, *pieces])
+        if len(self._rest) > LONGEST_LINE and not lines:
+            text = self._rest.rstrip(b"\0")
+            self._zeros, self._rest = self._zeros + len(self._rest) - len(text), text
+        if endless or (len(self._rest) > LONGEST_LINE and not lines):
+            raise UnreadableError(
+                "a line has no end", path=self._path, line=self._line, byte_offset=self._offset
+            )
+        return lines
+
+    def block(self, lines: bytes, last: bool, end_byte: int | None = None, broken: bool = False) -> Block:
+        """Return the lines that were cut as a block; `end_byte` is set for a file on the disk."""
+        line, offset, number = self._line, self._offset, count_lines(lines)
+        self._line, self._offset = line + number, offset + len(lines)
+        rest, zeros = (self._rest, self._zeros) if last else (b"", 0)
+        end = self._offset + len(self._rest) if end_byte is None else end_byte
+        return Block(lines, rest, line, number, offset, self._offset, end, last, broken, zeros)
+
+
 class LineFile(Closing):
     """A text file, plain or gzip, read once from its beginning."""
 
@@ -98,64 +142,16 @@ class LineFile(Closing):
             UnreadableError: a line does not end within 1 MiB, the disk fails, or, after the lines before that
                 place, a gzip file is damaged.
         """
-        fresh = [b"".join(self._pieces(start + block_bytes))[start:]]
-        tail, offset, last, zeros = b"", start, False, 0
+        cutter, last = LineCutter(self._source.path, start, line), False
+        fresh = self._pieces(start + block_bytes)
         while not last:
-            endless = zeros > 0 and any(piece.strip(b"\0") for piece in fresh)
-            data, tail = _cut([tail, *fresh])
+            lines = cutter.cut(fresh)
             fresh = self._pieces(block_bytes)
             last = not fresh
-            if len(tail) > LONGEST_LINE and not data:
-                text = tail.rstrip(b"\0")
-                zeros += len(tail) - len(text)
-                tail = text
-            if endless or (len(tail) > LONGEST_LINE and not data):
-                raise UnreadableError(
-                    "a line has no end", path=self._source.path, line=line, byte_offset=offset
-                )
-            if data or last:
-                rest, lines = tail if last else b"", count_lines(data)
-                disk, broken = self._source.disk_position(), self._source.broken
-                ends = last and not self._source.damaged
-                yield Block(data, rest, line, lines, offset, offset + len(data), disk, ends, broken, zeros)
-                line += lines
-                offset += len(data)
+            if lines or last:
+                block = cutter.block(lines, last, self._source.disk_position(), self._source.broken)
+                yield replace(block, last=False) if self._source.damaged else block
         self._source.refuse_damaged()
-
-
-class LineCutter:
-    """Cuts the bytes of a growing text file into blocks of whole lines."""
-
-    def __init__(self, dialect: Dialect, path: Path) -> None:
-        self._path = path
-        self._bare_returns = dialect.bare_returns
-        self._skip, self._line, self._offset = dialect.offset, dialect.skipped + 1, dialect.offset
-        self._rest = b""
-        self._zeros = 0
-
-    def cut(self, data: bytes, *, last: bool) -> Block:
-        """Return the lines that end in the next bytes; there may be none.
-
-        Raises:
-            UnreadableError: a line does not end within 1 MiB.
-        """
-        skipped = min(self._skip, len(data))
-        self._skip -= skipped
-        fresh = data[skipped:].replace(b"\r", b"\n") if self._bare_returns else data[skipped:]
-        endless = self._zeros > 0 and fresh.strip(b"\0") != b""
-        lines, self._rest = _cut([self._rest, fresh])
-        if len(self._rest) > LONGEST_LINE:
-            text = self._rest.rstrip(b"\0")
-            self._zeros, self._rest = self._zeros + len(self._rest) - len(text), text
-        if endless or len(self._rest) > LONGEST_LINE:
-            raise UnreadableError(
-                "a line has no end", path=self._path, line=self._line, byte_offset=self._offset
-            )
-        line, offset = self._line, self._offset
-        self._line, self._offset = line + count_lines(lines), offset + len(lines)
-        rest, zeros = (self._rest, self._zeros) if last else (b"", 0)
-        ends = self._offset, self._offset + len(self._rest)
-        return Block(lines, rest, line, self._line - line, offset, *ends, last, False, zeros)
 
 
 class RepeatedHeads:

@@ -237,7 +237,8 @@ class CsvIntake(Intake):
 
     def __init__(self, detected: Detected, changes: FollowedChanges, zone: str | None) -> None:
         self._detected = detected
-        self._lines = LineCutter(detected.parser.dialect, detected.parser.path)
+        dialect = detected.parser.dialect
+        self._lines = LineCutter(detected.parser.path, dialect.offset, dialect.skipped + 1)
         self._heads = RepeatedHeads(detected.head)
         self._parser = RowParser(detected.parser, detected.scale, detected.first_values, detected.gyro)
         self._steps = [changes, *_steps(detected)]
@@ -245,7 +246,9 @@ class CsvIntake(Intake):
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
         """See `Intake`."""
-        block = self._lines.cut(data, last=last)
+        bare_returns = self._detected.parser.dialect.bare_returns
+        lines = self._lines.cut([data.replace(b"\r", b"\n") if bare_returns else data])
+        block = self._lines.block(lines, last)
         if not block.data and not last:
             return
         for parsed, passed in self._parser.rows([self._heads.without(block)], 1):

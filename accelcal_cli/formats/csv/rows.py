@@ -27,8 +27,8 @@ from accelcal_cli.formats._tables.channels import CountScale
 from accelcal_cli.formats.csv.cells import (
     MISSING,
     AccelScale,
+    CellKind,
     DateColumn,
-    Kind,
     TimeFormat,
     cell_kind,
     decode,
@@ -83,8 +83,8 @@ class LineCheck:
     def _fits(self, cell: str, column: int) -> bool:
         kind = cell_kind(cell, False)
         if column == self.time and self.format is not None and self.format.unit_us is None:
-            return kind is Kind.MISSING or self.format.is_written_right(cell)
-        return kind in (Kind.NUMBER, Kind.MISSING)
+            return kind is CellKind.MISSING or self.format.is_written_right(cell)
+        return kind in (CellKind.NUMBER, CellKind.MISSING)
 
 
 def shortened(text: str) -> str:

@@ -19,7 +19,7 @@ from accelcal_cli.core.formats import Encoder
 from accelcal_cli.core.recording import Chunk, Recording
 
 GZIP_LEVEL = 5
-"""A quarter of the time of level 9, for files a seventh larger."""
+"""Takes a quarter of the time of level 9, for files a seventh larger."""
 
 
 def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:

@@ -191,14 +191,12 @@ def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOp
     return ReadingPlan(recording, accel_track.rows, accel, stamps, channels, problems, missing)
 
 
-def _track(
-    file: Any, sensor: Sensor, name: str, path: Path, width: int, beside: Track | None = None
-) -> Track:
-    """Return a dataset of the sensor with `width` numbers a row, as long as `beside`."""
+def _track(file: Any, sensor: Sensor, name: str, path: Path, width: int, accel: Track | None = None) -> Track:
+    """Return a dataset of the sensor with `width` numbers a row, as long as `accel`."""
     full = f"{sensor.group}/{name}"
     node = file.get(full)
     track = as_track(f"/{full}", node) if hasattr(node, "shape") else None
-    if track is None or track.width != width or (beside is not None and track.rows != beside.rows):
+    if track is None or track.width != width or (accel is not None and track.rows != accel.rows):
         shape = counted(width, "number")
         raise UnreadableError(
             f"dataset {full} is missing or does not have one row of {shape} for each sample",

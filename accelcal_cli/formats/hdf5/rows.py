@@ -59,7 +59,7 @@ HIGHEST_RATIO = 1100
 
 CACHE_SLOTS = 521
 SPARE_BYTES = 1 << 20
-"""Room in the library's cache of chunks beside the one that is kept."""
+"""Room in the library's cache for other chunks than the one that is kept."""
 
 KNOWN_SIZES = 4096
 CHECKSUM_BYTES = 4

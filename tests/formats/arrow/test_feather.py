@@ -33,7 +33,7 @@ def read(path: Path, chunk_samples: int = 250, **options: Any) -> Read:
 
 
 def write(path: Path, rows: int = 100, compression: str = "uncompressed", stream: bool = False) -> Path:
-    """A file, or a stream, of the usual table in batches of so many rows."""
+    """Write a file, or a stream, of the usual table in batches of `rows` rows."""
     made = table(values(), TIMES)
     if not stream:
         pyarrow.feather.write_feather(made, path, compression=compression, chunksize=rows)

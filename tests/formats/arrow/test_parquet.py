@@ -313,7 +313,7 @@ def test_tables_that_are_no_recordings_are_told_from_damage(path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A calibrated recording of ours beside its report."""
+    """Return a calibrated recording of ours, which lies beside its report."""
     folder = tmp_path_factory.mktemp("ours")
     raw = make(folder, still_counts(directions(60)), RATE_HZ, LSB_PER_G).path
     assert exit_code("calibrate", raw, "-d", folder / "out", "-q") == 0
@@ -322,7 +322,7 @@ def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def calibrated(ours: Path, tmp_path: Path) -> Path:
-    """It, under another name."""
+    """Return the recording under another name."""
     shutil.copytree(ours, tmp_path / "first")
     return (tmp_path / "first" / "made.calibrated.parquet").rename(tmp_path / "renamed.parquet")
 
@@ -434,7 +434,7 @@ def test_any_damage_gives_rows_or_an_error_of_ours(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("column", [0, 1], ids=["time", "x"])
 def test_a_footer_at_which_pyarrow_aborts_costs_a_row_group(path: Path, column: int) -> None:
-    """Asked where a column begins whose sizes speak of levels that it has not, it ends the process."""
+    """pyarrow ends the process when asked where a column begins whose sizes speak of levels that it lacks."""
     pq.write_table(table(values(600), even_times(600, 50.0)), path, row_group_size=200)
     begin = pq.read_metadata(path).row_group(1).column(0).dictionary_page_offset
     data = path.read_bytes()

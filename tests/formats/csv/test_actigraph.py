@@ -35,7 +35,7 @@ SAMPLE = (HEADER + NAMES + ROWS).encode()
 
 
 def stamped(form: str, seconds: str = "{:06.3f}") -> str:
-    """The rows with a time before each, a tenth of a second apart."""
+    """Return the rows with a time before each, a tenth of a second apart."""
     lines = ROWS.splitlines()
     return "".join(f"{form}{seconds.format(row / 10)},{line}\n" for row, line in enumerate(lines))
 

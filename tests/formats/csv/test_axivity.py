@@ -14,7 +14,7 @@ COUNTS = [(-44, 3 * row, 240 - row) for row in range(12)]
 
 
 def cells(lsb_per_g: int) -> list[list[str]]:
-    """x, y and z as `%f` of C writes them: six decimals."""
+    """Return x, y and z as `%f` of C writes them: six decimals."""
     one = lsb_per_g // 256
     return [[f"{(count * one + count % one) / lsb_per_g:.6f}" for count in row] for row in COUNTS]
 
@@ -27,7 +27,7 @@ def rows(lsb_per_g: int, more: str = "") -> str:
 
 
 def raw_rows(one_g: int) -> str:
-    """As `%d` writes them."""
+    """Whole counts are written by `%d`."""
     return "".join(f"2024-03-04 00:00:00.{10 * row:03d},-5,{row},{one_g - row}\n" for row in range(12))
 
 

@@ -52,7 +52,7 @@ def laid_out(
     lines: list[list[Any]] | None = None,
     scans: str | None = None,
 ) -> Path:
-    """A subject's folder; the path of the motion file."""
+    """Write a subject's folder; return the path of the motion file."""
     place = folder / "sub-01" / "ses-a" / "motion"
     place.mkdir(parents=True)
     (place / f"{STEM}_channels.tsv").write_text(table([HEAD, *channels]))
@@ -111,7 +111,7 @@ def test_several_tracked_points_are_settled_by_columns(tmp_path: Path) -> None:
 
 
 def test_the_gyroscope_of_the_same_point(tmp_path: Path) -> None:
-    """Of two, whose names do not tell; one that is not whole is none."""
+    """A gyroscope without all three axes does not count."""
     turns = [
         (f"c{point[0]}{axis}", axis, "GYRO", point, "deg/s", "50")
         for point in ("thigh", "sternum")

@@ -1,4 +1,4 @@
-"""What a cell or a column's name is, found in time that grows as its length."""
+"""The time to understand a cell or a column's name grows as its length."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ import warnings
 import numpy as np
 import pytest
 
-from accelcal_cli.formats.csv.cells import AccelScale, name_and_hint, usual_length
+from accelcal_cli.formats._gravity import usual_length
+from accelcal_cli.formats.csv.cells import AccelScale, name_and_hint
 
 CPU_SECONDS = 20
-"""Many times what a long cell takes; one that takes the square of its length takes hours."""
+"""Many times the CPU time of a long cell; time that grows as the square of its length would be hours."""
 
 
 def in_bounded_time(code: str) -> str:
-    """What code prints; the kernel ends it after so many seconds of work, however busy the machine is."""
+    """Return what code prints; the kernel ends it after CPU_SECONDS of work, however busy the machine is."""
     limit = f"import resource; resource.setrlimit(resource.RLIMIT_CPU, ({CPU_SECONDS}, {CPU_SECONDS}))\n"
     ran = subprocess.run([sys.executable, "-c", limit + code], capture_output=True, text=True, check=False)
     assert ran.returncode == 0, (ran.returncode, ran.stderr)

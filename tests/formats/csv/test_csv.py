@@ -1,4 +1,4 @@
-"""What the CSV reader makes of whole and healthy files, real ones among them."""
+"""The CSV reader on whole and healthy files, real ones among them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def score(path: Path) -> int:
 
 
 def rows_of(path: Path, columns: tuple[int, ...]) -> np.ndarray:
-    """Columns of the first rows as numpy's own text parser reads them."""
+    """Return columns of the first rows as numpy's own text parser reads them."""
     return np.loadtxt(path, delimiter=",", skiprows=1, usecols=columns, max_rows=200_000)
 
 

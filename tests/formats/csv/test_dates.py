@@ -19,7 +19,7 @@ FORMS = {"dmy": "%d{0}%m{0}%Y", "mdy": "%m{0}%d{0}%Y", "ymd": "%Y{0}%m{0}%d"}
 def with_dates(
     folder: Path, order: str, start: datetime, *, mark: str = "/", step_s: float = 0.1, rows: int = 40
 ) -> Path:
-    """A resting sensor whose rows carry dates in this order."""
+    """Write a resting sensor whose rows carry dates in this order."""
     lines = ["time,x,y,z"]
     for row in range(rows):
         moment = start + timedelta(seconds=row * step_s)

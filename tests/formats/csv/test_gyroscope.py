@@ -20,17 +20,17 @@ RANDOM = np.random.default_rng(3)
 ACCEL = RANDOM.normal((0.1, -0.2, 0.97), 0.02, (60, 3))
 RATES = RANDOM.normal(0, 40, (60, 3))
 GRID = 1 << 16
-"""Steps in 1 deg/s."""
+"""Counts in 1 deg/s."""
 
 
 def table(names: str, rates: np.ndarray = RATES, factor: float = 1.0) -> str:
-    """Rows of acceleration in g and rates of turn in a unit of which 1 deg/s has so many."""
+    """Return rows of acceleration in g, and of rotation rates in a unit, `factor` of which are 1 deg/s."""
     rows = np.concatenate([ACCEL, rates * factor], axis=1).tolist()
     return "\n".join([names, *(",".join(map(repr, row)) for row in rows)]) + "\n"
 
 
 def turns(path: Path, chunk_samples: int = 1000, **options: object) -> tuple[np.ndarray | None, str]:
-    """All counts of the gyroscope, and what the notes say of it."""
+    """Return all counts of the gyroscope, and the notes on it."""
     with FORMAT.open(path, ReadOptions(rate_hz=50.0, **options)) as reader:  # type: ignore[arg-type]
         chunks = [chunk for chunk in reader.chunks(chunk_samples) if len(chunk)]
         told = " ".join(note for note in reader.recording.notes if "gyroscope" in note)
@@ -111,7 +111,7 @@ def test_actigraph(tmp_path: Path) -> None:
 
 
 def test_the_same_counts_as_in_hdf5(tmp_path: Path) -> None:
-    """Decimal fractions of the same values, in either file."""
+    """Both files hold decimal fractions of the same values."""
     path = tmp_path / "a.h5"
     write(path, {"accel": ACCEL, "gyro": RATES * pi / 180}, {"sample_rate": 50.0, "units": "g"})
     with h5py.File(path, "r+") as file:
@@ -186,7 +186,7 @@ def test_two_that_fit_are_not_chosen_from(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("chunk_samples", [1, 7, 1000])
 def test_a_row_without_a_rate_is_left_out(tmp_path: Path, chunk_samples: int) -> None:
-    """As in an HDF5 file: a turn cannot go on over it."""
+    """A turn cannot go on over a row without rates, as in an HDF5 file."""
     names = "x,y,z,gyro_x_dps,gyro_y_dps,gyro_z_dps"
     lines = table(names).splitlines()
     rows = lines[1:] * 4
@@ -205,7 +205,7 @@ def test_a_row_without_a_rate_is_left_out(tmp_path: Path, chunk_samples: int) ->
 
 
 def test_one_that_is_missing_often_is_not_read(tmp_path: Path) -> None:
-    """Logs of several sensors leave cells empty; the acceleration is more than they are."""
+    """Logs of several sensors leave cells empty; the acceleration matters more."""
     lines = table("x,y,z,gyro_x_dps,gyro_y_dps,gyro_z_dps").splitlines()
     lines[2] = ",".join(lines[2].split(",")[:3]) + ",,,"
     path = written(tmp_path, "\n".join(lines) + "\n")

@@ -16,7 +16,7 @@ PERIOD_US = 10_000
 
 
 def jumps(path: Path, chunk_samples: int = 1000) -> tuple[list[int], list[int]]:
-    """Rows with a break before them, and those of them where only the clock jumps."""
+    """Return rows with a break before them, and those where only the clock jumps."""
     with FORMAT.open(path, ReadOptions()) as reader:
         chunks = list(reader.chunks(chunk_samples))
     return (
@@ -26,7 +26,7 @@ def jumps(path: Path, chunk_samples: int = 1000) -> tuple[list[int], list[int]]:
 
 
 def table(steps_ms: list[int], bad: int | None = None) -> str:
-    """Rows with these steps between them, one of them without a value."""
+    """Write rows with these steps between them, one of them without a value."""
     times = np.cumsum([0, *steps_ms])
     rows = [f"{1_709_510_400_000 + time},0,{'' if row == bad else 0},1" for row, time in enumerate(times)]
     return "time,x,y,z\n" + "\n".join(rows) + "\n"
@@ -47,7 +47,7 @@ def test_a_row_that_is_left_out_makes_a_break_of_another_kind(tmp_path: Path) ->
 
 
 def stamps(seed: int, deviation_us: float = 0, lost_a_second: float = 0, stalls: bool = False) -> np.ndarray:
-    """Three minutes at 100 Hz as a phone may stamp them."""
+    """Return times of three minutes at 100 Hz as a phone may stamp them."""
     draw = np.random.default_rng(seed)
     number = 18_000
     times = np.arange(number) * float(PERIOD_US) + deviation_us * draw.standard_normal(number)

@@ -15,7 +15,7 @@ TRUTH = np.array(ROWS)
 
 
 def table(delimiter: str, header: str = "", decimal: str = ".", end: str = "\n", time: bool = True) -> str:
-    """The rows as text."""
+    """Return the rows as text."""
     lines = [header] if header else []
     for number, row in enumerate(ROWS):
         cells = [repr(value).replace(".", decimal) for value in row]
@@ -24,7 +24,7 @@ def table(delimiter: str, header: str = "", decimal: str = ".", end: str = "\n",
 
 
 def check(path: Path, **options: object) -> None:
-    """Values and times are those of the rows."""
+    """Check that values and times are those of the rows."""
     found = read(path, unit="g", **options)
     assert np.array_equal(found.g, TRUTH)
     assert np.array_equal(found.times - found.times[0], np.arange(len(ROWS)) * 10_000)

@@ -16,7 +16,7 @@ COUNTS = np.rint(np.array(VALUES) / STANDARD_GRAVITY * GRID)
 
 
 def table(header: str, times: list[str], *, delimiter: str = ",", decimal: str = ".", end: str = "") -> str:
-    """A header and the values, each row with its time before it and something behind."""
+    """Return a header and the values, each row with its time before it and text behind."""
     lines = [header.replace(",", delimiter)]
     for time, row in zip(times, VALUES, strict=True):
         cells = [time, *map(repr, row)]
@@ -25,7 +25,7 @@ def table(header: str, times: list[str], *, delimiter: str = ",", decimal: str =
 
 
 def test_tabs_decimal_commas_and_exponents(tmp_path: Path) -> None:
-    """As phyphox exports: quoted names, numbers such as 1,000000000E-2."""
+    """phyphox quotes names and writes numbers such as 1,000000000E-2."""
     header = '"Time (s)","Acceleration x (m/s^2)","Acceleration y (m/s^2)","Acceleration z (m/s^2)"'
     lines = [header.replace(",", "\t")]
     for row, values in enumerate(VALUES):
@@ -61,7 +61,7 @@ def test_clocks(tmp_path: Path, name: str, times: list[str], start_us: int) -> N
 
 @pytest.mark.parametrize(("ago", "step"), [(1_234_567_890, 10), (987_654_321_000_000, 10_000_000)])
 def test_a_phone_that_ran_for_weeks_is_not_taken_for_a_date(tmp_path: Path, ago: int, step: int) -> None:
-    """Milliseconds, or nanoseconds, since it was switched on; or the same in the next unit since 1970."""
+    """Times count ms or ns since the phone was switched on, or the next unit since 1970."""
     path = written(
         tmp_path, table("timestamp,acc_x,acc_y,acc_z", [str(ago + row * step) for row in range(12)])
     )
@@ -73,7 +73,7 @@ def test_a_phone_that_ran_for_weeks_is_not_taken_for_a_date(tmp_path: Path, ago:
 
 
 def test_many_sensors_between_semicolons(tmp_path: Path) -> None:
-    """As AndroSensor exports: all sensors in a row, the time at its end."""
+    """AndroSensor writes all sensors in a row, the time at its end."""
     header = (
         "ACCELEROMETER X (m/s²);ACCELEROMETER Y (m/s²);ACCELEROMETER Z (m/s²);GRAVITY X (m/s²);"
         "GRAVITY Y (m/s²);GRAVITY Z (m/s²);LINEAR ACCELERATION X (m/s²);LINEAR ACCELERATION Y (m/s²);"
@@ -88,7 +88,7 @@ def test_many_sensors_between_semicolons(tmp_path: Path) -> None:
 
 
 def test_epoch_nanoseconds_beside_elapsed_seconds(tmp_path: Path) -> None:
-    """As Sensor Logger exports `TotalAcceleration.csv`: the axes in reverse order."""
+    """Sensor Logger writes `TotalAcceleration.csv` with the axes in reverse order."""
     lines = ["time,seconds_elapsed,z,y,x"]
     for row, (x, y, z) in enumerate(VALUES):
         lines.append(f"{(START_US + row * 10_000) * 1000},{row / 100:.6f},{z},{y},{x}")
@@ -98,7 +98,7 @@ def test_epoch_nanoseconds_beside_elapsed_seconds(tmp_path: Path) -> None:
 
 
 def test_g_force_names(tmp_path: Path) -> None:
-    """As Physics Toolbox exports its g-force meter."""
+    """Physics Toolbox names the columns of its g-force meter gFx, gFy and gFz."""
     lines = ["time,gFx,gFy,gFz,TgF"] + [f"{row / 100},0.5,{row / 64},0.75,1.0" for row in range(12)]
     found = read(written(tmp_path, "\n".join(lines) + "\n"))
     assert found.g.tolist() == [[0.5, row / 64, 0.75] for row in range(12)]

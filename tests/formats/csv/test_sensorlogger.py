@@ -42,7 +42,7 @@ def test_uncalibrated_acceleration_of_ios_is_in_g(tmp_path: Path) -> None:
 
 
 def wearing(length: float) -> np.ndarray:
-    """Acceleration of the wearer alone, in any unit."""
+    """Return acceleration of the wearer alone, in any unit."""
     return np.random.RandomState(3).normal(0, length, (60, 3))
 
 

@@ -16,7 +16,7 @@ SECOND = 1_000_000
 
 
 def with_times(folder: Path, cells: list[str], name: str = "time", **options: object) -> Read:
-    """A file of these times and a resting sensor."""
+    """Write a file of these times and a resting sensor."""
     text = "".join(f"{cell},0,0,1\n" for cell in cells)
     return read(written(folder, f"{name},x,y,z\n{text}"), **options)
 

@@ -1,4 +1,4 @@
-"""What every vendor's file must hold, on the SAMPLE that its own test file binds."""
+"""The contract of vendors' files, on the SAMPLE that each one's own test file binds."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from tests.formats.make_csv import read, written
 HERE = Path(__file__).parent
 FOLDER = Path(vendors.__file__).parent
 LONG_HEADS = ("geneactiv", "axivity")
-"""Vendors whose samples are long, so that cutting them everywhere takes a second; nightly alone."""
+"""Vendors with long samples; cutting these everywhere takes a second and is left to the nightly run."""
 
 each_vendor = pytest.mark.parametrize("vendor", all_vendors(), ids=lambda item: item.name)
 
 
 def sample(vendor: Vendor) -> bytes:
-    """A small whole file of this vendor."""
+    """Return a small whole file of this vendor."""
     return importlib.import_module(f"tests.formats.csv.test_{vendor.name}").SAMPLE
 
 

@@ -35,7 +35,7 @@ def path(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def done(monkeypatch: pytest.MonkeyPatch) -> list[tuple[range, bool]]:
-    """What was read by chunks, and whether h5py was not needed for it."""
+    """Return what was read by chunks, and whether h5py was not needed for it."""
     seen: list[tuple[range, bool]] = []
     read = hdf5_rows.StoredChunks.read
 

@@ -389,7 +389,7 @@ def test_what_the_user_says_of_a_gyroscope(path: Path) -> None:
 def test_neighbouring_rows_without_a_value_are_one_record_whichever_sensor_lacks_it(
     path: Path, chunk_samples: int
 ) -> None:
-    """In turn the acceleration and the gyroscope: more runs of each than there are records."""
+    """Acceleration and gyroscope are damaged in turn, in more runs than are reported one by one."""
     size = 1000
     moved, turned = counts(size) / 256, counts(size, seed=5) / 16
     moved[100:500:2], turned[101:500:2] = np.nan, np.nan
@@ -526,7 +526,7 @@ def test_several_time_datasets_are_refused_and_one_can_be_chosen(path: Path) -> 
 
 
 def corrupt(path: Path, name: str, chunk: int) -> int:
-    """Overwrite the middle of one HDF5 chunk; where it begins."""
+    """Overwrite the middle of one HDF5 chunk; return where it begins."""
     with h5py.File(path, "r") as file:
         info = file[name].id.get_chunk_info(chunk)
     data = bytearray(path.read_bytes())
@@ -624,7 +624,7 @@ def test_chunks_that_were_never_written_are_not_made_up(path: Path) -> None:
 def test_many_chunks_that_were_never_written_are_not_asked_for_one_by_one(
     path: Path, monkeypatch: pytest.MonkeyPatch, listed: bool
 ) -> None:
-    """A file of few bytes may claim a hundred thousand; where they cannot be listed, each is asked for."""
+    """A small file may claim a hundred thousand chunks; if they cannot be listed, each is asked for."""
     with h5py.File(path, "w") as file:
         dataset = file.create_dataset("accel", (20_000, 3), "i2", chunks=(10, 1))
         dataset.attrs.update(about())
@@ -703,7 +703,7 @@ def test_a_file_cut_short_before_its_description_is_refused(path: Path) -> None:
 
 
 def tiny(path: Path, rows: int, **layout: Any) -> bytes:
-    """A file of about 1 kB."""
+    """Write a file of about 1 kB."""
     block = 1024 if layout else 512
     with h5py.File(path, "w", libver="latest", meta_block_size=block) as file:
         dataset = file.create_dataset("accel", (rows, 3), "i2", **layout)

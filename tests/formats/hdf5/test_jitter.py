@@ -14,7 +14,7 @@ NUMBER = 1000
 
 
 def recording(folder: Path, times_us: np.ndarray, lost: int | None = None) -> Path:
-    """Rows of a resting sensor with these times, one of which may be none."""
+    """Write rows of a resting sensor with these times, one of which may be missing."""
     counts = np.tile(np.array([0, 0, 256], np.int16), (len(times_us), 1))
     times = (START_US + times_us) / 1e6
     if lost is not None:

@@ -1,4 +1,4 @@
-"""What a damaged HDF5 file claims does not decide how much memory it takes."""
+"""The claims of a damaged HDF5 file do not decide how much memory it takes."""
 
 from __future__ import annotations
 

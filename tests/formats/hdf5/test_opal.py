@@ -133,7 +133,7 @@ def test_a_sensor_without_times_or_acceleration_is_refused(path: Path, gone: str
 
 @pytest.mark.parametrize(("name", "width"), [("Accelerometer", 1), ("Time", 3)])
 def test_a_dataset_with_too_few_or_too_many_columns_is_refused(path: Path, name: str, width: int) -> None:
-    """It was taken, and broke the reading in its midst."""
+    """Such a dataset was once taken, and reading failed midway."""
     with h5py.File(path, "a") as file:
         group = file["Sensors/XI-000002"]
         values = np.repeat(group["Time"][:].astype(np.int64)[:, None], width, axis=1)

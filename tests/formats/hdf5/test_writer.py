@@ -1,4 +1,4 @@
-"""What the HDF5 writer writes, seen through h5py and through the reader."""
+"""Files of the HDF5 writer, read by h5py and by the reader."""
 
 from __future__ import annotations
 

@@ -33,23 +33,24 @@ CLOCK = re.compile(r"(\d{1,2})[:.](\d\d)[:.](\d\d)\s*([AP]M)?", re.IGNORECASE)
 
 
 def recognise(head: Head) -> bool:
-    """The first line says who made the file."""
+    """Return True if the first line says that ActiLife or Verisense made the file."""
     return FIRST.search(head[0]) is not None
 
 
 def describe(head: Head) -> ExportDescription:
-    """All that the header says; ActiLife writes raw acceleration in g."""
+    """Return what the header says; ActiLife writes raw acceleration in g."""
     first = head[0]
     made_by = FIRST.search(first)
     verisense = made_by is not None and made_by[1].lower() == "verisense"
     maker, model = "Verisense" if verisense else "ActiGraph", made_by[2].rstrip(",;") if made_by else ""
-    firmware, dates = (_group(pattern, first) for pattern in (FIRMWARE, DATES))
+    firmware, dates, rate = (_group(pattern, first) for pattern in (FIRMWARE, DATES, RATE))
+    rate_hz = 0.0 if rate is None else float(rate.replace(",", "."))
     return ExportDescription(
         title=maker,
         device=Device(f"{maker} {model}", _value(head, "Serial Number:?"), firmware),
         preamble=_preamble(head),
         unit="g",
-        rate_hz=_rate(first),
+        rate_hz=rate_hz if 0 < rate_hz <= FASTEST_HZ else None,
         start=_start(head),
         date_order=None if dates is None else order_in(dates),
         repeats_idle=not verisense,
@@ -59,7 +60,7 @@ def describe(head: Head) -> ExportDescription:
 
 
 def _preamble(head: Head) -> int:
-    """Lines of the header, with the blank ones that some programs write behind it."""
+    """Return the number of lines of the header, with blank ones that some programs write behind it."""
     lines = max((number for number, line in enumerate(head[:HEADER_LINES]) if KEY.match(line)), default=0) + 1
     while lines < len(head) and not head[lines].strip():
         lines += 1
@@ -72,20 +73,14 @@ def _group(pattern: re.Pattern[str], line: str) -> str | None:
 
 
 def _value(head: Head, key: str) -> str | None:
-    """What stands behind a key; tables saved by a spreadsheet have delimiters after it."""
+    """Return the value behind a key; tables saved by a spreadsheet have delimiters after it."""
     pattern = re.compile(rf"\W*{key}\s*([^,;\t]+)")
     match = next((match for line in head[1:HEADER_LINES] if (match := pattern.match(line))), None)
     return None if match is None else match[1].strip().strip('"') or None
 
 
-def _rate(first: str) -> float | None:
-    written = _group(RATE, first)
-    rate = 0.0 if written is None else float(written.replace(",", "."))
-    return rate if 0 < rate <= FASTEST_HZ else None
-
-
 def _seconds(text: str | None) -> int | None:
-    """Seconds in `10:54:00` or `10:54:00 PM`."""
+    """Return the seconds in `10:54:00` or `10:54:00 PM`."""
     match = CLOCK.match(text or "")
     if match is None:
         return None
@@ -104,7 +99,7 @@ def _start(head: Head) -> Start | None:
 
 
 def _doubt(head: Head, maker: str) -> Doubt | None:
-    """Tables of counts have an epoch; raw data has one of zero length."""
+    """Return the doubt about tables of counts, which have an epoch; that of raw data has no length."""
     match = CLOCK.match(_value(head, r"(?:Epoch|Window|Cycle) \w+ \(hh:mm:ss\)") or "")
     epoch = 0 if match is None else int(match[1]) * 3600 + int(match[2]) * 60 + int(match[3])
     if not epoch:

@@ -29,17 +29,17 @@ COMPRESSED = Doubt(
 
 
 def recognise(head: Head) -> bool:
-    """A line of names at the beginning."""
+    """Return True if a line of names stands at the beginning."""
     return _names(head) is not None
 
 
 def _names(head: Head) -> int | None:
-    """The line of the names, from 0."""
+    """Return the line of the names, from 0."""
     return next((number for number, line in enumerate(head[:3]) if NAMES.fullmatch(line)), None)
 
 
 def describe(head: Head) -> ExportDescription:
-    """Scale and range by the largest of the first values; whether samples are left out."""
+    """Return scale and range by the largest of the first values, and whether samples are left out."""
     names = _names(head) or 0
     match = NAMES.fullmatch(head[names])
     rows = [line.split(match[1]) for line in head[names + 1 : -1]] if match else []

@@ -15,11 +15,13 @@ from accelcal_cli.formats.csv.vendors import ExportDescription, Head, Start, Ven
 LSB_PER_G = 64.0
 RANGE_G = 2.0
 EPOCH_S = (9 * 10**8, 5 * 10**9)
+"""A start [s since 1970] lies between these."""
+
 FASTEST_HZ = 1000
 
 
 def _threefold(line: str) -> Fraction | None:
-    """The number that a line holds three times over."""
+    """Return the number that a line holds three times over, None if it does not."""
     cells = {cell.strip() for cell in line.split(",")}
     if len(cells) != 1 or line.count(",") != 2:
         return None
@@ -39,12 +41,12 @@ def _start_and_rate(head: Head) -> tuple[Fraction, Fraction] | None:
 
 
 def recognise(head: Head) -> bool:
-    """A time since 1970 three times over, then a rate three times over."""
+    """Return True for a time since 1970 three times over, then a rate three times over."""
     return _start_and_rate(head) is not None
 
 
 def describe(head: Head) -> ExportDescription:
-    """Start, rate, scale and range; E4 files do not name their device."""
+    """Return start, rate, scale and range; E4 files do not name their device."""
     start, rate = _start_and_rate(head) or (Fraction(0), Fraction(0))
     return ExportDescription(
         title="Empatica E4",

@@ -20,15 +20,16 @@ RATE = re.compile(r"(\d{1,4}(?:[.,]\d{1,4})?)\s*Hz$")
 
 COLUMNS = ("time", "x", "y", "z", "light", "button", "temperature")
 SUMMARY_COLUMNS = 12
+"""Columns of a table of epochs."""
 
 
 def recognise(head: Head) -> bool:
-    """The first line names the device."""
+    """Return True if the first line names the device."""
     return FIRST.match(head[0]) is not None
 
 
 def describe(head: Head) -> ExportDescription:
-    """All that the header says."""
+    """Return what the header says."""
     match = FIRST.match(head[0])
     delimiter = match[1] if match else ","
     header = _pairs(head, delimiter)
@@ -49,7 +50,7 @@ def describe(head: Head) -> ExportDescription:
 
 
 def _pairs(head: Head, delimiter: str) -> dict[str, str]:
-    """The first value of every key: of three sensors that tell their range, the first is x."""
+    """Return the first value of every key; the first of three sensors with a range is the accelerometer."""
     header: dict[str, str] = {}
     for line in head:
         if ROW.match(line):
@@ -76,7 +77,7 @@ def _range(text: str) -> float | None:
 
 
 def _zone(text: str) -> str | None:
-    """`GMT +01:00` as `+01:00`."""
+    """Return `GMT +01:00` as `+01:00`; None for anything else."""
     match = ZONE.match(text)
     if match is None or int(match[2]) > WIDEST_OFFSET_H or int(match[3] or 0) > 59:
         return None

@@ -20,12 +20,12 @@ NAMES = ("epoch (ms)", "other", "other", "x-axis", "y-axis", "z-axis")
 
 
 def recognise(head: Head) -> bool:
-    """The names of the columns."""
+    """Return True if the columns have these names."""
     return FIRST.fullmatch(head[0].strip()) is not None
 
 
 def describe(head: Head) -> ExportDescription:
-    """Which columns are what; files of the sensor fusion have the same names, so that the unit is checked."""
+    """Return the roles of the columns; files of the sensor fusion have them too, so the unit is checked."""
     match = FIRST.fullmatch(head[0].strip())
     others = ("other",) * (match[1].count(",") if match else 0)
     return ExportDescription(

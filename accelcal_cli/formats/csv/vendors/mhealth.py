@@ -24,17 +24,17 @@ RANGE_G = {"GT3XPLUS": 6.0}
 
 
 def recognise(head: Head) -> bool:
-    """The first column has this name."""
+    """Return True if the first column has this name."""
     return HEAD.match(head[0]) is not None
 
 
 def describe(_head: Head) -> ExportDescription:
-    """The head itself says no more than that values are in g."""
+    """Return that values are in g, all that the head itself says."""
     return ExportDescription(title="mHealth", unit="g")
 
 
 def from_name(name: str, export: ExportDescription) -> ExportDescription:
-    """What the name of a file adds."""
+    """Return the description with what the name of a file adds."""
     found = NAME.fullmatch(name)
     if found is None:
         return export

@@ -24,12 +24,12 @@ LINEAR = Doubt(
 
 
 def recognise(head: Head) -> bool:
-    """The names of the columns."""
+    """Return True if the columns have these names."""
     return FIRST.match(head[0]) is not None
 
 
 def describe(head: Head) -> ExportDescription:
-    """Which of the two experiments it is; the names of the columns say the rest."""
+    """Return which of the two experiments it is; the names of the columns say the rest."""
     match = FIRST.match(head[0])
     doubt = LINEAR if match is not None and match["linear"] else None
     return ExportDescription(title="phyphox", doubt=doubt)

@@ -18,9 +18,11 @@ WITH_GRAVITY = (ACCELERATION_UNITS["m/s2"].rest, ACCELERATION_UNITS["g"].rest)
 """The usual length of acceleration with gravity, in m/s2 and in g."""
 
 LEAST_SHARE = 0.5
-"""Of the usual length, what nine rows in ten exceed where there is gravity."""
+"""Share of the usual length that nine rows in ten exceed where there is gravity."""
 
 CONSTANT = 1e-5
+"""Relative variation of lengths below which they are those of a direction."""
+
 FEWEST_ROWS = 10
 
 EXPORT = "export TotalAcceleration.csv, or AccelerometerUncalibrated.csv; or give --unit to read it anyway"
@@ -29,18 +31,18 @@ DIRECTION = Doubt("it holds the direction of gravity alone, such as Gravity.csv"
 
 
 def recognise(head: Head) -> bool:
-    """The names of the columns, in this order; others may follow."""
+    """Return True if the columns have these names in this order; others may follow."""
     return [cell.strip('" ') for cell in head[0].split(",")][: len(NAMES)] == NAMES
 
 
 def describe(head: Head) -> ExportDescription:
-    """Whether the first rows are the acceleration that an accelerometer measures."""
+    """Return the doubt whether the first rows are what an accelerometer measures."""
     lengths = sorted(length for line in head[1:-1] if (length := _length(line)) is not None)
     return ExportDescription(title="Sensor Logger", doubt=_doubt(lengths))
 
 
 def _length(line: str) -> float | None:
-    """Length of a row's vector; None if a value is missing or no number."""
+    """Return the length of a row's vector; None if a value is missing or no number."""
     try:
         return hypot(*map(float, line.split(",")[2:5]))
     except ValueError:
