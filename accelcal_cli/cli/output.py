@@ -206,7 +206,7 @@ def parquet_of(result: Result) -> Path | None:
 def run_jobs(
     jobs: list[Job], work: Work, values: dict[str, Any], written: Callable[[Result], Path | None] = parquet_of
 ) -> int:
-    """Do every job and print its result; returns the exit code of all.
+    """Do every job and print its result or why it failed; return the exit code of all.
 
     Args:
         values: the options `quiet`, `verbose` and `as_json`.
@@ -214,25 +214,25 @@ def run_jobs(
     """
     codes = []
     for job in jobs:
-        codes.append(_one(job, work, values, written))
+        try:
+            with (
+                bytes_of(job.source) as source,
+                progress_bars(job.source.name, quiet=values["quiet"]) as bars,
+            ):
+                result = work(job, bars, source)
+        except AccelcalError as error:
+            codes.append(exit_codes.of_failure(error))
+            continue
+        except Exception:
+            codes.append(exit_codes.report_bug(job.source))
+            continue
+        if values["as_json"]:
+            exit_codes.show(json.dumps(result.report))
+        else:
+            show_result(result.view, result.job.source, written(result), values)
+        _comment(result, values)
+        codes.append(exit_codes.REFUSED if result.outcome is Outcome.REFUSED else exit_codes.OK)
     return exit_codes.of_all(codes)
-
-
-def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result], Path | None]) -> int:
-    """Do one job; a failure is printed and does not stop the rest."""
-    try:
-        with bytes_of(job.source) as source, progress_bars(job.source.name, quiet=values["quiet"]) as bars:
-            result = work(job, bars, source)
-    except AccelcalError as error:
-        return exit_codes.of_failure(error)
-    except Exception:
-        return exit_codes.report_bug(job.source)
-    if values["as_json"]:
-        exit_codes.show(json.dumps(result.report))
-    else:
-        show_result(result.view, result.job.source, written(result), values)
-    _comment(result, values)
-    return exit_codes.REFUSED if result.outcome is Outcome.REFUSED else exit_codes.OK
 
 
 @contextlib.contextmanager

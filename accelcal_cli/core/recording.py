@@ -304,8 +304,12 @@ def clipped_at(chunk: Chunk, low: Any, high: Any) -> Chunk:
 
 def cut_columns(record: Any, names: Iterable[str], rows: Any) -> dict[str, Any]:
     """Some rows (a slice, a mask or numbers) of the columns that a record has, by name."""
-    columns = {name: getattr(record, name) for name in names}
-    return {name: column[rows] for name, column in columns.items() if column is not None}
+    cut = {}
+    for name in names:
+        column = getattr(record, name)
+        if column is not None:
+            cut[name] = column[rows]
+    return cut
 
 
 def cut_channels(channels: Channels, rows: Any) -> Channels:

@@ -182,7 +182,10 @@ class Evidence:
 def try_models(evidence: Evidence, settings: Settings, fit: FitFunction) -> tuple[Trial, ...]:
     """Held-out error of every model that the points can hold, and why the others cannot."""
     names = _wanted(settings, temperature=evidence.sample.points.tau is not None)
-    return tuple(_trial(evidence, settings, fit, MODELS[name]) for name in names)
+    trials = []
+    for name in names:
+        trials.append(_trial(evidence, settings, fit, MODELS[name]))
+    return tuple(trials)
 
 
 def _wanted(settings: Settings, *, temperature: bool) -> list[str]:

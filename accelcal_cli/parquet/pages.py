@@ -148,8 +148,8 @@ def chunk_of(
     if extremes is not None:
         least, most = (struct.pack("<q", value) for value in extremes)
         meta.append((12, STRUCT, [(3, I64, 0), (5, BINARY, most), (6, BINARY, least)]))
-    stats = [[(1, I32, kind), (2, I32, code), (3, I32, n)] for (kind, code), n in counts.items()]
-    meta.append((13, LIST, stats))
+    stats = ([(1, I32, kind), (2, I32, code), (3, I32, n)] for (kind, code), n in counts.items())
+    meta.append((13, LIST, [*map(thrift.written, stats)]))
     return ColumnChunk([part for page in pages for part in (page.head, page.packed)], meta)
 
 

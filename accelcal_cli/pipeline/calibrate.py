@@ -175,12 +175,8 @@ class OwnCalibration(Judge):
 
     learnt: LearntPrior | None = None
 
-    def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
-        """The judgement of the profile's procedure."""
-        return self.judged(found)
-
-    def judged(self, found: Survey) -> Verdict:
-        """Return the judgement of the profile's procedure."""
+    def verdict(self, run: RecordingRun | None, found: Survey) -> Verdict:
+        """Return the judgement of the profile's procedure; it needs no run."""
         learnt, recording, procedure = self.learnt, found.recording, found.method.procedure
         if found.damage is not None:
             judgement = found.damage

@@ -6,8 +6,8 @@ points of them, and judges what they hold.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,8 +18,6 @@ from accelcal_cli.core.calibration import Correction
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.points import (
     Fates,
-    Fit,
-    Model,
     Optimizer,
     PointSet,
     TimedMeans,
@@ -66,12 +64,9 @@ def fitting(settings: Settings, learnt: Prior | None = None) -> Fitting:
     penalized = None if settings.prior == NO_PRIOR else optimizer.fit_penalized
     if penalized is None and settings.prior != NO_PRIOR:
         raise UsageError(f"optimizer {optimizer.name} fits without a prior only", hint="add --prior none")
-
-    def fit(sets: Sequence[PointSet], model: Model) -> list[Fit]:
-        return optimizer.fits(sets, model, numbers)
-
     if learnt is None and settings.prior in LEARNT_PRIORS:
         raise UsageError(f"prior {settings.prior} is learnt from other recordings", hint="use accelcal study")
+    fit = partial(optimizer.fits, settings=numbers)
     return Fitting(settings, fit, optimizer.models, penalized, learnt or POPULATION)
 
 

@@ -239,7 +239,7 @@ class LivePass:
         """Return the judgement of `calibrate`; call after the last bytes."""
         facts = self.method.completed(self._facts.result())
         found, _ = surveyed(self.recording, facts, self.method, settings)
-        judgement = OwnCalibration(settings).judged(found).judgement
+        judgement = OwnCalibration(settings).verdict(None, found).judgement
         return with_collection_time(judgement, self._subsets, self.recording)
 
     def place(self) -> Event:

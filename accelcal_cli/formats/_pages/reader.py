@@ -336,7 +336,7 @@ class FileScheme(Generic[AnyBlock]):
     def first_time_us(self) -> int:
         """Return the time of the first sample [us]; raise StopIteration if there is none."""
         with closing(self.stream(START_SAMPLES)) as chunks:
-            return int(next(chunk for chunk in chunks if len(chunk)).clock.times(0, 1)[0])
+            return int(next(filter(len, chunks)).clock.times(0, 1)[0])
 
     def pieces(self, chunk_samples: int, pieces: int) -> Iterator[tuple[int, AnyBlock]]:
         """Yield blocks spread evenly over the file, each with the number of its first sample.
