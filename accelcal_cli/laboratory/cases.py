@@ -1,4 +1,4 @@
-"""Artificial calibration points (Farago, Maczak, Gingl 2024, section III.A, eq. 17-20) and what fits them.
+"""Artificial calibration points (Farago, Maczak, Gingl 2024, section III.A, eq. 17-20) and methods.
 
 Each case has a stream of random numbers of its own, from the seed and its index. The sensor comes first:
 it is the same for any number of points, any noise and either selection. A `Method` is an optimizer with
@@ -23,30 +23,32 @@ from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.points import MODELS, WEIGHT_ONE, Fit, Model, Optimizer, PointSet
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 
-SCALE_ERROR = 0.1
-MISALIGNMENT = 0.05
-OFFSET_G = 0.1
-"""Reach of the errors to either side of the ideal (eq. 17)."""
+SCALE_ERROR, MISALIGNMENT, OFFSET_G = 0.1, 0.05, 0.1
+"""Largest errors to either side of the ideal (eq. 17); offsets in g."""
 
 USUAL = ("fixed32", "fixed32:paper", "float64:paper", "fixed16", "gauss-newton")
-"""Methods that are compared where none is named."""
+"""Methods that are compared by default."""
+
 ALL = "all"
+"""Label of every method whose packages are installed."""
 
 SUBSETS = 9
+"""Number of subsets of F's collector."""
+
 Selection = Literal["subsets", "random"]
 Real = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
-    """How points are drawn.
+class CasePlan:
+    """How points are drawn, with orientations uniform on the sphere.
 
     Attributes:
-        number: of points.
-        noise_g: standard deviation of the noise on each axis.
-        selection: orientations are uniform on the sphere; they are taken as they come (`random`), or
-            F's collector chooses among them, as many for each of its nine subsets (`subsets`).
-        rest_g: what rest measures, in standard g.
+        number: number of points.
+        noise_g: standard deviation of the noise on each axis [g].
+        selection: `random` takes the points as they come; `subsets` lets F's collector choose equally many
+            for each of its nine subsets.
+        rest_g: acceleration at rest [standard g].
     """
 
     number: int
@@ -69,8 +71,8 @@ class Case:
 
     Attributes:
         truth: the twelve true parameters, fixed-point integers.
-        still_g: (n, 3) what the sensor would measure without noise [g].
-        points: what it does measure.
+        still_g: (n, 3) measured accelerations without noise [g].
+        points: measured points.
     """
 
     truth: tuple[int, ...]
@@ -78,8 +80,8 @@ class Case:
     points: PointSet
 
 
-def make_case(plan: Plan, seed: int, index: int) -> Case:
-    """Draw a sensor and points of it: the same for the same plan, seed and index."""
+def make_case(plan: CasePlan, seed: int, index: int) -> Case:
+    """Draw a sensor and its points, which depend on plan, seed and index alone."""
     random = RandomState([seed, index])
     truth = draw_truth(random)
     draw = _drawn if plan.selection == "random" else _collected
@@ -88,7 +90,7 @@ def make_case(plan: Plan, seed: int, index: int) -> Case:
 
 
 def draw_truth(random: RandomState) -> tuple[int, ...]:
-    """Errors by eq. 17, parameters by eq. 18, as twelve fixed-point integers without slopes."""
+    """Draw errors (eq. 17) and return the parameters (eq. 18) as twelve integers without slopes."""
     draw = random.uniform(-1, 1, 9)
     scale, turn, offset = 1 + SCALE_ERROR * draw[:3], MISALIGNMENT * draw[3:6], OFFSET_G * draw[6:]
     crossed = scale[[1, 2, 2]] * turn
@@ -96,7 +98,7 @@ def draw_truth(random: RandomState) -> tuple[int, ...]:
 
 
 def measured(truth: tuple[int, ...], acceleration_g: Real) -> Real:
-    """What the sensor measures of (n, 3) true accelerations: the inverse of eq. 7-9 [g].
+    """Return the measured values [g] of (n, 3) true accelerations: the inverse of eq. 7-9.
 
     Eq. 19 as printed is not that inverse: its second line subtracts the offset that it should add.
     """
@@ -108,25 +110,25 @@ def measured(truth: tuple[int, ...], acceleration_g: Real) -> Real:
 
 
 def directions(random: RandomState, number: int) -> Real:
-    """Unit vectors, uniform on the sphere, (number, 3)."""
+    """Draw unit vectors, uniform on the sphere, (number, 3)."""
     drawn = random.standard_normal((number, 3))
     return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
 
 
 def as_points(xyz_g: Real) -> PointSet:
-    """Positions in g as points of equal weight."""
+    """Return positions (n, 3) [g] as points of equal weight."""
     number = len(xyz_g)
     ones = np.ones(number, np.int64)
     return PointSet(np.rint(xyz_g * ONE).astype(np.int64), ones * WEIGHT_ONE, ones)
 
 
-def _drawn(plan: Plan, random: RandomState, truth: tuple[int, ...]) -> tuple[Real, Real]:
+def _drawn(plan: CasePlan, random: RandomState, truth: tuple[int, ...]) -> tuple[Real, Real]:
     still = measured(truth, float(plan.rest_g) * directions(random, plan.number))
     return still, still + plan.noise_g * random.standard_normal(still.shape)
 
 
-def _collected(plan: Plan, random: RandomState, truth: tuple[int, ...]) -> tuple[Real, Real]:
-    """What F's collector takes from a stream of points, in the order of the stream."""
+def _collected(plan: CasePlan, random: RandomState, truth: tuple[int, ...]) -> tuple[Real, Real]:
+    """Return the points that F's collector takes from a stream, in the order of the stream."""
     collector = SubsetCollector(float(ONE), plan.number // SUBSETS)
     taken: list[tuple[Real, Real]] = []
     while len(taken) < plan.number:
@@ -146,26 +148,26 @@ class Method:
 
     @property
     def label(self) -> str:
-        """NAME, or NAME:PROFILE."""
+        """NAME, or NAME:PROFILE of another profile than the default."""
         return self.optimizer.name + ("" if self.profile == "default" else f":{self.profile}")
 
     @property
     def model(self) -> Model:
-        """Nine parameters where it can fit them, else scale and offset."""
+        """Model 9 if the optimizer can fit it, else model 6."""
         return MODELS["9" if "9" in self.optimizer.models else "6"]
 
     @property
     def settings(self) -> Any:
-        """The optimizer's own numbers."""
+        """Settings of the optimizer in this profile."""
         return self.optimizer.settings[self.profile]
 
     def fit(self, points: PointSet) -> Fit:
-        """Fit its model; raises DivergedError."""
+        """Fit the model to points; raises DivergedError."""
         return self.optimizer.fit(points, self.model, self.settings)
 
 
 def methods(labels: tuple[str, ...]) -> tuple[Method, ...]:
-    """Methods by label, each once; `all` stands for every one whose packages are installed.
+    """Return methods by label, each once; `all` stands for every one whose packages are installed.
 
     Raises:
         UsageError: no such optimizer, or it has no such profile.
@@ -189,7 +191,7 @@ def _method(label: str) -> Method:
 
 
 def _installed() -> Iterator[Method]:
-    """Every optimizer, and those with other settings in profile `paper` once more."""
+    """Yield every installed optimizer, and also with profile `paper` if its settings differ."""
     for optimizer in all_optimizers():
         if optimizer.needs is not None and find_spec(optimizer.needs) is None:
             continue

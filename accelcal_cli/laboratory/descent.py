@@ -1,8 +1,7 @@
-"""F's descent with other numbers than its own, and how it converges (Farago, Maczak, Gingl 2024, section II.C
-and Fig. 9).
+"""The descent of F with any numbers, and its convergence (Farago, Maczak, Gingl 2024, section II.C, Fig. 9).
 
-In double precision, with forward differences, from the ideal sensor. The paper writes its objective as a sum;
-with the rates that it prints, only the mean converges.
+It runs in double precision, with forward differences, from the ideal sensor. The paper writes its objective
+as a sum; with the rates that it prints, only the mean converges.
 """
 
 from __future__ import annotations
@@ -19,27 +18,33 @@ from accelcal_cli.core.arithmetic import LIMIT, ONE
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.points import Fit, Model, Operations, Optimizer, PointSet
-from accelcal_cli.laboratory.cases import Method, Plan, make_case
+from accelcal_cli.laboratory.cases import CasePlan, Method, make_case
 
 Real = NDArray[np.float64]
 Objective = Literal["mean", "root", "sum"]
 
 NAME = "descent"
 STEP = 1e-5
+"""Step of the forward differences."""
+
 PLACES = (0, 4, 8, 3, 6, 7)
-"""Of the first six parameters in K by rows."""
+"""Indices of the first six parameters in K by rows."""
 
 SHOWN = (1, 2, 3, 5, 7, 10, 15, 20, 25, 30, 35, 40, 45, 50, 75, 100, 150, 200, 300, 500, 700, 1000)
+"""Iterations after which the distance to the end is shown."""
+
 TOLERANCES = (5e-3, 1e-3)
+"""Distances from the end for which the first iteration that stays within is found."""
+
 GROUPS = {"scale": slice(0, 3), "misalignment": slice(3, 6), "offset": slice(6, 9)}
 
 
 @dataclass(frozen=True, slots=True)
-class Numbers:
-    """Those of the descent; by default the paper's.
+class DescentNumbers:
+    """Numbers of the descent; by default the paper's.
 
     Attributes:
-        objective: of the points, `mean` or `sum` of (|a|^2 - 1)^2, or mean of (|a| - 1)^2 (`root`).
+        objective: `mean` or `sum` over the points of (|a|^2 - 1)^2, or mean of (|a| - 1)^2 (`root`).
         rates: learning rates of scale, misalignment and offset.
     """
 
@@ -48,25 +53,25 @@ class Numbers:
     iterations: int = 50
 
 
-def trace(points: PointSet, numbers: Numbers) -> Real:
-    """The nine parameters at the start and after each iteration, (iterations + 1, 9).
+def trace(points: PointSet, numbers: DescentNumbers) -> Real:
+    """Return the nine parameters at the start and after each iteration, (iterations + 1, 9).
 
     Raises:
         DivergedError: they leave the range of 32-bit fixed point.
     """
     v, probes = points.xyz_g(), np.vstack([np.zeros(9), STEP * np.eye(9)])
     rates = np.repeat(numbers.rates, 3)
-    course = [np.array(IDENTITY[:9]) / ONE]
+    path = [np.array(IDENTITY[:9]) / ONE]
     for _ in range(numbers.iterations):
-        base, *probed = _costs(v, course[-1] + probes, numbers.objective)
-        course.append(course[-1] - rates * (np.array(probed) - base) / STEP)
-        if not np.abs(course[-1]).max() * ONE < LIMIT:
+        base, *probed = _costs(v, path[-1] + probes, numbers.objective)
+        path.append(path[-1] - rates * (np.array(probed) - base) / STEP)
+        if not np.abs(path[-1]).max() * ONE < LIMIT:
             raise DivergedError("a parameter leaves the fixed-point range")
-    return np.array(course)
+    return np.array(path)
 
 
 def _costs(v: Real, sets: Real, objective: Objective) -> Real:
-    """The objective at (k, 9) parameters, (k,)."""
+    """Return the objective at (k, 9) parameters, (k,)."""
     gain = np.zeros((len(sets), 9))
     gain[:, PLACES] = sets[:, :6]
     a = (v + sets[:, np.newaxis, 6:]) @ np.swapaxes(gain.reshape(-1, 3, 3), 1, 2)
@@ -75,8 +80,8 @@ def _costs(v: Real, sets: Real, objective: Objective) -> Real:
     return np.asarray((off**2).sum(axis=1) if objective == "sum" else (off**2).mean(axis=1))
 
 
-def descent(numbers: Numbers) -> Method:
-    """The descent as a method to compare with others."""
+def descent(numbers: DescentNumbers) -> Method:
+    """Return the descent as a method to compare with others."""
 
     def fit(points: PointSet, _model: Model, settings: Any) -> Fit:
         end = trace(points, settings)[-1]
@@ -93,7 +98,7 @@ def descent(numbers: Numbers) -> Method:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Median and 90th percentile over the cases; None where there is none."""
+    """Median and 90th percentile over the cases; None without any."""
 
     median: float | None
     p90: float | None
@@ -101,11 +106,11 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Convergence:
-    """How the descent goes on, over all cases in which it did not diverge.
+    """Convergence of the descent over all cases in which it did not diverge.
 
     Attributes:
-        left: by iteration and group of parameters, the largest distance from where it ends.
-        within: by tolerance, after how many iterations all nine parameters stay within it of where they end.
+        left: largest distance from the last iteration, by iteration and group of parameters.
+        within: iterations after which all nine parameters stay within a tolerance of the last one.
     """
 
     points: int
@@ -117,28 +122,28 @@ class Convergence:
 
 
 def convergence(
-    plan: Plan, numbers: Numbers, cases: int, seed: int, step: Callable[[int], None]
+    plan: CasePlan, numbers: DescentNumbers, cases: int, seed: int, step: Callable[[int], None]
 ) -> Convergence:
-    """The table behind Fig. 9; raises UsageError if nine subsets cannot share the points."""
+    """Make the table behind Fig. 9; raises UsageError if nine subsets cannot share the points."""
     plan.check()
-    courses = []
+    paths = []
     for index in range(cases):
         with suppress(DivergedError):
-            courses.append(trace(make_case(plan, seed, index).points, numbers))
+            paths.append(trace(make_case(plan, seed, index).points, numbers))
         step(index + 1)
-    far = np.array([np.abs(course - course[-1]) for course in courses])
+    far = np.array([np.abs(path - path[-1]) for path in paths])
     shown = [number for number in SHOWN if number < numbers.iterations]
     left = {
         number: {name: _spread(far[:, number, part].max(axis=1)) for name, part in GROUPS.items()}
-        for number in (shown if courses else [])
+        for number in (shown if paths else [])
     }
-    within = {limit: _spread([_arrived(one, limit) for one in far]) for limit in TOLERANCES}
+    within = {limit: _spread([_arrival(one, limit) for one in far]) for limit in TOLERANCES}
     noise_mg = round(1000 * plan.noise_g, 9)
-    return Convergence(plan.number, noise_mg, len(courses), cases - len(courses), left, within)
+    return Convergence(plan.number, noise_mg, len(paths), cases - len(paths), left, within)
 
 
-def _arrived(far: Real, limit: float) -> int:
-    """After how many iterations all parameters stay within a limit."""
+def _arrival(far: Real, limit: float) -> int:
+    """Return the iteration after which all parameters stay within a limit."""
     outside = np.flatnonzero(far.max(axis=1) > limit)
     return int(outside[-1]) + 1 if len(outside) else 0
 
@@ -151,7 +156,7 @@ def _spread(values: Sequence[float] | Real) -> Spread:
 
 
 def as_json(found: Convergence) -> dict[str, Any]:
-    """The table, with iterations and tolerances as text."""
+    """Return the table as JSON, with iterations and tolerances as text."""
     shown = asdict(found)
     keyed = {name: shown[name].items() for name in ("left", "within")}
     return shown | {name: {f"{key:g}": value for key, value in pairs} for name, pairs in keyed.items()}

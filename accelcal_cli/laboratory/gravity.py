@@ -32,7 +32,7 @@ from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.gyroscope import judge_gyroscope
 from accelcal_cli.judge.turning import Gravity
-from accelcal_cli.laboratory.cases import ALL, Case, Method, Plan, as_points, make_case, measured, methods
+from accelcal_cli.laboratory.cases import ALL, Case, CasePlan, Method, as_points, make_case, measured, methods
 from accelcal_cli.output.report import significant
 from accelcal_cli.output.words import figure
 from accelcal_cli.pipeline.options import chosen_gravity
@@ -48,24 +48,26 @@ TABLE_8_GYROSCOPE = (0.2015, 0.1276)
 """Residuals of the gyroscope with default and with local gravity, without a unit."""
 
 CASES = 20
-"""Largest number of gyroscopes: their angles differ by less than a thousandth between the gravities."""
+"""Largest number of gyroscopes, whose angles differ by less than a thousandth between gravities."""
 
 TURNS, TURN_ROWS, REST_ROWS = 40, 120, 500
+"""Number of turns, and rows of a turn (1.2 s) and of a rest (5 s)."""
+
 RATE_HZ, TURNING_DPS, LSB = 100.0, 120.0, 1 << 20
-"""Turns of 1.2 s, rests of 5 s; accelerations are sums of 1/2^20 g."""
+"""Sample rate, standard deviation of the rates of a turn, and counts per g of the accelerometer."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """What is left after fits that assume one gravity, means over the cases.
+    """Mean errors over the cases after fits that assume one gravity.
 
     Attributes:
         assumed_m_s2: gravity that the fit assumes.
         against_assumed, against_true: E = mean of (|A|^2 - g^2)^2 over the fitted points [m4/s8].
         norm_error_mg: mean error of |a| over directions of the sphere, without noise [mg].
-        fitted: number of cases.
+        fitted: number of fitted cases.
     """
 
     assumed_m_s2: float
@@ -76,9 +78,9 @@ class Residuals:
 
 
 def gravity_residuals(
-    plan: Plan, method: Method, cases: int, seed: int, progress: Callable[[int], None]
+    plan: CasePlan, method: Method, cases: int, seed: int, progress: Callable[[int], None]
 ) -> tuple[Residuals, ...]:
-    """Residuals with standard and with local gravity; `plan.rest_g` is the local one.
+    """Return residuals with standard and with local gravity; `plan.rest_g` is the local one.
 
     Raises:
         UsageError: nine subsets cannot share the plan's points.
@@ -95,7 +97,7 @@ def gravity_residuals(
 
 
 def _residuals(method: Method, case: Case, assumed_g: Fraction, true_g: float) -> list[Floats]:
-    """One row of figures, none where the fit fails."""
+    """Return one row of errors, none if the fit fails."""
     try:
         fit = method.fit(as_points(case.points.xyz_g() / float(assumed_g)))
     except DivergedError:
@@ -112,7 +114,7 @@ def _norms(calibration: Calibration, raw_g: Floats) -> Floats:
 
 
 def _gravity_cost(norms_g: Floats, gravity_g: float) -> float:
-    """E of G eq. 5, of norms and gravity in standard g, in m4/s8."""
+    """Return E of G eq. 5 [m4/s8] of norms and gravity in standard g."""
     return float(((norms_g**2 - gravity_g**2) ** 2).mean()) * STANDARD_GRAVITY**4
 
 
@@ -120,17 +122,17 @@ def _mean_residuals(assumed_g: Fraction, rows: list[Floats]) -> Residuals:
     if not rows:
         raise DivergedError("no case could be fitted")
     assumed, true, mg = np.mean(rows, axis=0).tolist()
-    return Residuals(round(float(assumed_g) * STANDARD_GRAVITY, 6), assumed, true, mg, len(rows))
+    return Residuals(_m_s2(assumed_g), assumed, true, mg, len(rows))
 
 
 @dataclass(frozen=True, slots=True)
 class TurnResidual:
-    """What is left after turns, by a gyroscope that was calibrated with one gravity.
+    """Errors after turns, with gyroscopes that were calibrated with one gravity.
 
     Attributes:
         assumed_m_s2: gravity that the accelerometer's fit assumes.
-        holdout_deg: median angle on turns that took no part, mean over the cases; None without any.
-        fitted: number of cases.
+        holdout_deg: median angle on held-out turns, mean over the cases; None without any.
+        fitted: number of fitted cases.
     """
 
     assumed_m_s2: float
@@ -138,24 +140,26 @@ class TurnResidual:
     fitted: int
 
 
-def turn_residuals(plan: Plan, method: Method, cases: int, seed: int) -> tuple[TurnResidual, ...]:
-    """Residuals with standard and with local gravity; `plan.rest_g` is the local one."""
+def turn_residuals(plan: CasePlan, method: Method, cases: int, seed: int) -> tuple[TurnResidual, ...]:
+    """Return residuals with standard and with local gravity; `plan.rest_g` is the local one."""
     kept: list[tuple[Fraction, list[float]]] = [(Fraction(1), []), (plan.rest_g, [])]
     for index in range(min(cases, CASES)):
         case = make_case(plan, seed, index)
         turns = _turns(case, plan, RandomState([seed, index]))
         for assumed_g, angles in kept:
-            angles.extend(_left(method, case, assumed_g, turns))
-    return tuple(_residual(assumed_g, angles) for assumed_g, angles in kept)
+            angles.extend(_angles(method, case, assumed_g, turns))
+    return tuple(
+        TurnResidual(_m_s2(assumed_g), mean(angles) if angles else None, len(angles))
+        for assumed_g, angles in kept
+    )
 
 
-def _residual(assumed_g: Fraction, angles: list[float]) -> TurnResidual:
-    assumed_m_s2 = round(float(assumed_g) * STANDARD_GRAVITY, 6)
-    return TurnResidual(assumed_m_s2, mean(angles) if angles else None, len(angles))
+def _m_s2(gravity_g: Fraction) -> float:
+    return round(float(gravity_g) * STANDARD_GRAVITY, 6)
 
 
-def _left(method: Method, case: Case, assumed_g: Fraction, turns: Turns) -> list[float]:
-    """The angle, none where a fit fails."""
+def _angles(method: Method, case: Case, assumed_g: Fraction, turns: Turns) -> list[float]:
+    """Return the angle of a case, none if a fit fails."""
     try:
         fit = method.fit(as_points(case.points.xyz_g() / float(assumed_g)))
     except DivergedError:
@@ -165,8 +169,8 @@ def _left(method: Method, case: Case, assumed_g: Fraction, turns: Turns) -> list
     return [] if found.holdout is None else [found.holdout.after]
 
 
-def _turns(case: Case, plan: Plan, random: RandomState) -> Turns:
-    """Turns of a case's accelerometer and of a gyroscope with errors of its own."""
+def _turns(case: Case, plan: CasePlan, random: RandomState) -> Turns:
+    """Simulate turns of a case's accelerometer and of a gyroscope with errors of its own."""
     sensor = draw_gyroscope(random.randint(1 << 30), 1.0, np.zeros(3))
     dps = (1 / sensor.lsb_per_dps,) * 3
     shape = np.sin(np.linspace(0, np.pi, TURN_ROWS))[:, np.newaxis]
@@ -189,8 +193,8 @@ def _turns(case: Case, plan: Plan, random: RandomState) -> Turns:
     return Turns(turns, rates_at_rest, 0, dps, float(LSB), 1 / RATE_HZ)
 
 
-def _rest(case: Case, plan: Plan, direction: Floats, random: RandomState) -> Rest:
-    """What the accelerometer measures at rest, with the noise of the case's points."""
+def _rest(case: Case, plan: CasePlan, direction: Floats, random: RandomState) -> Rest:
+    """Return the accelerometer's measurement at rest, with the noise of the case's points."""
     raw = measured(case.truth, float(plan.rest_g) * direction[np.newaxis])[0]
     raw = raw + plan.noise_g * random.standard_normal(3)
     sums = np.rint(raw * LSB * REST_ROWS).astype(np.int64).tolist()
@@ -219,7 +223,7 @@ def command(label: str, as_json: bool, **values: Any) -> None:
 
     Table 8 of Grammenos, Mascolo, Crowcroft 2018 (section 5.2): the residual of the cost function.
     """
-    plan = Plan(values["points"], values["noise_mg"] / 1e3, rest_g=_rest_g(values))
+    plan = CasePlan(values["points"], values["noise_mg"] / 1e3, rest_g=_rest_g(values))
     if label == ALL:
         raise UsageError("gravity is evaluated with one optimizer", hint="name it with --optimizer")
     (method,) = methods((label,))
@@ -243,7 +247,7 @@ def _rest_g(values: dict[str, Any]) -> Fraction:
 
 
 def _record(
-    plan: Plan, values: dict[str, Any], label: str, residuals: tuple[Residuals, ...]
+    plan: CasePlan, values: dict[str, Any], label: str, residuals: tuple[Residuals, ...]
 ) -> dict[str, Any]:
     fits = [
         {name: significant(value, 7 if name == "assumed_m_s2" else 4) for name, value in asdict(row).items()}
@@ -251,7 +255,7 @@ def _record(
     ]
     return {
         "accelcal_version": __version__,
-        "local_m_s2": round(float(plan.rest_g) * STANDARD_GRAVITY, 6),
+        "local_m_s2": _m_s2(plan.rest_g),
         **{name: values[name] for name in ("cases", "points", "noise_mg", "seed")},
         "method": label,
         "published": dict(zip(("default", "local"), TABLE_8, strict=True)),
@@ -259,7 +263,7 @@ def _record(
     }
 
 
-def _text(plan: Plan, values: dict[str, Any], residuals: tuple[Residuals, ...]) -> str:
+def _text(plan: CasePlan, values: dict[str, Any], residuals: tuple[Residuals, ...]) -> str:
     rest = float(plan.rest_g) * STANDARD_GRAVITY
     head = (
         f"{values['cases']} cases (seed {values['seed']}) of {plan.number} points, noise "
@@ -284,8 +288,8 @@ def _gyroscope_record(turned: tuple[TurnResidual, ...]) -> dict[str, Any]:
     return {"published": dict(zip(("default", "local"), TABLE_8_GYROSCOPE, strict=True)), "fits": fits}
 
 
-def _gyroscope_text(plan: Plan, turned: tuple[TurnResidual, ...]) -> str:
-    known = round(float(plan.rest_g) * STANDARD_GRAVITY, 6) == TABLE_8_GRAVITY
+def _gyroscope_text(plan: CasePlan, turned: tuple[TurnResidual, ...]) -> str:
+    known = _m_s2(plan.rest_g) == TABLE_8_GRAVITY
     rows = [
         (f"{row.assumed_m_s2:.5f} m/s2", figure(row.holdout_deg), f"{paper:.4f}" if known else "-")
         for row, paper in zip(turned, TABLE_8_GYROSCOPE, strict=True)

@@ -39,21 +39,23 @@ from accelcal_cli.pipeline.options import chosen_settings, read_options
 
 HOUR_US = 3600 * MICROSECONDS
 CELL_US = MICROSECONDS
-"""Means of this length are compared; noise of single samples is not what devices differ in."""
+"""Length [us] of the means that are compared, in which the noise of single samples is small."""
 
 FINE_US = 100_000
-"""Means of this length are correlated."""
+"""Length [us] of the means that are correlated."""
 
 LEAST_MOVED_MG = 5.0
-"""An hour whose |a| has a smaller standard deviation shows no lag."""
+"""Smallest standard deviation of |a| [mg] in an hour that can show a lag."""
 
 LEAST_CORRELATION = 0.6
+"""Smallest correlation in an hour whose lag counts."""
+
 HOURS_OF_DRIFT = 6
-"""Fewer hours with a lag show no drift of the clock."""
+"""Smallest number of hours with a lag that can show a drift of the clock."""
 
 AXES = ("x", "y", "z", "norm")
 AFTER = 1
-"""Where the calibrated values are, among raw and calibrated ones."""
+"""Index of the calibrated values among raw and calibrated ones."""
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -61,28 +63,28 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """How far a clock is ahead of the first recording's: lag_us at a time, and drift from there on."""
+    """Lead of a clock over the first recording's: `lag_us` at the time `at_us`, and a drift from there."""
 
     lag_us: float = 0.0
     drift: float = 0.0
     at_us: int = 0
 
     def on_common_clock(self, time_us: Integers) -> Integers:
-        """Times (n,) of the device as times of the first recording's clock."""
+        """Convert times (n,) of the device to those of the first recording's clock."""
         ahead = np.rint(self.lag_us + self.drift * (time_us - self.at_us))
         return np.asarray(time_us - ahead.astype(np.int64))
 
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """What was found of a clock.
+    """A device's clock compared with the first recording's.
 
     Attributes:
-        lag_s: how far it is ahead of the first recording's, in the middle of what they have in common.
-        drift_ppm: by how much it is faster.
-        residual_ms: root mean square of what the hours' lags are off from that.
+        lag_s: lead over the first recording's clock, in the middle of their common time.
+        drift_ppm: relative rate by which it is faster.
+        residual_ms: root mean square distance of the hours' lags from that.
         correlation: median of the hours' correlations; None for the first recording.
-        hours: how many hours showed a lag.
+        hours: number of hours that showed a lag.
     """
 
     lag_s: float = 0.0
@@ -94,7 +96,7 @@ class Clock:
 
 @dataclass(frozen=True, slots=True)
 class Likeness:
-    """One device, or all together.
+    """Deviations of one device, or of all together.
 
     Attributes:
         before, after: mean squared deviation from the common trace of x, y, z and |a| [g2].
@@ -104,7 +106,7 @@ class Likeness:
     after: tuple[float, ...]
 
     def rms_mg(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Roots of them [mg], before and after."""
+        """Return the roots of the mean squares [mg], before and after."""
         before, after = (tuple(1000 * value**0.5 for value in values) for values in (self.before, self.after))
         return before, after
 
@@ -114,7 +116,7 @@ class Compared:
     """One recording of the comparison.
 
     Attributes:
-        clock, likeness: None for one that was refused, which is left out.
+        clock, likeness: None for a refused recording, which is left out.
     """
 
     path: Path
@@ -127,10 +129,10 @@ class Compared:
 
 @dataclass(frozen=True, slots=True)
 class Homogeneity:
-    """All recordings, and how alike those are that could be calibrated.
+    """All recordings, and the deviations of those that could be calibrated.
 
     Attributes:
-        seconds: of the common trace.
+        seconds: length of the common trace.
     """
 
     recordings: tuple[Compared, ...]
@@ -140,7 +142,7 @@ class Homogeneity:
 
 @dataclass(frozen=True, slots=True)
 class _Device:
-    """An open recording and what makes g of its counts, before and after."""
+    """An open recording, and its transforms of counts to g before and after calibration."""
 
     run: RecordingRun
     serial: str | None
@@ -154,13 +156,13 @@ class _Device:
         return self.run.job.source
 
     def hours(self, cell_us: int, shift: Shift, transforms: Sequence[Transform]) -> Iterator[Hour]:
-        """Its hours, in cells of a common clock."""
+        """Yield its hours, in cells of the common clock."""
         chunks = self.run.reader.chunks(self.run.request.chunk_samples)
         return hours(chunks, transforms, cell_us, shift, self.utc_offset_us)
 
 
 Hour = tuple[int, Integers]
-"""Number of an hour since 1970; (cells, 1 + 4 versions) numbers of rows, sums of x, y, z and |a|."""
+"""Number of an hour since 1970; (cells, 1 + 4 versions) number of rows and sums of x, y, z and |a|."""
 
 
 def homogeneity(
@@ -169,7 +171,7 @@ def homogeneity(
     """Compare recordings of devices that were moved together.
 
     Args:
-        largest_lag_s: how far their clocks may be apart.
+        largest_lag_s: largest difference of their clocks.
 
     Raises:
         AccelcalError: one cannot be read.
@@ -219,7 +221,7 @@ def hours(
     shift: Shift,
     utc_offset_us: int = 0,
 ) -> Iterator[Hour]:
-    """Sums of a recording's measured rows, an hour at a time; rows of an hour that is past are left out."""
+    """Yield sums of a recording's measured rows by the hour; rows of an hour that is past are left out."""
     cells = HOUR_US // cell_us
     current, table = -1, _no_rows(cells, transforms)
     for chunk in chunks:
@@ -241,7 +243,7 @@ def _no_rows(cells: int, transforms: Sequence[Transform]) -> Integers:
 def _cells(
     chunk: Chunk, transforms: Sequence[Transform], cell_us: int, shift: Shift, utc_offset_us: int
 ) -> Iterator[tuple[int, Integers, Integers]]:
-    """Of each hour, or part of one, that a chunk's rows lie in: its number, cells (k,), and their sums."""
+    """Yield number, cells (k,) and their sums of each hour, or part of one, of a chunk."""
     if not len(chunk):
         return
     columns = [np.ones(len(chunk), np.int64)]
@@ -267,7 +269,7 @@ def _cells(
 
 
 def side_by_side(streams: Sequence[Iterator[Hour]]) -> Iterator[tuple[int, list[Integers | None]]]:
-    """Hours of several recordings together; None for a recording that has nothing in one."""
+    """Yield hours of several recordings together, with None for a recording without rows in one."""
     heads = [next(stream, None) for stream in streams]
     while known := [head[0] for head in heads if head is not None]:
         number = min(known)
@@ -279,7 +281,7 @@ def side_by_side(streams: Sequence[Iterator[Hour]]) -> Iterator[tuple[int, list[
 
 
 def _clocks(devices: Sequence[_Device], largest_lag_s: float) -> list[tuple[Shift, Clock]]:
-    """The clocks of all, against the first one's."""
+    """Return the clocks of all devices, compared with the first one's."""
     found: list[list[tuple[int, float, float]]] = [[] for _ in devices]
     streams = [one.hours(FINE_US, Shift(), one.transforms[AFTER:]) for one in devices]
     for hour, tables in side_by_side(streams):
@@ -300,13 +302,13 @@ def _clocks(devices: Sequence[_Device], largest_lag_s: float) -> list[tuple[Shif
 
 
 def lag_between(first: Integers, other: Integers, largest_lag_s: float) -> tuple[float, float] | None:
-    """By how much the clock of another recording is ahead in an hour [us], and the correlation there.
+    """Return the lead of another recording's clock in an hour [us], and the correlation there.
 
     Args:
         first, other: (cells, at least 5) as in `Hour`.
 
     Returns:
-        None if one of them hardly moves, or they are most alike at the end of what is allowed.
+        None if one of them hardly moves, or the best lag is at the end of the allowed range.
     """
     signals = [_centred(table) for table in (first, other)]
     power = [float(signal @ signal) for signal in signals]
@@ -326,7 +328,7 @@ def lag_between(first: Integers, other: Integers, largest_lag_s: float) -> tuple
 
 
 def _centred(table: Integers) -> Floats:
-    """|a| less its mean [g]; 0 where there is nothing."""
+    """Return |a| less its mean [g]; 0 in empty cells."""
     known = table[:, 0] > 0
     values = np.zeros(len(table))
     values[known] = table[known, 4] / table[known, 0] * (MG / 1000)
@@ -335,7 +337,7 @@ def _centred(table: Integers) -> Floats:
 
 
 def line_of(lags: Sequence[tuple[int, float, float]]) -> tuple[Shift, Clock]:
-    """A clock from hours' times, lags [us] and correlations: median slope (Theil-Sen) and median rest."""
+    """Fit a clock to hours' times, lags [us] and correlations: median slope (Theil-Sen) and median rest."""
     times, lag_us, correlations = (np.array(column, np.float64) for column in zip(*lags, strict=True))
     at = int(np.median(times))
     drift = 0.0
@@ -350,7 +352,7 @@ def line_of(lags: Sequence[tuple[int, float, float]]) -> tuple[Shift, Clock]:
 
 
 def _deviations(devices: Sequence[_Device], shifts: Sequence[Shift]) -> tuple[Floats, int]:
-    """Sums of each device's squared deviations, (devices, 8) [g2], and the number of cells."""
+    """Return sums of each device's squared deviations, (devices, 8) [g2], and the number of cells."""
     least = [LEAST_MEASURED * one.run.reader.recording.rate_hz * CELL_US / MICROSECONDS for one in devices]
     sums, cells = np.zeros((len(devices), 2 * len(AXES))), 0
     streams = [one.hours(CELL_US, shift, one.transforms) for one, shift in zip(devices, shifts, strict=True)]
@@ -407,7 +409,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
 
 def accepted(found: Homogeneity, limit_mg: float | None) -> bool:
-    """Whether all devices are as alike as is asked for."""
+    """Return True if all devices deviate by less than the limit."""
     return limit_mg is None or all(_within(one, limit_mg) for one in found.recordings)
 
 
@@ -449,7 +451,7 @@ def _as_json(one: Compared, limit_mg: float | None) -> dict[str, Any]:
 
 
 def _likeness_json(likeness: Likeness) -> dict[str, Any]:
-    """Mean squares [g2] and their roots [mg], by axis."""
+    """Return mean squares [g2] and their roots [mg], by axis."""
     squares = zip(("before", "after"), (likeness.before, likeness.after), likeness.rms_mg(), strict=True)
     return {
         when: {"mean_square_g2": dict(zip(AXES, g2, strict=True)), "rms_mg": dict(zip(AXES, mg, strict=True))}
@@ -467,7 +469,7 @@ def _csv_row(one: Compared) -> list[object]:
 
 
 def _text(found: Homogeneity, limit_mg: float | None) -> str:
-    """A row for each device, and one for all; figures in mg, before > after."""
+    """Return a table with a row for each device, and one for all; figures in mg, before > after."""
     head = ["", *HEAD, *AXES[:NORM], "|a|", *(["accepted"] if limit_mg is not None else [])]
     rows = []
     for one in found.recordings:

@@ -39,14 +39,14 @@ TABLE_3_OF_F = (
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class MethodRow:
     """One optimizer on one recording.
 
     Attributes:
-        message: the verdict's sentence.
-        model: the model that was chosen, None if it was refused.
+        message: message of the verdict.
+        model: model that was chosen; None if the recording was refused.
         before_mg, after_mg: mean held-out error.
-        iterations, additions, multiplications: of the fit to all points; None if not counted.
+        iterations, additions, multiplications: numbers in the fit to all points; None if not counted.
         seconds: wall time of that fit.
     """
 
@@ -68,8 +68,8 @@ class Row:
 
 def compare(
     path: Path, options: ReadOptions, settings: Settings, optimizers: tuple[str, ...], progress: ProgressMaker
-) -> Iterator[Row]:
-    """One row an optimizer; the recording is read once.
+) -> Iterator[MethodRow]:
+    """Yield a row for each optimizer; the recording is read once.
 
     Raises:
         AccelcalError: it cannot be read.
@@ -80,7 +80,7 @@ def compare(
 
 
 def collected(path: Path, options: ReadOptions, settings: Settings, progress: ProgressMaker) -> Procedure:
-    """The still windows of a recording, ready to be judged.
+    """Return the procedure that has taken in a recording's still windows.
 
     Raises:
         AccelcalError: it cannot be read.
@@ -92,20 +92,20 @@ def collected(path: Path, options: ReadOptions, settings: Settings, progress: Pr
     return method.procedure
 
 
-def _row(path: Path, procedure: Procedure, settings: Settings) -> Row:
+def _row(path: Path, procedure: Procedure, settings: Settings) -> MethodRow:
     fitter = fitting(settings)
     try:
         verdict = procedure.judge(fitter)
     except AccelcalError as error:
-        return Row(printable(path), settings.optimizer, "failed", str(error))
+        return MethodRow(printable(path), settings.optimizer, "failed", str(error))
     seconds = None if verdict.fit is None else _seconds(procedure, fitter, verdict)
     cells = verdict.coverage.cells
-    row = Row(printable(path), settings.optimizer, str(verdict.outcome), verdict.message, points=cells)
+    row = MethodRow(printable(path), settings.optimizer, str(verdict.outcome), verdict.message, points=cells)
     return _judged(row, verdict, seconds)
 
 
 def _seconds(procedure: Procedure, fitter: Fitting, verdict: Judgement) -> float:
-    """How long the fit to all points takes alone."""
+    """Return the time [s] of the fit to all points."""
     assert verdict.calibration is not None
     points, model = procedure.result(), MODELS[verdict.calibration.model]
     start = perf_counter()
@@ -113,8 +113,8 @@ def _seconds(procedure: Procedure, fitter: Fitting, verdict: Judgement) -> float
     return perf_counter() - start
 
 
-def _judged(row: Row, verdict: Judgement, seconds: float | None) -> Row:
-    """The row with the errors, and with what it cost where there is a calibration."""
+def _judged(row: MethodRow, verdict: Judgement, seconds: float | None) -> MethodRow:
+    """Return the row with its errors, and with the costs of the fit if there is a calibration."""
     holdout, fit = verdict.holdout, verdict.fit
     if holdout is None:
         return row
@@ -139,7 +139,7 @@ class Mean:
     """One optimizer over several recordings.
 
     Attributes:
-        recordings: how many it could calibrate; the others are left out.
+        recordings: number of recordings that it could calibrate; the others are left out.
         improvement_percent: ratio of the means, as all R of F are.
     """
 
@@ -150,8 +150,8 @@ class Mean:
     improvement_percent: float
 
 
-def means(rows: Sequence[Row]) -> list[Mean]:
-    """Of each optimizer that calibrated a recording; none if there is only one recording."""
+def means(rows: Sequence[MethodRow]) -> list[Mean]:
+    """Return the means of each optimizer that calibrated a recording; none for a single recording."""
     found = []
     for name in dict.fromkeys(row.optimizer for row in rows):
         pairs = [
@@ -165,8 +165,8 @@ def means(rows: Sequence[Row]) -> list[Mean]:
     return found
 
 
-def as_json(rows: list[Row]) -> dict[str, Any]:
-    """All rows, their means over recordings, and the published ones beside them."""
+def as_json(rows: list[MethodRow]) -> dict[str, Any]:
+    """Return all rows, their means over recordings, and the published ones as JSON."""
     names = ("method", "before_mg", "after_mg", "improvement_percent")
     return {
         "rows": [{name: getattr(row, name) for name in row.__dataclass_fields__} for row in rows],
@@ -201,7 +201,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     refuse_both(as_json=values["as_json_"], as_csv=values["as_csv"])
     names = _names(values["only"])
 
-    def work(path: Path, bars: ProgressMaker) -> list[Row]:
+    def work(path: Path, bars: ProgressMaker) -> list[MethodRow]:
         return list(compare(path, read_options(values), chosen_settings(values), names, bars))
 
     found, code = each_recording(recordings, work, quiet=values["quiet"])
@@ -219,17 +219,17 @@ def _names(only: str | None) -> tuple[str, ...]:
     return tuple(named_optimizer(name).name for name in names)
 
 
-def _shown(rows: list[Row], values: dict[str, Any]) -> str:
+def _shown(rows: list[MethodRow], values: dict[str, Any]) -> str:
     if values["as_json_"]:
         return json.dumps(as_json(rows))
     if values["as_csv"]:
-        fields = list(Row.__dataclass_fields__)
+        fields = list(MethodRow.__dataclass_fields__)
         return csv_text(fields, [[getattr(row, name) for name in fields] for row in rows]).rstrip("\n")
     published = [[name, str(before), str(after), str(gain)] for name, before, after, gain in TABLE_3_OF_F]
     return "\n\n".join([*_tables(rows), *_means(rows), aligned(PUBLISHED, published)])
 
 
-def _tables(rows: list[Row]) -> list[str]:
+def _tables(rows: list[MethodRow]) -> list[str]:
     tables = []
     for recording in dict.fromkeys(row.recording for row in rows):
         own = [row for row in rows if row.recording == recording]
@@ -238,8 +238,8 @@ def _tables(rows: list[Row]) -> list[str]:
     return tables
 
 
-def _means(rows: list[Row]) -> list[str]:
-    """A table of the means over recordings; none for a single one."""
+def _means(rows: list[MethodRow]) -> list[str]:
+    """Return a table of the means over recordings; none for a single one."""
     lines = [
         [
             one.optimizer,
@@ -253,7 +253,7 @@ def _means(rows: list[Row]) -> list[str]:
     return [aligned(MEANS, lines)] if lines else []
 
 
-def _cells(row: Row) -> list[str]:
+def _cells(row: MethodRow) -> list[str]:
     counted = None if row.additions is None else row.additions + (row.multiplications or 0)
     return [
         row.optimizer,

@@ -38,6 +38,7 @@ from accelcal_cli.pipeline.procedures import CellProcedure, fitting, local_lsb_p
 from accelcal_cli.pipeline.survey import StillWindows, open_marked, survey
 
 REST = "the rest of the recording"
+"""Name of the held-out data in messages."""
 HOUR_S = 3600.0
 USUAL = Population()
 
@@ -47,8 +48,8 @@ class Stillness:
     """The still windows of a recording.
 
     Attributes:
-        hours: (m,) when each began, from the start of the recording.
-        lsb_per_g: counts of one local g.
+        hours: (m,) start of each window, from the start of the recording.
+        lsb_per_g: counts per local g.
     """
 
     windows: Windows
@@ -60,17 +61,17 @@ class Stillness:
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """What became of one segment.
+    """One segment's claim and its true error.
 
     Attributes:
         hours, start_h: length, and start in the recording.
-        raw_mg: error on the rest without calibration; None if there is too little of it. Of a simulated
-            sensor: the true one over the whole sphere.
+        raw_mg: error on the rest without calibration, None if there is too little of it; for a simulated
+            sensor the true error over the whole sphere.
         true_mg: the same with the segment's calibration, None without one.
-        claimed_mg, ci95_mg: the report's headline, None without one.
+        claimed_mg, ci95_mg: headline of the report, and its interval; None without one.
         holdout_mg: held-out error within the segment.
-        sensor: number of the simulated sensor, None if it is the recording's own.
-        measured_mg: of a simulated sensor, `true_mg` as rests on a wrist would show it, whose |a| scatters.
+        sensor: number of the simulated sensor; None for the recording's own.
+        measured_mg: `true_mg` of a simulated sensor as rests on a wrist would show it, whose |a| scatters.
     """
 
     hours: float
@@ -87,7 +88,7 @@ class Segment:
 
     @property
     def holds(self) -> bool | None:
-        """Whether the interval holds the error, with the scatter of rests, of which the claim is."""
+        """True if the interval contains the error, with the scatter of rests where it is known."""
         error_mg = self.true_mg if self.measured_mg is None else self.measured_mg
         if self.ci95_mg is None or error_mg is None:
             return None
@@ -96,15 +97,15 @@ class Segment:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Segments together; None where there is none to say it of.
+    """Several segments together; values are None without segments to compute them from.
 
     Attributes:
-        usable: how many have a calibration.
-        true_mg: mean error of these on the rest; raw_mg without calibration.
-        above_limit: how many have an error on the rest of `max_error_mg` or more.
-        worse: how many have a larger error on the rest than without calibration.
-        holds: share of the intervals that hold the error on the rest.
-        measured_mg: of simulated sensors, the mean error as rests show it.
+        usable: number with a calibration.
+        true_mg, raw_mg: mean error of these on the rest, with and without calibration.
+        above_limit: number with an error on the rest of `max_error_mg` or more.
+        worse: number with a larger error on the rest than without calibration.
+        holds: share of the intervals that contain the error on the rest.
+        measured_mg: mean error of simulated sensors as rests show it.
     """
 
     segments: int
@@ -125,7 +126,7 @@ def stillness(
     chunk_samples: int,
     progress: ProgressMaker = no_progress,
 ) -> Stillness:
-    """All still windows of a recording.
+    """Return all still windows of a recording.
 
     Raises:
         AccelcalError: it cannot be read.
@@ -144,7 +145,7 @@ def stillness(
 
 
 def stillness_of_table(path: Path, settings: Settings, span_h: float) -> Stillness:
-    """The windows of a table in the order of time, spread evenly over so many hours.
+    """Return the windows of a table in the order of time, spread evenly over `span_h` hours.
 
     Raises:
         UnreadableError: it is no table of points.
@@ -158,7 +159,7 @@ def stillness_of_table(path: Path, settings: Settings, span_h: float) -> Stillne
 
 
 def segments(still: Stillness, hours: float, number: int, settings: Settings) -> Iterator[Segment]:
-    """Segments of so many hours, at most `number` of them and half overlapping at most, evenly spread.
+    """Judge segments of a length, at most `number` of them, evenly spread and overlapping by half at most.
 
     Raises:
         UsageError: the settings have a profile without orientation cells.
@@ -168,7 +169,7 @@ def segments(still: Stillness, hours: float, number: int, settings: Settings) ->
 
 
 def starts(still: Stillness, hours: float, number: int, settings: Settings) -> list[float]:
-    """When segments begin [h]; raises UsageError for a profile without orientation cells."""
+    """Return the starts of segments [h]; raises UsageError for a profile without orientation cells."""
     if settings.profile != "default":
         raise UsageError("segments are judged with --profile default only", hint="omit --profile")
     room = still.span_h - hours
@@ -191,14 +192,14 @@ def _segment(still: Stillness, start_h: float, hours: float, settings: Settings)
 
 
 def inside(still: Stillness, start_h: float, hours: float) -> NDArray[np.bool_]:
-    """Which windows lie in a segment, (m,)."""
+    """Return which windows lie in a segment, (m,)."""
     return np.asarray((still.hours >= start_h) & (still.hours < start_h + hours))
 
 
 def claimed(
     judgement: Judgement, hours: float, start_h: float, raw: float | None, true: float | None
 ) -> Segment:
-    """A segment's own claim, beside the errors without and with its calibration."""
+    """Return a segment's claim, with the errors without and with its calibration."""
     calibration, sphere, holdout = judgement.calibration, judgement.sphere, judgement.holdout
     claimed, interval = None, None
     if calibration is not None and sphere is not None:
@@ -219,7 +220,7 @@ def claimed(
 
 
 def collected(still: Stillness, which: NDArray[np.bool_], settings: Settings) -> CellProcedure:
-    """Some windows, as the procedure takes them in."""
+    """Return a procedure that has taken in some windows."""
     collector = CellCollector(still.lsb_per_g, settings, temperature=still.has_temperature)
     collector.add(still.windows.select(which))
     return CellProcedure(collector)
@@ -227,7 +228,7 @@ def collected(still: Stillness, which: NDArray[np.bool_], settings: Settings) ->
 
 @dataclass(frozen=True, slots=True)
 class Simulation:
-    """Which sensors are simulated: so many, drawn from a population with a seed."""
+    """Number of sensors to simulate, and the population and seed that they are drawn from."""
 
     sensors: int
     seed: int = 1
@@ -237,7 +238,7 @@ class Simulation:
 def simulated(
     still: Stillness, places: Sequence[tuple[float, float]], settings: Settings, simulation: Simulation
 ) -> Iterator[Segment]:
-    """Simulated sensors, each worn on one of the segments, over which they are evenly spread.
+    """Judge simulated sensors, evenly spread over the segments.
 
     Args:
         places: length and start of each segment [h].
@@ -254,7 +255,7 @@ def simulated(
 
 
 def rests_of(still: Stillness, settings: Settings) -> Track:
-    """The rests of a recording, by the calibration that all of them give; raises DivergedError if none."""
+    """Return the rests of a recording by the calibration of all of them; raises DivergedError without one."""
     every = np.ones(len(still.windows), np.bool_)
     calibration = collected(still, every, settings).judge(fitting(settings)).calibration
     if calibration is None:
@@ -275,7 +276,7 @@ def _worn(
     simulation: Simulation,
     number: int,
 ) -> Segment:
-    """One segment with the sensor of this number."""
+    """Judge one segment with the sensor of this number."""
     hours, start_h = place
     random = np.random.default_rng((simulation.seed, number))
     sensor = simulation.population.draw(random)
@@ -296,7 +297,7 @@ def _worn(
 
 
 def summary(found: list[Segment], limit_mg: float) -> Summary:
-    """All segments together."""
+    """Sum up segments."""
     usable = [item for item in found if item.true_mg is not None and item.raw_mg is not None]
     held = [item.holds for item in usable if item.holds is not None]
     return Summary(
@@ -330,14 +331,13 @@ FIGURES = {
 """Columns of the table and how their values are shown."""
 
 OF_SENSORS = {"measured_mg": ".2f"}
-"""Those that simulated sensors have besides."""
-
+"""Further columns for simulated sensors."""
 
 ERRORS = ("gain_percent", "misalignment_percent", "offset_mg", "one_misalignment_percent")
 
 
 def _error_option(name: str, unit: str, text: str, largest: int) -> Callable[[Any], Any]:
-    """The option that sets an error of the simulated sensors."""
+    """Return the option that sets an error of the simulated sensors."""
     default = getattr(USUAL, name)
     shown = "as the others" if default is None else f"{default:g}"
     words = f"{text}, with --sensors.  [default: {shown}]"
@@ -395,7 +395,10 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
     def work(path: Path, bars: ProgressMaker) -> tuple[str, list[Segment]]:
         chosen = chosen_settings(values)
-        still = _stillness(path, chosen, values, bars)
+        if values["table_hours"] is not None:
+            still = stillness_of_table(path, chosen, values["table_hours"])
+        else:
+            still = stillness(path, read_options(values), chosen, values["chunk_samples"], bars)
         return printable(path), list(_found(still, chosen, values))
 
     found, code = each_recording(recordings, work, quiet=values["quiet"])
@@ -405,7 +408,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
 
 def _found(still: Stillness, chosen: Settings, values: dict[str, Any]) -> Iterator[Segment]:
-    """The recording's segments, or simulated sensors in them."""
+    """Judge the recording's segments, or simulated sensors in them."""
     simulation = _simulation(values)
     if simulation is None:
         for hours in values["hours"]:
@@ -417,7 +420,7 @@ def _found(still: Stillness, chosen: Settings, values: dict[str, Any]) -> Iterat
 
 
 def _simulation(values: dict[str, Any]) -> Simulation | None:
-    """Which sensors are to be simulated; None if none are. Raises UsageError for errors of none."""
+    """Return the simulation that is asked for, if any; raises UsageError for errors without sensors."""
     given = {name: values[name] for name in ERRORS if values[name] is not None}
     if values["sensors"] is not None:
         return Simulation(values["sensors"], values["seed"], replace(USUAL, **given))
@@ -425,12 +428,6 @@ def _simulation(values: dict[str, Any]) -> Simulation | None:
         name = next(iter(given)).replace("_", "-")
         raise UsageError(f"--{name} is of simulated sensors", hint="add --sensors, or omit it")
     return None
-
-
-def _stillness(path: Path, chosen: Settings, values: dict[str, Any], bars: ProgressMaker) -> Stillness:
-    if values["table_hours"] is not None:
-        return stillness_of_table(path, chosen, values["table_hours"])
-    return stillness(path, read_options(values), chosen, values["chunk_samples"], bars)
 
 
 def _shown(results: dict[str, list[Segment]], chosen: Settings, *, as_json: bool) -> str:
@@ -447,7 +444,7 @@ def _shown(results: dict[str, list[Segment]], chosen: Settings, *, as_json: bool
 
 
 def _table(found: list[Segment], limit_mg: float) -> str:
-    """A row for each length, and one for all."""
+    """Return a table with a row for each length, and one for all."""
     shown = FIGURES | (OF_SENSORS if any(item.sensor is not None for item in found) else {})
     lengths = dict.fromkeys(item.hours for item in found)
     groups = {f"{hours:g}": [item for item in found if item.hours == hours] for hours in lengths}

@@ -1,8 +1,7 @@
 """Simulated sensors, with known errors, on the still windows of a real recording.
 
-What a wrist really does is hard to simulate: which postures it rests in, for how long, and in which order.
-So these are taken from a recording, and only its sensor is replaced by one that is drawn. Its true error in
-every direction is then known, also where the wrist has not been.
+The postures of a wrist, their lengths and their order are hard to simulate. They are taken from a recording,
+and only its sensor is replaced by one that is drawn, whose true error is known in every direction.
 """
 
 from __future__ import annotations
@@ -20,23 +19,22 @@ from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 Floats = NDArray[np.float64]
 
 DIRECTIONS = 1000
-"""Over which a true error is averaged, evenly spread."""
+"""Number of evenly spread directions over which a true error is averaged."""
 
 LOOK_AHEAD = 1024
-"""Windows that are looked at together."""
+"""Number of windows that are searched together for the end of a bout."""
 
 
 @dataclass(frozen=True, slots=True)
 class Population:
-    """How sensors, and rests on a wrist, differ.
+    """Distribution of sensors, and of rests on a wrist.
 
     Attributes:
-        gain_percent, misalignment_percent, offset_mg: the entries on and below the diagonal of K differ from
-            the ideal ones, and the offsets from 0, by up to so much, drawn evenly.
-        one_misalignment_percent: one of the three misalignments is so large, on either side; None: as the
-            others.
+        gain_percent, misalignment_percent, offset_mg: largest deviation of the entries on and below the
+            diagonal of K, and of the offsets, from the ideal ones, drawn evenly.
+        one_misalignment_percent: size of one of the misalignments, with either sign; None: as the others.
         bout_mg, window_mg: standard deviation of |a| from bout to bout, and from window to window within one
-            (as the still windows of wrists have; docs/prior.md).
+            (docs/prior.md has those of wrists).
     """
 
     gain_percent: float = 3.0
@@ -51,20 +49,20 @@ class Population:
         """Standard deviation of |a| of a window [g]."""
         return sqrt(self.bout_mg**2 + self.window_mg**2) / 1000
 
-    def draw(self, random: np.random.Generator) -> Sensor:
-        """A sensor."""
+    def draw(self, random: np.random.Generator) -> WornSensor:
+        """Draw a sensor."""
         gain = np.eye(3) + np.diag(random.uniform(-1, 1, 3)) * self.gain_percent / 100
         below = random.uniform(-1, 1, 3) * self.misalignment_percent / 100
         place, side = int(random.integers(3)), int(random.choice((-1, 1)))
         if self.one_misalignment_percent is not None:
             below[place] = side * self.one_misalignment_percent / 100
         gain[1, 0], gain[2, 0], gain[2, 1] = below
-        return Sensor(gain, random.uniform(-1, 1, 3) * self.offset_mg / 1000)
+        return WornSensor(gain, random.uniform(-1, 1, 3) * self.offset_mg / 1000)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sensor:
-    """What puts a simulated sensor right: a = gain (v + offset_g), as in a report.
+class WornSensor:
+    """A simulated sensor, by the coefficients that correct it: a = gain (v + offset_g).
 
     Attributes:
         gain: (3, 3), lower triangular.
@@ -75,7 +73,7 @@ class Sensor:
     offset_g: Floats
 
     def raw(self, true_g: Floats) -> Floats:
-        """What it measures of true accelerations, (n, 3) in g."""
+        """Return the measured values (n, 3) of true accelerations [g]."""
         return np.asarray(np.linalg.solve(self.gain, true_g.T).T - self.offset_g)
 
 
@@ -86,15 +84,15 @@ class Track:
     Attributes:
         windows: m still windows.
         directions: (m, 3) unit vectors of the true acceleration.
-        bout: (m,) number of the bout that each is in: windows of one posture, one after the other.
+        bout: (m,) number of each window's bout, a run of windows of one posture.
     """
 
     windows: Windows
     directions: Floats
     bout: NDArray[np.int64]
 
-    def worn(self, sensor: Sensor, people: Population, random: np.random.Generator) -> Windows:
-        """The windows as a sensor would have measured them, in counts of 1/FLOAT_LSB_PER_G g."""
+    def worn(self, sensor: WornSensor, people: Population, random: np.random.Generator) -> Windows:
+        """Return the windows as a sensor would have measured them, in counts of 1/FLOAT_LSB_PER_G g."""
         bouts = random.standard_normal(int(self.bout.max(initial=-1)) + 1)
         each = random.standard_normal(len(self.bout))
         length = 1 + (people.bout_mg * bouts[self.bout] + people.window_mg * each) / 1000
@@ -104,11 +102,11 @@ class Track:
 
 
 def track(windows: Windows, raw_g: Floats, calibration: Calibration, posture_degrees: float) -> Track:
-    """The rests of a recording whose calibration is known.
+    """Return the rests of a recording whose calibration is known.
 
     Args:
-        raw_g: (m, 3) mean of each window.
-        posture_degrees: a bout ends where a window is farther from its first one.
+        raw_g: (m, 3) mean of each window [g].
+        posture_degrees: angle from its first window at which a bout ends.
     """
     corrected = raw_g + calibration.offset_g()
     if windows.temperature_sums is not None:
@@ -121,7 +119,7 @@ def track(windows: Windows, raw_g: Floats, calibration: Calibration, posture_deg
 
 
 def bouts(directions: Floats, posture_degrees: float) -> NDArray[np.int64]:
-    """The number of each window's bout, (m,), from unit vectors (m, 3)."""
+    """Return the number of each window's bout, (m,), from unit vectors (m, 3)."""
     nearest = np.cos(np.radians(posture_degrees))
     number = np.zeros(len(directions), np.int64)
     start = bout = 0
@@ -137,13 +135,13 @@ def bouts(directions: Floats, posture_degrees: float) -> NDArray[np.int64]:
 
 
 def sphere_error_mg(
-    sensor: Sensor, gain: Floats, offset_g: Floats, local_g: float = 1.0, scatter_g: float = 0.0
+    sensor: WornSensor, gain: Floats, offset_g: Floats, local_g: float = 1.0, scatter_g: float = 0.0
 ) -> float:
-    """Mean | |a| - 1 | of rest in all directions [thousandths of local gravity], from the sensor itself.
+    """Return the mean | |a| - 1 | of rest in all directions [thousandths of local gravity].
 
     Args:
-        gain, offset_g: of a calibration, (3, 3) and (3,) in standard g; the identity and 0: raw data.
-        local_g: what rest measures.
+        gain, offset_g: calibration, (3, 3) and (3,) in standard g; the identity and 0 for raw data.
+        local_g: acceleration at rest.
         scatter_g: standard deviation of |a| of the rests.
     """
     raw_g = local_g * sensor.raw(sphere(DIRECTIONS))
@@ -154,13 +152,13 @@ def sphere_error_mg(
 
 
 def _mean_size(deviation: float, scatter: float) -> float:
-    """Mean of |d + e| where e is normal with this standard deviation."""
+    """Return the mean of |d + e|, where e is normal with standard deviation `scatter`."""
     ratio = deviation / scatter
     return scatter * (sqrt(2 / pi) * exp(-ratio * ratio / 2) + ratio * erf(ratio / sqrt(2)))
 
 
 def sphere(number: int) -> Floats:
-    """Unit vectors in all directions, (number, 3): a golden spiral."""
+    """Return unit vectors in all directions, (number, 3), on a golden spiral."""
     index = np.arange(number) + 0.5
     z = 1 - 2 * index / number
     turn = pi * (1 + sqrt(5)) * index

@@ -31,11 +31,11 @@ from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.points import MICROCONTROLLERS, Fit, Operations, predicted_charge_mc, predicted_seconds
 from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import jacobian
-from accelcal_cli.laboratory.cases import USUAL, Case, Method, Plan, Selection, make_case, methods
+from accelcal_cli.laboratory.cases import USUAL, Case, CasePlan, Method, Selection, make_case, methods
 from accelcal_cli.laboratory.descent import (
     NAME,
     Convergence,
-    Numbers,
+    DescentNumbers,
     Objective,
     Spread,
     convergence,
@@ -48,15 +48,20 @@ from accelcal_cli.output.words import figure, formatted
 
 Real = NDArray[np.float64]
 Step = Callable[[int], None]
-"""Called with the number of cases done."""
+"""Callback with the number of cases done."""
 
 MG = 1e-3
+"""One mg in g."""
+
 MEAN_OF_ABSOLUTE = float(np.sqrt(2 / np.pi))
-"""Mean |x| of a normal distribution with standard deviation 1."""
+"""Mean |x| of a standard normal distribution."""
 NINE = PARAMETER_NAMES[:9]
 ROWS, COLUMNS_OF_K = [0, 1, 2, 1, 2, 2], [0, 1, 2, 0, 0, 1]
-"""Where the first six parameters stand in K, or in S."""
+"""Rows and columns of the first six parameters in K, or in S."""
+
 STEP = 1e-6
+"""Step of the central differences between gauges."""
+
 Gauge = Literal["lower", "symmetric"]
 COLUMNS = (
     "points", "noise_mg", "source", "model", "parameter", "mean_abs_error", "sd_abs_error", "cases", "failed",
@@ -89,13 +94,14 @@ class Scores:
     """One method's errors over all cases that it could fit.
 
     Attributes:
-        mean, sd: of the absolute errors of the nine parameters; None if not fitted.
+        mean, sd: mean and standard deviation of the absolute errors of the nine parameters; None if not
+            fitted.
         bias: mean of the errors with their signs.
-        ratio_to_bound: mean over the fitted parameters of `mean` over the bound of the same cases.
-        fitted: number of cases.
+        ratio_to_bound: mean over the fitted parameters of `mean` divided by the bound of the same cases.
+        fitted: number of fitted cases.
         failures: reasons why other cases have no fit, with their numbers.
-        iterations: median.
-        operations: medians; zeros where not counted.
+        iterations: median number of iterations.
+        operations: median numbers; zeros if not counted.
         seconds: median time of a fit on this machine.
     """
 
@@ -113,7 +119,7 @@ class Scores:
 
 @dataclass(slots=True)
 class Tally:
-    """Takes cases in, one by one."""
+    """Collects the errors of one method, case by case."""
 
     method: Method
     gauge: Gauge = "lower"
@@ -124,7 +130,7 @@ class Tally:
     seconds: list[float] = field(default_factory=list)
 
     def take(self, case: Case, bound: Real) -> None:
-        """Fit a case; a fit that fails is counted."""
+        """Fit a case, or count its failure."""
         began = perf_counter()
         try:
             fit = self.method.fit(case.points)
@@ -140,7 +146,7 @@ class Tally:
         self.bounds.append(bound)
 
     def scores(self) -> Scores:
-        """What the cases amount to."""
+        """Return the statistics over the cases."""
         fitted = len(self.fits)
         if not fitted:
             none = (None,) * 9
@@ -176,14 +182,14 @@ class Tally:
 
 
 def fisher_information(still_g: Real, truth: tuple[int, ...], noise_g: float) -> Real:
-    """Information (9, 9) that points at (n, 3) carry on a sensor's nine parameters."""
+    """Return the information (9, 9) that points at (n, 3) have on a sensor's nine parameters."""
     rows = jacobian(still_g, None, truth)[:, :9]
     spread = noise_g * np.linalg.norm(rows[:, 6:], axis=1, keepdims=True)
     return np.asarray((rows / spread).T @ (rows / spread))
 
 
 def in_gauge(nine: Real, gauge: Gauge) -> Real:
-    """Nine parameters (9,) of F as those of a gauge: of K, or of G's symmetric S with S^T S = K^T K."""
+    """Convert F's nine parameters (9,) to a gauge: K, or G's symmetric S with S^T S = K^T K."""
     if gauge == "lower":
         return nine
     k = np.zeros((3, 3))
@@ -194,14 +200,14 @@ def in_gauge(nine: Real, gauge: Gauge) -> Real:
 
 
 def _slopes(nine: Real, gauge: Gauge) -> Real:
-    """Derivatives (9, 9) of a gauge's parameters with respect to F's, by central differences."""
+    """Return the derivatives (9, 9) of a gauge's parameters with respect to F's, by central differences."""
     steps = STEP * np.eye(9)
     ends = [(in_gauge(nine + step, gauge) - in_gauge(nine - step, gauge)) / (2 * STEP) for step in steps]
     return np.array(ends).T
 
 
 def expected_errors(still_g: Real, truth: tuple[int, ...], noise_g: float, gauge: Gauge = "lower") -> Real:
-    """Least mean |error| (9,) of an unbiased estimate, were its errors normal."""
+    """Return the least mean |error| (9,) of an unbiased estimate with normal errors."""
     covariance = np.linalg.inv(fisher_information(still_g, truth, noise_g))
     if gauge != "lower":
         slopes = _slopes(np.array(truth[:9]) / ONE, gauge)
@@ -211,15 +217,15 @@ def expected_errors(still_g: Real, truth: tuple[int, ...], noise_g: float, gauge
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
-    """What is simulated.
+    """Settings of a simulation.
 
     Attributes:
         cases: number of sensors, each with its own points.
-        seed: of everything random.
+        seed: seed of all random numbers.
         points: numbers of points, a table for each.
         noise_mg: standard deviations of the noise on each axis, a table for each.
         selection: `subsets`: F's collector takes the points from a stream; `random`: any.
-        gauge: whose parameters are compared: F's lower triangular K, or G's symmetric S.
+        gauge: parameters that are compared: those of F's lower triangular K, or of G's symmetric S.
     """
 
     cases: int = 500
@@ -229,22 +235,22 @@ class Protocol:
     selection: Selection = "subsets"
     gauge: Gauge = "lower"
 
-    def plans(self) -> list[Plan]:
-        """A plan for each table; raises UsageError if nine subsets cannot share the points."""
+    def plans(self) -> list[CasePlan]:
+        """Return a plan for each table; raises UsageError if nine subsets cannot share the points."""
         pairs = product(self.points, self.noise_mg)
-        plans = [Plan(number, noise * MG, self.selection) for number, noise in pairs]
+        plans = [CasePlan(number, noise * MG, self.selection) for number, noise in pairs]
         for plan in plans:
             plan.check()
         return plans
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class ErrorTable:
     """Results for one number of points and one size of noise.
 
     Attributes:
         bound: least mean absolute error of the nine parameters (Cramer-Rao), mean over the cases.
-        published: the paper's figures for this noise, where it has any.
+        published: the paper's figures for this noise, if it has any.
     """
 
     points: int
@@ -254,7 +260,7 @@ class Table:
     scores: tuple[Scores, ...]
 
     def worst_against_paper(self, scores: Scores) -> float | None:
-        """The largest ratio of a mean error to the paper's; None if either has none."""
+        """Return the largest ratio of a mean error to the paper's; None if either has none."""
         if self.published is None or not scores.fitted:
             return None
         pairs = zip(scores.mean, self.published.mean, strict=True)
@@ -263,15 +269,15 @@ class Table:
 
 def run(
     protocol: Protocol, methods: tuple[Method, ...], progress: Callable[[str, int], Step]
-) -> tuple[Table, ...]:
-    """A table for each number of points and size of noise; raises UsageError."""
+) -> tuple[ErrorTable, ...]:
+    """Make a table for each number of points and size of noise; raises UsageError."""
     return tuple(
         _table(protocol, plan, methods, progress(f"{plan.number} points", protocol.cases))
         for plan in protocol.plans()
     )
 
 
-def _table(protocol: Protocol, plan: Plan, methods: tuple[Method, ...], step: Step) -> Table:
+def _table(protocol: Protocol, plan: CasePlan, methods: tuple[Method, ...], step: Step) -> ErrorTable:
     tallies, bounds = [Tally(method, protocol.gauge) for method in methods], []
     for index in range(protocol.cases):
         case = make_case(plan, protocol.seed, index)
@@ -283,11 +289,11 @@ def _table(protocol: Protocol, plan: Plan, methods: tuple[Method, ...], step: St
     scores = tuple(tally.scores() for tally in tallies)
     noise_mg = round(plan.noise_g / MG, 9)
     published = TABLE_2.get(noise_mg) if protocol.gauge == "lower" else None
-    return Table(plan.number, noise_mg, bound, published, scores)
+    return ErrorTable(plan.number, noise_mg, bound, published, scores)
 
 
-def as_json(protocol: Protocol, tables: Sequence[Table]) -> dict[str, Any]:
-    """Everything; errors are plain numbers, of offsets in g. `seconds_per_fit` alone varies by run."""
+def as_json(protocol: Protocol, tables: Sequence[ErrorTable]) -> dict[str, Any]:
+    """Return all results as JSON, errors of offsets in g; only `seconds_per_fit` varies by run."""
     return {
         "accelcal_version": __version__,
         "protocol": asdict(protocol),
@@ -295,7 +301,7 @@ def as_json(protocol: Protocol, tables: Sequence[Table]) -> dict[str, Any]:
     }
 
 
-def _table_json(table: Table) -> dict[str, Any]:
+def _table_json(table: ErrorTable) -> dict[str, Any]:
     published = table.published
     return {
         "points": table.points,
@@ -306,7 +312,7 @@ def _table_json(table: Table) -> dict[str, Any]:
     }
 
 
-def _method(table: Table, scores: Scores) -> dict[str, Any]:
+def _method(table: ErrorTable, scores: Scores) -> dict[str, Any]:
     method, seconds = scores.method, scores.seconds
     counted = asdict(scores.operations) if scores.operations.additions else None
     spent = scores.operations, method.optimizer.arithmetic
@@ -343,8 +349,8 @@ def _short(value: float | None) -> float | None:
     return None if value is None else significant(value)
 
 
-def rows(tables: tuple[Table, ...]) -> list[tuple[object, ...]]:
-    """Of COLUMNS: one for each table, source (the paper, the bound, a method) and parameter."""
+def rows(tables: tuple[ErrorTable, ...]) -> list[tuple[object, ...]]:
+    """Return rows of COLUMNS, for each table, source (the paper, the bound, a method) and parameter."""
     return [
         (table.points, f"{table.noise_mg:g}", *row)
         for table in tables
@@ -353,7 +359,7 @@ def rows(tables: tuple[Table, ...]) -> list[tuple[object, ...]]:
     ]
 
 
-def _sources(table: Table) -> Iterator[Iterator[tuple[object, ...]]]:
+def _sources(table: ErrorTable) -> Iterator[Iterator[tuple[object, ...]]]:
     none: tuple[None, ...] = (None,) * 9
     if table.published is not None:
         yield _rows("paper", "9", (table.published.mean, table.published.sd), (None, None))
@@ -375,6 +381,8 @@ def _rows(
 
 NONE = "-"
 UNIT = 1e-4
+"""Unit of the errors in the table for people."""
+
 SIX = " (six)"
 ERRORS = ("", *NINE, "/bound", "/paper", "failed")
 COUNTED = ("", "iterations", "added", "multiplied", "ms here")
@@ -384,8 +392,8 @@ COSTS = (
 )
 
 
-def _lines(protocol: Protocol, tables: tuple[Table, ...]) -> Iterator[str]:
-    """All tables, then what each method costs."""
+def _lines(protocol: Protocol, tables: tuple[ErrorTable, ...]) -> Iterator[str]:
+    """Yield the lines of all tables, then of the costs of each method."""
     chosen = "chosen by nine subsets" if protocol.selection == "subsets" else "at random"
     yield f"{protocol.cases} cases (seed {protocol.seed}), points uniform on the sphere, {chosen}."
     yield "Absolute errors in units of 1e-4 (offsets 1e-4 g): mean, and below it SD. bound: Cramer-Rao."
@@ -399,7 +407,7 @@ def _lines(protocol: Protocol, tables: tuple[Table, ...]) -> Iterator[str]:
     yield from _notes(tables)
 
 
-def _errors(table: Table) -> Iterator[tuple[str, ...]]:
+def _errors(table: ErrorTable) -> Iterator[tuple[str, ...]]:
     if table.published is not None:
         yield from _mean_and_sd("paper, Table 2", table.published.mean, table.published.sd, (NONE, "1", NONE))
     yield ("bound", *_scaled(table.bound), "1", NONE, NONE)
@@ -434,7 +442,7 @@ def _cost(scores: Scores) -> tuple[str, ...]:
     )
 
 
-def _notes(tables: tuple[Table, ...]) -> Iterator[str]:
+def _notes(tables: tuple[ErrorTable, ...]) -> Iterator[str]:
     every = [scores for table in tables for scores in table.scores]
     if any(scores.method.model.name == "6" for scores in every):
         yield from (
@@ -454,7 +462,7 @@ def _notes(tables: tuple[Table, ...]) -> Iterator[str]:
 @click.option("--cases", type=click.IntRange(1), default=500, show_default=True,
               help="How many sensors to simulate.")  # fmt: skip
 @click.option("--points", type=Listed(int, 9, 8192), default="18,144,432", show_default=True,
-              metavar="N[,N...]", help="Numbers of calibration points.")  # fmt: skip
+              metavar="N[,N...]", help="DescentNumbers of calibration points.")  # fmt: skip
 @click.option("--noise-mg", type=Listed(float, 1e-3, 100), default="1,5", show_default=True,
               metavar="MG[,MG...]", help="Noise on each axis, standard deviation.")  # fmt: skip
 @click.option("--selection", type=OneOf(get_args(Selection)), default="subsets", show_default=True,
@@ -495,39 +503,41 @@ def command(**values: Any) -> None:
     with progress_bars("simulation", quiet=values["quiet"], unit="cases") as bars:
         more: tuple[Method, ...] = () if numbers is None else (descent(numbers),)
         tables = run(protocol, (*methods(values["labels"]), *more), bars)
-        courses = [
+        convergences = [
             convergence(plan, numbers, protocol.cases, protocol.seed, bars("convergence", protocol.cases))
             for plan in protocol.plans()
             if numbers is not None and values["convergence"]
         ]
-    exit_codes.show(_shown(values["as_what"], protocol, tables, courses))
+    exit_codes.show(_shown(values["as_what"], protocol, tables, convergences))
 
 
-def _numbers(values: dict[str, Any]) -> Numbers | None:
-    """Those of the descent, if it is asked for; raises UsageError for rates that are not three."""
+def _numbers(values: dict[str, Any]) -> DescentNumbers | None:
+    """Return the numbers of the descent, if it is asked for; raises UsageError unless rates are three."""
     names = ("rates", "iterations", "objective")
-    given = {name: values[name] for name in names if values[name] is not None}
-    if len(given.get("rates", (0, 0, 0))) != 3:
+    stated = {name: values[name] for name in names if values[name] is not None}
+    if len(stated.get("rates", (0, 0, 0))) != 3:
         hint = "give three: --rates 0.3,0.8,0.2"
         raise UsageError("--rates are those of scale, misalignment and offset", hint=hint)
-    return Numbers(**given) if given or values["convergence"] else None
+    return DescentNumbers(**stated) if stated or values["convergence"] else None
 
 
 def _shown(
-    as_what: str | None, protocol: Protocol, tables: tuple[Table, ...], courses: list[Convergence]
+    as_what: str | None, protocol: Protocol, tables: tuple[ErrorTable, ...], convergences: list[Convergence]
 ) -> str:
     if as_what == "json":
         found = as_json(protocol, tables)
-        if courses:
-            found["convergence"] = list(map(convergence_json, courses))
+        if convergences:
+            found["convergence"] = list(map(convergence_json, convergences))
         return json.dumps(found, allow_nan=False)
     if as_what == "csv":
         return csv_text(COLUMNS, rows(tables)).rstrip("\n")
-    return "\n".join([*_lines(protocol, tables), *(line for one in courses for line in _course(one))])
+    return "\n".join(
+        [*_lines(protocol, tables), *(line for one in convergences for line in _convergence_lines(one))]
+    )
 
 
-def _course(found: Convergence) -> Iterator[str]:
-    """How far the parameters are from where they end, and when they have arrived."""
+def _convergence_lines(found: Convergence) -> Iterator[str]:
+    """Yield the lines of a table of convergence."""
     yield from ("", f"Convergence of {NAME} with {found.points} points, noise {found.noise_mg:g} mg")
     if not found.cases:
         yield "It diverges in all cases."

@@ -29,20 +29,20 @@ from accelcal_cli.pipeline.procedures import make_method
 from accelcal_cli.pipeline.survey import StillWindows, open_marked, survey
 
 TABLE_1 = {10: (3.4568e-5, 4.6495e-5), 20: (1.8359e-5, 2.6465e-5)}
-"""Variances after a rolling mean and a rolling median of so many samples, in a unit that G does not say."""
+"""Variances after a rolling mean and median, by number of samples, in a unit that the paper omits."""
 
 MOST_WINDOWS = 1000
-"""So many still windows are looked at, evenly spread: memory is bounded."""
+"""Largest number of still windows, evenly spread, that are filtered, so that memory is bounded."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Variances:
-    """Mean variance of the axes within still windows [g2].
+    """Mean variance of the axes within still windows after filters of one width [g2].
 
     Attributes:
-        width: of the filter; the one for the recording's rate is `Smoothing.usual`.
+        width: number of samples of the filter.
     """
 
     width: int
@@ -52,11 +52,11 @@ class Variances:
 
 @dataclass(frozen=True, slots=True)
 class Smoothing:
-    """What a filter does to a recording's noise.
+    """Noise of a recording at rest, without and with filters.
 
     Attributes:
-        windows: still windows that were looked at.
-        usual: width for the rate, by Table 2.
+        windows: number of still windows that were filtered.
+        usual: width for the recording's rate, by Table 2.
         raw: variance without a filter [g2].
     """
 
@@ -87,17 +87,17 @@ def smoothing(
             text = f"has no still window of more than {WIDTHS[-1]} samples"
             raise UsageError(text, path=path, hint="see accelcal inspect, and --segment-seconds")
         chosen = first[np.unique(np.linspace(0, len(first) - 1, MOST_WINDOWS).astype(np.int64))]
-        held = samples_at(reader, chosen, length, chunk_samples) / recording.lsb_per_g
-    filtered = tuple(variances(held, width) for width in WIDTHS)
+        samples = samples_at(reader, chosen, length, chunk_samples) / recording.lsb_per_g
+    filtered = tuple(variances(samples, width) for width in WIDTHS)
     return Smoothing(
-        path, recording.rate_hz, len(chosen), width_for(recording.rate_hz), _spread(held), filtered
+        path, recording.rate_hz, len(chosen), width_for(recording.rate_hz), _spread(samples), filtered
     )
 
 
 def samples_at(
     reader: Reader, first: NDArray[np.int64], length: int, chunk_samples: int
 ) -> NDArray[np.int64]:
-    """Counts (n, length, 3) of n windows, by the numbers of their first samples, which ascend."""
+    """Return counts (n, length, 3) of n windows, whose first samples have ascending numbers (n,)."""
     held = np.zeros((len(first), length, 3), np.int64)
     for chunk in reader.chunks(chunk_samples):
         begin, end = chunk.first_sample, chunk.first_sample + len(chunk)
@@ -111,7 +111,7 @@ def samples_at(
 
 
 def variances(held: Floats, width: int) -> Variances:
-    """Of (n, length, 3) samples after filters that lie within their window whole."""
+    """Return the variances of (n, length, 3) samples after filters that do not leave their window."""
     means, medians = [], []
     for window in held:
         views = np.lib.stride_tricks.sliding_window_view(window, width, axis=0)
@@ -121,12 +121,12 @@ def variances(held: Floats, width: int) -> Variances:
 
 
 def _spread(held: Floats) -> float:
-    """Mean over windows and axes of the variance within a window."""
+    """Return the mean over windows and axes of the variance within a window."""
     return float(held.var(axis=1, ddof=1).mean())
 
 
 def as_json(found: Smoothing) -> dict[str, Any]:
-    """The variances of a recording [g2]."""
+    """Return the variances of a recording [g2] as JSON."""
     return {
         "rate_hz": found.rate_hz,
         "windows": found.windows,

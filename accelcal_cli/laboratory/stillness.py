@@ -38,18 +38,18 @@ from accelcal_cli.pipeline.simulate import TrueParameters, true_parameters
 from accelcal_cli.pipeline.survey import open_marked, survey
 
 RAW = "raw"
-"""Instead of a rule: no calibration."""
+"""Name of no calibration in the place of a rule's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
-    """What one rule of stillness found in a recording, and the calibration that came of it.
+class RuleResult:
+    """The still windows that one rule found in a recording, and their calibration.
 
     Attributes:
-        rule: a key of STILLNESS.
-        windows: still windows that were used; joined ones count once.
-        still_s: their seconds.
-        label: (n,) postures of the points.
+        rule: key of STILLNESS.
+        windows: number of still windows that were used; joined ones count once.
+        still_s: duration of these [s].
+        label: (n,) posture of each point.
     """
 
     rule: str
@@ -67,19 +67,19 @@ class Found:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """All rules on one recording; the truth where it is known."""
+    """All rules on one recording; the truth if it is known."""
 
-    found: tuple[Found, ...]
+    results: tuple[RuleResult, ...]
     truth: TrueParameters | None
 
     def errors_mg(self) -> dict[str, dict[str, float | None]]:
-        """Mean over postures of | |a| - 1 g |, by rule that calibrated (or `raw`) and by rule of the points.
+        """Return the mean error over postures, by rule of the calibration (or `raw`) and of the points.
 
         None if there is no calibration, or no point.
         """
         return {
-            rule: {on.rule: _error_mg(by, on) for on in self.found}
-            for rule, by in [(RAW, None), *((found.rule, found) for found in self.found)]
+            rule: {on.rule: _error_mg(by, on) for on in self.results}
+            for rule, by in [(RAW, None), *((result.rule, result) for result in self.results)]
         }
 
 
@@ -103,7 +103,7 @@ def compare(
     return Comparison(tuple(found), truth)
 
 
-def _by_rule(reader: Reader, settings: Settings, chunk_samples: int, progress: ProgressMaker) -> Found:
+def _by_rule(reader: Reader, settings: Settings, chunk_samples: int, progress: ProgressMaker) -> RuleResult:
     recording = reader.recording
     method = make_method(recording, settings)
     shown = progress(f"by rule {settings.stillness}", recording.total_bytes)
@@ -111,13 +111,13 @@ def _by_rule(reader: Reader, settings: Settings, chunk_samples: int, progress: P
     use, points = method.procedure.window_use(method.segmenter.counts), method.procedure.result()
     still_s = (use.used + use.joined) * method.segmenter.length / recording.rate_hz
     label = postures(points, settings.posture_degrees)
-    return Found(
+    return RuleResult(
         settings.stillness, use.used, still_s, points, label, method.procedure.judge(fitting(settings))
     )
 
 
-def _error_mg(by: Found | None, on: Found) -> float | None:
-    """Error on one rule's points with the calibration of another, or with none."""
+def _error_mg(by: RuleResult | None, on: RuleResult) -> float | None:
+    """Return the error on one rule's points with another's calibration, or with none."""
     if not len(on.points):
         return None
     parameters, points = IDENTITY, on.points
@@ -129,7 +129,7 @@ def _error_mg(by: Found | None, on: Found) -> float | None:
 
 
 def on_scale(points: PointSet, scale: TemperatureScale | None) -> PointSet:
-    """Points with their temperatures scaled in another way, as a fit to other points understands them."""
+    """Return points with their temperatures scaled as those of another fit."""
     own_scale = points.temperature
     if points.tau is None or own_scale is None or scale is None:
         return points
@@ -138,7 +138,7 @@ def on_scale(points: PointSet, scale: TemperatureScale | None) -> PointSet:
 
 
 def true_errors(calibration: Calibration, truth: TrueParameters) -> tuple[float, float]:
-    """The largest error of an entry of K, and of an offset [mg] at the truth's reference temperature."""
+    """Return the largest error of an entry of K, and of an offset [mg] at the true reference."""
     drift_g = calibration.slope_g_per_c() * (truth.reference_c - calibration.reference_c())
     offsets_g = calibration.offset_g() + drift_g - truth.offset_g
     return float(np.abs(calibration.gain() - truth.gain).max()), float(np.abs(offsets_g).max() * 1000)
@@ -157,7 +157,7 @@ FIGURES = {
     "gain_error": ".1e",
     "offset_error_mg": ".3f",
 }
-"""Columns of the first table and how their values are shown."""
+"""Columns of the first table, and how their values are shown."""
 
 
 @click.command("stillness")
@@ -202,16 +202,18 @@ def _cells(path: str, row: Row) -> list[Any]:
 
 
 def rows(comparison: Comparison) -> list[Row]:
-    """A row for raw data and for each rule; None if there is nothing to say."""
+    """Return a row for raw data and for each rule."""
     on = {
         rule: {name: rounded(error) for name, error in errors.items()}
         for rule, errors in comparison.errors_mg().items()
     }
-    rows_of_rules = [_row(item, comparison) | {"on_points_of_mg": on[item.rule]} for item in comparison.found]
+    rows_of_rules = [
+        _row(item, comparison) | {"on_points_of_mg": on[item.rule]} for item in comparison.results
+    ]
     return [{"rule": RAW, "on_points_of_mg": on[RAW]}, *rows_of_rules]
 
 
-def _row(result: Found, comparison: Comparison) -> Row:
+def _row(result: RuleResult, comparison: Comparison) -> Row:
     holdout, calibration = result.judgement.holdout, result.judgement.calibration
     gain, offset_mg = None, None
     if calibration is not None and comparison.truth is not None:
@@ -232,7 +234,7 @@ def _row(result: Found, comparison: Comparison) -> Row:
 
 
 def text(shown: list[Row]) -> str:
-    """The two tables for people."""
+    """Return the two tables for people."""
     known = any(row.get("gain_error") is not None for row in shown)
     columns = [name for name in FIGURES if known or name not in ("gain_error", "offset_error_mg")]
     first = [

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from accelcal_cli.core.arithmetic import ONE
-from accelcal_cli.laboratory.cases import Plan, make_case
+from accelcal_cli.laboratory.cases import CasePlan, make_case
 from accelcal_cli.laboratory.simulation import expected_errors, fisher_information
 from tests.optimize.oracle import calibrated, measured
 
@@ -36,7 +36,7 @@ def all_unknowns(p: np.ndarray, a: np.ndarray, noise_g: float) -> np.ndarray:
 @pytest.mark.parametrize("index", range(4))
 @pytest.mark.parametrize("number", [18, 45])
 def test_it_equals_the_information_of_all_unknowns_together(index: int, number: int) -> None:
-    case = make_case(Plan(number, 0.002), 1, index)
+    case = make_case(CasePlan(number, 0.002), 1, index)
     p = np.array(case.truth) / ONE
     oracle = all_unknowns(p, calibrated(p, case.still_g), 0.002)
     found = np.linalg.inv(fisher_information(case.still_g, case.truth, 0.002))
@@ -44,13 +44,13 @@ def test_it_equals_the_information_of_all_unknowns_together(index: int, number: 
 
 
 def test_the_expected_error_is_0_798_standard_deviations() -> None:
-    case = make_case(Plan(18, 0.002), 1, 0)
+    case = make_case(CasePlan(18, 0.002), 1, 0)
     sd = np.sqrt(np.diag(np.linalg.inv(fisher_information(case.still_g, case.truth, 0.002))))
     assert expected_errors(case.still_g, case.truth, 0.002) == pytest.approx(0.79788456 * sd, rel=1e-8)
 
 
 def test_it_grows_with_the_noise_and_falls_with_the_points() -> None:
-    case = make_case(Plan(18, 0.001), 1, 0)
+    case = make_case(CasePlan(18, 0.001), 1, 0)
     one = expected_errors(case.still_g, case.truth, 0.001)
     assert expected_errors(case.still_g, case.truth, 0.005) == pytest.approx(5 * one)
     assert expected_errors(np.tile(case.still_g, (4, 1)), case.truth, 0.001) == pytest.approx(one / 2)
@@ -59,7 +59,7 @@ def test_it_grows_with_the_noise_and_falls_with_the_points() -> None:
 @pytest.mark.nightly
 def test_repeated_fits_of_one_sensor_spread_as_it_says() -> None:
     """Efficient estimates by SciPy (each residual over its own spread) reach the bound."""
-    case, noise = make_case(Plan(45, 0.001), 1, 2), 0.001
+    case, noise = make_case(CasePlan(45, 0.001), 1, 2), 0.001
     p = np.array(case.truth[:9]) / ONE
     random = np.random.default_rng(1)
 

@@ -11,15 +11,15 @@ from scipy.optimize import minimize
 
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.laboratory.cases import Plan, make_case, methods
-from accelcal_cli.laboratory.descent import Numbers, Objective, convergence, descent, trace
+from accelcal_cli.laboratory.cases import CasePlan, make_case, methods
+from accelcal_cli.laboratory.descent import DescentNumbers, Objective, convergence, descent, trace
 from accelcal_cli.laboratory.simulation import Protocol, in_gauge
 from accelcal_cli.laboratory.simulation import run as simulated
 from accelcal_cli.pipeline.jobs import no_progress
 from tests.cli.run import run
 from tests.optimize.oracle import residual
 
-PLAN = Plan(18, 0.001)
+PLAN = CasePlan(18, 0.001)
 SIMULATION = ("evaluate", "simulation", "--cases", 3, "--points", 18, "--noise-mg", 1)
 
 
@@ -27,7 +27,7 @@ SIMULATION = ("evaluate", "simulation", "--cases", 3, "--points", 18, "--noise-m
 def test_the_paper_s_numbers_give_what_float64_gives(index: int) -> None:
     points = make_case(PLAN, 1, index).points
     (known,) = methods(("float64:paper",))
-    mine, theirs = descent(Numbers()).fit(points), known.fit(points)
+    mine, theirs = descent(DescentNumbers()).fit(points), known.fit(points)
     assert np.abs(np.subtract(mine.parameters, theirs.parameters)).max() / ONE < 1e-9
     assert mine.operations == theirs.operations and mine.iterations == theirs.iterations
 
@@ -38,7 +38,7 @@ def test_the_paper_s_numbers_give_what_float64_gives(index: int) -> None:
 )
 def test_every_objective_ends_at_its_minimum(objective: Objective, rates: tuple[float, float, float]) -> None:
     """SciPy from the same start."""
-    points = make_case(Plan(144, 0.005), 1, 4).points
+    points = make_case(CasePlan(144, 0.005), 1, 4).points
 
     def cost(p: np.ndarray) -> float:
         squares = residual(np.append(p, [0, 0, 0]), points.xyz_g()) + 1
@@ -46,7 +46,7 @@ def test_every_objective_ends_at_its_minimum(objective: Objective, rates: tuple[
         return float((off**2).mean())
 
     best = minimize(cost, [1.0, 1, 1, 0, 0, 0, 0, 0, 0], method="BFGS", options={"gtol": 1e-10}).x
-    end = trace(points, Numbers(objective, rates, 3000))[-1]
+    end = trace(points, DescentNumbers(objective, rates, 3000))[-1]
     assert np.abs(end - best).max() < 5e-5
 
 
@@ -54,14 +54,14 @@ def test_the_sum_diverges_with_the_printed_rates() -> None:
     """With the mean none of 20 cases does, with the sum all."""
     points = [make_case(PLAN, 1, index).points for index in range(20)]
     for one in points:
-        trace(one, Numbers())
+        trace(one, DescentNumbers())
         with pytest.raises(DivergedError):
-            trace(one, Numbers("sum"))
+            trace(one, DescentNumbers("sum"))
 
 
 def test_it_converges_as_an_independent_implementation_did() -> None:
     """Of that, all nine within 5e-3 of the 50th value: median 22, p90 36; within 1e-3: 38 and 47."""
-    found = convergence(PLAN, Numbers(), 200, 1, lambda _done: None)
+    found = convergence(PLAN, DescentNumbers(), 200, 1, lambda _done: None)
     assert (found.cases, found.diverged) == (200, 0)
     for limit, median, p90 in ((5e-3, 22, 36), (1e-3, 38, 47)):
         assert found.within[limit].median == pytest.approx(median, abs=2)

@@ -8,7 +8,7 @@ import pytest
 
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
-from accelcal_cli.laboratory.cases import Plan, methods
+from accelcal_cli.laboratory.cases import CasePlan, methods
 from accelcal_cli.laboratory.gravity import Residuals, gravity_residuals, turn_residuals
 
 LOCAL, STANDARD = 9.81676, 9.80665
@@ -17,7 +17,7 @@ SHIFT = (LOCAL**2 - STANDARD**2) ** 2
 
 
 def residuals(noise_g: float, *, number: int = 90, cases: int = 20) -> tuple[Residuals, ...]:
-    plan = Plan(number, noise_g, rest_g=standard_g(LOCAL))
+    plan = CasePlan(number, noise_g, rest_g=standard_g(LOCAL))
     return gravity_residuals(plan, methods(("gauss-newton",))[0], cases, 1, lambda done: None)
 
 
@@ -46,7 +46,7 @@ def test_with_noise_the_residual_is_that_of_the_noise() -> None:
 
 
 def test_a_wrong_gravity_leaves_directions_and_so_the_gyroscope_as_they_are() -> None:
-    plan = Plan(90, 0.0005, rest_g=standard_g(LOCAL))
+    plan = CasePlan(90, 0.0005, rest_g=standard_g(LOCAL))
     default, local = turn_residuals(plan, methods(("gauss-newton",))[0], 3, 1)
     assert (default.assumed_m_s2, local.assumed_m_s2) == (STANDARD, LOCAL)
     assert default.fitted == local.fitted == 3
@@ -61,7 +61,7 @@ def test_the_same_seed_gives_the_same_residuals() -> None:
 
 
 def test_fits_that_fail_are_left_out_or_refused() -> None:
-    plan = Plan(18, 0.001, rest_g=Fraction(5))  # beyond the range of fixed point
+    plan = CasePlan(18, 0.001, rest_g=Fraction(5))  # beyond the range of fixed point
     with pytest.raises(DivergedError, match="no case could be fitted"):
         gravity_residuals(plan, methods(("fixed32",))[0], 2, 1, lambda done: None)
 

@@ -16,7 +16,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.settings import DEFAULT
-from accelcal_cli.laboratory.methods import Row, collected, compare
+from accelcal_cli.laboratory.methods import MethodRow, collected, compare
 from accelcal_cli.optimize import all_optimizers
 from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.pipeline.jobs import Request, no_progress, plan
@@ -48,7 +48,7 @@ def test_nine_parameters_end_at_the_optimum_of_the_sample_recordings(optimizer, 
     assert np.abs(norms_mg(found, held) - norms_mg(exact, held)).max() < 0.02
 
 
-def rows_of(path: Path, *names: str, settings=DEFAULT) -> list[Row]:
+def rows_of(path: Path, *names: str, settings=DEFAULT) -> list[MethodRow]:
     return list(compare(path, ReadOptions(), settings, names, no_progress))
 
 

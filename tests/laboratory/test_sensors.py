@@ -22,13 +22,21 @@ from accelcal_cli.laboratory.segments import (
     simulated,
     stillness_of_table,
 )
-from accelcal_cli.laboratory.sensors import Population, Sensor, Track, bouts, sphere, sphere_error_mg, track
+from accelcal_cli.laboratory.sensors import (
+    Population,
+    Track,
+    WornSensor,
+    bouts,
+    sphere,
+    sphere_error_mg,
+    track,
+)
 from tests.cli.run import run
 from tests.laboratory.test_segments import table
 
 Capture = pytest.CaptureFixture[str]
 QUIET = Population(bout_mg=0.0, window_mg=0.0)
-PERFECT = Sensor(np.eye(3), np.zeros(3))
+PERFECT = WornSensor(np.eye(3), np.zeros(3))
 
 
 def windows(samples: list[int]) -> Windows:
@@ -54,7 +62,7 @@ def test_a_long_bout_is_one() -> None:
 
 def test_what_a_sensor_measures_by_hand() -> None:
     """y = 1.1 v_y + 0.02 v_x and so on, solved for v by hand."""
-    sensor = Sensor(np.array([[0.5, 0, 0], [0.02, 1.0, 0], [0.1, 0, 2.0]]), np.array([0.01, 0.0, -0.03]))
+    sensor = WornSensor(np.array([[0.5, 0, 0], [0.02, 1.0, 0], [0.1, 0, 2.0]]), np.array([0.01, 0.0, -0.03]))
     assert sensor.raw(np.eye(3)) == pytest.approx(
         np.array([[2 - 0.01, -0.04, -0.1 + 0.03], [-0.01, 1, 0.03], [-0.01, 0, 0.53]])
     )
@@ -62,7 +70,7 @@ def test_what_a_sensor_measures_by_hand() -> None:
 
 def test_windows_hold_what_the_sensor_would_have_measured() -> None:
     unit = np.array([[0, 0, 1.0], [1.0, 0, 0]])
-    sensor = Sensor(np.diag([0.5, 1.0, 1.0]), np.array([0.0, 0.25, 0.0]))
+    sensor = WornSensor(np.diag([0.5, 1.0, 1.0]), np.array([0.0, 0.25, 0.0]))
     found = Track(windows([3, 8]), unit, np.array([0, 1])).worn(sensor, QUIET, np.random.default_rng(1))
     expected = np.array([[0, -0.75, 3], [16, -2, 0]]) * FLOAT_LSB_PER_G
     assert found.sums.tolist() == expected.tolist()
@@ -97,10 +105,10 @@ def test_the_true_error_by_hand() -> None:
     assert sphere_error_mg(PERFECT, np.eye(3), np.zeros(3)) == pytest.approx(0, abs=1e-9)
     assert sphere_error_mg(PERFECT, 1.01 * np.eye(3), np.zeros(3)) == pytest.approx(10)
     # |u + o| - 1 is o cos(angle) to first order, of which the mean size over the sphere is o / 2.
-    offset = Sensor(np.eye(3), np.array([0.0, 0.0, 0.002]))
+    offset = WornSensor(np.eye(3), np.array([0.0, 0.0, 0.002]))
     assert sphere_error_mg(offset, np.eye(3), np.zeros(3)) == pytest.approx(1.0, rel=0.01)
     assert sphere_error_mg(offset, np.eye(3), offset.offset_g) == pytest.approx(0, abs=1e-9)
-    local = Sensor(np.eye(3), np.array([0.0, 0.0, 0.002]))
+    local = WornSensor(np.eye(3), np.array([0.0, 0.0, 0.002]))
     assert sphere_error_mg(local, np.eye(3), 0.5 * local.offset_g, local_g=0.5) == pytest.approx(0, abs=1e-9)
 
 

@@ -12,8 +12,8 @@ from scipy.optimize import least_squares
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.points import Fit, Model, Operations, PointSet
-from accelcal_cli.laboratory.cases import Method, Plan, make_case, methods
-from accelcal_cli.laboratory.simulation import TABLE_2, Protocol, Scores, Table, expected_errors, run
+from accelcal_cli.laboratory.cases import CasePlan, Method, make_case, methods
+from accelcal_cli.laboratory.simulation import TABLE_2, ErrorTable, Protocol, Scores, expected_errors, run
 from accelcal_cli.pipeline.jobs import no_progress
 from tests.optimize.oracle import residual
 
@@ -28,16 +28,16 @@ MEASURED_BOUND = {
 }
 
 
-def tables(protocol: Protocol, *labels: str) -> tuple[Table, ...]:
+def tables(protocol: Protocol, *labels: str) -> tuple[ErrorTable, ...]:
     return run(protocol, methods(labels), no_progress)
 
 
 @pytest.fixture(scope="module")
-def small() -> tuple[Table, ...]:
+def small() -> tuple[ErrorTable, ...]:
     return tables(SMALL, "fixed32", "fixed32:paper", "ellipsoid")
 
 
-def timeless(found: tuple[Table, ...]) -> list[Table]:
+def timeless(found: tuple[ErrorTable, ...]) -> list[ErrorTable]:
     return [
         replace(table, scores=tuple(replace(item, seconds=None) for item in table.scores)) for table in found
     ]
@@ -52,7 +52,7 @@ def agrees_with_measured(scores: Scores, noise_mg: float) -> bool:
 
 @pytest.mark.parametrize("index", range(6))
 def test_the_default_ends_where_scipys_least_squares_does(index: int) -> None:
-    case = make_case(Plan(18, 0.005), 1, index)
+    case = make_case(CasePlan(18, 0.005), 1, index)
     start = np.array([1.0, 1, 1, 0, 0, 0, 0, 0, 0])
     oracle = least_squares(
         lambda p: residual(np.append(p, [0, 0, 0]), case.points.xyz_g()), start, xtol=1e-15, gtol=1e-15
@@ -64,7 +64,7 @@ def test_the_default_ends_where_scipys_least_squares_does(index: int) -> None:
 def test_means_and_deviations_are_those_of_the_single_fits() -> None:
     (table,) = tables(Protocol(cases=5, points=(18,), noise_mg=(1,)), "gauss-newton")
     (method,) = methods(("gauss-newton",))
-    cases = [make_case(Plan(18, 0.001), 1, index) for index in range(5)]
+    cases = [make_case(CasePlan(18, 0.001), 1, index) for index in range(5)]
     signed = [(np.array(method.fit(case.points).parameters) - case.truth)[:9] / ONE for case in cases]
     errors = np.abs(signed)
     assert table.scores[0].bias == pytest.approx(np.mean(signed, axis=0))
@@ -82,13 +82,13 @@ def test_the_same_seed_gives_the_same_tables() -> None:
 
 
 @pytest.mark.nightly
-def test_the_default_is_efficient(small: tuple[Table, ...]) -> None:
+def test_the_default_is_efficient(small: tuple[ErrorTable, ...]) -> None:
     for table in small:
         assert table.scores[0].ratio_to_bound == pytest.approx(1, abs=0.1)  # its standard error is 4 %
 
 
 @pytest.mark.nightly
-def test_the_bound_is_the_measured_one_and_above_table_2(small: tuple[Table, ...]) -> None:
+def test_the_bound_is_the_measured_one_and_above_table_2(small: tuple[ErrorTable, ...]) -> None:
     for table in small:
         assert np.array(table.bound) == pytest.approx(MEASURED_BOUND[table.noise_mg], rel=0.08)
         scale_and_offset = [0, 1, 2, 6, 7, 8]
@@ -96,7 +96,7 @@ def test_the_bound_is_the_measured_one_and_above_table_2(small: tuple[Table, ...
         assert (ratio[scale_and_offset] > 1.6).all(), "no unbiased method reaches Table 2 with 18 points"
 
 
-def test_the_papers_settings_agree_with_the_measured_rows(small: tuple[Table, ...]) -> None:
+def test_the_papers_settings_agree_with_the_measured_rows(small: tuple[ErrorTable, ...]) -> None:
     for table in small:
         assert agrees_with_measured(table.scores[1], table.noise_mg)
         assert table.scores[1].operations == Operations(90_150, 90_150)
@@ -116,13 +116,13 @@ def test_432_points_halve_every_entry_of_table_2() -> None:
         assert table.worst_against_paper(table.scores[0]) < 0.5  # type: ignore[operator]
 
 
-def test_against_the_paper_the_worst_entry_counts(small: tuple[Table, ...]) -> None:
+def test_against_the_paper_the_worst_entry_counts(small: tuple[ErrorTable, ...]) -> None:
     found = small[0].scores[0]
     ratios = sorted(np.array(found.mean) / TABLE_2[1.0].mean)
     assert small[0].worst_against_paper(found) == ratios[-1] > ratios[0]
 
 
-def test_a_method_of_six_parameters_is_scored_on_six(small: tuple[Table, ...]) -> None:
+def test_a_method_of_six_parameters_is_scored_on_six(small: tuple[ErrorTable, ...]) -> None:
     scores = small[0].scores[2]
     assert scores.method.model.name == "6"
     assert [value is None for value in scores.mean] == [False] * 3 + [True] * 3 + [False] * 3
@@ -147,7 +147,7 @@ def test_fits_that_fail_are_counted_and_left_out_of_the_bound_too() -> None:
     (again,) = run(Protocol(cases=6, points=(18,), noise_mg=(1,)), (real,), no_progress)
     bounds, errors = [], []
     for index in (1, 2, 4, 5):
-        case = make_case(Plan(18, 0.001), 1, index)
+        case = make_case(CasePlan(18, 0.001), 1, index)
         bounds.append(expected_errors(case.still_g, case.truth, 0.001))
         errors.append(np.abs(np.array(real.fit(case.points).parameters) - case.truth)[:9] / ONE)
     ratio = np.mean(np.mean(errors, axis=0) / np.mean(bounds, axis=0))

@@ -35,7 +35,7 @@ def test_every_rule_is_compared_on_the_points_of_every_rule(good: Comparison) ->
 
 def test_errors_are_those_of_the_equation(good: Comparison) -> None:
     """a = K (v + o) on the other rule's points, weighted within each posture."""
-    by, on = good.found[0], good.found[3]
+    by, on = good.results[0], good.results[3]
     calibration = by.judgement.calibration
     assert calibration is not None
     a = (on.points.xyz / ONE + calibration.offset_g()) @ calibration.gain().T
@@ -55,7 +55,7 @@ def test_errors_are_those_of_the_equation(good: Comparison) -> None:
 
 def test_on_its_own_points_a_calibration_leaves_the_error_of_its_fit(good: Comparison) -> None:
     errors = good.errors_mg()
-    for found in good.found:
+    for found in good.results:
         assert found.judgement.fit_errors is not None
         assert errors[found.rule][found.rule] == found.judgement.fit_errors.after_mg
         assert errors[RAW][found.rule] == found.judgement.fit_errors.before_mg
@@ -63,10 +63,10 @@ def test_on_its_own_points_a_calibration_leaves_the_error_of_its_fit(good: Compa
 
 def test_stillness_is_counted_in_samples(good: Comparison) -> None:
     """60 rests of 30 s; a 10 s window fits in three times."""
-    still = {found.rule: found.still_s for found in good.found}
+    still = {found.rule: found.still_s for found in good.results}
     assert (still["both"], still["deviation"]) == (1800, 1800)
     assert 1400 < still["adaptive"] < 1800
-    assert {found.rule: found.windows for found in good.found}["adaptive"] == 60
+    assert {found.rule: found.windows for found in good.results}["adaptive"] == 60
 
 
 def test_a_refused_rule_has_no_row_and_no_points_no_column(tmp_path: Path) -> None:

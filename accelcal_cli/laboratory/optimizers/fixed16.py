@@ -24,17 +24,17 @@ WEIGHT_BITS = WEIGHT_ONE.bit_length() - 1
 SHORT, LONG = 1 << 15, 1 << 31
 RATES_OF_F = {"scale": 0.3, "misalignment": 0.8, "offset": 0.2, "slope": 0.2}
 Short = NDArray[np.int64]
-"""Values that fit 16 bits, or 32 where they are products; each is checked."""
+"""Values that fit 16 bits, or products that fit 32; each is checked."""
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class Fixed16Settings:
     """Numbers of the descent.
 
     Attributes:
         max_iterations: number of iterations.
         forward_step: h of F eq. 13 in 13 fraction bits.
-        keep_history: return the parameters after every iteration.
+        keep_history: whether to return the parameters after every iteration.
     """
 
     max_iterations: int
@@ -43,10 +43,10 @@ class Settings:
     keep_history: bool = False
 
 
-PAPER = Settings(max_iterations=50)
+PAPER = Fixed16Settings(max_iterations=50)
 
 
-def fit(points: PointSet, model: Model, settings: Settings = PAPER) -> Fit:
+def fit(points: PointSet, model: Model, settings: Fixed16Settings = PAPER) -> Fit:
     """Fit the free parameters of a model.
 
     Raises:
@@ -76,7 +76,7 @@ def _held(points: PointSet) -> _Points:
     return _Points(v, tau, points.weights)
 
 
-def _descent(points: _Points, model: Model, settings: Settings) -> Fit:
+def _descent(points: _Points, model: Model, settings: Fixed16Settings) -> Fit:
     free, rates = list(model.free), _rates(settings)
     p = np.array(IDENTITY, np.int64) >> (FRACTION_BITS - BITS)
     probes = np.zeros((len(free) + 1, 12), np.int64)
@@ -92,15 +92,15 @@ def _descent(points: _Points, model: Model, settings: Settings) -> Fit:
     return Fit(_wide(p), settings.max_iterations, "iterations", Operations(each, each), tuple(history))
 
 
-def _rates(settings: Settings) -> list[int]:
-    """Learning rates over h, as whole numbers: 30, 80 and 20 with F's."""
+def _rates(settings: Fixed16Settings) -> list[int]:
+    """Return learning rates over h, as whole numbers: 30, 80 and 20 with F's."""
     groups = ("scale", "misalignment", "offset", "slope")
     over_h = [round(settings.rates[name] * SINGLE / settings.forward_step) for name in groups]
     return [value for value in over_h for _ in range(3)]
 
 
 def _cost(points: _Points, parameters: Short) -> list[int]:
-    """Sums of weighted squared residuals at (k, 12) parameters, in 26 fraction bits."""
+    """Return sums of weighted squared residuals at (k, 12) parameters, in 26 fraction bits."""
     p = np.moveaxis(_short(parameters, "a parameter"), -1, 0)[..., np.newaxis]
     x, y, z = (_shifted(points, p, axis) for axis in range(3))
     a = (
@@ -125,7 +125,7 @@ def _calibrated(products: Short) -> Short:
 
 
 def _step(points: _Points, rise: int, rate: int) -> int:
-    """Rate times rise over h, of the weighted mean, in 13 fraction bits; the one wide division."""
+    """Return rate times rise over h of the weighted mean, in 13 fraction bits; the one wide division."""
     total = int(points.weights.sum()) << BITS
     return (2 * rise * rate * WEIGHT_ONE + total) // (2 * total)
 

@@ -27,15 +27,15 @@ from accelcal_cli.optimize.gauss_newton import (
 )
 
 RISE_TOLERANCE = 2.0**-12
-"""A rise of the cost counts from one part in 4096, as in fixed point."""
+"""Relative rise of the cost that counts as one, as in fixed point."""
 
 RATES_OF_F = {"scale": 0.3, "misalignment": 0.8, "offset": 0.2, "slope": 0.2}
-"""F section II.C; the slopes act on the offsets through scaled temperatures of order 1."""
+"""Learning rates of F section II.C; slopes act on offsets through scaled temperatures of order 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FloatState:
-    """u = v + o + s tau and a = K u, (..., n, 3); r = |a|^2 - 1, (..., n)."""
+    """The model at the points: u = v + o + s tau and a = K u, (..., n, 3); r = |a|^2 - 1, (..., n)."""
 
     shifted: Real
     calibrated: Real
@@ -43,7 +43,7 @@ class FloatState:
 
 
 def gain(p: Real) -> Real:
-    """K of (..., 12) parameters, (..., 3, 3) lower triangular (F eq. 7-9)."""
+    """Return K of (..., 12) parameters, (..., 3, 3) lower triangular (F eq. 7-9)."""
     k = np.zeros((*p.shape[:-1], 3, 3), p.dtype)
     for index, (row, column) in enumerate(ENTRIES):
         k[..., row, column] = p[..., index]
@@ -51,7 +51,7 @@ def gain(p: Real) -> Real:
 
 
 def evaluate(points: FloatPoints, p: Real) -> FloatState:
-    """The model at (..., 12) parameters."""
+    """Evaluate the model at (..., 12) parameters."""
     slopes = points.tau[:, np.newaxis] * p[..., np.newaxis, 9:12]
     shifted = points.v + p[..., np.newaxis, 6:9] + slopes
     calibrated = shifted @ np.swapaxes(gain(p), -1, -2)
@@ -59,19 +59,19 @@ def evaluate(points: FloatPoints, p: Real) -> FloatState:
 
 
 def cost(points: FloatPoints, state: FloatState) -> Real:
-    """Weighted mean of r^2, one for each set of parameters."""
+    """Return the weighted mean of r^2 for each set of parameters."""
     return np.asarray((state.residual**2) @ points.weights)
 
 
 def jacobian(points: FloatPoints, state: FloatState, p: Real) -> Real:
-    """dr/dp, (n, 12), for one set of parameters."""
+    """Return dr/dp, (n, 12), for one set of parameters."""
     columns = [state.calibrated[:, row] * state.shifted[:, column] for row, column in ENTRIES]
     back = state.calibrated @ gain(p)
     return 2 * np.column_stack([*columns, back, back * points.tau[:, np.newaxis]])
 
 
 def gradient(points: FloatPoints, state: FloatState, p: Real) -> Real:
-    """Gradient of the cost, (12,)."""
+    """Return the gradient of the cost, (12,)."""
     return 2 * ((points.weights * state.residual) @ jacobian(points, state, p))
 
 
@@ -98,7 +98,7 @@ PAPER = DescentSettings(max_iterations=50, smallest_step=0.0)
 
 
 def gradient_descent(precision: str, kind: type[np.floating[Any]], smallest_step: float) -> Optimizer:
-    """The optimizer that descends in numbers of one kind.
+    """Return the optimizer that descends in numbers of one floating-point type.
 
     Args:
         smallest_step: by default; a step below half the last bit of the result rounds to nothing.
@@ -130,7 +130,7 @@ def _rates(settings: DescentSettings, model: Model, kind: np.dtype[Any]) -> Real
 
 
 def _forward(points: FloatPoints, model: Model, settings: DescentSettings) -> Fit:
-    """F's iteration to the letter: forward differences, fixed rates, so many iterations."""
+    """Iterate exactly as F does: forward differences, fixed rates, a fixed number of iterations."""
     kind, free = points.v.dtype, list(model.free)
     rates = _rates(settings, model, kind)[free]
     h = kind.type(settings.forward_step)
@@ -143,18 +143,14 @@ def _forward(points: FloatPoints, model: Model, settings: DescentSettings) -> Fi
         p[free] -= rates * ((costs[1:] - costs[0]) / h)
         if settings.keep_history:
             history.append(as_integers(p))
-    operations = _operations(settings.max_iterations, len(free), len(points.v))
+    # as F counts: ten of each for a point and a set of parameters, one for three parameters
+    each = settings.max_iterations * (len(probes) * 10 * len(points.v) + len(free) // 3)
+    operations = Operations(each, each)
     return Fit(as_integers(p), settings.max_iterations, "iterations", operations, tuple(history))
 
 
-def _operations(iterations: int, free: int, number: int) -> Operations:
-    """As F counts them: ten of each for a point and a set of parameters, one for three parameters."""
-    each = iterations * ((free + 1) * 10 * number + free // 3)
-    return Operations(each, each)
-
-
 def _accelerated(points: FloatPoints, model: Model, settings: DescentSettings) -> Fit:
-    """Descent with momentum along the exact gradient until a step vanishes.
+    """Descend with momentum along the exact gradient until a step vanishes.
 
     Momentum age / (age + 3) (Nesterov 1983) is dropped where it points uphill (O'Donoghue,
     Candes 2015) and where the cost rises; a rise after a plain step halves the rates.
@@ -191,11 +187,7 @@ def _accelerated(points: FloatPoints, model: Model, settings: DescentSettings) -
 
 
 def _scipy_optimize(optimizer: str) -> Any:
-    """The module scipy.optimize.
-
-    Raises:
-        UsageError: SciPy is not installed.
-    """
+    """Import scipy.optimize; raises UsageError if SciPy is not installed."""
     try:
         import scipy.optimize
     except ImportError as error:
@@ -321,7 +313,7 @@ def fit_evolution(points: PointSet, model: Model, settings: EvolutionSettings = 
 
 
 def _costs(points: FloatPoints, free: list[int], x: Real) -> Real:
-    """Costs of (number of parameters, k) candidates, (k,)."""
+    """Return the costs (k,) of (number of parameters, k) candidates."""
     p = np.tile(ideal(), (x.shape[1], 1))
     p[:, free] = x.T
     return cost(points, evaluate(points, p))

@@ -31,7 +31,7 @@ from accelcal_cli.optimize.gauss_newton import (
 
 
 def _least_squares(columns: Real, values: Real, weights: Real, singular: float) -> Real:
-    """Weighted least squares of (n,) values on (n, m) columns, (m,).
+    """Solve the weighted least squares of (n,) values on (n, m) columns, (m,).
 
     Args:
         singular: singular values below this part of the largest one are taken for zero.
@@ -83,11 +83,13 @@ def fit_closest_point(
     if not model.free or not len(points):
         return nothing_to_fit()
     with no_overflow():
-        return _iterate(as_floats(points), model.has_temperature, settings)
+        return _iterate_closest_points(as_floats(points), model.has_temperature, settings)
 
 
-def _iterate(points: FloatPoints, has_temperature: bool, settings: ClosestPointSettings) -> Fit:
-    """a = line[0] + line[1] v + line[2] tau on each axis, refined round by round."""
+def _iterate_closest_points(
+    points: FloatPoints, has_temperature: bool, settings: ClosestPointSettings
+) -> Fit:
+    """Refine a = line[0] + line[1] v + line[2] tau on each axis, round by round."""
     line = np.array([[0.0] * 3, [1.0] * 3, [0.0] * 3])
     one, warmth = np.ones(len(points.v)), [points.tau] if has_temperature else []
     weights, spread = points.weights, np.inf
@@ -104,21 +106,17 @@ def _iterate(points: FloatPoints, has_temperature: bool, settings: ClosestPointS
         squared = ((moved - target) ** 2).sum(axis=1)
         before, spread = spread, float(weights @ squared / weights.sum())
         if abs(before - spread) < settings.tolerance:
-            return Fit(as_integers(_parameters(line)), iteration, "small change", Operations())
+            p = ideal()
+            p[:3], p[6:9], p[9:12] = line[1], line[0] / line[1], line[2] / line[1]
+            return Fit(as_integers(p), iteration, "small change", Operations())
         weights = points.weights / np.maximum(np.sqrt(squared), settings.nearest_g)
     raise DivergedError(f"the fit has not converged after {settings.max_iterations} iterations")
 
 
 def _regression(regressors: list[Real], target: Real, weights: Real, singular: float) -> Real:
-    """Intercept, slope and temperature coefficient of one axis; the last is 0 where it is not asked for."""
-    found = _least_squares(np.stack(regressors, axis=1), target, weights, singular)
-    return np.append(found, np.zeros(3 - len(found)))
-
-
-def _parameters(line: Real) -> Real:
-    p = ideal()
-    p[:3], p[6:9], p[9:12] = line[1], line[0] / line[1], line[2] / line[1]
-    return p
+    """Return intercept, slope and temperature coefficient of one axis; the last is 0 unless asked for."""
+    solution = _least_squares(np.stack(regressors, axis=1), target, weights, singular)
+    return np.append(solution, np.zeros(3 - len(solution)))
 
 
 CLOSEST_POINT = Optimizer(
@@ -163,7 +161,7 @@ def fit_ellipsoid(points: PointSet, model: Model, settings: EllipsoidSettings = 
 
 
 def _ellipsoid(points: FloatPoints, settings: EllipsoidSettings) -> Real:
-    """From sum (q_i v_i^2 + l_i v_i) = 1: o_i = l_i / 2 q_i, and k_i^2 = q_i / (1 + sum q_i o_i^2)."""
+    """Solve sum (q_i v_i^2 + l_i v_i) = 1: o_i = l_i / 2 q_i, and k_i^2 = q_i / (1 + sum q_i o_i^2)."""
     columns = np.hstack([points.v**2, points.v])
     found = _least_squares(columns, np.ones(len(points.v)), points.weights, settings.singular)
     square, linear = found[:3], found[3:]
@@ -176,7 +174,7 @@ def _ellipsoid(points: FloatPoints, settings: EllipsoidSettings) -> Real:
 
 
 def _sphere(points: FloatPoints, settings: EllipsoidSettings) -> Real:
-    """From |v|^2 + sum l_i v_i = c: o_i = l_i / 2. The radius that c stands for is left aside."""
+    """Solve |v|^2 + sum l_i v_i = c: o_i = l_i / 2; the radius follows from c and is not used."""
     columns = np.hstack([points.v, -np.ones((len(points.v), 1))])
     found = _least_squares(columns, -(points.v**2).sum(axis=1), points.weights, settings.singular)
     p = ideal()
