@@ -25,6 +25,9 @@ ENVIRONMENT_ERRNOS = frozenset(
 )  # fmt: skip
 """Error numbers of disks, networks, limits and rights, which no file's content causes."""
 
+COPY_AGAIN = "copy it again from the device"
+"""Hint for a file that is damaged or incomplete."""
+
 NO_THREAD = ("can't start new thread", "Failed to launch worker thread")
 """Messages of Python (Modules/_threadmodule.c) and Arrow (util/thread_pool.cc) when no thread can be
 started."""

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.clock import FIRST_US, LAST_US, MICROSECONDS
-from accelcal_cli.core.errors import UnreadableError, UsageError, listed
+from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError, UsageError, listed
 from accelcal_cli.core.local_time import Retiming, retimed
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.settings import Option, setting, setting_of
@@ -239,7 +239,7 @@ class Format:
 def _refuse_no_calendar(recording: Recording) -> None:
     if not FIRST_US <= (recording.start_us or 0) <= LAST_US:
         what = "begins outside the years 1 to 9999"
-        hint = "copy it again from the device, or correct the start time that it is given"
+        hint = f"{COPY_AGAIN}, or correct the start time that it is given"
         raise UnreadableError(what, path=recording.path, hint=hint)
 
 
@@ -258,7 +258,7 @@ def probe_file(path: Path, options: ReadOptions) -> Probe:
             what, hint = "is a pipe or a device, and a recording is read twice", "write it to a file first"
             raise UnreadableError(what, path=path, hint=hint)
         if size == 0:
-            raise UnreadableError("is empty", path=path, byte_offset=0, hint="copy it again from the device")
+            raise UnreadableError("is empty", path=path, byte_offset=0, hint=COPY_AGAIN)
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)
         compressed = head.startswith(GZIP_MAGIC)

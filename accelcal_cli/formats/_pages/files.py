@@ -24,57 +24,64 @@ BLOCK_BYTES = 1 << 24
 """Most bytes of a file in one block, unless a page is longer; frames may be far longer than their samples."""
 
 
-class Block(Protocol):
-    """Consecutive pages of a file.
+@dataclass(slots=True)
+class Block:
+    """Consecutive pages of a file; offsets are those in the (uncompressed) file.
 
     Attributes:
-        first_position, next_position: numbers of the first page and of the page after these, within the file.
-        end: offset of the first byte after the block in the (uncompressed) file.
+        first_position: number of the first page within the file.
         end_byte: how far into the file on disk the block reaches, for progress.
         last: nothing follows.
         broken: the compressed data broke off rather than ended; only in the last block.
         undecoded: bytes on the disk that could not be unpacked after it broke off; only in the last block.
     """
 
+    first_position: int = 0
+    end_byte: int = 0
+    last: bool = False
+    broken: bool = False
+    undecoded: int = 0
+
+    def __len__(self) -> int:
+        raise NotImplementedError
+
     @property
-    def first_position(self) -> int: ...
+    def next_position(self) -> int:
+        """Number of the page after these."""
+        return self.first_position + len(self)
+
     @property
-    def next_position(self) -> int: ...
-    @property
-    def end(self) -> int: ...
-    @property
-    def end_byte(self) -> int: ...
-    @property
-    def last(self) -> bool: ...
-    @property
-    def broken(self) -> bool: ...
-    @property
-    def undecoded(self) -> int: ...
+    def end(self) -> int:
+        """Offset of the first byte after the block."""
+        raise NotImplementedError
 
     def offset(self, position: int) -> int:
-        """Return where a page begins in the (uncompressed) file."""
+        """Return where a page begins."""
+        raise NotImplementedError
 
     def length(self, position: int, pages: int) -> int:
         """Return the bytes of `pages` pages from `position` on."""
+        raise NotImplementedError
 
 
 AnyBlock = TypeVar("AnyBlock", bound=Block)
-AnyBlock_co = TypeVar("AnyBlock_co", bound=Block, covariant=True)
 
 
-class Cutter(Protocol[AnyBlock_co]):
+class Cutter(Generic[AnyBlock]):
     """Cuts the bytes after a file's header, which come piece by piece, into blocks."""
 
-    def cut(self, data: bytes, end_byte: int, *, last: bool) -> AnyBlock_co:
+    def cut(self, data: bytes, end_byte: int, *, last: bool) -> AnyBlock:
         """Return the pages that end in the next bytes; there may be none.
 
         Args:
             end_byte: how far into the file on disk these bytes reach.
             last: nothing follows.
         """
+        raise NotImplementedError
 
 
-class PageFile(Protocol[AnyBlock_co]):
+@dataclass(frozen=True, slots=True)
+class PageFile(Generic[AnyBlock]):
     """A file of pages.
 
     Attributes:
@@ -82,23 +89,21 @@ class PageFile(Protocol[AnyBlock_co]):
         page_bytes: length of a page, or the usual one.
         size: bytes on disk.
         compressed: gzip; such a file is only read from its beginning.
+        proved: its pages have checksums of their own.
     """
 
-    @property
-    def path(self) -> Path: ...
-    @property
-    def start_byte(self) -> int: ...
-    @property
-    def page_bytes(self) -> int: ...
-    @property
-    def size(self) -> int: ...
-    @property
-    def compressed(self) -> bool: ...
+    path: Path
+    start_byte: int
+    page_bytes: int
+    size: int
+    compressed: bool
+    proved: bool = field(default=True, kw_only=True)
 
     def amount(self, pages: int) -> int:
         """Return how much of the file to take at once for about `pages` pages, as `blocks` wants it."""
+        raise NotImplementedError
 
-    def blocks(self, amount: int, *, threads: int = 1) -> Generator[AnyBlock_co]:
+    def blocks(self, amount: int, *, threads: int = 1) -> Generator[AnyBlock]:
         """Yield all pages, about `amount` at a time; the last block may be empty.
 
         Args:
@@ -107,17 +112,20 @@ class PageFile(Protocol[AnyBlock_co]):
         Raises:
             UnreadableError: the disk fails, or a gzip file without checksums of its own is damaged inside.
         """
+        raise NotImplementedError
 
-    def pieces(self, amount: int, pieces: int) -> Iterator[AnyBlock_co]:
+    def pieces(self, amount: int, pieces: int) -> Iterator[AnyBlock]:
         """Yield blocks spread evenly over the file; none if it can only be read from its beginning."""
+        return iter(())
 
-    def cutter(self) -> Cutter[AnyBlock_co]:
+    def cutter(self) -> Cutter[AnyBlock]:
         """Return a cutter for the bytes from `start_byte` on."""
+        raise NotImplementedError
 
 
-@dataclass(frozen=True, slots=True)
-class RawBlock:
-    """Consecutive pages of one length, with the attributes of Block.
+@dataclass(slots=True, kw_only=True)
+class RawBlock(Block):
+    """Consecutive pages of one length.
 
     Attributes:
         pages: (p, page_bytes).
@@ -125,19 +133,12 @@ class RawBlock:
         tail: bytes of an incomplete page after these; only in the last block.
     """
 
-    first_position: int
     pages: NDArray[np.uint8]
     start_byte: int
-    end_byte: int
     tail: bytes
-    last: bool
-    broken: bool = False
-    undecoded: int = 0
 
-    @property
-    def next_position(self) -> int:
-        """See Block."""
-        return self.first_position + len(self.pages)
+    def __len__(self) -> int:
+        return len(self.pages)
 
     @property
     def end(self) -> int:
@@ -155,19 +156,8 @@ class RawBlock:
 
 
 @dataclass(frozen=True, slots=True)
-class PagedFile:
-    """A file of pages of one length, with the attributes of PageFile.
-
-    Attributes:
-        proved: its pages have checksums of their own.
-    """
-
-    path: Path
-    start_byte: int
-    page_bytes: int
-    size: int
-    compressed: bool
-    proved: bool = True
+class PagedFile(PageFile[RawBlock]):
+    """A file of pages of one length."""
 
     @classmethod
     def at(cls, path: Path, start_byte: int, page_bytes: int, *, proved: bool = True) -> Self:
@@ -177,7 +167,7 @@ class PagedFile:
             UnreadableError: it cannot be read.
         """
         with ByteSource(path) as source:
-            return cls(path, start_byte, page_bytes, source.file_bytes, source.compressed, proved)
+            return cls(path, start_byte, page_bytes, source.file_bytes, source.compressed, proved=proved)
 
     @property
     def whole_pages(self) -> int:
@@ -205,14 +195,14 @@ class PagedFile:
                     source.refuse_damaged()
                 table, tail = self.table(data)
                 yield RawBlock(
-                    first_position,
-                    table,
-                    self.start_byte,
-                    source.disk_position(),
-                    tail,
-                    last,
-                    source.broken,
-                    source.undecoded(),
+                    first_position=first_position,
+                    pages=table,
+                    start_byte=self.start_byte,
+                    end_byte=source.disk_position(),
+                    tail=tail,
+                    last=last,
+                    broken=source.broken,
+                    undecoded=source.undecoded(),
                 )
                 first_position += len(table)
 
@@ -261,8 +251,8 @@ def is_erased(data: bytes) -> bool:
     return not data.strip(b"\xff")
 
 
-class PageCutter:
-    """Cuts the bytes of a growing file into pages of one length; see Cutter."""
+class PageCutter(Cutter[RawBlock]):
+    """Cuts the bytes of a growing file into pages of one length."""
 
     def __init__(self, file: PagedFile) -> None:
         self._file = file
@@ -272,15 +262,20 @@ class PageCutter:
     def cut(self, data: bytes, end_byte: int, *, last: bool) -> RawBlock:
         """See Cutter."""
         table, self._rest = self._file.table(self._rest + data)
-        tail = self._rest if last else b""
-        block = RawBlock(self._position, table, self._file.start_byte, end_byte, tail, last)
-        self._position = block.next_position
-        return block
+        position, self._position = self._position, self._position + len(table)
+        return RawBlock(
+            first_position=position,
+            pages=table,
+            start_byte=self._file.start_byte,
+            end_byte=end_byte,
+            tail=self._rest if last else b"",
+            last=last,
+        )
 
 
 @dataclass(slots=True)
-class ScannedPages:
-    """The pages that a scanner found in a stretch of a file: a Block of pages that differ in length.
+class ScannedPages(Block):
+    """The pages that a scanner found in a stretch of a file; they differ in length.
 
     A page is a stretch of bytes that the scanner takes for one page, sound or not.
 
@@ -295,12 +290,7 @@ class ScannedPages:
     starts: list[int] = field(default_factory=list)
     lengths: list[int] = field(default_factory=list)
     cut_at: int | None = None
-    first_position: int = 0
     end: int = 0
-    end_byte: int = 0
-    last: bool = False
-    broken: bool = False
-    undecoded: int = 0
 
     def add(self, status: int, start: int, end: int) -> None:
         """Add a page that reaches from byte `start` to byte `end`."""
@@ -314,10 +304,8 @@ class ScannedPages:
         self.last = True
         return self
 
-    @property
-    def next_position(self) -> int:
-        """See Block."""
-        return self.first_position + len(self.status)
+    def __len__(self) -> int:
+        return len(self.status)
 
     def offset(self, position: int) -> int:
         """See Block."""
@@ -345,21 +333,14 @@ class PageScanner(Protocol[AnyPages_co]):
 
 
 @dataclass(frozen=True, slots=True)
-class ScannedFile(Generic[AnyPages]):
-    """A file of pages that differ in length, with the attributes of PageFile.
+class ScannedFile(PageFile[AnyPages]):
+    """A file of pages that differ in length; only its format knows where it can be entered.
 
     Attributes:
         scanner: makes a scanner of bytes that begin at a place of the file.
-        proved: its pages have checksums of their own.
     """
 
-    path: Path
-    start_byte: int
-    page_bytes: int
-    size: int
-    compressed: bool
     scanner: Callable[[int], PageScanner[AnyPages]]
-    proved: bool = True
 
     def amount(self, pages: int) -> int:
         """Return the bytes of about `pages` pages, of at least one."""
@@ -382,10 +363,6 @@ class ScannedFile(Generic[AnyPages]):
                 block.broken, block.undecoded = source.broken, source.undecoded()
                 yield block
 
-    def pieces(self, amount: int, pieces: int) -> Iterator[AnyPages]:
-        """Yield none: only the format knows where it can enter such a file."""
-        return iter(())
-
     def read(self, offset: int, length: int) -> bytes:
         """Return up to `length` bytes from `offset` on, of an uncompressed file."""
         with ByteSource(self.path) as source:
@@ -397,8 +374,8 @@ class ScannedFile(Generic[AnyPages]):
         return ScannedCutter(self.scanner(self.start_byte), self.start_byte)
 
 
-class ScannedCutter(Generic[AnyPages]):
-    """Finds the pages in the bytes of a file, piece by piece; see Cutter."""
+class ScannedCutter(Cutter[AnyPages]):
+    """Finds the pages in the bytes of a file, piece by piece."""
 
     def __init__(self, scanner: PageScanner[AnyPages], start_byte: int) -> None:
         self._scanner = scanner

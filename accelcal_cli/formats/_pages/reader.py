@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from typing import Generic, Protocol, TypeVar
+from typing import Generic
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ BLANK_BYTES = 16
 """Least number of bytes of 0xFF at the end that were never written; fewer may belong to a number."""
 
 CUT_OFF = "bytes of an incomplete page or frame at the end of the file, left out"
-BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomplete page or frame, left out"
+BROKEN_OFF = "the compressed data is damaged or ends early"
 
 NO_PAGES = np.empty(0, np.int64)
 
@@ -147,7 +147,8 @@ class PageEvents(EventMaker):
         block = self.block
         if not block.broken and is_erased(leftover) and (blank or not leftover):
             return
-        offset, text = block.end - len(leftover), BROKEN_OFF if block.broken else CUT_OFF
+        text = f"{BROKEN_OFF}; bytes of an incomplete page or frame, left out" if block.broken else CUT_OFF
+        offset = block.end - len(leftover)
         event = Event(block.next_position, 1, "truncated", text, offset, rows_in, len(leftover))
         yield replace(event, lost_bytes=len(leftover) + block.undecoded)
 
@@ -192,8 +193,16 @@ class Stretch:
         )
 
 
-class PageJoiner(Generic[AnyBlock]):
-    """Takes the blocks of a file in order and gives a chunk for each that has rows or problems.
+class Assembler(Generic[AnyBlock]):
+    """Takes the blocks of a file in order and gives chunks as soon as their times are known."""
+
+    def feed(self, block: AnyBlock) -> Iterator[Chunk]:
+        """Add a block; the last one releases everything. Chunks have rows or problems."""
+        raise NotImplementedError
+
+
+class PageJoiner(Assembler[AnyBlock]):
+    """Gives a chunk for each block.
 
     The last page is held back until the next one shows how long it lasted.
 
@@ -219,7 +228,7 @@ class PageJoiner(Generic[AnyBlock]):
         self._rows_in = self._rows_out = sample
 
     def feed(self, block: AnyBlock) -> Iterator[Chunk]:
-        """Add a block; the last one releases the held page too."""
+        """See Assembler."""
         self._events.block = block
         chunk = self._decoder.finish(self._joined(block, self._decoder.decode(block)))
         if block.last and self._whole:
@@ -290,16 +299,6 @@ class PageJoiner(Generic[AnyBlock]):
         chunk = self._filter.apply(chunk, block.faulty)
         self._rows_out += len(chunk)
         return chunk
-
-
-AnyBlock_contra = TypeVar("AnyBlock_contra", bound=Block, contravariant=True)
-
-
-class Assembler(Protocol[AnyBlock_contra]):
-    """Takes the blocks of a file in order and gives chunks as soon as their times are known."""
-
-    def feed(self, block: AnyBlock_contra) -> Iterator[Chunk]:
-        """Add a block; the last one releases everything. Chunks have rows or problems."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -377,7 +376,7 @@ class PageIntake(Intake, Generic[AnyBlock]):
         skipped = min(self._skip, len(data))
         self._skip -= skipped
         block = self._cutter.cut(data[skipped:], self._taken, last=last)
-        if last or block.next_position > block.first_position:
+        if last or len(block):
             yield from self._assembler.feed(block)
 
 

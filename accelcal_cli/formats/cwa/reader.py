@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, PageClock
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
 from accelcal_cli.core.recording import Chunk, Device, Problem, Reader, Recording, joined_columns
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.files import PagedFile, RawBlock, is_erased
 from accelcal_cli.formats._pages.pages import bad_runs
-from accelcal_cli.formats._pages.reader import EventMaker, FileScheme, PagedReader
+from accelcal_cli.formats._pages.reader import BROKEN_OFF, Assembler, EventMaker, FileScheme, PagedReader
 from accelcal_cli.formats._pages.timeline import Spacing
 from accelcal_cli.formats._problems import Event, ProblemLog
 from accelcal_cli.formats._rows import MISSING, HeldChannels, missing_kind
@@ -53,7 +53,6 @@ UNTIMED = (
 AHEAD = ("clock_gap", "jumps of the device clock ahead")
 BACK = ("clock_back", "jumps of the device clock back")
 CUT_OFF = "bytes of an incomplete sector at the end of the file, left out"
-BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomplete sector, left out"
 
 SEARCH_SECTORS = 2048
 """Sectors that are read at a time in search of the first intact one."""
@@ -61,7 +60,6 @@ SEARCH_SECTORS = 2048
 LAST_SECTORS = 64
 """Sectors before the end of the data in which the last time is looked for."""
 
-COPY_AGAIN = "copy it again from the device"
 NO_HEADER = "the header at the start of the file is damaged; settings were taken from the data sectors"
 HALF_HEADER = "the second half of the header is missing; the data sectors that stand there are read"
 NO_START = "the device's clock was not set: times count from the recording's start"
@@ -86,8 +84,14 @@ class SectorFile(PagedFile):
                 last = size < len(data)
                 whole = size // SECTOR_BYTES
                 tail = data[whole * SECTOR_BYTES : size].tobytes()
-                end_byte = source.disk_position()
-                yield RawBlock(position, buffer[:whole], self.start_byte, end_byte, tail, last)
+                yield RawBlock(
+                    first_position=position,
+                    pages=buffer[:whole],
+                    start_byte=self.start_byte,
+                    end_byte=source.disk_position(),
+                    tail=tail,
+                    last=last,
+                )
                 position += whole
 
 
@@ -126,8 +130,8 @@ class SectorEvents(EventMaker):
         """Report an incomplete sector at the end, unless it is empty."""
         if not raw.broken and (is_erased(raw.tail) or not any(raw.tail)):
             return
-        kind = "truncated", BROKEN_OFF if raw.broken else CUT_OFF
-        event = self.event(raw.next_position, kind, sample, len(raw.tail))
+        text = f"{BROKEN_OFF}; bytes of an incomplete sector, left out" if raw.broken else CUT_OFF
+        event = self.event(raw.next_position, ("truncated", text), sample, len(raw.tail))
         yield replace(event, lost_bytes=len(raw.tail) + raw.undecoded)
 
 
@@ -152,8 +156,8 @@ class _Waiting:
     end_byte: int
 
 
-class SectorAssembler:
-    """Takes blocks of sectors in file order; gives chunks as soon as their times are known."""
+class SectorAssembler(Assembler[RawBlock]):
+    """Gives the chunks of blocks of sectors; a chunk waits until the times of its sectors are settled."""
 
     def __init__(self, scheme: SectorScheme, sample: int, problems: tuple[Problem, ...]) -> None:
         settings = self._settings = scheme.settings
@@ -168,7 +172,7 @@ class SectorAssembler:
         self._rows_in = self._rows_out = sample
 
     def feed(self, raw: RawBlock) -> Iterator[Chunk]:
-        """Add a block; the last one releases everything."""
+        """See Assembler."""
         self._events.block = raw
         block, status = sector.decode(raw.pages, raw.first_position, self._settings)
         bad = bad_runs(status, raw.first_position)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, WIDEST_OFFSET_H, rate_fraction
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
 from accelcal_cli.core.recording import Device, Problem, Reader, Recording
 from accelcal_cli.formats._bytes import ByteSource
@@ -56,7 +56,6 @@ LAYOUT = struct.Struct("<8sHHIIIIIIIhH32s32s32s")
 SEARCHED_PAGES = 512
 """Pages that are read at a time in search of a valid one."""
 
-COPY_AGAIN = "copy it again from the device"
 NO_START = "the device's clock was never set: times count from its start"
 
 

@@ -26,12 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
-from accelcal_cli.core.recording import Chunk, Device, Problem, Reader, Recording, Validity
+from accelcal_cli.core.recording import Chunk, Device, Problem, Reader, Recording, clipped_at
 from accelcal_cli.formats._pages.files import PagedFile, ScannedFile, ScannedPages
 from accelcal_cli.formats._pages.pages import GOOD, NONSENSE, Decoded, PageBlock, bad_runs
-from accelcal_cli.formats._pages.reader import PageDecoder, PagedReader, PageScheme
+from accelcal_cli.formats._pages.reader import BROKEN_OFF, PageDecoder, PagedReader, PageScheme
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
 
 GAIN_UNIT = 8192
@@ -54,9 +54,7 @@ LOOKED_AT_PAGES = 256
 LAST_PAGES = 32
 """Pages at the end in which the last time is looked for."""
 
-COPY_AGAIN = "copy it again from the device"
 NO_START = "no time is intact: times count from the beginning of the recording"
-BROKEN_OFF = "the compressed data is damaged or ends early"
 _END = re.compile(rb"\r?\n\r?\n")
 _LINE = re.compile(rb"(?m)^([A-Za-z -]{1,40}):([^\r\n]*)")
 _RATE = re.compile(r"(\d{1,4}(?:\.\d{1,3})?) ?Hz", re.IGNORECASE)
@@ -119,15 +117,11 @@ class Scale:
 
     def applied(self, chunk: Chunk) -> Chunk:
         """Return raw values as counts, with rows marked that reach the end of 12 bits."""
-        raw = chunk.counts
-        clipped = ((raw <= 1 - RAW_LIMIT) | (raw >= RAW_LIMIT - 1)).any(axis=1)
-        validity = np.where(clipped, Validity.CLIPPED, Validity.MEASURED).astype(np.uint8)
-        counts: NDArray[np.int16] | NDArray[np.int32] = raw
-        if self.slopes != (1, 1, 1) or any(self.offsets):
-            counts = (raw.astype(np.int32) + np.array(self.offsets, np.int32)) * np.array(
-                self.slopes, np.int32
-            )
-        return replace(chunk, counts=counts, validity=validity if clipped.any() else None)
+        chunk = clipped_at(chunk, 1 - RAW_LIMIT, RAW_LIMIT - 1)
+        if self.slopes == (1, 1, 1) and not any(self.offsets):
+            return chunk
+        offsets, slopes = np.array(self.offsets, np.int32), np.array(self.slopes, np.int32)
+        return replace(chunk, counts=(chunk.counts.astype(np.int32) + offsets) * slopes)
 
 
 def scale_of(header: Header, options: ReadOptions, path: Path) -> Scale:

@@ -29,7 +29,7 @@ from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Channels, Chunk, Counts
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.files import ScannedPages
 from accelcal_cli.formats._pages.pages import GOOD, LENGTH, NO_PAGE, TEXT, Decoded, PageBlock
-from accelcal_cli.formats._pages.reader import PageDecoder
+from accelcal_cli.formats._pages.reader import BROKEN_OFF, PageDecoder
 from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.geneactiv import MARK, PAGE_HEAD
 
@@ -59,8 +59,6 @@ Head = tuple[bytes, ...]
 
 REMEMBERED_PAGES = 1 << 15
 """Pages among which a repeated page is known again."""
-
-BROKEN_OFF = "the compressed data is damaged or ends early"
 
 MIXERS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F], np.uint64)
 """Odd numbers without a pattern, which mix what identifies a page."""

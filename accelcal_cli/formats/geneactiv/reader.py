@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from accelcal_cli.core.clock import MICROSECONDS, WIDEST_OFFSET_H, iso_time
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Device, Problem, Reader, Recording
 from accelcal_cli.formats._pages.files import ScannedFile
@@ -68,7 +68,6 @@ TAIL_BYTES = 1 << 16
 """Bytes at the end of the file in which the last page is looked for."""
 
 USUAL_RANGE_G = 8.0
-COPY_AGAIN = "copy it again from the device"
 NO_START = "the device's clock was reset by an empty battery: its dates are not those of the recording"
 HEADER_RESET = "the header's times are those of a device that was reset; the times are those of the pages"
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from accelcal_cli.core.clock import MICROSECONDS, WIDEST_OFFSET_H
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import (
     FLOAT_LSB_PER_G,
@@ -94,7 +94,6 @@ PIECES_FOR_TEMPERATURE = 16
 IMU_ZERO_C = 21.0
 WARMEST_C = 1000.0
 IMU_FULL_SCALE = 32_768
-COPY_AGAIN = "copy it again from the device"
 NO_IMU = "no second sensor (IMU) recorded in it"
 TURNED = "firmware 1.6.0 of this device exchanged two axes; this was undone (x = y, y = -x of the file)"
 HAS_IMU = "the second sensor (IMU) recorded too: --sensor imu reads it, with gyroscope and temperature"

@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
-from accelcal_cli.core.recording import Channels, Chunk, Device, Problem, Reader, Recording, Validity
+from accelcal_cli.core.recording import Channels, Chunk, Device, Problem, Reader, Recording, clipped_at
 from accelcal_cli.formats._pages.files import ScannedFile, ScannedPages
 from accelcal_cli.formats._pages.pages import CHECKSUM, GOOD, NO_PAGE, Decoded, PageBlock, bad_runs
-from accelcal_cli.formats._pages.reader import PageDecoder, PagedReader, PageScheme
+from accelcal_cli.formats._pages.reader import BROKEN_OFF, PageDecoder, PagedReader, PageScheme
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
 from accelcal_cli.formats._stamps import nice_rate
 from accelcal_cli.formats.parmay import HEADER_BYTES, HEADER_MAGIC, PACKET_MAGIC, REMARKS_BYTES
@@ -65,8 +65,6 @@ MOST_BYTES = 1 << 20
 LEAST_BYTES = 1 << 12
 """Least bytes that are scanned at a time: a packet is scanned again with each piece until it is whole."""
 
-COPY_AGAIN = "copy it again from the device"
-BROKEN_OFF = "the compressed data is damaged or ends early"
 HELD = "missing_value", "packets with samples but no rotation rates, given the last one measured"
 
 
@@ -373,13 +371,7 @@ class PacketDecoder(PageDecoder[Packets]):
     def finish(self, chunk: Chunk) -> Chunk:
         """Mark rows that lie at the end of what 16 bits can tell."""
         chunk = replace(chunk, used_bytes=len(chunk) * self._first.row_bytes)
-        ends = np.iinfo(np.int16)
-        clipped = ((chunk.counts == ends.min) | (chunk.counts == ends.max)).any(axis=1)
-        if not clipped.any():
-            return chunk
-        return replace(
-            chunk, validity=np.where(clipped, Validity.CLIPPED, Validity.MEASURED).astype(np.uint8)
-        )
+        return clipped_at(chunk, -FULL_SCALE, FULL_SCALE - 1)
 
     def ending(self, found: Packets, chunk: Chunk) -> tuple[Problem, ...]:
         """Return what is missing at the end of the file, and in packets."""
