@@ -115,6 +115,37 @@ class IdleFill:
         return replace(rows.part(0, settled), filled=filled)
 
 
+class RowStream:
+    """Parses blocks into rows with their final times, in the order of the file.
+
+    Args:
+        zone: whose daylight saving the times may follow, None if they do not.
+
+    Attributes:
+        followed: numbers of the rows before which the times follow a change; it grows with the rows.
+        heads: finds the names of the columns where they stand again.
+    """
+
+    def __init__(self, detected: Detected, zone: str | None = None) -> None:
+        self._parser = RowParser(detected.parser, detected.scale, detected.first_values, detected.gyro)
+        self.heads = RepeatedHeads(detected.head)
+        changes = FollowedChanges(zone)
+        self.followed = changes.rows
+        self._steps: list[FollowedChanges | SpreadRows | IdleFill] = [changes]
+        if detected.pace.stamp_period_us:
+            self._steps.append(SpreadRows(detected.pace))
+        if detected.export.repeats_idle:
+            self._steps.append(IdleFill(round(detected.pace.rate_hz)))
+
+    def rows(self, blocks: Iterable[Block], threads: int) -> Iterator[tuple[CsvRows, Block]]:
+        """Yield the settled rows, and the block they came with, once a block."""
+        for parsed, block in self._parser.rows(map(self.heads.without, blocks), threads):
+            rows = parsed
+            for step in self._steps:
+                rows = step.add(rows, block.last)
+            yield rows, block
+
+
 def joined(parts: Iterable[tuple[CsvRows, Block]], samples: int) -> Iterator[tuple[CsvRows, Block]]:
     """Yield rows of blocks, joined up to `samples` rows, each with its last block."""
     samples = min(samples, MOST_JOINED)
@@ -163,44 +194,35 @@ class CsvReader(Reader):
         Raises:
             UnreadableError: a line is no row of the file, or most rows cannot be used.
         """
-        changes = self._changes()
-        assembler = CsvAssembler(self._detected, changes.rows, self.recording.timezone)
-        heads = RepeatedHeads(self._detected.head)
-        for rows, block in joined(self._settled(chunk_samples, heads, [changes]), chunk_samples):
+        stream = RowStream(self._detected, self._zone)
+        assembler = CsvAssembler(self._detected, stream.followed, self.recording.timezone)
+        for rows, block in joined(self._rows(stream, chunk_samples), chunk_samples):
             for chunk in assembler.chunks(rows, block, chunk_samples):
                 if len(chunk) or chunk.problems:
                     yield chunk
-        if (end := _ended(assembler, heads, block, self._detected)).problems:
+        if (end := assembler.end(block, stream.heads.lines)).problems:
             yield end
 
     def intake(self) -> Intake:
         """See `Reader`."""
-        return CsvIntake(self._detected, self._changes(), self.recording.timezone)
+        stream = RowStream(self._detected, self._zone)
+        return CsvIntake(self._detected, stream, self.recording.timezone)
 
-    def _changes(self) -> FollowedChanges:
-        return FollowedChanges(self.recording.timezone if self.recording.stamped else None)
+    @property
+    def _zone(self) -> str | None:
+        return self.recording.timezone if self.recording.stamped else None
 
-    def _settled(
-        self, chunk_samples: int, heads: RepeatedHeads, changes: Sequence[FollowedChanges] = ()
-    ) -> Iterator[tuple[CsvRows, Block]]:
-        """Yield rows with their final times, and the block they came with; once a block."""
-        detected, dialect = self._detected, self._detected.parser.dialect
-        row_parser = RowParser(detected.parser, detected.scale, detected.first_values, detected.gyro)
-        steps = [*changes, *_steps(detected)]
-        size = max(1, min(BLOCK_BYTES, int(0.95 * chunk_samples * detected.line_bytes)))
+    def _rows(self, stream: RowStream, chunk_samples: int) -> Iterator[tuple[CsvRows, Block]]:
+        dialect = self._detected.parser.dialect
+        size = max(1, min(BLOCK_BYTES, int(0.95 * chunk_samples * self._detected.line_bytes)))
         with LineFile(self._path, dialect.bare_returns, self.threads) as file:
-            blocks = file.blocks(dialect.offset, dialect.skipped + 1, size)
-            for parsed, block in row_parser.rows(map(heads.without, blocks), self.threads):
-                rows = parsed
-                for step in steps:
-                    rows = step.add(rows, block.last)
-                yield rows, block
+            yield from stream.rows(file.blocks(dialect.offset, dialect.skipped + 1, size), self.threads)
 
     def _first_time(self) -> int | None:
         """Return the time of the first usable row [us], None without dates."""
         assembler = CsvAssembler(self._detected)
         samples = int(HEAD_BYTES / self._detected.line_bytes)
-        for rows, block in self._settled(samples, RepeatedHeads(self._detected.head)):
+        for rows, block in self._rows(RowStream(self._detected), samples):
             for chunk in assembler.chunks(rows, block, max(samples, 1)):
                 if len(chunk):
                     return int(chunk.clock.times(0, 1)[0]) if self._detected.has_dates else None
@@ -215,49 +237,26 @@ def _unusable(detected: Detected, what: str) -> UnreadableError:
     return UnreadableError(what, path=parser.path, line=line, hint="check --columns and --unit")
 
 
-def _steps(detected: Detected) -> list[SpreadRows | IdleFill]:
-    """Return the steps that rows pass after they are parsed and their zone's changes are undone."""
-    steps: list[SpreadRows | IdleFill] = []
-    if detected.pace.stamp_period_us:
-        steps.append(SpreadRows(detected.pace))
-    if detected.export.repeats_idle:
-        steps.append(IdleFill(round(detected.pace.rate_hz)))
-    return steps
-
-
-def _ended(assembler: CsvAssembler, heads: RepeatedHeads, block: Block, detected: Detected) -> Chunk:
-    """Return what the end of a file completes; raise UnreadableError if most rows cannot be used."""
-    if 2 * assembler.samples < assembler.rows or not assembler.samples:
-        raise _unusable(detected, f"only {assembler.samples} of {assembler.rows} rows hold usable values")
-    return assembler.end(block, _joined_files(heads.lines, assembler.samples))
-
-
 class CsvIntake(Intake):
     """Takes a text file as it grows, whole lines at a time."""
 
-    def __init__(self, detected: Detected, changes: FollowedChanges, zone: str | None) -> None:
-        self._detected = detected
+    def __init__(self, detected: Detected, stream: RowStream, zone: str | None) -> None:
         dialect = detected.parser.dialect
+        self._bare_returns = dialect.bare_returns
         self._lines = LineCutter(detected.parser.path, dialect.offset, dialect.skipped + 1)
-        self._heads = RepeatedHeads(detected.head)
-        self._parser = RowParser(detected.parser, detected.scale, detected.first_values, detected.gyro)
-        self._steps = [changes, *_steps(detected)]
-        self._assembler = CsvAssembler(detected, changes.rows, zone)
+        self._stream = stream
+        self._assembler = CsvAssembler(detected, stream.followed, zone)
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
         """See `Intake`."""
-        bare_returns = self._detected.parser.dialect.bare_returns
-        lines = self._lines.cut([data.replace(b"\r", b"\n") if bare_returns else data])
+        lines = self._lines.cut([data.replace(b"\r", b"\n") if self._bare_returns else data])
         block = self._lines.block(lines, last)
-        if not block.data and not last:
+        if not lines and not last:
             return
-        for parsed, passed in self._parser.rows([self._heads.without(block)], 1):
-            rows = parsed
-            for step in self._steps:
-                rows = step.add(rows, last)
+        for rows, passed in self._stream.rows([block], 1):
             yield from self._assembler.chunks(rows, passed, max(1, len(rows)))
         if last:
-            yield _ended(self._assembler, self._heads, block, self._detected)
+            yield self._assembler.end(block, self._stream.heads.lines)
 
 
 def _recording(path: Path, detected: Detected, first_us: int | None, last_us: int | None) -> Recording:
@@ -306,6 +305,7 @@ class CsvAssembler:
     """
 
     def __init__(self, detected: Detected, followed: Sequence[int] = (), zone: str | None = None) -> None:
+        self._detected = detected
         problems = () if detected.has_dates else (Problem("no_start_time", NO_DATE, None, 0),)
         self._row_bytes = max(1, round(detected.line_bytes))
         self._no_channels: Channels = {name: np.empty(0, np.int32) for name in detected.first_values}
@@ -354,8 +354,19 @@ class CsvAssembler:
             )
             self.samples += stop - start
 
-    def end(self, block: Block, more: tuple[Problem, ...] = ()) -> Chunk:
-        """Return an empty chunk with what the end of the file completes: runs that reach it, sums of many."""
+    def end(self, block: Block, repeated_heads: Sequence[int]) -> Chunk:
+        """Return an empty chunk with what the end of the file completes: runs that reach it, sums of many.
+
+        Args:
+            repeated_heads: lines in which the names of the columns stand again.
+
+        Raises:
+            UnreadableError: most rows cannot be used.
+        """
+        if 2 * self.samples < self.rows or not self.samples:
+            what = f"only {self.samples} of {self.rows} rows hold usable values"
+            raise _unusable(self._detected, what)
+        more = _joined_files(repeated_heads, self.samples)
         left = sorted(self._log.take(None), key=lambda problem: CODES.index(problem.code))
         return Chunk(
             self.samples,
