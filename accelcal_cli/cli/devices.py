@@ -19,7 +19,7 @@ from accelcal_cli.cli.output import aligned, refuse_both
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.devices.review import DeviceReview, Review, as_json, columns, review, row
 from accelcal_cli.devices.table import OFFSETS, PARAMETERS, Kind, Usage
-from accelcal_cli.devices.trends import Drift, Rules, Trend
+from accelcal_cli.devices.trends import Rules, Trend
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.words import formatted, with_error
 
@@ -30,29 +30,25 @@ PERCENT = (Kind.SCALE, Kind.MISALIGNMENT)
 
 
 def overview(devices: Sequence[DeviceReview]) -> str:
-    """A line for each device, with the verdict and its first reason."""
-    cells = [_line(*pair) for pair in zip(_names(devices), devices, strict=True)]
+    """Write a line for each device, with the verdict and its first reason."""
+    often = Counter(device.key.serial for device in devices)
+    cells = [_line(device, several=often[device.key.serial] > 1) for device in devices]
     return _with_last(aligned(HEAD, cells), ["verdict", "-------", *map(_verdict, devices)])
 
 
 def _with_last(table: str, column: list[str]) -> str:
-    """A table with one more column on its right, of any width."""
+    """Append one more column, of any width, on the right of a table."""
     lines = table.splitlines()
     width = max(map(len, lines))
     return "\n".join(f"{line.ljust(width)}  {text}" for line, text in zip(lines, column, strict=True))
 
 
-def _names(devices: Sequence[DeviceReview]) -> list[str]:
-    """Serials; with model and format where several devices have the same."""
-    keys = [device.key for device in devices]
-    often = Counter(key.serial for key in keys)
-    kinds = [f" ({key.model or '-'}, {key.format or '-'})" if often[key.serial] > 1 else "" for key in keys]
-    return [printable(f"{key.serial}{kind}") for key, kind in zip(keys, kinds, strict=True)]
-
-
-def _line(name: str, device: DeviceReview) -> list[str]:
+def _line(device: DeviceReview, *, several: bool) -> list[str]:
+    """Write a device's cells; where several have its serial, its model and format stand beside that."""
+    key = device.key
+    kind = f" ({key.model or '-'}, {key.format or '-'})" if several else ""
     return [
-        name,
+        printable(f"{key.serial}{kind}"),
         str(device.recordings),
         str(device.counted(Usage.USED, Usage.UNDATED)),
         str(device.refused),
@@ -69,7 +65,7 @@ def _date(start: str | None) -> str:
 
 
 def _fastest(device: DeviceReview, kinds: tuple[Kind, ...]) -> str:
-    """The fastest drift of some kinds of parameters, with its standard error."""
+    """Write the fastest drift of some kinds of parameters, with its standard error."""
     fastest = device.fastest_drift(*kinds)
     if fastest is None:
         return "undated" if device.counted(Usage.UNDATED) and not device.counted(Usage.USED) else "not enough"
@@ -84,35 +80,28 @@ def _verdict(device: DeviceReview) -> str:
 
 
 def detail(review: Review, device: DeviceReview) -> str:
-    """All of one device: its verdict, its parameters, its recordings."""
+    """Write all of one device: its verdict, its parameters, its recordings."""
     key = device.key
     about = [key.model, key.format, *device.firmware]
     name = f"{key.serial} ({', '.join(filter(None, about)) or 'of unknown model'}): {device.verdict}"
     reasons = [f"  {'' if one.certain else 'perhaps: '}{one.text}" for one in device.reasons]
     temperature = [] if device.reference_c is None else [f"offsets at {device.reference_c:.1f} C"]
     parameters = [aligned(DETAIL, [_trend(trend) for trend in device.trends]), ""] if device.trends else []
-    return "\n".join([printable(name), *reasons, "", *temperature, *parameters, _history(review, device)])
+    cells = [_recording(review, index) for index in device.rows]
+    paths = [printable(review.records.text["path"][index] or "-") for index in device.rows]
+    history = _with_last(aligned(HISTORY, cells), ["path", "----", *paths])
+    return "\n".join([printable(name), *reasons, "", *temperature, *parameters, history])
 
 
 def _trend(trend: Trend) -> list[str]:
     digits = ".4f" if trend.parameter.kind is not Kind.OFFSET else ".3f"
-    value = [f"{trend.parameter.label} {trend.parameter.unit}", f"{trend.value:+{digits}}"]
-    return [*value, f"{trend.error:{digits}}", *_drift(trend.drift, digits, trend.number)]
-
-
-def _drift(drift: Drift | None, digits: str, recordings: int) -> list[str]:
-    if drift is None:
-        return ["not enough", "-", "-", str(recordings), "-"]
-    certain = "yes" if drift.significant else "no"
-    shown = [f"{drift.per_month:+{digits}}", f"{drift.error:{digits}}", f"{drift.scatter:.1f}"]
-    return [*shown, str(recordings), certain]
-
-
-def _history(review: Review, device: DeviceReview) -> str:
-    """A line for each recording, its path last."""
-    cells = [_recording(review, index) for index in device.rows]
-    paths = [printable(review.records.text["path"][index] or "-") for index in device.rows]
-    return _with_last(aligned(HISTORY, cells), ["path", "----", *paths])
+    drift = ["not enough", "-", "-", str(trend.number), "-"]
+    if trend.drift is not None:
+        change = f"{trend.drift.per_month:+{digits}}", f"{trend.drift.error:{digits}}"
+        certain = "yes" if trend.drift.significant else "no"
+        drift = [*change, f"{trend.drift.scatter:.1f}", str(trend.number), certain]
+    label = f"{trend.parameter.label} {trend.parameter.unit}"
+    return [label, f"{trend.value:+{digits}}", f"{trend.error:{digits}}", *drift]
 
 
 def _recording(review: Review, index: int) -> list[str]:
@@ -145,7 +134,7 @@ LIMITS = {
 
 
 def limits(command: Callable[..., Any]) -> Callable[..., Any]:
-    """An option for each limit."""
+    """Add an option for each limit."""
     for name, text in reversed(LIMITS.items()):
         option = f"--{name.replace('_', '-')}"
         default = getattr(Rules(), name)

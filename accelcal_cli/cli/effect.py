@@ -27,7 +27,7 @@ FIGURES = {
     "inactive_min": ("inactive min", ".1f"),
     "enmo_differs_mg": ("ENMO differs mg", ".2f"),
 }
-"""Figures of each version, their names for people, and how they are shown."""
+"""Measures of each version: their names for people, and the formats of their numbers."""
 
 WORDS = {"without_misalignment": "no misalignment"}
 
@@ -68,28 +68,28 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         with bytes_of(path) as source:
             return effect(path, request, values["epoch_s"], table, bars, source)
 
-    found, code = each_recording(options.recordings_of(recordings, values), work, quiet=values["quiet"])
-    if found:
-        exit_codes.show(_shown(found, values))
+    measured, code = each_recording(options.recordings_of(recordings, values), work, quiet=values["quiet"])
+    if measured:
+        exit_codes.show(_shown(measured, values))
     return code
 
 
-def _shown(found: list[MeasuredEffect], values: dict[str, Any]) -> str:
+def _shown(measured: list[MeasuredEffect], values: dict[str, Any]) -> str:
     if values["as_json"]:
-        return "\n".join(json.dumps(as_json(one)) for one in found)
+        return "\n".join(json.dumps(as_json(one)) for one in measured)
     if values["as_csv"]:
         head = ["recording", "outcome", "version", "model", *FIGURES]
         rows = [
             [printable(one.path), one.outcome, name, made["model"], *(made[figure] for figure in FIGURES)]
-            for one in found
+            for one in measured
             for name, made in one.effect["versions"].items()
         ]
         return csv_text(head, rows).rstrip("\n")
-    return "\n\n".join(map(_text, found))
+    return "\n\n".join(map(_text, measured))
 
 
 def _text(one: MeasuredEffect) -> str:
-    """A row for each version, and what was left out."""
+    """Write a row for each version, and what was left out."""
     rows = [
         [_label(name, made["model"]), *(formatted(made[key], form) for key, (_, form) in FIGURES.items())]
         for name, made in one.effect["versions"].items()
@@ -104,9 +104,9 @@ def _label(name: str, model: str | None) -> str:
 
 
 def _counted(one: MeasuredEffect) -> str:
-    said = one.effect
-    left = ", ".join(f"{value} {name}" for name, value in said["left_out"].items() if value)
-    text = f"{said['epochs']} epochs of {said['epoch_s']} s"
-    if said["short_epochs"]:
-        text += f"; {said['short_epochs']} more with too few samples"
+    counts = one.effect
+    left = ", ".join(f"{value} {name}" for name, value in counts["left_out"].items() if value)
+    text = f"{counts['epochs']} epochs of {counts['epoch_s']} s"
+    if counts["short_epochs"]:
+        text += f"; {counts['short_epochs']} more with too few samples"
     return text + (f"; samples left out: {left}" if left else "")

@@ -1,4 +1,4 @@
-"""From errors to exit codes: the only place that knows both; and the one way by which text goes out.
+"""Exit codes from errors, in the only place that knows both; and the only way by which text is printed.
 
 Whatever a file says of itself, no control character of it reaches the terminal.
 """
@@ -30,11 +30,11 @@ INTERRUPTED = 130
 STDERR = 2
 AGAIN_S = 0.001
 DELETE = "\x7f"
-"""The one control character that our JSON text holds as it is."""
+"""Control character that our JSON text contains as it is."""
 
 
 def of_all(codes: list[int]) -> int:
-    """The exit code of a command that did several things: its own for a single one."""
+    """Return the exit code of a command that did several things; of a single one its own."""
     if len(codes) == 1:
         return codes[0]
     return SOME_FAILED if any(codes) else OK
@@ -79,7 +79,7 @@ def _code_of(command: Callable[[], Any]) -> Any:
 
 
 def of_failure(error: Exception) -> int:
-    """The exit code of an error that is being handled, which is told in one line.
+    """Print an error that is being handled in one line and return its exit code.
 
     Raises:
         InterruptedBySignalError: it was raised while a signal ended the command, whose code counts.
@@ -99,7 +99,7 @@ def of_failure(error: Exception) -> int:
 
 
 class _Lost(io.StringIO):
-    """Stands for a standard output that was closed, or can take no more; the work goes on."""
+    """Stand-in for a standard output that is closed or can take no more; the work goes on."""
 
     def __init__(self, why: str, *, lines: bool) -> None:
         super().__init__()
@@ -112,7 +112,7 @@ class _Lost(io.StringIO):
 
 
 def _open_standard_files() -> None:
-    """Fill the places of standard files that are closed, so that no output of ours comes to lie there."""
+    """Open standard files that are closed, so that no output file gets one of their numbers."""
     while (handle := os.open(os.devnull, os.O_RDWR)) <= STDERR:
         pass
     os.close(handle)
@@ -123,7 +123,7 @@ def _open_standard_files() -> None:
 
 
 def _output_failed(error: OSError) -> int:
-    """A write that failed outside the outputs is one to standard output; all else is a bug."""
+    """Return True if a write failed on standard output; any other such failure is a bug."""
     if error.errno not in (errno.ENOSPC, errno.EIO, errno.EDQUOT) or error.filename is not None:
         return report_bug()
     say(f"standard output cannot be written ({error.strerror})")
@@ -132,7 +132,7 @@ def _output_failed(error: OSError) -> int:
 
 
 def show(text: str) -> None:
-    """Lines of tab-separated fields, or of JSON, on standard output.
+    """Print lines of tab-separated fields, or of JSON, on standard output.
 
     Where it can take no more, the work goes on, and the exit code says so; where its reader is gone, it ends.
     """
@@ -146,12 +146,12 @@ def show(text: str) -> None:
 
 
 def say(message: str) -> None:
-    """One line on stderr."""
+    """Print one line on stderr."""
     _to_stderr(f"accelcal: {printable(message)}\n")
 
 
 def _to_stderr(text: str) -> None:
-    """Text for people; where nobody can take it, the exit code still tells."""
+    """Print text for people; if nobody can take it, the exit code still tells."""
     if sys.stderr is not None:
         try:
             click.echo(text, nl=False, err=True)
@@ -160,7 +160,7 @@ def _to_stderr(text: str) -> None:
 
 
 def _show_usage(error: click.ClickException) -> None:
-    """The words of click, which repeat those of the command line."""
+    """Print click's message, which repeats words of the command line."""
     text = io.StringIO()
     error.show(text)
     _to_stderr(printable(text.getvalue(), kept="\n"))
@@ -192,7 +192,7 @@ def report_bug(path: Path | None = None) -> int:
 
 
 def keep_trace(text: str) -> str:
-    """Write a traceback into a temporary file; returns its name, or where the bug is if there is no room."""
+    """Write a traceback into a temporary file; return its name, or the bug's place if there is no room."""
     import tempfile  # here and above: a run without a bug need not wait for them
 
     try:
@@ -211,7 +211,7 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
 
 
 def watch_signals() -> None:
-    """From now on signals that end the command raise InterruptedBySignalError."""
+    """Let signals that end the command raise InterruptedBySignalError from now on."""
     for number in _signals():
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
@@ -219,7 +219,7 @@ def watch_signals() -> None:
 
 
 def _leave_signals() -> None:
-    """What comes now ends the process without a word: there is nothing left to tidy up."""
+    """Let signals end the process silently from now on: there is nothing left to tidy up."""
     if hasattr(signal, "setitimer") and signal.getsignal(signal.SIGALRM) is _interrupt:
         signal.setitimer(signal.ITIMER_REAL, 0)
     for number in _signals():
@@ -233,7 +233,7 @@ def _signals() -> list[int]:
 
 
 def _again(lost: sys.UnraisableHookArgs) -> None:
-    """An interruption in a place that passes no errors on, such as a callback of an import, comes again."""
+    """Raise an interruption again that was lost in a callback, such as one of an import."""
     if lost.exc_type is not InterruptedBySignalError:
         sys.__unraisablehook__(lost)
     elif hasattr(signal, "setitimer"):
@@ -242,6 +242,6 @@ def _again(lost: sys.UnraisableHookArgs) -> None:
 
 
 def _silence(stream: Any) -> None:
-    """Whoever read our output is gone: let the interpreter's last flush go nowhere."""
+    """Send the interpreter's last flush nowhere, after the reader of our output has gone."""
     with contextlib.suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

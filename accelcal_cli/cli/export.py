@@ -20,12 +20,12 @@ DATA = ("csv", "npz", "mhealth", "bids", "parquet")
 
 
 class Width(options.AnyType):
-    """A number of samples, or `auto`, which is 0."""
+    """Option type: a number of samples, or `auto`, which is 0."""
 
     name = "samples"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Look at it."""
+        """Parse and check."""
         if value == "auto":
             return 0
         return int(click.IntRange(2, WIDEST).convert(value, param, ctx))

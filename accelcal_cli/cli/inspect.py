@@ -20,10 +20,10 @@ from accelcal_cli.pipeline.jobs import STDIN, Request
 from accelcal_cli.pipeline.options import chosen_settings, read_options
 
 QUICK = "gauss-newton"
-"""Finds the parameters of the default optimizer to a few micro-g, a hundred times as fast."""
+"""Optimizer that finds the default one's parameters to a few micro-g, a hundred times as fast."""
 
 CLOCKS_S_PER_DAY = 86.4
-"""No clock is a thousandth off: where the measured rate is, the nominal one is not meant as exact."""
+"""Drift [s per day] beyond which a nominal rate is not meant as exact: no clock is a thousandth off."""
 
 
 @click.command("inspect")
@@ -55,29 +55,25 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
 def _one(path: Path, request: Request, values: dict[str, Any]) -> int:
     try:
-        inspection = _look(path, request, values)
+        with bytes_of(path) as source:
+            inspection = inspect(source, request, full=values["full"])
     except AccelcalError as error:
         return exit_codes.of_failure(error)
+    inspection = replace(inspection, recording=replace(inspection.recording, path=path))
     shown = as_json(inspection)
     exit_codes.show(json.dumps(shown) if values["as_json_"] else text(inspection, shown))
     return exit_codes.OK
 
 
-def _look(path: Path, request: Request, values: dict[str, Any]) -> Inspection:
-    with bytes_of(path) as source:
-        inspection = inspect(source, request, full=values["full"])
-    return replace(inspection, recording=replace(inspection.recording, path=path))
-
-
 def _settings(values: dict[str, Any]) -> Settings:
-    """As for `calibrate`; a look at pieces is fitted by a quicker optimizer if none is named."""
+    """Return the settings, as for `calibrate`; pieces are fitted by a quicker optimizer if none is named."""
     wanted = chosen_settings(values)
-    look = not values["full"] and values["optimizer"] is None and wanted.profile == DEFAULT.profile
-    return replace(wanted, optimizer=QUICK) if look else wanted
+    quick = not values["full"] and values["optimizer"] is None and wanted.profile == DEFAULT.profile
+    return replace(wanted, optimizer=QUICK) if quick else wanted
 
 
 def text(inspection: Inspection, shown: dict[str, Any]) -> str:
-    """An inspection for people."""
+    """Write an inspection for people."""
     about = shown["recording"]
     device = " ".join(value for value in about["device"].values() if value) or "unknown"
     zone = " (device clock)" if about["timezone"] is None else f" ({about['timezone']})"
@@ -86,6 +82,8 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
     scope = "all of it" if inspection.whole else f"{inspection.facts.samples} samples in pieces"
     measured = _known(" (measured {:.3f})", inspection.facts.rate_hz)
     reach, samples = _known(", range +-{:g} g", about["range_g"]), _known(", {} samples", about["samples"])
+    hours = None if about["duration_s"] is None else f"{about['duration_s'] / 3600:.2f} h"
+    problems = [f"{one['code']}: {one['message']}" for one in shown["file_health"]["problems"][:5]]
     lines = [
         about["path"],
         f"  format       {about['format']}, {about['bytes']} bytes",
@@ -93,11 +91,11 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
         f"  rate         {about['sample_rate_hz']:g} Hz{measured}",
         f"  scale        {_scale(about['lsb_per_g'])}{reach}",
         f"  start        {about['start_time'] or 'unknown'}{zone}",
-        f"  duration     {_hours(about['duration_s'])}{samples}",
+        f"  duration     {hours or 'unknown'}{samples}",
         f"  also holds   {extras}",
         f"  read         {scope}: {windows} windows still",
         *_values(shown["values"]),
-        f"  problems     {_problems(shown)}",
+        f"  problems     {'; '.join(problems) or 'none found'}",
         f"  damage       {shown['file_health']['lost_percent']:g} % of what was read is lost",
         f"  clock        {_clock(shown['file_health']['clock'])}",
         f"  prediction   {shown['prediction']['outcome']}: {shown['prediction']['message']}",
@@ -106,7 +104,7 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
 
 
 def _values(values: dict[str, Any] | None) -> list[str]:
-    """Lines about raw values; none without samples."""
+    """Write lines about raw values; none without samples."""
     if values is None:
         return []
     rows = [f"{one['time']}  {'  '.join(f'{v:8.4f}' for v in one['g'])}" for one in values["first"]]
@@ -129,12 +127,8 @@ def _scale(lsb_per_g: float) -> str:
 
 
 def _known(text: str, value: float | None) -> str:
-    """A text with a value in it; empty if the value is not known."""
+    """Put a value into a text; empty if the value is not known."""
     return "" if value is None else text.format(value)
-
-
-def _hours(seconds: float | None) -> str:
-    return "unknown" if seconds is None else f"{seconds / 3600:.2f} h"
 
 
 def _clock(clock: dict[str, Any]) -> str:
@@ -149,8 +143,3 @@ def _clock(clock: dict[str, Any]) -> str:
         back = "1 step back" if clock["backward"] == 1 else f"{clock['backward']} steps back"
         parts += [f"{counted(gaps, 'gap')} ({clock['gap_seconds']:g} s)", back]
     return ", ".join(parts)
-
-
-def _problems(shown: dict[str, Any]) -> str:
-    problems = shown["file_health"]["problems"]
-    return "; ".join(f"{problem['code']}: {problem['message']}" for problem in problems[:5]) or "none found"

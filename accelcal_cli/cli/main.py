@@ -22,7 +22,7 @@ from accelcal_cli.core.version import __version__
 
 
 class LazyGroup(click.Group):
-    """A group that knows its commands' one-line helps by name, and imports one when it is run."""
+    """Group that knows its commands' one-line helps by name, and imports one when it is run."""
 
     def __init__(self, *words: Any, parts: dict[str, str], modules: str, **more: Any) -> None:
         """Bind `command` of the module whose name is `modules` and the part's, `_` for each hyphen."""
@@ -31,7 +31,7 @@ class LazyGroup(click.Group):
         self.modules = modules
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names in their order."""
+        """Return the names in their order."""
         return list(self.parts)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -51,7 +51,7 @@ class LazyGroup(click.Group):
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Names and one-line helps of commands, without importing any; else options."""
+        """Complete names with their one-line helps, without importing any command; else options."""
         if incomplete.startswith("-"):
             return super().shell_complete(ctx, incomplete)
         begun = [name for name in self.parts if name.startswith(incomplete)]
@@ -81,7 +81,7 @@ COMMANDS = {
     "evaluate": "Compare methods and stillness rules, test claims, repeat the papers' tables.",
     "simulate": "Write a recording with known errors.",
 }
-"""Each lives in the module of its name (`_` for `-`) and binds `command`."""
+"""One-line help of each command, which the module of its name (`_` for `-`) binds as `command`."""
 
 
 @click.group(

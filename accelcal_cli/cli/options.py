@@ -33,7 +33,7 @@ else:  # older versions of click know no kinds of these
 
 
 class Within(click.FloatRange):
-    """A finite number in a range; click's own range lets NaN pass."""
+    """Option type: a finite number in a range; click's own range lets NaN pass."""
 
     name = "number"
 
@@ -46,14 +46,14 @@ class Within(click.FloatRange):
 
 
 class Positive(Within):
-    """A finite number above zero, at most `largest`."""
+    """Option type: a finite number above zero, at most `largest`."""
 
     def __init__(self, largest: float = 1e9) -> None:
         super().__init__(0, int(largest), min_open=True)
 
 
 class OneOf(AnyChoice):
-    """One of some words; a slip is pointed out."""
+    """Option type: one of some words; a misspelt one is answered with the nearest."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Look it up."""
@@ -66,12 +66,12 @@ class OneOf(AnyChoice):
             self.fail(f"{error.message} {meant[0].upper()}{meant[1:]}", param, ctx)
 
     def get_missing_message(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
-        """The words, on one line; click 8.1 gives no context."""
+        """List the words on one line; click 8.1 gives no context."""
         return f"It is one of {', '.join(map(str, self.choices))}."
 
 
 class Axis(OneOf):
-    """x, y or z, as a tuple of its number."""
+    """Option type: x, y or z, as a tuple of its number."""
 
     def __init__(self) -> None:
         super().__init__(tuple("xyz"))
@@ -82,7 +82,7 @@ class Axis(OneOf):
 
 
 class Name(AnyType):
-    """A name that is looked up later; a shell completes those that are known.
+    """Option type: a name that is looked up later; a shell completes the known ones.
 
     Args:
         known: makes the list, when a shell asks for it.
@@ -98,7 +98,7 @@ class Name(AnyType):
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        """The known names that begin so."""
+        """Return the known names that begin so."""
         before, comma, begun = incomplete.rpartition(",") if self.several else ("", "", incomplete)
         return [CompletionItem(f"{before}{comma}{name}") for name in self.known() if name.startswith(begun)]
 
@@ -117,7 +117,7 @@ ENCODER = Name(lambda: [item.name for item in all_encoders()])
 
 
 class ColumnNames(AnyType):
-    """Three names separated by commas."""
+    """Option type: three names separated by commas."""
 
     name = "X,Y,Z"
 
@@ -134,7 +134,7 @@ class ColumnNames(AnyType):
 
 
 class Listed(AnyType):
-    """Different numbers of one kind within bounds, separated by commas."""
+    """Option type: different numbers of one kind within bounds, separated by commas."""
 
     name = "numbers"
 
@@ -166,7 +166,7 @@ FILE = click.Path(path_type=Path, readable=False)
 
 
 def setting_option(kind: type, name: str, **words: Any) -> Callable[[Command], Command]:
-    """The option that sets a field of a record; None if it is not given.
+    """Return the option that sets a field of a record; its value is None if it is not given.
 
     Args:
         words: passed to click in place of what the field's metadata say.
@@ -202,7 +202,7 @@ _READ_TYPES: dict[str, Any] = {
     "columns": ColumnNames(), "gyro_columns": ColumnNames(), "layout": FILE, "format": FORMAT,
     "timezone": Name(_zones),
 }  # fmt: skip
-"""Types of reading options that their Settings do not state."""
+"""Option types of reading options that their Settings do not state."""
 
 _PLACES = [
     click.argument("recordings", nargs=-1, required=True, type=FILE),
@@ -274,7 +274,7 @@ fitting_options = _decorate([*_FITTING, *_GRAVITY])
 method_options = _decorate([*_METHOD, *_FITTING, *_GRAVITY])
 recalibrate_option = _decorate(_settings_options("recalibrate"))
 comparing_options = _decorate([*_METHOD, *_settings_options("model", "temperature"), *_GRAVITY])
-"""Those of a method but for the optimizer and the prior."""
+"""Options of a method, without the optimizer and the prior."""
 
 
 config_option = click.option(
@@ -290,14 +290,14 @@ parts_option = click.option(
 
 
 def recordings_of(recordings: tuple[Path, ...], values: dict[str, Any]) -> list[Path]:
-    """What is named, several files with --parts as one recording; raises what `pattern_of` raises."""
+    """Return the recordings, several files with --parts as one; raises what `pattern_of` raises."""
     recordings = tuple(real(one) if one.name in ("", "..") else one for one in recordings)
     files = len(recordings) > 1 and all(one.is_file() and not may_be_archive(one) for one in recordings)
     return [pattern_of(recordings)] if values["parts"] and files else list(recordings)
 
 
 def rules_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) -> tuple[FolderRules, ...]:
-    """What --config says of the recordings in folders, else what a study.toml in each of them says.
+    """Read the rules of --config for the recordings in folders, else those of a study.toml in each of them.
 
     Args:
         folders: those of a study; None for single recordings, whose patterns begin where the file lies.
@@ -312,7 +312,7 @@ def rules_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) ->
 
 
 def calibrating_options(command: Command) -> Command:
-    """The options that `request_of` needs, and how much is printed."""
+    """Add the options that `request_of` needs, and those of printing."""
     options = (recalibrate_option, method_options, damage_option, config_option, reading_options)
     for decorator in (*options, printing_options):
         command = decorator(command)
@@ -320,7 +320,7 @@ def calibrating_options(command: Command) -> Command:
 
 
 def request_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) -> Request:
-    """The request that the options of `calibrate` and `study` make; raises what its parts raise.
+    """Make the request from the options of `calibrate` and `study`; raises what its parts raise.
 
     Args:
         folders: those of a study.

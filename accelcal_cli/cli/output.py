@@ -1,4 +1,4 @@
-"""What commands print: result lines, tables, CSV, progress and comments; and the loop over recordings."""
+"""Output of commands: result lines, tables, progress and comments; and the loop over recordings."""
 
 from __future__ import annotations
 
@@ -19,15 +19,14 @@ from accelcal_cli.pipeline.jobs import STDIN, Job, Progress, ProgressMaker, Resu
 
 
 def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Columns as wide as their widest cell, the first to the left and the others to the right."""
+    """Align columns to their widest cells, the first to the left and the others to the right."""
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
-    lines = [_line(row, widths) for row in (head, ["-" * width for width in widths], *rows)]
+    lines = []
+    for row in (head, ["-" * width for width in widths], *rows):
+        first, *rest = zip(row, widths, strict=True)
+        cells = [first[0].ljust(first[1]), *(cell.rjust(width) for cell, width in rest)]
+        lines.append("  ".join(cells).rstrip())
     return "\n".join(lines)
-
-
-def _line(row: Sequence[str], widths: list[int]) -> str:
-    first, *rest = zip(row, widths, strict=True)
-    return "  ".join([first[0].ljust(first[1]), *(cell.rjust(width) for cell, width in rest)]).rstrip()
 
 
 def show_result(report: ReportView, source: Path, written: Path | None, values: dict[str, Any]) -> None:
@@ -81,7 +80,7 @@ def show_row(
 
 
 def _in_words(values: dict[str, Any]) -> bool:
-    """Whether results are told in sentences."""
+    """Return True if results are printed as sentences."""
     return sys.stdout.isatty() and not values["tsv"] and not values.get("as_json")
 
 
@@ -96,7 +95,7 @@ def say_refused(message: str, source: Path, values: dict[str, Any], *, shown: bo
 
 
 def _fields(row: dict[str, Any], source: Path, written: Path | None) -> str:
-    """Path, outcome, model, errors before and after [mg], improvement [%], output; `-` for nothing."""
+    """Write path, outcome, model, errors before and after [mg], improvement [%], output; `-` for nothing."""
     fields = [
         str(source),
         row["outcome"],
@@ -109,13 +108,13 @@ def _fields(row: dict[str, Any], source: Path, written: Path | None) -> str:
 
 
 def _sentence(row: dict[str, Any], source: Path, written: Path | None) -> str:
-    """What became of a recording, and how certain the error is that was left."""
+    """Say what became of a recording, and how certain the remaining error is."""
     outcome, before, after = row["outcome"], row["before_mg"], row.get("after_mg")
-    told = f"{source}: {outcome_words(outcome).result}"
+    start = f"{source}: {outcome_words(outcome).result}"
     parts = []
     if row["model"] is not None and outcome != Outcome.ALREADY_GOOD:
         parameters = parameters_of(row["model"])
-        told += f" ({parameters})" if outcome == Outcome.BORROWED else f" with {parameters}"
+        start += f" ({parameters})" if outcome == Outcome.BORROWED else f" with {parameters}"
     if outcome == Outcome.REFUSED and row.get("message"):
         parts.append(row["message"])
     elif after is not None:
@@ -124,11 +123,11 @@ def _sentence(row: dict[str, Any], source: Path, written: Path | None) -> str:
         parts.append(f"the raw data are off by {mg(before)} mg")
     if written is not None:
         parts.append(f"written to {written}")
-    return printable(": ".join(filter(None, (told, "; ".join(parts)))))
+    return printable(": ".join(filter(None, (start, "; ".join(parts)))))
 
 
 def _errors(row: dict[str, Any]) -> list[str]:
-    """Errors before and after [mg], and the interval of the one to quote."""
+    """Say the errors before and after [mg], and the interval of the one to quote."""
     before, after, sphere = row["before_mg"], row.get("after_mg"), row.get("sphere_mg")
     held_out = "on its own still windows" if row["outcome"] == Outcome.BORROWED else "held out"
     change = f"{mg(after)} mg" if after == before else f"{mg(before)} -> {mg(after)} mg"
@@ -139,7 +138,7 @@ def _errors(row: dict[str, Any]) -> list[str]:
 
 
 def _doubts(row: dict[str, Any]) -> list[str]:
-    """What the interval of a row says against it."""
+    """Return what the interval of a row says against it."""
     if row["outcome"] == Outcome.REFUSED:
         return []
     sphere = row.get("sphere_mg") is not None
@@ -151,7 +150,7 @@ def _doubts(row: dict[str, Any]) -> list[str]:
 
 @contextlib.contextmanager
 def progress_bars(label: str, *, quiet: bool, unit: str = "B") -> Iterator[ProgressMaker]:
-    """A maker of bars for the stages of one recording; each replaces the one before."""
+    """Provide a maker of bars for the stages of one recording; each replaces the one before."""
     if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield no_progress
         return
@@ -171,13 +170,13 @@ def progress_bars(label: str, *, quiet: bool, unit: str = "B") -> Iterator[Progr
         yield make
 
 
-Found = TypeVar("Found")
+RecordingResult = TypeVar("RecordingResult")
 
 
 def each_recording(
-    recordings: Sequence[Path], work: Callable[[Path, ProgressMaker], Found], *, quiet: bool
-) -> tuple[list[Found], int]:
-    """What comes of every recording that can be read, and the exit code; a failure is printed."""
+    recordings: Sequence[Path], work: Callable[[Path, ProgressMaker], RecordingResult], *, quiet: bool
+) -> tuple[list[RecordingResult], int]:
+    """Return the results of all recordings that can be read, and the exit code; a failure is printed."""
     results, failed = [], 0
     for path in recordings:
         try:
@@ -195,11 +194,11 @@ def refuse_both(*, as_json: bool, as_csv: bool) -> None:
 
 
 Work = Callable[[Job, ProgressMaker, Path], Result]
-"""Makes one recording's result; the path is where its bytes are."""
+"""Function that makes one recording's result; the path is where its bytes are."""
 
 
 def parquet_of(result: Result) -> Path | None:
-    """The Parquet file of a result, if it has one."""
+    """Return the Parquet file of a result, if it has one."""
     return result.parquet
 
 
@@ -237,7 +236,7 @@ def run_jobs(
 
 @contextlib.contextmanager
 def bytes_of(recording: Path) -> Iterator[Path]:
-    """Where a recording's bytes are: itself, or a copy of standard input, which errors call `-`.
+    """Provide the path of a recording's bytes: its own, or that of a copy of standard input.
 
     Raises:
         UsageError: there is no standard input.
@@ -256,7 +255,7 @@ def bytes_of(recording: Path) -> Iterator[Path]:
 
 
 def _caution(result: Result, values: dict[str, Any]) -> str | None:
-    """What even a quiet run says against a result, unless it is said with the result itself."""
+    """Return what even a quiet run says against a result, unless it is said with the result itself."""
     if result.outcome is Outcome.BORROWED:
         from accelcal_cli.pipeline.apply import warning
 

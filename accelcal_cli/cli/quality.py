@@ -54,14 +54,14 @@ def command(recording: Path, **values: Any) -> int:
     """
     request = request_beside(recording, values)
     with bytes_of(recording) as source, progress_bars(recording.name, quiet=values["quiet"]) as bars:
-        found = quality(recording, request, bars, source)
-    shown = as_json(found)
-    exit_codes.show(json.dumps(shown) if values["as_json_"] else text(found, shown, tsv=values["tsv"]))
-    return CODES[found.state]
+        judged = quality(recording, request, bars, source)
+    shown = as_json(judged)
+    exit_codes.show(json.dumps(shown) if values["as_json_"] else text(judged, shown, tsv=values["tsv"]))
+    return CODES[judged.state]
 
 
 def request_beside(recording: Path, values: dict[str, Any]) -> Request:
-    """What is asked for; raises UsageError for options that mean nothing."""
+    """Make the request; raises UsageError for options that mean nothing."""
     path = values["coefficients"]
     if path is None and values["any_device"]:
         raise UsageError("--any-device is for --coefficients only", path=recording, hint="omit it")
@@ -76,30 +76,30 @@ def request_beside(recording: Path, values: dict[str, Any]) -> Request:
     )
 
 
-def text(found: Quality, shown: dict[str, Any], *, tsv: bool) -> str:
-    """Rows and a sentence: aligned and without what is rarely looked at for people, else tab-separated."""
+def text(judged: Quality, shown: dict[str, Any], *, tsv: bool) -> str:
+    """Write rows and a sentence: aligned and without rarely read columns for people, else tab-separated."""
     rows = shown["rows"]
     if not rows["start"]:
-        return _sentence(found)
+        return _sentence(judged)
     columns = {"start": [time.partition(".")[0] for time in rows["start"]], "windows": rows["windows"]}
     for when in ("before_mg", "after_mg"):
         both = rows[when] or dict.fromkeys(("mean", "p95"), [None] * len(rows["start"]))
         columns |= {f"{when}": both["mean"], f"{when.removesuffix('mg')}p95_mg": both["p95"]}
     columns |= {"celsius": rows["temperature_c"], "worn": [WORN[one] for one in rows["worn"]]}
     if sys.stdout.isatty() and not tsv:
-        return f"{aligned(list(columns), _lines(columns))}\n\n{_sentence(found)}"
+        return f"{aligned(list(columns), _lines(columns))}\n\n{_sentence(judged)}"
     columns |= {name: rows[name] for name in ("still", "moving", "gap_s", "filled", "clipped", "recovered")}
     lines = _lines(columns)
-    return "\n".join(["\t".join(line) for line in (columns, *lines)] + [_sentence(found)])
+    return "\n".join(["\t".join(line) for line in (columns, *lines)] + [_sentence(judged)])
 
 
 def _lines(columns: dict[str, list[Any]]) -> list[list[str]]:
-    return [list(map(_cell, line)) for line in zip(*columns.values(), strict=True)]
+    cells = (
+        [str(value) if isinstance(value, str | int) else formatted(value, ".2f") for value in column]
+        for column in columns.values()
+    )
+    return [list(line) for line in zip(*cells, strict=True)]
 
 
-def _cell(value: Any) -> str:
-    return formatted(value, ".2f") if isinstance(value, float) or value is None else str(value)
-
-
-def _sentence(found: Quality) -> str:
-    return printable(f"{found.path}: {WORDS[found.state]}: {found.message}")
+def _sentence(judged: Quality) -> str:
+    return printable(f"{judged.path}: {WORDS[judged.state]}: {judged.message}")

@@ -74,5 +74,5 @@ def _refuse_among(report: Path, session: Path) -> None:
 
 
 def report_of(result: Result) -> Path:
-    """A six-face session has no Parquet; its line names the report."""
+    """Return the report, which the result's line names: a session has no Parquet file."""
     return result.job.report

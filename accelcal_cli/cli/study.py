@@ -1,4 +1,4 @@
-"""`accelcal study`: its options, its lines and messages, and one progress bar for all recordings."""
+"""`accelcal study`: its options, lines and messages, and one progress bar for all recordings."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 class TerminalObserver:
-    """Prints a line for each recording and keeps the exit codes."""
+    """Observer that prints a line for each recording and keeps the exit codes."""
 
     def __init__(self, values: dict[str, Any], stack: contextlib.ExitStack) -> None:
         self.codes: list[int] = []

@@ -55,7 +55,7 @@ def command(report: Path, recording: Path, **values: Any) -> int:
 
 
 def line(report: Path, verified: Verified) -> str:
-    """The result in tab-separated fields; `-` if there is nothing to say."""
+    """Write the result in tab-separated fields; `-` for an empty one."""
     keys = verified.all_differing
     shown, more = ", ".join(keys[:SHOWN_KEYS]), len(keys) - SHOWN_KEYS
     fields = [
@@ -74,7 +74,7 @@ def _word(identical: bool) -> str:
 
 
 def as_object(report: Path, recording: Path, verified: Verified) -> dict[str, Any]:
-    """The result as a JSON object."""
+    """Return the result as a JSON object."""
     return {
         "report": printable(report),
         "recording": printable(recording),
@@ -103,7 +103,7 @@ def _parquet(check: ParquetCheck) -> dict[str, Any]:
 
 
 def _comment(report: Path, verified: Verified) -> None:
-    """What was assumed, and what the Parquet file has to do with it, on stderr."""
+    """Say on stderr what was assumed, and how the Parquet file compares."""
     name = printable(report)
     if verified.missing:
         exit_codes.say(
