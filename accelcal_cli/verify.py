@@ -61,7 +61,7 @@ _ABSENT = object()
 
 @dataclass(frozen=True, slots=True)
 class VerifyOptions:
-    """What to compare, and where files are that have moved.
+    """Options of a verification: extent of the comparison, and files that have moved.
 
     Attributes:
         layout: layout file, if it is not beside the recording.

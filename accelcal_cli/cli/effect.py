@@ -91,16 +91,15 @@ def _shown(measured: list[MeasuredEffect], values: dict[str, Any]) -> str:
 def _text(one: MeasuredEffect) -> str:
     """Write a row for each version, and what was left out."""
     rows = [
-        [_label(name, made["model"]), *(formatted(made[key], form) for key, (_, form) in FIGURES.items())]
+        [
+            WORDS.get(name, name) + ("" if made["model"] is None else f" ({made['model']})"),
+            *(formatted(made[key], form) for key, (_, form) in FIGURES.items()),
+        ]
         for name, made in one.effect["versions"].items()
     ]
     table = aligned(["", *(words for words, _ in FIGURES.values())], rows)
     lines = [f"{one.path}: {one.outcome}: {one.message}", table, _counted(one)]
     return printable("\n".join(lines), kept="\n")
-
-
-def _label(name: str, model: str | None) -> str:
-    return f"{WORDS.get(name, name)}{'' if model is None else f' ({model})'}"
 
 
 def _counted(one: MeasuredEffect) -> str:

@@ -37,7 +37,7 @@ AT_ONE = tuple(f"{parameter.column}_at_one_temperature" for parameter in table.P
 
 
 class Verdict(StrEnum):
-    """What to do with a device."""
+    """Verdict on a device: what to do with it."""
 
     SERVICE = "service"
     WATCH = "watch"
@@ -153,8 +153,7 @@ def reasons(device: DeviceReview, others: DeviceGroup, rules: Rules) -> tuple[Re
         others: its kind, itself included.
     """
     listed = [*_drifts(device, rules), *_levels(device, rules), *_outlying(device, others, rules)]
-    listed += _refused(device, others, rules)
-    listed += _damaged(device, others, rules)
+    listed += _repeated(device, others, rules)
     return tuple(sorted(listed, key=lambda one: not one.certain))
 
 
@@ -190,30 +189,21 @@ def _outlying(device: DeviceReview, others: DeviceGroup, rules: Rules) -> Iterat
         yield Reason("held out", text, device.counted(*table.OWN) >= REPEATED)
 
 
-def _refused(device: DeviceReview, others: DeviceGroup, rules: Rules) -> Iterator[Reason]:
-    rest = (others.refused - device.refused, others.recordings - device.recordings)
-    if _repeated((device.refused, device.recordings), rest, rules.refused_percent):
-        text = f"{device.refused} of {device.recordings} recordings refused or borrowed{_elsewhere(*rest)}"
-        yield Reason("refused", text, True)
-
-
-def _damaged(device: DeviceReview, others: DeviceGroup, rules: Rules) -> Iterator[Reason]:
-    rest = (others.damaged - device.damaged, others.recordings - device.recordings)
-    if _repeated((device.damaged, device.recordings), rest, rules.damaged_percent):
-        worst = f"up to {device.worst_lost_percent:.2g} % lost"
-        text = f"damage in {device.damaged} of {device.recordings} recordings, {worst}{_elsewhere(*rest)}"
-        yield Reason("damaged", text, True)
-
-
-def _repeated(own: tuple[int, int], rest: tuple[int, int], percent: float) -> bool:
-    """Return True if it happened twice, in `percent` of the recordings, and twice as often as elsewhere."""
-    (count, number), (elsewhere, others) = own, rest
-    often = count >= REPEATED and 100 * count >= percent * number
-    return often and (others == 0 or count * others >= 2 * elsewhere * number)
-
-
-def _elsewhere(count: int, number: int) -> str:
-    return f" (other devices: {100 * count / number:.0f} %)" if number else ""
+def _repeated(device: DeviceReview, others: DeviceGroup, rules: Rules) -> Iterator[Reason]:
+    """Yield what happened twice, in a share of the recordings, and twice as often as to other devices."""
+    number, elsewhere = device.recordings, others.recordings - device.recordings
+    refused = f"{device.refused} of {number} recordings refused or borrowed"
+    damaged = f"damage in {device.damaged} of {number} recordings"
+    damaged += f", up to {device.worst_lost_percent:.2g} % lost"
+    for rule, count, all_of_kind, percent, text in (
+        ("refused", device.refused, others.refused, rules.refused_percent, refused),
+        ("damaged", device.damaged, others.damaged, rules.damaged_percent, damaged),
+    ):
+        rest = all_of_kind - count
+        often = count >= REPEATED and 100 * count >= percent * number
+        if often and (elsewhere == 0 or count * elsewhere >= 2 * rest * number):
+            compared = f" (other devices: {100 * rest / elsewhere:.0f} %)" if elsewhere else ""
+            yield Reason(rule, text + compared, True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

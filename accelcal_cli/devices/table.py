@@ -100,7 +100,7 @@ FACTOR = np.array([parameter.factor for parameter in PARAMETERS])
 
 @dataclass(frozen=True, slots=True, order=True)
 class DeviceKey:
-    """What recordings must share to be compared: values of one sensor, read in one way.
+    """Device and format, which recordings must share to be compared: one sensor, read in one way.
 
     Attributes:
         serial: as in the table.
@@ -262,7 +262,9 @@ def _parameters(table: dict[str, Any], order: list[int]) -> tuple[Floats, Floats
     values = np.stack([table[name][order] for name in COLUMNS], axis=1)
     errors = np.stack([table[name][order] for name in ERRORS], axis=1)
     models = [table["model"][row] for row in order]
-    free = np.array([_free(model) for model in models], bool).reshape(values.shape)
+    masks = {name: [index in known.free for index in range(len(COLUMNS))] for name, known in MODELS.items()}
+    none = [False] * len(COLUMNS)
+    free = np.array([masks.get(model or "", none) for model in models], bool).reshape(values.shape)
     values, errors = np.where(free, _possible(values), nan), _possible(errors)
     return values, np.where(np.isfinite(values) & (errors >= LEAST_ERROR), errors, nan)
 
@@ -270,11 +272,6 @@ def _parameters(table: dict[str, Any], order: list[int]) -> tuple[Floats, Floats
 def _possible(numbers: Floats) -> Floats:
     """Replace numbers that no study writes by NaN, so that no sum of squares overflows."""
     return np.where(np.abs(numbers) <= LARGEST, numbers, nan)
-
-
-def _free(model: str | None) -> list[bool]:
-    known = MODELS.get(model or "")
-    return [known is not None and index in known.free for index in range(len(COLUMNS))]
 
 
 def day(start: str | None, latest_day: float) -> float:

@@ -193,13 +193,16 @@ def gyroscope_json(gyroscope: Gyroscope) -> dict[str, Any]:
     """Return the `gyroscope` object: coefficients as exact as they are applied, errors to four digits."""
     bias, errors, holdout = gyroscope.bias, gyroscope.standard_errors, gyroscope.holdout
     of_bias = None if bias is None else bias.standard_errors
+    slope = None
+    if bias is not None and bias.reference_c is not None:
+        slope = {"slope_dps_per_c": list(bias.slope_dps_per_c), "reference_c": bias.reference_c}
     return {
         "outcome": gyroscope.outcome,
         "message": gyroscope.message,
         "equation": EQUATION,
         "scale": None if gyroscope.scale is None else [list(row) for row in gyroscope.scale],
         "bias_dps": None if bias is None else list(bias.dps),
-        "temperature": None if bias is None or bias.reference_c is None else _gyroscope_slope(bias),
+        "temperature": slope,
         "standard_errors": {
             "scale": None if errors is None else [[significant(one) for one in row] for row in errors],
             "bias_dps": None if of_bias is None else [significant(one) for one in of_bias],
@@ -209,10 +212,6 @@ def gyroscope_json(gyroscope: Gyroscope) -> dict[str, Any]:
         "holdout_deg": None if holdout is None else _turn_errors(holdout),
         "rest": None if bias is None else _resting_rates(bias),
     }
-
-
-def _gyroscope_slope(bias: Bias) -> dict[str, Any]:
-    return {"slope_dps_per_c": list(bias.slope_dps_per_c), "reference_c": bias.reference_c}
 
 
 def _turn_errors(holdout: TurnHoldout) -> dict[str, Any]:

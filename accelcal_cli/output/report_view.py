@@ -218,7 +218,7 @@ class PoseView:
 
 @dataclass(frozen=True, slots=True)
 class LevelView:
-    """What a level axis shows: mean and standard deviation [mg]."""
+    """Mean and standard deviation of a level axis [mg]."""
 
     mean: float
     sd: float
@@ -226,7 +226,7 @@ class LevelView:
 
 @dataclass(frozen=True, slots=True)
 class LevelPair:
-    """What a level axis shows before and after calibration; after: None without one."""
+    """A level axis before and after calibration; after: None without one."""
 
     before: LevelView
     after: LevelView | None

@@ -292,7 +292,7 @@ def _faces(report: ReportView) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class PageVerdict:
-    """What comes first on a recording's page.
+    """Verdict at the beginning of a recording's page.
 
     Attributes:
         level: class of its colour.

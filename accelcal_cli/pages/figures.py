@@ -273,13 +273,13 @@ def _worn_lane(data: TimeSeries) -> str:
 def _lane(data: TimeSeries, top: float, word: str, shares: Sequence[float], kind: str) -> str:
     """Draw a row of the timeline: bars as high as the share."""
     heights = [max(LEAST_BAR, min(1.0, share)) if share > 0 else None for share in shares]
-    area = svg.Plot(svg.Scale(0, data.seconds, LEFT, WIDTH - RIGHT), svg.Scale(0, 1, top + 18, top))
+    area = svg.Plot(svg.AxisScale(0, data.seconds, LEFT, WIDTH - RIGHT), svg.AxisScale(0, 1, top + 18, top))
     track = path(_box(data, (0, data.seconds), top, 18), "lane-off")
     return label(0, top + 14, word) + track + area.bars(data.spans, heights, kind)
 
 
 def _box(data: TimeSeries, span: tuple[float, float], top: float, height: float) -> str:
-    x = svg.Scale(0, data.seconds, LEFT, WIDTH - RIGHT)
+    x = svg.AxisScale(0, data.seconds, LEFT, WIDTH - RIGHT)
     left, right = x(span[0]), x(span[1])
     wide = max(right - left, 1.0)
     left = min(left, WIDTH - RIGHT - wide)

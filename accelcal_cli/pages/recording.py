@@ -30,7 +30,7 @@ from accelcal_cli.output.words import (
     unchecked_poses,
 )
 from accelcal_cli.pages.figures import NEAR, figures_of
-from accelcal_cli.pages.rendering import Rows, Table, rendered
+from accelcal_cli.pages.rendering import PageTable, Rows, rendered
 from accelcal_cli.pages.time_series import UnfitError, hourly_table, time_series
 
 AGAIN = "figures that need it are missing. Calibrate again with --force to have them."
@@ -79,7 +79,7 @@ def page(report: Mapping[str, Any], quality: Mapping[str, Any] | None = None) ->
         facts=_facts(view),
         figures=figures_of(data, view),
         subsets=_subsets(view),
-        hours=None if data is None else Table(*hourly_table(data)),
+        hours=None if data is None else PageTable(*hourly_table(data)),
         coefficients=None if view.calibration is None else _coefficients(view.calibration),
         models=_models(view),
         misfits=_misfits(view),
@@ -129,16 +129,16 @@ def _duration(seconds: float) -> str:
     return f"{int(minutes)} minutes {int(seconds % 60)} seconds"
 
 
-def _subsets(report: ReportView) -> Table:
+def _subsets(report: ReportView) -> PageTable:
     rows = [
         [near, *(str(count) if count else "empty" for count in counts)]
         for near, counts in zip(NEAR, report.coverage.subsets, strict=True)
     ]
     caption = "Points of the fit in the nine subsets of Farago et al. (a point counts on every axis)"
-    return Table(caption, ["", "x", "y", "z"], rows)
+    return PageTable(caption, ["", "x", "y", "z"], rows)
 
 
-def _coefficients(calibration: CalibrationView) -> Table:
+def _coefficients(calibration: CalibrationView) -> PageTable:
     errors = calibration.standard_errors or {}
     values = dict(calibration.parameters)
     if calibration.temperature is not None:
@@ -149,10 +149,10 @@ def _coefficients(calibration: CalibrationView) -> Table:
         for name, value in values.items()
     ]
     head = ["Name", "What it is", "Value", "Standard error"]
-    return Table(f"Coefficients of model {calibration.model}", head, rows, (0, 1))
+    return PageTable(f"Coefficients of model {calibration.model}", head, rows, (0, 1))
 
 
-def _models(report: ReportView) -> Table | None:
+def _models(report: ReportView) -> PageTable | None:
     """Return the models tried, and why each was not taken."""
     rows: Rows = []
     model = None if report.calibration is None else report.calibration.model
@@ -163,10 +163,10 @@ def _models(report: ReportView) -> Table | None:
         rows.append([trial.model, corrections_of(trial.model), number(trial.after_mg), why])
     head = ["Model", "Corrects", "Held-out error [mg]", "Remark"]
     caption = "Models tried, by their error on postures that they had not seen"
-    return Table(caption, head, rows, (0, 1, 3)) if rows else None
+    return PageTable(caption, head, rows, (0, 1, 3)) if rows else None
 
 
-def _misfits(report: ReportView) -> Table | None:
+def _misfits(report: ReportView) -> PageTable | None:
     rows = [
         [
             one.kind,
@@ -179,10 +179,10 @@ def _misfits(report: ReportView) -> Table | None:
     ]
     head = ["Looked for", "", "Size on x, y, z", "Held-out error without [mg]", "with [mg]"]
     caption = "What a sensor may do that the coefficients do not describe"
-    return Table(caption, head, rows, (0, 1, 2)) if rows else None
+    return PageTable(caption, head, rows, (0, 1, 2)) if rows else None
 
 
-def _health(report: ReportView) -> Table:
+def _health(report: ReportView) -> PageTable:
     """Return the state of the file."""
     health, gaps = report.file_health, str(report.recording.all_gaps)
     lost, rate, clock = health.lost_percent, health.rate_hz_measured, health.clock
@@ -199,16 +199,16 @@ def _health(report: ReportView) -> Table:
         ("Measured rate", None if rate is None else f"{number(rate, 6)} Hz"),
         ("Drift of the clock", None if drift is None else f"{number(drift)} s per day"),
     ]
-    return Table("The file", ["", ""], [[name, value] for name, value in facts if value is not None])
+    return PageTable("The file", ["", ""], [[name, value] for name, value in facts if value is not None])
 
 
-def _windows(report: ReportView) -> Table:
+def _windows(report: ReportView) -> PageTable:
     counts = report.fit.windows
     rows = [[text, str(counts[name])] for name, text in WINDOWS.items() if counts.get(name)]
-    return Table("Windows", ["", "Number"], rows)
+    return PageTable("Windows", ["", "Number"], rows)
 
 
-def _problems(report: ReportView) -> Table | None:
+def _problems(report: ReportView) -> PageTable | None:
     """Return the damage that was found, the first of it."""
     problems = report.file_health.problems
     rows = [
@@ -221,7 +221,7 @@ def _problems(report: ReportView) -> Table | None:
         for one in problems[:MOST_PROBLEMS]
     ]
     caption = f"Problems{_more(len(problems), MOST_PROBLEMS)}"
-    return Table(caption, ["Code", "What", "Byte", "Times"], rows, (0, 1)) if rows else None
+    return PageTable(caption, ["Code", "What", "Byte", "Times"], rows, (0, 1)) if rows else None
 
 
 def _more(number_of: int, shown: int) -> str:
@@ -250,8 +250,8 @@ class KnownOrientationsPart:
     """
 
     caution: str | None
-    poses: Table
-    rolls: Table | None
+    poses: PageTable
+    rolls: PageTable | None
 
 
 def _known_orientations(report: ReportView) -> KnownOrientationsPart | None:
@@ -264,11 +264,13 @@ def _known_orientations(report: ReportView) -> KnownOrientationsPart | None:
     head = ["Axis", "Where", "Shows [mg] (SD)", "Calibrated [mg] (SD)"]
     caption = "Rolls with one axis level, which should show nothing"
     return KnownOrientationsPart(
-        unchecked_poses(report), _poses(report.poses), Table(caption, head, rolls, (0, 1)) if rolls else None
+        unchecked_poses(report),
+        _poses(report.poses),
+        PageTable(caption, head, rolls, (0, 1)) if rolls else None,
     )
 
 
-def _poses(poses: tuple[PoseView, ...]) -> Table:
+def _poses(poses: tuple[PoseView, ...]) -> PageTable:
     rows: Rows = [
         [
             str(one.face),
@@ -281,7 +283,7 @@ def _poses(poses: tuple[PoseView, ...]) -> Table:
     head = ["Pose", "Where", "True acceleration [g]", "Raw error [mg]", "Residual of the fit [mg]",
             "Held-out error [mg]", "From the mean of its orientation [mg]"]  # fmt: skip
     caption = f"Poses, and the errors of their vectors{_more(len(poses), MOST_POSES)}"
-    return Table(caption, head, rows, (0, 1, 2))
+    return PageTable(caption, head, rows, (0, 1, 2))
 
 
 def _where(one: PoseView | RollView) -> str:
@@ -304,8 +306,8 @@ class GyroscopePart:
 
     verdict: str
     reason: str
-    coefficients: Table | None
-    errors: Table | None
+    coefficients: PageTable | None
+    errors: PageTable | None
 
 
 def _gyroscope(gyroscope: GyroscopeView) -> GyroscopePart:
@@ -316,7 +318,7 @@ def _gyroscope(gyroscope: GyroscopeView) -> GyroscopePart:
     return GyroscopePart(verdict, gyroscope.message, coefficients, errors)
 
 
-def _gyroscope_coefficients(gyroscope: GyroscopeView) -> Table | None:
+def _gyroscope_coefficients(gyroscope: GyroscopeView) -> PageTable | None:
     errors, bias = gyroscope.standard_errors, gyroscope.bias_dps
     if gyroscope.scale is None or bias is None:
         return None
@@ -336,10 +338,10 @@ def _gyroscope_coefficients(gyroscope: GyroscopeView) -> Table | None:
         for axis, value in zip("xyz", gyroscope.temperature.slope_dps_per_c, strict=True):
             rows.append([f"c{axis}", f"change of the bias of {axis} [deg/s per °C]", millionths(value), "–"])
     head = ["Name", "What it is", "Value", "Standard error"]
-    return Table(f"Coefficients of {gyroscope.equation}", head, rows, (0, 1))
+    return PageTable(f"Coefficients of {gyroscope.equation}", head, rows, (0, 1))
 
 
-def _gyroscope_errors(gyroscope: GyroscopeView) -> Table | None:
+def _gyroscope_errors(gyroscope: GyroscopeView) -> PageTable | None:
     holdout, rest = gyroscope.holdout_deg, gyroscope.rest
     rows: Rows = []
     if holdout is not None:
@@ -359,4 +361,4 @@ def _gyroscope_errors(gyroscope: GyroscopeView) -> Table | None:
         for rate, text in ((rest.constant_dps, "less a bias"), (rest.slope_dps, "less a bias with a slope")):
             if rate is not None:
                 rows.append([f"At rest, {text}, on time that took no part", f"{number(rate)} deg/s"])
-    return Table("Errors of the gyroscope", ["", ""], rows, (0, 1)) if rows else None
+    return PageTable("Errors of the gyroscope", ["", ""], rows, (0, 1)) if rows else None

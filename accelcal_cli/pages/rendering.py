@@ -23,7 +23,7 @@ Rows = list[list[str]]
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class PageTable:
     """A table: caption, names of columns, rows of cells, and the numbers of columns that hold words."""
 
     caption: str

@@ -46,7 +46,7 @@ def coordinate(value: float) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
+class AxisScale:
     """A scale from values low..high to coordinates start..end; values beyond are drawn at the edge.
 
     Attributes:
@@ -129,8 +129,8 @@ def path(way: str, kind: str) -> str:
 class Plot:
     """A plot with two axes: what is drawn in it takes values, not coordinates."""
 
-    x: Scale
-    y: Scale
+    x: AxisScale
+    y: AxisScale
 
     def axes(self, x_ticks: Sequence[Tick], y_ticks: Sequence[Tick], x_name: str, y_name: str) -> str:
         """Draw the frame, lines of the grid, ticks and names."""
@@ -209,9 +209,9 @@ def plot(x: Pair, y: Pair, top: float, bottom: float, *, powers: bool = False) -
     """Return a plot over the width of a figure.
 
     Args:
-        x, y: least and largest values; top, bottom: coordinates; powers: of y, see `Scale`.
+        x, y: least and largest values; top, bottom: coordinates; powers: of y, see `AxisScale`.
     """
-    return Plot(Scale(*x, LEFT, WIDTH - RIGHT), Scale(*y, bottom, top, powers))
+    return Plot(AxisScale(*x, LEFT, WIDTH - RIGHT), AxisScale(*y, bottom, top, powers))
 
 
 def figure(name: str, title: str, description: str, height: float, body: Sequence[str]) -> Markup:

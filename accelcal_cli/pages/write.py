@@ -91,7 +91,7 @@ def write_page(report: Path, page: Path, *, only_changed: bool = False) -> bool:
 
 @dataclass(slots=True)
 class PagesMade:
-    """What became of the pages of a study.
+    """Result of making the pages of a study.
 
     Attributes:
         page: that of the study itself; changed: whether it was written.
