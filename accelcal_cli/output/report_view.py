@@ -312,11 +312,19 @@ class GyroscopeView:
 
 @dataclass(frozen=True, slots=True)
 class PoolMember:
-    """An entry of `pool.recordings` or `pool.left_out`; reason: why it was left out."""
+    """An entry of `pool.recordings`."""
 
     path: str
     sha256: str
-    reason: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOutMember:
+    """An entry of `pool.left_out`."""
+
+    path: str
+    sha256: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -333,7 +341,7 @@ class PoolView:
 
     serial: str
     recordings: tuple[PoolMember, ...]
-    left_out: tuple[PoolMember, ...]
+    left_out: tuple[LeftOutMember, ...]
     path: str = ""
     sha256: str | None = None
     own_windows: OwnWindows | None = None
