@@ -221,6 +221,7 @@ def _verified(
     missing, unknown, then = made_with.missing, made_with.unknown, document.report
     _keep_paths(now, then)
     _leave_out_later(now, then)
+    _leave_out_hours(now, then)
     elsewhere = unknown if then["accelcal_version"] != __version__ else ()
     passed = tuple(f"settings.{name}" for name in elsewhere)
     keys = tuple(
@@ -250,6 +251,13 @@ def _leave_out_later(now: dict[str, Any], then: dict[str, Any]) -> None:
         inner, before = section(now, *outer), section(then, *outer)
         if name not in before and release(then["accelcal_version"]) < release(version):
             inner.pop(name, None)
+
+
+def _leave_out_hours(now: dict[str, Any], then: dict[str, Any]) -> None:
+    """Take over `coverage.subsets_full_after_h` where it is not counted: earlier reports always have it."""
+    counted, before = section(now, "coverage"), section(then, "coverage")
+    if before and counted.get("subsets_full_after_h", 0) is None:
+        counted["subsets_full_after_h"] = before.get("subsets_full_after_h")
 
 
 def _compared(report: dict[str, Any]) -> dict[str, Any]:

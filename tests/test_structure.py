@@ -67,19 +67,29 @@ def tree_of(path: Path) -> ast.Module:
 
 
 def statements(tree: ast.AST) -> Iterator[ast.AST]:
-    """All statements, those within others as well; none lies within an expression."""
+    """Yield all statements, those inside functions and classes as well."""
     for node in ast.iter_child_nodes(tree):
         if not isinstance(node, ast.expr):
             yield node
             yield from statements(node)
 
 
+def only_for_types(node: ast.AST) -> bool:
+    """Return True for `if TYPE_CHECKING:`, whose imports never run."""
+    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+
+
 @cache
-def imported(path: Path, top_level: bool = False) -> tuple[str, ...]:
-    """Names of all that a module imports, those imported inside functions included unless `top_level`."""
-    tree = tree_of(path)
+def imported(path: Path, running: bool = False) -> tuple[str, ...]:
+    """Names that a module imports, inside functions too; with `running`, without those only for types."""
     names: list[str] = []
-    for node in tree.body if top_level else statements(tree):
+    tree = tree_of(path)
+    skipped = {
+        id(inner) for node in statements(tree) if running and only_for_types(node) for inner in ast.walk(node)
+    }
+    for node in statements(tree):
+        if id(node) in skipped:
+            continue
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -89,8 +99,8 @@ def imported(path: Path, top_level: bool = False) -> tuple[str, ...]:
 
 
 def modules_imported(path: Path) -> set[str]:
-    """Modules of the package that a module imports when it is imported."""
-    found = {name if name in NAMES else name.rpartition(".")[0] for name in imported(path, top_level=True)}
+    """Modules of the package that a module imports, at the top or inside a function."""
+    found = {name if name in NAMES else name.rpartition(".")[0] for name in imported(path, running=True)}
     return found & set(NAMES)
 
 
