@@ -19,8 +19,7 @@ from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.core.version import __version__
-from accelcal_cli.judge.errors import directions
-from accelcal_cli.judge.verdict import difference_mg
+from accelcal_cli.judge.errors import difference_mg, directions
 from accelcal_cli.output.coefficients import Coefficients, calibration_of, learnt_prior_of, read_coefficients
 from accelcal_cli.output.columns import described, schema_of, values_of
 from accelcal_cli.output.files import metadata_of, stored_schema

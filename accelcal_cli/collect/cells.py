@@ -3,10 +3,10 @@
 A wrist rests for hours in a few postures; one mean per cell of the raw acceleration space keeps
 all orientations and bounds the memory. Cells are cubes of about 0.05 g (the mean of a wider cell
 lies inside the sphere by the square of its spread: 0.1 g cells leave a bias of 0.03 mg on simulated
-days, 0.05 g cells none that shows, and 0.2 mg where windows fill them evenly). Each group of 2 x 2 x 2
+days, 0.05 g cells no visible one, and 0.2 mg where windows fill them evenly). Each group of 2 x 2 x 2
 cells counts as one point, shared by its cells in proportion to their windows, so that frequent postures
-do not outweigh rare ones. Where temperature is used, cells are split by whole degrees C too (by more where
-there are too many); and they are kept apart by blocks of time, so that a sensor that changes can be seen.
+do not outweigh rare ones. Where temperature is used, cells are also split by whole degrees C (by more if
+there are too many); and they are kept apart by blocks of time, so that a change of the sensor can be found.
 
 All sums are integers: adding windows in batches of any size, or merging collectors, gives the same result.
 """
@@ -52,40 +52,54 @@ from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.statistics import weighted_percentile
 
 MAX_TIMED, MAX_BLOCKS = 1 << 15, 1 << 9
-"""Cells of all blocks of time, and blocks; if there are more, blocks are twice as long."""
+"""Most cells of all blocks of time, and most blocks; beyond them, blocks become twice as long."""
 
 ONE_BLOCK, MOST_DEGREES = 1 << 40, 1 << 12
-"""Samples and degrees C that no recording goes beyond. Where one block has too many cells, time is not kept,
-and cells are made wider in temperature."""
+"""Samples and degrees C that no recording exceeds: if one block has too many cells, time is not kept, and
+cells are made wider in temperature."""
 
 LEADING_BITS = 8
+"""Bits of a value that a histogram keeps."""
+
 FAR_MC, FAR_DEVIATIONS = 40_000, 10
-"""Temperatures [thousandths of a degree C] further than this from the median of the windows, and than so
-many times their median distance from it, are faults of the thermometer: no wrist is so hot or so cold."""
+"""Distance of a temperature from the median of the windows [thousandths of a degree C], and in median
+distances, beyond both of which the thermometer is at fault: no wrist is so hot or so cold."""
 
 NEARLY_CONSTANT_SHARE = 10
-"""Constant windows are believed where nearly constant ones are at least a tenth as many."""
+"""Constant windows are used if nearly constant ones are at least a tenth as many."""
 
 NEAR_G = 0.05
-"""So near to where an axis saturates, breath and noise may have taken samples of a still window beyond."""
+"""Distance [g] from saturation within which a still window is discarded: breath and noise may exceed it."""
+
+LEAST_MOVED = 3
+"""Counts that another axis must move while a saturated axis stands still."""
+
+LEAST_G = 0.5
+"""Smallest |value| [g] at which an axis may saturate; a wrist takes an axis further."""
+
+LEAST_WINDOWS = 12
+"""Fewest windows at a value for saturation: one minute in windows of 5 s."""
+
+MOST_ELSEWHERE = 10
+"""An axis that stands at other values in more than a tenth as many windows is not saturated."""
 
 
 def norms_g(windows: Windows, lsb_per_g: float) -> NDArray[np.float64]:
-    """Length of each window's raw mean [g], (m,)."""
+    """Return the length of each window's raw mean [g], (m,)."""
     mean_g = windows.sums / (windows.samples[:, np.newaxis] * lsb_per_g)
     squares = mean_g * mean_g
     return np.asarray(np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2]))
 
 
 def plausible(windows: Windows, lsb_per_g: float, settings: Settings) -> NDArray[np.bool_]:
-    """Windows whose mean has a length near 1 g, (m,); zeros written by a device have not."""
+    """Return a mask (m,) of windows whose mean has a length near 1 g; zeros written by a device have not."""
     norms = norms_g(windows, lsb_per_g)
     return np.asarray((norms > settings.norm_low_g) & (norms < settings.norm_high_g))
 
 
 @dataclass(frozen=True, slots=True)
 class CellCounts:
-    """What the collector left out, in windows."""
+    """Numbers of windows that the collector left out."""
 
     implausible: int
     constant: int
@@ -95,30 +109,30 @@ class CellCounts:
 
 
 class Histogram:
-    """Of whole numbers from 0: exact below 256, then by eight leading bits, so that it stays small."""
+    """A histogram of whole numbers from 0: exact below 256, then by eight leading bits, so it stays small."""
 
     def __init__(self) -> None:
         self.numbers: dict[int, int] = defaultdict(int)
 
     def add(self, values: NDArray[np.int64]) -> None:
-        """Take values in."""
+        """Count values."""
         unique, numbers = np.unique(values, return_counts=True)
         for value, number in zip(unique.tolist(), numbers.tolist(), strict=True):
             drop = max(0, value.bit_length() - LEADING_BITS)
             self.numbers[value >> drop << drop] += number
 
     def merge(self, other: Histogram) -> None:
-        """Take in what another one holds."""
+        """Add the counts of another histogram."""
         for value, number in other.numbers.items():
             self.numbers[value] += number
 
     def quantile(self, percent: int) -> int | None:
-        """The smallest value that is not below so many percent of all; None without values."""
+        """Return a percentile; None without values."""
         return weighted_percentile(sorted(self.numbers.items()), percent) if self.numbers else None
 
 
 def _summed(keys: NDArray[np.int64], values: NDArray[np.int64]) -> Iterator[tuple[Key, Value]]:
-    """Sums of the values (m, c) that have the same key (m, k), in the order of the keys."""
+    """Sum the values (m, c) that have the same key (m, k), in the order of the keys."""
     order = np.lexsort(keys.T[::-1])
     keys = keys[order]
     first = np.flatnonzero(np.append(True, (keys[1:] != keys[:-1]).any(axis=1)))
@@ -127,10 +141,10 @@ def _summed(keys: NDArray[np.int64], values: NDArray[np.int64]) -> Iterator[tupl
 
 
 class CellCollector:
-    """Collects windows of one recording; see the module for how.
+    """Collects the still windows of one recording in orientation cells.
 
     Args:
-        block_samples: samples of the recording that make a block of time; 0 for no blocks.
+        block_samples: samples in a block of time; 0 for no blocks.
     """
 
     def __init__(
@@ -148,7 +162,7 @@ class CellCollector:
         self._cells = Cells(Grid(border, settings.cells_per_g, int(temperature)))
 
     def add(self, windows: Windows) -> None:
-        """Take still windows in."""
+        """Take further still windows, in the order of time."""
         usable = plausible(windows, self.lsb_per_g, self.settings)
         self.implausible += int(len(windows) - usable.sum())
         windows = windows.select(usable)
@@ -167,9 +181,9 @@ class CellCollector:
         self._limit(int(windows.first_sample[-1]))
 
     def _limit(self, last_sample: int = 0) -> None:
-        """Make blocks of time longer, or else cells wider in temperature, where there are too many of them.
+        """Make blocks of time longer, or else cells wider in temperature, while there are too many.
 
-        Windows come in the order of time; however many come at a time, it ends in the same way.
+        The result does not depend on how many windows come at a time.
         """
         while True:
             blocks = last_sample // self.block_samples if self.block_samples else 0
@@ -186,13 +200,13 @@ class CellCollector:
                 return
 
     def forget_first_block(self) -> None:
-        """Forget the windows of the first block of time; the next one becomes the first."""
+        """Drop the windows of the first block of time; the next one becomes the first."""
         self._cells = self._cells.with_blocks(lambda block: block - 1)
 
     def merge(self, other: CellCollector) -> None:
-        """Take in what another collector holds; exact.
+        """Add the windows of another collector, exactly, without their blocks of time.
 
-        It has the same scale and settings, and temperature where this one has; blocks of time are left out.
+        It must have the same scale and settings, and temperature if this one has.
         """
         self.implausible += other.implausible
         self.spreads.merge(other.spreads)
@@ -205,11 +219,11 @@ class CellCollector:
         self._limit()
 
     def orientations(self) -> int:
-        """Groups of 2 x 2 x 2 cells that hold windows, believed or not."""
+        """Return the number of groups of 2 x 2 x 2 cells that hold windows, used or not."""
         return self._cells.orientations()
 
     def points(self, correction: Correction | None = None) -> PointSet:
-        """The points: one per cell, in the order of the cells' coordinates.
+        """Return one point per cell, in the order of the cells' coordinates.
 
         Args:
             correction: of a sensor that changed, in units of local gravity; applied as in the middle of each
@@ -218,13 +232,13 @@ class CellCollector:
         cells, scale = self._fitted(), Fraction(self.lsb_per_g)
         width = self._width(cells)
         if correction is not None:
-            along, scale = self._along(correction), scale * scale.denominator * ONE
-            cells = {key: along[key] for key in cells}
+            corrected, scale = self._corrected(correction), scale * scale.denominator * ONE
+            cells = {key: corrected[key] for key in cells}
         sums = {key: _sums(value) for key, value in cells.items()}
         return points_of(sums, width, _shared, scale, temperature=self.temperature)[1]
 
-    def _along(self, correction: Correction) -> dict[Key, Value]:
-        """The cells with sums put right, in whole parts of a count."""
+    def _corrected(self, correction: Correction) -> dict[Key, Value]:
+        """Return the cells with corrected sums, in whole parts of a count."""
         scale, real = Fraction(self.lsb_per_g), self._constants_are_real()
         found: dict[Key, Value] = {}
         for key, (windows, samples, *sums) in self._cells.items():
@@ -239,7 +253,7 @@ class CellCollector:
         return found
 
     def timed(self) -> list[tuple[int, CellSums]]:
-        """The number of each block of time, and the sums of each orientation in it; in order."""
+        """Return the sums of each orientation in each block of time, with the block's number, in order."""
         _, left_out = self._settled()
         real = self._constants_are_real()
         found: dict[Key, Value] = {}
@@ -249,7 +263,7 @@ class CellCollector:
         return [(key[0], _sums(value)) for key, value in sorted(found.items())]
 
     def counts(self) -> CellCounts:
-        """What was left out and why."""
+        """Return how many windows were left out, by reason."""
         constant, real = self.spreads.numbers.get(0, 0), self._constants_are_real()
         cells, left_out = self._settled()
         number = dict.fromkeys((Role.TEMPERATURE, Role.SATURATED), 0)
@@ -258,11 +272,11 @@ class CellCollector:
         return CellCounts(self.implausible, constant, real, number[Role.TEMPERATURE], number[Role.SATURATED])
 
     def saturated(self) -> Saturated:
-        """Axes that saturate, in units of local gravity."""
+        """Return the axes that saturate, in units of local gravity."""
         return self.saturation.found(self.lsb_per_g)
 
     def fates(self, windows: Windows) -> Fates:
-        """What became of windows that were taken in; call after the last one."""
+        """Return what became of windows that were added; call after the last one."""
         role, point = np.full(len(windows), Role.IMPLAUSIBLE), np.full(len(windows), -1)
         near_1_g = np.flatnonzero(plausible(windows, self.lsb_per_g, self.settings))
         constant = windows.spread[near_1_g].max(axis=1, initial=0) == 0
@@ -281,19 +295,19 @@ class CellCollector:
         return Fates(role, point)
 
     def _fitted(self) -> dict[Key, Value]:
-        """The cells that make points."""
+        """Return the cells that make points."""
         cells, left_out = self._settled()
         return {key: value for key, value in cells.items() if key not in left_out}
 
     def _width(self, cells: dict[Key, Value]) -> Width:
-        """How wide cells have to be."""
+        """Return how wide cells have to be."""
         return width_for(cells, self._cells.grid.degrees)
 
     def _settled(self) -> tuple[dict[Key, Value], dict[Key, Role]]:
-        """The cells of windows that were measured, and the role of those of them that make no points."""
+        """Return the cells of windows that are used, and the role of those cells that make no points."""
         cells = self._believed()
         far = _far_off(cells) if self.temperature else set()
-        saturated = _beyond(cells, self.saturated(), self.lsb_per_g)
+        saturated = _near_saturation(cells, self.saturated(), self.lsb_per_g)
         return cells, dict.fromkeys(far, Role.TEMPERATURE) | dict.fromkeys(saturated, Role.SATURATED)
 
     def _keys(self, windows: Windows, constant: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -304,7 +318,7 @@ class CellCollector:
         return np.column_stack([cells, constant, block])
 
     def _constants_are_real(self) -> bool:
-        """Whether windows without any spread can be a coarse sensor's stillness.
+        """Return True if windows without any spread can be a coarse sensor's stillness.
 
         A sensor whose noise is far below its step shows many windows of one step as well; where a
         device repeats a sample or writes a constant (idle sleep mode), there are none.
@@ -325,7 +339,7 @@ class CellCollector:
 
 
 def _step(spreads: dict[int, int]) -> int:
-    """The sensor's step as the smallest difference between spreads, 0 among them.
+    """Return the sensor's step, the smallest difference between spreads (and 0).
 
     Differences below 1/64 of the smallest spread are the rounding of printed decimals.
     """
@@ -336,7 +350,6 @@ def _step(spreads: dict[int, int]) -> int:
 
 
 def _shared(ordered: Sequence[tuple[Key, CellSums]]) -> list[int]:
-    """Weights of cells, by their numbers of windows."""
     return shared_weights([group_of(key) for key, _ in ordered], [sums.windows for _, sums in ordered])
 
 
@@ -346,7 +359,7 @@ def _sums(value: Value) -> CellSums:
 
 
 def _far_off(cells: dict[Key, Value]) -> set[Key]:
-    """Cells whose temperature is far from all others': one such point would decide the slopes."""
+    """Return cells whose temperature is far from all others': one such point would decide the slopes."""
     if not cells:
         return set()
     means = {key: value[5] // value[1] for key, value in cells.items()}
@@ -357,8 +370,8 @@ def _far_off(cells: dict[Key, Value]) -> set[Key]:
     return {key for key, distance in away.items() if distance > limit}
 
 
-def _beyond(cells: dict[Key, Value], saturated: Saturated, lsb_per_g: float) -> set[Key]:
-    """Cells within NEAR_G of where an axis saturates, in whose windows some samples may be too small."""
+def _near_saturation(cells: dict[Key, Value], saturated: Saturated, lsb_per_g: float) -> set[Key]:
+    """Return cells within NEAR_G of where an axis saturates."""
     return {
         key
         for axis, limit_g in saturated
@@ -367,60 +380,51 @@ def _beyond(cells: dict[Key, Value], saturated: Saturated, lsb_per_g: float) -> 
     }
 
 
-LEAST_MOVED = 3
-"""Counts that another axis moves while this one stands."""
-
-LEAST_G = 0.5
-"""A wrist takes an axis further than this."""
-
-LEAST_WINDOWS = 12
-"""One minute in windows of 5 s."""
-
-MOST_ELSEWHERE = 10
-"""An axis that stands at other values in more than a tenth as many windows does so for another reason."""
-
-
 class Saturation:
-    """Takes the still windows of a recording, in any order."""
+    """Finds axes that measure nothing beyond some value, although their range goes further.
+
+    Such an axis never changes there, while another axis moves with the wearer. An axis that never changes
+    elsewhere belongs to a device on a table, or to a coarse sensor, whose other axes hardly change either.
+    """
 
     def __init__(self) -> None:
-        self._standing: list[Counter[int]] = [Counter() for _ in range(3)]
+        self._constant: list[Counter[int]] = [Counter() for _ in range(3)]
         self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
 
     def add(self, windows: Windows) -> None:
-        """Take windows in."""
+        """Take further still windows, in any order."""
         if not len(windows):
             return
         means = windows.sums / windows.samples[:, np.newaxis]
         self._low = np.minimum(self._low, means.min(axis=0))
         self._high = np.maximum(self._high, means.max(axis=0))
         moved = windows.spread.max(axis=1) >= LEAST_MOVED
-        for axis, standing in enumerate(self._standing):
+        for axis, constant in enumerate(self._constant):
             which = np.flatnonzero(moved & (windows.spread[:, axis] == 0))
             values, numbers = np.unique(
                 windows.sums[which, axis] // windows.samples[which], return_counts=True
             )
-            standing.update(dict(zip(values.tolist(), numbers.tolist(), strict=True)))
+            constant.update(dict(zip(values.tolist(), numbers.tolist(), strict=True)))
 
     def merge(self, other: Saturation) -> None:
-        """Take in what another one holds."""
+        """Add the windows of another one."""
         self._low, self._high = np.minimum(self._low, other._low), np.maximum(self._high, other._high)
-        for standing, more in zip(self._standing, other._standing, strict=True):
-            standing.update(more)
+        for constant, more in zip(self._constant, other._constant, strict=True):
+            constant.update(more)
 
     def found(self, lsb_per_g: float) -> Saturated:
-        """The axes that saturate, and at what."""
+        """Return the axes that saturate, and at which value [g]."""
         return tuple(
             (axis, value / lsb_per_g)
-            for axis, standing in enumerate(self._standing)
-            for value in _ends(standing, self._low[axis], self._high[axis])
+            for axis, constant in enumerate(self._constant)
+            for value in _ends(constant, self._low[axis], self._high[axis])
             if abs(value) >= LEAST_G * lsb_per_g
         )
 
 
-def _ends(standing: Counter[int], low: float, high: float) -> list[int]:
-    """Where an axis stands at the most extreme value that it has, and hardly anywhere else."""
-    ends = {int(value): standing[int(value)] for value in (low, high) if float(value).is_integer()}
+def _ends(constant: Counter[int], low: float, high: float) -> list[int]:
+    """Return the extreme values at which an axis is often constant, if it hardly is at others."""
+    ends = {int(value): constant[int(value)] for value in (low, high) if float(value).is_integer()}
     often = {value: number for value, number in ends.items() if number >= LEAST_WINDOWS}
-    elsewhere = standing.total() - sum(often.values())
+    elsewhere = constant.total() - sum(often.values())
     return [value for value, number in often.items() if elsewhere * MOST_ELSEWHERE <= number]

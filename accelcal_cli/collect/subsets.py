@@ -27,17 +27,18 @@ INTERVALS_G = (
 AXES = "xyz"
 LEVELS = "n0p"
 POINTS_PER_SUBSET = 2
+"""Points of a subset in F."""
 
 Mean = tuple[int, tuple[int, int, int]]
 """A window's number of samples and the sums of its counts."""
 
 
 class SubsetCollector:
-    """Collects 18 points, or others; windows must come in the order of time.
+    """Collects 18 points; windows must come in the order of time.
 
     Args:
         most: points that a subset takes.
-        least: points without which a subset is missing; None: as many.
+        least: points that a subset needs; None: `most`.
     """
 
     def __init__(self, lsb_per_g: float, most: int = POINTS_PER_SUBSET, least: int | None = None) -> None:
@@ -49,14 +50,14 @@ class SubsetCollector:
         }
 
     def offer(self, samples: int, xyz: tuple[int, int, int]) -> bool:
-        """Offer one window's sums of so many samples' counts; says whether it was taken."""
+        """Offer the sums of one window; returns True if it was taken."""
         subset = self.place(samples, xyz, self.most)
         if subset is not None:
             subset.append(CellSums(1, samples, xyz))
         return subset is not None
 
     def place(self, samples: int, xyz: tuple[int, int, int], most: int) -> list[CellSums] | None:
-        """The subset of fewer than `most` points that would take one window's sums, None if none does."""
+        """Return the subset of fewer than `most` points that would take one window's sums, or None."""
         for axis, value in enumerate(xyz):
             for level, (low, high) in enumerate(_bounds(self.lsb_per_g, samples)):
                 subset = self._held[axis, level]
@@ -64,24 +65,24 @@ class SubsetCollector:
                     return subset
         return None
 
-    def wanted(self, windows: Windows) -> NDArray[np.bool_]:
-        """Which of m windows lie in a subset that is not full, (m,)."""
-        wanted = np.zeros(len(windows), np.bool_)
+    def needed(self, windows: Windows) -> NDArray[np.bool_]:
+        """Return a mask (m,) of windows that lie in a subset that is not full."""
+        needed = np.zeros(len(windows), np.bool_)
         for samples in sorted(set(windows.samples.tolist())):
             of_length = windows.samples == samples
             for (axis, level), subset in self._held.items():
                 if len(subset) < self.most:
                     low, high = _bounds(self.lsb_per_g, samples)[level]
                     value = windows.sums[:, axis]
-                    wanted |= of_length & (value >= low) & (value <= high)
-        return wanted
+                    needed |= of_length & (value >= low) & (value <= high)
+        return needed
 
     def filled(self) -> list[list[int]]:
-        """Points of each subset: rows n, 0, p and columns x, y, z."""
+        """Return the number of points of each subset: rows n, 0, p and columns x, y, z."""
         return [[len(self._held[axis, level]) for axis in range(3)] for level in range(3)]
 
     def missing(self) -> list[str]:
-        """Names of subsets with fewer than the least points, such as `xn` (x negative) or `z0`."""
+        """Return the names of subsets that lack points, such as `xn` (x negative) or `z0`."""
         return [
             AXES[axis] + LEVELS[level]
             for (axis, level), subset in sorted(self._held.items())
@@ -89,25 +90,28 @@ class SubsetCollector:
         ]
 
     def points(self) -> PointSet:
-        """The collected points, subset by subset."""
+        """Return the collected points, subset by subset."""
         sums = [item for _, subset in sorted(self._held.items()) for item in subset]
         return to_points(sums, [WEIGHT_ONE] * len(sums), self.lsb_per_g, temperature=False)
 
 
 @cache
 def _bounds(lsb_per_g: float, samples: int) -> list[tuple[int, int]]:
-    """The intervals of eq. 10 in sums of so many samples' counts."""
+    """Return the intervals of eq. 10 in sums of counts."""
     count = Fraction(lsb_per_g) * samples
     return [(ceil(low * count), floor(high * count)) for low, high in INTERVALS_G]
 
 
 class PaperCollector:
-    """F's two distinct sets: what the first does not take is offered to the second (control).
+    """Collects F's two distinct sets: what the first does not take is offered to the second (control).
 
-    Where subsets take more points than they need, both sets get those that they need first.
+    If subsets take more points than they need, both sets get the points that they need first.
 
     A mean is offered only if it "differs sufficiently from the already acquired" ones (F section
     II.B.1): it is at least `min_distance_g` away from every point of both sets, in raw local g.
+
+    Attributes:
+        full_after: samples of the recording up to the end of the window that completed the first set.
     """
 
     def __init__(self, lsb_per_g: float, settings: Settings) -> None:
@@ -121,11 +125,9 @@ class PaperCollector:
         distance = Fraction(str(settings.min_distance_g)) * Fraction(lsb_per_g)
         self._distance = distance.numerator, distance.denominator
         self._taken: list[Mean] = []
-        self._role: dict[int, Role] = {}
-        """Of the windows that were taken, by their first sample."""
+        self._role_of_sample: dict[int, Role] = {}
         self._most = 2 * 9 * most
         self.full_after: int | None = None
-        """Samples of the recording up to the end of the window with which the first set had what it needs."""
 
     def add(self, windows: Windows) -> None:
         """Take still windows in, in the order of time."""
@@ -134,7 +136,7 @@ class PaperCollector:
         near_1_g = windows.select(usable)
         if len(self._taken) == self._most:
             return
-        near_1_g = near_1_g.select(self._wanted(near_1_g))
+        near_1_g = near_1_g.select(self.fit.needed(near_1_g) | self.control.needed(near_1_g))
         columns = (near_1_g.first_sample, near_1_g.samples, near_1_g.sums)
         for first_sample, samples, (x, y, z) in zip(*(column.tolist() for column in columns), strict=True):
             mean = (samples, (x, y, z))
@@ -144,33 +146,30 @@ class PaperCollector:
             if subset is not None:
                 subset.append(CellSums(1, *mean))
                 self._taken.append(mean)
-                self._role[first_sample] = role
+                self._role_of_sample[first_sample] = role
                 if self.full_after is None and not self.fit.missing():
                     self.full_after = first_sample + samples
 
-    def _wanted(self, windows: Windows) -> NDArray[np.bool_]:
-        """Windows in a subset that is not full, (m,); those that are full have no use for any more."""
-        return self.fit.wanted(windows) | self.control.wanted(windows)
-
     def __len__(self) -> int:
-        """Points of both sets."""
+        """Return the number of points of both sets."""
         return len(self._taken)
 
     @property
     def complete(self) -> bool:
-        """Whether the first set has what it needs and, with a least distance, the second one, too."""
+        """True if the first set and, with a least distance, the second one have the points they need."""
         return not self.fit.missing() and not (self.settings.min_distance_g and self.control.missing())
 
     def fates(self, windows: Windows) -> Fates:
-        """What became of windows that were taken in; which of its points each is, is not said."""
+        """Return what became of windows that were added, without the numbers of their points."""
         role = np.array(
-            [self._role.get(first, Role.NOT_TAKEN) for first in windows.first_sample.tolist()], np.int64
+            [self._role_of_sample.get(first, Role.NOT_TAKEN) for first in windows.first_sample.tolist()],
+            np.int64,
         )
         role[~plausible(windows, self.lsb_per_g, self.settings)] = Role.IMPLAUSIBLE
         return Fates(role, np.full(len(windows), -1))
 
     def _place(self, mean: Mean) -> tuple[Role, list[CellSums] | None]:
-        """The subset of the first set, else of the second, that would take a mean; the role of its window."""
+        """Return the role of a mean, and the subset of the first or else the second set that takes it."""
         for most in self._limits:
             for role, held in ((Role.FIT, self.fit), (Role.CONTROL, self.control)):
                 if (subset := held.place(*mean, most)) is not None:
@@ -178,9 +177,10 @@ class PaperCollector:
         return Role.NOT_TAKEN, None
 
     def _differs(self, mean: Mean) -> bool:
-        """Whether a mean is far enough from all points; the one that it is near is asked first next time.
+        """Return True if a mean is far enough from all points.
 
-        A rest goes on for many windows, so that one comparison settles most of them.
+        The point that it is near is moved to the front: a rest lasts for many windows, so that one comparison
+        settles most of them.
         """
         for place, point in enumerate(self._taken):
             if self._near(mean, point):
@@ -189,7 +189,7 @@ class PaperCollector:
         return True
 
     def _near(self, one: Mean, other: Mean) -> bool:
-        """Whether two means are less than the distance apart, in exact integers."""
+        """Return True if two means are less than the distance apart, in exact integers."""
         (samples, (x, y, z)), (others, (u, v, w)) = one, other
         squares = (x * others - u * samples) ** 2 + (y * others - v * samples) ** 2
         squares += (z * others - w * samples) ** 2

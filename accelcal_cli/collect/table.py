@@ -1,9 +1,8 @@
-"""Still windows from a table, made into points: those of `calibrate --windows`, or another tool's means.
+"""Points of still windows from a table: one of `calibrate --windows`, or means of another tool.
 
-The former come back as the windows that they were, and give the same points. The latter, without
-weights and postures of their own, are collected like a recording's windows too, in orientation cells.
-Otherwise the same cells are kept apart by posture, and what the table says of weights stands: a point
-then weighs as much as its rows together.
+The former are read as the windows that they were and give the same points. The latter, without weights and
+postures of their own, are collected like a recording's windows, in orientation cells. With them, cells are
+kept apart by posture, and a point weighs as much as its rows together.
 """
 
 from __future__ import annotations
@@ -40,14 +39,16 @@ from accelcal_cli.core.settings import Settings
 if TYPE_CHECKING:  # pandas takes longer to load than all of accelcal
     import pandas as pd
 
-LARGEST_G = 100.0
+LARGEST_G, LARGEST_C = 100.0, 1000.0
+"""Bounds of a mean [g] and of a temperature [degrees C]."""
+
 LARGEST_SPREAD_G = 2 * LARGEST_G
 MOST_SAMPLES = float(1 << 30)
 LARGEST_SUM = float(1 << 44)
-"""Of counts: those of half a million windows stay exact in 64 bits; ten minutes in decimals need 2**40."""
+"""Bound of a window's sum of counts: half a million such sums add up in 64 bits; ten minutes in decimals need
+2**40."""
 
 PARQUET_MAGIC = b"PAR1"
-LARGEST_C = 1000.0
 ALIASES = {
     "x": ("x", "meanx", "mean_x", "x_mean"),
     "y": ("y", "meany", "mean_y", "y_mean"),
@@ -62,14 +63,14 @@ ALIASES = {
 """Column names, in lower case; GGIR calls its means meanx, meany, meanz."""
 
 WINDOWS = {"samples", "counts_per_g", "spread_x", "spread_y", "spread_z"}
-"""Columns that tables of `calibrate --windows` have; their postures are those of its own points."""
+"""Columns of a table of `calibrate --windows`; its column `posture` is not used."""
 
 WIDEST_SPREAD = 1 << 20
-"""The spread of the window behind another tool's mean is not known: none is taken for a constant one."""
+"""Spread [counts] assumed for a window behind another tool's mean, so that it does not count as constant."""
 
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
 IN_G = re.compile(r"\s*[\[(]g[\])]$")
-"""The unit that a column's name may state."""
+"""The unit that a column's name may end with."""
 
 _HINT = "give a CSV file with a header line and columns x, y, z in g, or a Parquet file with these"
 _CORRECT = "correct or remove this line"
@@ -78,16 +79,16 @@ Key = tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Table:
-    """n still windows.
+class PointTable:
+    """n still windows of a table.
 
     Attributes:
         counts: (n, 3) int64, sums over the samples; another tool's mean counts as one sample.
         temperature_mc: (n,) int64, sums of thousandths of a degree C, or None.
         weight: (n,) float64 above zero, or None.
         posture: (n,) int64, number of the posture that the table names, or None.
-        samples: (n,) int64, in each window; None of another tool's means.
-        spread: (n, 3) int64, max - min of the counts; None of another tool's means.
+        samples: (n,) int64, samples of each window; None for another tool's means.
+        spread: (n, 3) int64, max - min of the counts; None for another tool's means.
         lsb_per_g: counts per standard g.
     """
 
@@ -102,24 +103,24 @@ class Table:
     def __len__(self) -> int:
         return len(self.counts)
 
-    def select(self, which: NDArray[np.bool_]) -> Table:
-        """The rows of a mask."""
+    def select(self, which: NDArray[np.bool_]) -> PointTable:
+        """Return the rows of a mask."""
         held: dict[str, Any] = {name: getattr(self, name) for name in self.__dataclass_fields__}
         rows: dict[str, Any] = {n: part[which] for n, part in held.items() if isinstance(part, np.ndarray)}
         return replace(self, **rows)
 
 
-def read_table(path: Path) -> Table:
-    """Read columns x, y, z [g], and temperature_c, weight and posture, or those of WINDOWS, where they are.
+def read_table(path: Path) -> PointTable:
+    """Read columns x, y, z [g], and temperature_c, weight and posture, or those of WINDOWS, if there are any.
 
     Raises:
-        UnreadableError: it is no such table, or a value is missing or no finite number.
+        UnreadableError: the file is no such table, or a value is missing or not a finite number.
     """
     return table_of(_frame(path), path)
 
 
-def table_of(frame: pd.DataFrame, path: Path) -> Table:
-    """The same of a data frame; errors speak of `path`, and of the frame's index as lines.
+def table_of(frame: pd.DataFrame, path: Path) -> PointTable:
+    """Read a data frame; errors name `path`, and the frame's index as lines.
 
     Raises:
         UnreadableError: see `read_table`.
@@ -138,11 +139,11 @@ def table_of(frame: pd.DataFrame, path: Path) -> Table:
     if "posture" in names:
         _refuse_rows(path, frame, frame[names["posture"]].to_numpy(str) == "", names["posture"])
         posture = np.unique(frame[names["posture"]].to_numpy(str), return_inverse=True)[1].astype(np.int64)
-    return Table(np.rint(g * FLOAT_LSB_PER_G).astype(np.int64), temperature_mc, weight, posture)
+    return PointTable(np.rint(g * FLOAT_LSB_PER_G).astype(np.int64), temperature_mc, weight, posture)
 
 
-def _windows(path: Path, frame: pd.DataFrame, names: dict[str, str], g: NDArray[np.float64]) -> Table:
-    """The windows of `calibrate --windows`, as the integers that they were made of."""
+def _windows(path: Path, frame: pd.DataFrame, names: dict[str, str], g: NDArray[np.float64]) -> PointTable:
+    """Read the windows of `calibrate --windows` as the integers that they were made of."""
     samples = _numbers(path, frame, names["samples"], MOST_SAMPLES)
     scale = _numbers(path, frame, names["counts_per_g"], FLOAT_LSB_PER_G * LARGEST_G)
     _refuse_rows(path, frame, (samples < 1) | (samples % 1 != 0), "whole number of samples")
@@ -156,7 +157,7 @@ def _windows(path: Path, frame: pd.DataFrame, names: dict[str, str], g: NDArray[
         temperature_mc = np.rint(celsius * 1000 * samples).astype(np.int64)
     sums = g * (samples * scale)[:, np.newaxis]
     _refuse_rows(path, frame, np.abs(sums).max(axis=1, initial=0) > LARGEST_SUM, "possible number of samples")
-    return Table(
+    return PointTable(
         np.rint(sums).astype(np.int64),
         temperature_mc,
         samples=samples.astype(np.int64),
@@ -166,7 +167,7 @@ def _windows(path: Path, frame: pd.DataFrame, names: dict[str, str], g: NDArray[
 
 
 def _frame(path: Path) -> pd.DataFrame:
-    """All cells, as text or numbers, empty text where there is nothing.
+    """Read all cells as text or numbers; empty cells are empty text.
 
     The index is the number of the line, or of the row of a Parquet file, from 1.
     """
@@ -177,7 +178,7 @@ def _frame(path: Path) -> pd.DataFrame:
             return _parquet(path)
         options: dict[str, Any] = {"dtype": str, "keep_default_na": False, "skip_blank_lines": False}
         with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)  # what is cut off is none of ours to lose
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # a line that would be cut off
             mark = _delimiter(path)
             options |= {"sep": r"\s+"} if mark == " " else {"sep": mark}
             held = pd.read_csv(path, index_col=False, encoding="utf-8-sig", **options)
@@ -198,7 +199,7 @@ def _frame(path: Path) -> pd.DataFrame:
 
 
 def _parquet(path: Path) -> pd.DataFrame:
-    """The columns that matter; one that is empty throughout is none."""
+    """Read the columns that are used; one that is empty throughout is left out."""
     import pyarrow.parquet as pq
 
     names = pq.read_schema(path).names
@@ -217,13 +218,13 @@ def _parquet(path: Path) -> pd.DataFrame:
 
 
 def _delimiter(path: Path) -> str:
-    """The first of semicolon, tab, bar, comma and blank that the header line holds."""
+    """Return the first of semicolon, tab, bar, comma and blank that occurs in the header line."""
     head = probe_file(path, ReadOptions()).head.split(b"\n", 1)[0].strip()
     return next((mark for mark in ";\t|, " if mark.encode() in head), ",")
 
 
 def _with_point(cell: Any) -> Any:
-    """A number with a point for its decimal comma; any other cell as it is."""
+    """Replace the decimal comma of a number; other cells are returned unchanged."""
     return cell.replace(",", ".") if isinstance(cell, str) and DECIMAL_COMMA.fullmatch(cell) else cell
 
 
@@ -268,14 +269,14 @@ def _refuse_rows(path: Path, frame: pd.DataFrame, bad: NDArray[np.bool_], what: 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Given:
-    """What a table holds.
+class TablePoints:
+    """The points of a table.
 
     Attributes:
         points: the points to fit, cells of orientation.
-        label: (n,) number of each one's posture in the table, or None; of those with points, from 0 on.
+        label: (n,) number of each point's posture in the table, from 0, or None.
         rows: each plausible row as a point of its own, for errors over windows.
-        implausible: rows whose length is nowhere near 1 g.
+        implausible: number of rows whose length is not near 1 g.
         saturated: axes that measure nothing beyond a value.
     """
 
@@ -286,8 +287,8 @@ class Given:
     saturated: Saturated = ()
 
 
-def given_points(table: Table, settings: Settings, path: Path | None = None) -> Given:
-    """Points of a table's rows, in units of local gravity; errors speak of `path`.
+def points_of_table(table: PointTable, settings: Settings, path: Path | None = None) -> TablePoints:
+    """Return the points of a table's rows, in units of local gravity; errors name `path`.
 
     Raises:
         UnreadableError: its postures hold too many directions.
@@ -303,11 +304,11 @@ def given_points(table: Table, settings: Settings, path: Path | None = None) -> 
     else:
         points, label = _kept_apart(kept, lsb_per_g, settings, path, temperature=temperature)
         saturated = ()
-    return Given(points, label, _rows(kept, lsb_per_g, points), int((~near).sum()), saturated)
+    return TablePoints(points, label, _rows(kept, lsb_per_g, points), int((~near).sum()), saturated)
 
 
-def windows_of(table: Table) -> Windows:
-    """The rows as still windows, another tool's means as ones of one sample."""
+def windows_of(table: PointTable) -> Windows:
+    """Convert rows to still windows; another tool's mean is a window of one sample."""
     number = len(table)
     samples = np.ones(number, np.int64) if table.samples is None else table.samples
     spread = np.full((number, 3), WIDEST_SPREAD) if table.spread is None else table.spread
@@ -315,11 +316,11 @@ def windows_of(table: Table) -> Windows:
 
 
 def _kept_apart(
-    table: Table, lsb_per_g: float, settings: Settings, path: Path | None, *, temperature: bool
+    table: PointTable, lsb_per_g: float, settings: Settings, path: Path | None, *, temperature: bool
 ) -> tuple[PointSet, NDArray[np.int64] | None]:
-    """Cells within postures; wider ones where there would be too many."""
+    """Return a point for each cell of a posture, and the postures; cells widen if there are too many."""
     keys = _keys(table, lsb_per_g, settings.cells_per_g, temperature=temperature)
-    weigh = _group_weights if table.weight is None else _own_weights
+    weigh = _group_weights if table.weight is None else _table_weights
     cells = _cells(table, _shares(table), keys)
     if (width := width_for(cells)).space > HARMLESS_SPACE:
         raise UnreadableError(
@@ -335,8 +336,8 @@ def _kept_apart(
     return points, label.astype(np.int64)
 
 
-def _shares(table: Table) -> NDArray[np.int64]:
-    """Weights as integers, the largest is WEIGHT_ONE; ones without weights."""
+def _shares(table: PointTable) -> NDArray[np.int64]:
+    """Return the table's weights as integers, the largest WEIGHT_ONE; ones if it has none."""
     if table.weight is None:
         return np.ones(len(table), np.int64)
     if not len(table):
@@ -345,8 +346,8 @@ def _shares(table: Table) -> NDArray[np.int64]:
     return np.asarray(np.maximum(1, relative))
 
 
-def _keys(table: Table, lsb_per_g: float, cells_per_g: int, *, temperature: bool) -> NDArray[np.int64]:
-    """(n, 5): posture, cell, degree C."""
+def _keys(table: PointTable, lsb_per_g: float, cells_per_g: int, *, temperature: bool) -> NDArray[np.int64]:
+    """Return posture, cell and degree C of each row, (n, 5)."""
     keys = np.zeros((len(table), 5), np.int64)
     scale = Fraction(lsb_per_g).limit_denominator(1000) / Fraction(cells_per_g)
     if table.posture is not None:
@@ -357,7 +358,7 @@ def _keys(table: Table, lsb_per_g: float, cells_per_g: int, *, temperature: bool
     return keys
 
 
-def _cells(table: Table, shares: NDArray[np.int64], keys: NDArray[np.int64]) -> dict[Key, CellSums]:
+def _cells(table: PointTable, shares: NDArray[np.int64], keys: NDArray[np.int64]) -> dict[Key, CellSums]:
     unique, inverse, number = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     total = np.zeros((len(unique), 5), np.int64)
     milli = np.zeros(len(table), np.int64) if table.temperature_mc is None else table.temperature_mc
@@ -371,20 +372,20 @@ def _cells(table: Table, shares: NDArray[np.int64], keys: NDArray[np.int64]) -> 
     }
 
 
-def _own_weights(ordered: Sequence[tuple[Key, CellSums]]) -> list[int]:
-    """As given; a point of mean weight counts as one."""
+def _table_weights(ordered: Sequence[tuple[Key, CellSums]]) -> list[int]:
+    """Return weights in the table's proportions; a point of mean weight counts as one."""
     total = sum(sums.samples for _, sums in ordered)
     return [max(1, rounded_quotient(s.samples * len(ordered) * WEIGHT_ONE, total)) for _, s in ordered]
 
 
 def _group_weights(ordered: Sequence[tuple[Key, CellSums]]) -> list[int]:
-    """Each 2 x 2 x 2 group of cells of one posture counts as one point, as in `cells`."""
+    """Return weights by which each 2 x 2 x 2 group of cells of one posture counts as one point."""
     groups = [(key[0], *(part >> 1 for part in key[1:4])) for key, _ in ordered]
     return shared_weights(groups, [sums.windows for _, sums in ordered])
 
 
-def _rows(table: Table, lsb_per_g: float, points: PointSet) -> PointSet:
-    """One point a row, its temperature on the scale of the points that were fitted."""
+def _rows(table: PointTable, lsb_per_g: float, points: PointSet) -> PointSet:
+    """Return each row as a point, with its temperature on the scale of the points that were fitted."""
     scale = points.temperature
     samples = windows_of(table).samples.tolist()
     milli = [0] * len(table) if table.temperature_mc is None else table.temperature_mc.tolist()

@@ -1,9 +1,9 @@
 """Turns between rests, for the gyroscope: collected window by window, in bounded memory, as exact integers.
 
-A turn is what lies between two rests of at least LEAST_WINDOWS windows: at most LONGEST_S of it, without a
-break, and gravity has another direction behind it (G 4.3 compares gravity from one still state to the next).
-It needs only its own span. Of longer recordings not all turns are kept (`_Budget`). The sums at rest are
-kept by blocks of time, which become longer as there are more.
+A turn lies between two rests of at least LEAST_WINDOWS windows, lasts at most LONGEST_S without a break, and
+gravity has another direction after it (G 4.3 compares gravity from one still state to the next). Of long
+recordings not all turns are kept (`_KeptTurns`). The sums at rest are kept by blocks of time, which become
+longer as there are more.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from accelcal_cli.core.gyroscope import Rest, RestRates, Triple, Turn, Turns
 from accelcal_cli.core.recording import Counts
 
 LEAST_WINDOWS = 2
-"""A rest has at least so many windows: what is quiet for a moment may be a turn that is slow."""
+"""Fewest windows of a rest: a shorter quiet moment may be part of a slow turn."""
 
 END_WINDOWS = 5
-"""So many windows of a rest, those nearest to the turn, say where gravity pointed and what the bias was."""
+"""Windows of a rest, nearest to the turn, from which gravity's direction and the bias are taken."""
 
 LONGEST_S = 30.0
-"""A longer turn is not used: what noise and bias leave adds up."""
+"""Longest turn that is used [s]: errors of noise and bias add up."""
 
 ROUGH_TURN_DEG = 15.0
-"""By the raw values, so that all turns of 20 degrees by calibrated ones are among them."""
+"""Smallest turn [degrees] by raw values, so that all turns of 20 degrees by calibrated ones are included."""
 
 MOST_DEG = 180.0
-"""Of what turns faster from sample to sample, the samples do not say in which direction."""
+"""Turn [degrees] from one sample to the next beyond which the direction is ambiguous."""
 
 MAX_ROWS = 1 << 19
-"""Samples of all turns that are kept: 87 minutes of turning at 100 Hz, five days of a wrist; 3 MB."""
+"""Most samples of all turns that are kept: 87 minutes of turning at 100 Hz, five days of a wrist; 3 MB."""
 
 MAX_BLOCKS, BLOCK_S = 1024, 60
-"""Blocks of time for the sums at rest: at most so many, at first so long."""
+"""Most blocks of time for the sums at rest, and their length at first [s]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,14 +46,14 @@ class GyroWindows:
     """m windows that follow one another without a break, of n samples each.
 
     Attributes:
-        fresh: whether the first does not continue what was there before.
+        fresh: True if the first window does not continue the one before.
         first_sample: number of the first sample.
-        time_us: (m,) time of each one's first sample.
-        resting: (m,) whether accelerometer and gyroscope rested.
-        usable: (m,) whether the gyroscope measured throughout.
-        sums, gyro_sums: (m, 3) of the counts of accelerometer and gyroscope.
+        time_us: (m,) time of each window's first sample.
+        resting: (m,) True where accelerometer and gyroscope rested.
+        usable: (m,) True where the gyroscope measured throughout.
+        sums, gyro_sums: (m, 3) sums of the counts of accelerometer and gyroscope.
         counts: (m n, 3) the gyroscope's counts.
-        temperature_sums: (m,) of thousandths of a degree C, or None.
+        temperature_sums: (m,) sums of thousandths of a degree C, or None.
     """
 
     fresh: bool
@@ -73,10 +73,10 @@ class GyroWindows:
 
 
 class _Resting:
-    """A rest as it goes on: its first and its last windows, a row of `_columns` each.
+    """A rest in progress: its first and last windows, a row of `_columns` each.
 
     Attributes:
-        counts: of the gyroscope, as long as it is too short to be a rest: they are then part of the turn.
+        counts: those of the gyroscope while it is too short to be a rest: then they are part of a turn.
     """
 
     def __init__(self, rows: NDArray[np.int64], counts: Counts) -> None:
@@ -85,7 +85,7 @@ class _Resting:
         self.counts = counts[:0] if self.is_rest else counts.copy()
 
     def go_on(self, rows: NDArray[np.int64], counts: Counts) -> None:
-        """Take further windows in."""
+        """Add further windows."""
         self.windows += len(rows)
         self.counts = counts[:0] if self.is_rest else np.concatenate([self.counts, counts])
         self.head = np.concatenate([self.head, rows])[:END_WINDOWS]
@@ -93,15 +93,16 @@ class _Resting:
 
     @property
     def is_rest(self) -> bool:
-        """Whether it lasts long enough."""
+        """True if it lasts long enough."""
         return self.windows >= LEAST_WINDOWS
 
 
 _SAMPLE, _TIME, _SUMS, _GYRO, _HEAT, _WARM = 0, 1, slice(2, 5), slice(5, 8), 8, 9
+"""Columns of a row: first sample and its time, sums of both sensors and of temperature, 1 if there is one."""
 
 
 def _columns(windows: GyroWindows) -> NDArray[np.int64]:
-    """(m, 10): first sample, its time, sums of both sensors and of temperature, and whether there is one."""
+    """Return a row (10,) of each window."""
     number = len(windows.resting)
     sample = windows.first_sample + windows.length * np.arange(number, dtype=np.int64)
     heat = windows.temperature_sums
@@ -122,10 +123,10 @@ def _rest(rows: NDArray[np.int64], length: int) -> Rest:
 
 
 class TurnCollector:
-    """Feed it windows in the order of time; call `result` after the last.
+    """Collects turns from windows in the order of time; call `result` after the last.
 
     Args:
-        length: samples of a window.
+        length: number of samples of a window.
     """
 
     def __init__(self, length: int, rate_hz: float, dps_per_lsb: Triple, lsb_per_g: float) -> None:
@@ -133,14 +134,14 @@ class TurnCollector:
         self._dps_per_lsb, self._lsb_per_g = dps_per_lsb, lsb_per_g
         self._period_s = 1 / rate_hz
         self._longest = round(LONGEST_S * rate_hz)
-        self._rates = _Rates(max(length, round(BLOCK_S * rate_hz)))
-        self._kept = _Budget(MAX_ROWS)
+        self._rates = _RatesAtRest(max(length, round(BLOCK_S * rate_hz)))
+        self._kept = _KeptTurns(MAX_ROWS)
         self._before: _Resting | None = None
         self._now: _Resting | None = None
         self._path: list[Counts] = []
 
     def add(self, windows: GyroWindows) -> None:
-        """Take windows in."""
+        """Take further windows."""
         if windows.fresh:
             self._break()
         rows, length = _columns(windows), self._length
@@ -152,29 +153,29 @@ class TurnCollector:
             if kind[low] < 0:
                 self._break()
             elif kind[low]:
-                self._go_on_resting(rows[low:high], counts)
+                self._add_rest(rows[low:high], counts)
             else:
-                self._go_on_turning(counts)
+                self._add_movement(counts)
 
     def result(self) -> Turns:
-        """What was found."""
+        """Return the turns, and the rates at rest."""
         self._break()
         turns, left_out = self._kept.result()
         rates = self._rates.result()
         return Turns(turns, rates, left_out, self._dps_per_lsb, self._lsb_per_g, self._period_s)
 
     def _break(self) -> None:
-        """What follows does not go on from here."""
+        """End rest and turn, since the next window does not continue them."""
         self._end_rest()
         self._before, self._now, self._path = None, None, []
 
-    def _go_on_resting(self, rows: NDArray[np.int64], counts: Counts) -> None:
+    def _add_rest(self, rows: NDArray[np.int64], counts: Counts) -> None:
         if self._now is None:
             self._now = _Resting(rows, counts)
         else:
             self._now.go_on(rows, counts)
 
-    def _go_on_turning(self, counts: Counts) -> None:
+    def _add_movement(self, counts: Counts) -> None:
         self._end_rest()
         if self._before is None:
             return
@@ -183,7 +184,7 @@ class TurnCollector:
             self._before, self._path = None, []
 
     def _end_rest(self) -> None:
-        """See what the rest that ends here was."""
+        """End the present rest: a turn ends with it, or it was too short and is part of the movement."""
         now, self._now = self._now, None
         if now is None:
             return
@@ -199,18 +200,18 @@ class TurnCollector:
         start, end = before.tail[0], after.head[0]
         period_us = int(end[_TIME] - start[_TIME]) / int(end[_SAMPLE] - start[_SAMPLE])
         turn = Turn(_rest(before.tail, self._length), _rest(after.head, self._length), counts, period_us)
-        if period_us > 0 and _turned(turn) and not _saturated(counts) and self._is_followed(turn):
+        if period_us > 0 and _turned(turn) and not _saturated(counts) and self._is_unambiguous(turn):
             self._kept.add(turn)
 
-    def _is_followed(self, turn: Turn) -> bool:
-        """Whether no axis turns by more than half a turn from one sample to the next."""
+    def _is_unambiguous(self, turn: Turn) -> bool:
+        """Return True if no axis turns by more than half a turn from one sample to the next."""
         largest = np.abs(turn.counts.astype(np.int64)).max(axis=0)
         angles = largest * np.abs(self._dps_per_lsb) * (turn.period_us / 1e6)
         return bool((angles < MOST_DEG).all())
 
 
 def _turned(turn: Turn) -> bool:
-    """Whether gravity's direction changed, by the raw values."""
+    """Return True if gravity's direction changed, by the raw values."""
     u, v = turn.before.sums, turn.after.sums
     across = sum(a * b for a, b in zip(u, v, strict=True))
     lengths = sqrt(sum(a * a for a in u)) * sqrt(sum(b * b for b in v))
@@ -218,17 +219,16 @@ def _turned(turn: Turn) -> bool:
 
 
 def _saturated(counts: Counts) -> bool:
-    """Whether a rate is beyond what 16 bits hold, as devices use them up to their range."""
+    """Return True if a rate reaches the limits of 16 bits, which devices use up to their range."""
     limits = np.iinfo(np.int16)
     return counts.dtype == np.int16 and bool(counts.min() == limits.min or counts.max() == limits.max)
 
 
-class _Budget:
-    """Keeps turns of so many samples in all.
+class _KeptTurns:
+    """Turns with a limited number of samples in all.
 
-    When there are more, the longest turn is left out of those about the axis and in the direction of which
-    there are most samples: a short one says as much, with less noise. A turn that is there already, in a
-    stretch that the recording holds twice, is left out, too.
+    Beyond the limit, the longest turn about the axis and in the direction with most samples is dropped: a
+    short one says as much, with less noise. A turn that the recording holds twice is kept once.
     """
 
     def __init__(self, rows: int) -> None:
@@ -240,7 +240,7 @@ class _Budget:
         self._number = self._left_out = 0
 
     def add(self, turn: Turn) -> None:
-        """Take a turn in."""
+        """Add a turn."""
         key = (len(turn), *turn.before.sums, *turn.before.gyro_sums, *turn.after.sums, *turn.after.gyro_sums)
         if key in self._seen:
             return
@@ -260,12 +260,12 @@ class _Budget:
         self._left_out += 1
 
     def result(self) -> tuple[tuple[Turn, ...], int]:
-        """The turns, and how many were left out."""
+        """Return the turns, and how many were dropped."""
         return tuple(self._turns.values()), self._left_out
 
 
 def _kind(turn: Turn) -> int:
-    """About which axis it turns most, and in which direction: 0 to 5, exact."""
+    """Return the axis of most turning and its direction as 0 to 5, exactly."""
     before, after, n = turn.before, turn.after, len(turn)
     rests = before.samples + after.samples
     sums = turn.counts.sum(axis=0, dtype=np.int64).tolist()
@@ -275,15 +275,15 @@ def _kind(turn: Turn) -> int:
     return 2 * axis + int(turned[axis] > 0)
 
 
-class _Rates:
-    """Sums at rest by blocks of so many samples; two become one where there are too many."""
+class _RatesAtRest:
+    """Sums at rest by blocks of time; pairs of blocks are joined when there are too many."""
 
     def __init__(self, block_samples: int) -> None:
         self._block_samples = block_samples
         self._sums = np.zeros((MAX_BLOCKS, 6), np.int64)
 
     def add(self, rows: NDArray[np.int64], length: int) -> None:
-        """Take windows at rest in."""
+        """Add windows at rest."""
         if not len(rows):
             return
         while rows[-1, _SAMPLE] // self._block_samples >= MAX_BLOCKS:
@@ -296,7 +296,7 @@ class _Rates:
         np.add.at(self._sums, block, values)
 
     def result(self) -> RestRates:
-        """The blocks with rest; without temperature if one of them lacks it."""
+        """Return the blocks with rest; without temperature if one of them lacks it."""
         held = self._sums[self._sums[:, 0] > 0]
         warm = bool(len(held)) and bool((held[:, 0] == held[:, 5]).all())
         return RestRates(held[:, 0], held[:, 1:4], held[:, 4] if warm else None)

@@ -15,7 +15,7 @@ _DECIMALS = 9
 
 
 def local_gravity(latitude: float, altitude_m: float = 0.0) -> float:
-    """Gravity [m/s2] at a latitude [degrees] and an altitude above the sea [m].
+    """Return gravity [m/s2] at a latitude [degrees] and an altitude above the sea [m].
 
     The International Gravity Formula of 1967 and the free-air correction.
     """
@@ -25,31 +25,31 @@ def local_gravity(latitude: float, altitude_m: float = 0.0) -> float:
 
 
 def standard_g(metres_per_s2: float) -> Fraction:
-    """Units of standard g, nine decimals.
+    """Convert a gravity to units of standard g, with nine decimals.
 
-    The decimals make it the same number on every machine, whatever the last bit of a latitude's sine.
+    Rounding makes it the same number on every machine, whatever the last bit of a latitude's sine.
     """
     return Fraction(round(metres_per_s2 / STANDARD_GRAVITY * 10**_DECIMALS), 10**_DECIMALS)
 
 
 @dataclass(frozen=True, slots=True)
 class Gravity:
-    """Where a recording was made; without a latitude, rest measures 1 standard g.
+    """The place of a recording; without a latitude, rest measures 1 standard g.
 
     Attributes:
         latitude: degrees, north positive.
-        altitude_m: metres above the sea; None: at the sea.
+        altitude_m: metres above the sea; None: 0.
     """
 
     latitude: float | None = None
     altitude_m: float | None = None
 
     def local_g(self) -> Fraction:
-        """Local gravity in units of standard g; exactly 1 without a latitude."""
+        """Return local gravity in units of standard g; exactly 1 without a latitude."""
         if self.latitude is None:
             return Fraction(1)
         return standard_g(local_gravity(self.latitude, self.altitude_m or 0.0))
 
 
 STANDARD = Gravity()
-"""Rest measures 1 standard g."""
+"""A place where rest measures 1 standard g."""

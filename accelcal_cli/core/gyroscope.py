@@ -1,4 +1,4 @@
-"""What a gyroscope did between two rests, and at rest, as it is collected; and what is judged of it."""
+"""Records of a gyroscope: its turns and rests as they are collected, and the verdict on it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.recording import Counts
 
 EQUATION = "w = S (r - b - c (T - Tref))"
-"""Angular rate [deg/s] of raw r; S and b as G 4.3 has them."""
+"""Calibrated angular rate [deg/s] of a raw rate r; S and b as in G 4.3."""
 
 Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -19,13 +19,13 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rest:
-    """The end of a rest, or its beginning: some seconds of it.
+    """Some seconds at the beginning or end of a rest.
 
     Attributes:
         sample: number of the first sample within the recording.
-        samples: how many there are.
-        sums, gyro_sums: of their raw counts, (3,).
-        temperature_sum: of thousandths of a degree C, None without temperature.
+        samples: number of samples.
+        sums, gyro_sums: sums of the raw counts of both sensors, (3,).
+        temperature_sum: sum of thousandths of a degree C, None without temperature.
     """
 
     sample: int
@@ -40,7 +40,7 @@ class Turn:
     """A movement from one rest to the next.
 
     Attributes:
-        before, after: what was measured at rest just before and after.
+        before, after: the rests just before and after.
         counts: (n, 3) raw counts of the gyroscope in between.
         period_us: mean time from one sample to the next [us].
     """
@@ -59,9 +59,9 @@ class RestRates:
     """b blocks of time in which the gyroscope rested.
 
     Attributes:
-        samples: (b,) how many samples were at rest.
+        samples: (b,) number of samples at rest.
         gyro_sums: (b, 3) sums of their counts.
-        temperature_sums: (b,) of thousandths of a degree C, or None.
+        temperature_sums: (b,) sums of thousandths of a degree C, or None.
     """
 
     samples: NDArray[np.int64]
@@ -74,13 +74,13 @@ class RestRates:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turns:
-    """All that a recording says of its gyroscope.
+    """Turns and rests of a recording.
 
     Attributes:
-        turns: in the order of time.
-        left_out: how many more there were than are kept.
+        turns: those that were kept, in the order of time.
+        left_out: number of turns that were not kept.
         dps_per_lsb: deg/s in one count of each axis; lsb_per_g: counts of the accelerometer in 1 g.
-        period_s: from one sample to the next, nominal [s].
+        period_s: nominal time from one sample to the next [s].
     """
 
     turns: tuple[Turn, ...]
@@ -93,12 +93,12 @@ class Turns:
 
 @dataclass(frozen=True, slots=True)
 class TurnHoldout:
-    """Angle between gravity as turned by the gyroscope and as measured, on pairs that took no part [deg].
+    """Angle between gravity as turned by the gyroscope and as measured, on held-out pairs of rests [deg].
 
     Attributes:
-        before, after: median of the raw angular rate, and of the calibrated one; both less the mean rate of
+        before, after: medians by the raw angular rate and by the calibrated one, both less the mean rate of
             the two rests.
-        ci95: of the median after calibration.
+        ci95: confidence interval of the median after calibration.
         mean_before, mean_after: means; rms_before, rms_after: root mean squares, in which a jolt counts most.
     """
 
@@ -113,16 +113,16 @@ class TurnHoldout:
 
 @dataclass(frozen=True, slots=True)
 class Bias:
-    """What the gyroscope says at rest.
+    """The gyroscope's rate at rest.
 
     Attributes:
-        dps: b [deg/s], at `reference_c` where there is a slope.
-        standard_errors: of b [deg/s]; None where one block of time cannot tell.
-        slope_dps_per_c: c [deg/s per degree C], zero where it does not pay.
+        dps: b [deg/s], at `reference_c` if there is a slope.
+        standard_errors: those of b [deg/s]; None for a single block of time.
+        slope_dps_per_c: c [deg/s per degree C], zero if it does not reduce the error.
         reference_c: Tref; None without a slope.
-        rest_s: how long it rested.
-        raw_dps, constant_dps, slope_dps: mean error over blocks of time that took no part, of the raw
-            rate, with a constant bias, and with a slope (None: not tried) [deg/s].
+        rest_s: time at rest [s].
+        raw_dps, constant_dps, slope_dps: mean error over held-out blocks of time of the raw rate, with a
+            constant bias, and with a slope (None: not tried) [deg/s].
     """
 
     dps: Triple
@@ -140,10 +140,10 @@ class Gyroscope:
     """The verdict on a gyroscope: w = S (r - b - c (T - Tref)).
 
     Attributes:
-        message: one sentence: what was found, or why nothing was.
+        message: a sentence about the result, or about why there is none.
         scale: S, None if refused.
-        standard_errors: of the entries of S.
-        pairs: pairs of rests that were used; left_out: more than are kept in memory.
+        standard_errors: those of the entries of S.
+        pairs: number of pairs of rests that were used; left_out: number of those that were not kept.
         bias: None if it never rested.
     """
 
@@ -157,10 +157,10 @@ class Gyroscope:
     bias: Bias | None = None
 
     def calibrated(self, rates: list[Floats], celsius: Floats | None) -> list[Floats]:
-        """Calibrated angular rate of raw x, y, z [deg/s], each (n,), elementwise.
+        """Return the calibrated angular rates of raw x, y, z [deg/s], each (n,), elementwise.
 
         Args:
-            celsius: (n,) temperatures, None where there are none: then the slope has no effect.
+            celsius: (n,) temperatures; None: the slope has no effect.
         """
         assert self.scale is not None and self.bias is not None
         bias, right = self.bias, []

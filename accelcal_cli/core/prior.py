@@ -1,4 +1,4 @@
-"""What is known of a sensor before any point is seen, and where that was learnt."""
+"""Prior knowledge of a sensor, before any of its points is seen, and where it was learnt."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ class Prior:
     The tails are heavy, since some sensors are far off.
 
     Attributes:
-        centre: of the twelve parameters, in the order of PARAMETER_NAMES: entries of K, offsets [g] and their
-            slopes [g per degree C].
-        width: scale parameters of the distributions about it.
+        centre: centres of the twelve parameters, in the order of PARAMETER_NAMES: entries of K, offsets [g]
+            and their slopes [g per degree C].
+        width: scale parameters of the distributions.
         freedom: degrees of freedom.
         noise_g: usual scatter of postures [g].
-        noise_spread: scale parameter of the distribution of its logarithm, which has heavy tails, too.
-        noise_freedom: that distribution's degrees of freedom.
+        noise_spread: scale parameter of the distribution of its logarithm, which also has heavy tails.
+        noise_freedom: degrees of freedom of that distribution.
         reference_c: temperature of the offsets at the centre [degrees C]; None: at any.
     """
 
@@ -62,8 +62,8 @@ class LearntPrior:
 
     Attributes:
         kind: `study`: from other devices of the model; `device`: also from others of the device itself.
-        devices, recordings: how many of the model were used; 0: the population stands in for them.
-        sha256: of the hashes of these recordings, sorted and joined; None without any.
+        devices, recordings: numbers of those of the model that were used; 0: the population instead.
+        sha256: hash of the hashes of these recordings, sorted and joined; None without any.
         own: the device's other recordings that were used; empty for kind `study`.
     """
 
@@ -75,8 +75,8 @@ class LearntPrior:
     sha256: str | None
     own: tuple[Source, ...] = ()
 
-    def told(self) -> str:
-        """What a verdict says of it."""
+    def sentence(self) -> str:
+        """Return how a verdict mentions the prior."""
         model = f"{self.devices} other devices of model {printable(self.model or '')}"
         if self.kind == "study":
             return f"prior learnt from {model}"
@@ -84,7 +84,7 @@ class LearntPrior:
         return f"prior learnt from {others}" + (f" and {model}" if self.devices else "")
 
     def as_json(self) -> dict[str, Any]:
-        """The report's `prior`."""
+        """Return the report's `prior`."""
         prior = self.prior
         return {
             "kind": self.kind,

@@ -16,17 +16,21 @@ from accelcal_cli.core.clock import Clock, JoinedClock, StampClock
 from accelcal_cli.core.errors import UnreadableError
 
 Counts = NDArray[np.int16] | NDArray[np.int32]
+Three = tuple[float, float, float]
 NO_BREAKS: NDArray[np.int64] = np.empty(0, np.int64)
 
 FLOAT_LSB_PER_G = float(1 << 24)
-"""Counts per g given to values that arrive as decimal fractions: a grid of 0.06 micro-g."""
+"""Counts per g of values that arrive as decimal fractions: a grid of 0.06 micro-g."""
 
 LARGEST_LSB_PER_G = 1e9
-"""No file may claim more counts in one g: 32 bits would hold no more than 2 g."""
+"""Most counts per g that a file may claim: 32 bits would hold no more than 2 g."""
+
+METADATA_KEY = b"accelcal"
+"""Key under which our Parquet files describe themselves in their metadata, as JSON."""
 
 
 class Validity(IntEnum):
-    """Where a row comes from, as in the Parquet column `validity`."""
+    """Origin of a row, as in the Parquet column `validity`."""
 
     MEASURED = 0
     FILLED = 1
@@ -35,7 +39,7 @@ class Validity(IntEnum):
 
 
 NOT_CALIBRATED = 4
-"""Added to `validity` in a file whose values are raw, since its recording was refused."""
+"""Bit that is added to `validity` in a file with raw values, since its recording was refused."""
 
 CHANNELS: dict[str, np.generic | None] = {
     "counts": None,
@@ -43,43 +47,104 @@ CHANNELS: dict[str, np.generic | None] = {
     "gyro_counts": None,
     "validity": np.uint8(Validity.MEASURED),
 }
-"""Columns of a Chunk with a value or three for each row: all that slicing, masking, copying and joining
-need to know of a channel. The value stands for the rows of a chunk without the channel when it is joined
-to one that has it; None: the joined chunk is without the channel too."""
+"""Columns of a Chunk with one or three values for each row, which slicing, masking, copying and joining use.
+The value here fills the rows of a chunk without the channel when it is joined to one that has it; None: the
+joined chunk has no such channel either."""
 
 Channels = dict[str, NDArray[Any]]
-"""Channels beside the counts, by their name in Chunk; only those that a recording has."""
+"""Channels besides the counts that a recording has, by their name in Chunk."""
 
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """Who recorded; None if the file does not say."""
+    """The recording device; None for what the file does not say."""
 
     model: str | None = None
     serial: str | None = None
     firmware: str | None = None
 
 
-METADATA_KEY = b"accelcal"
-"""Of the metadata of our Parquet files: what they say of themselves, as JSON."""
+@dataclass(frozen=True, slots=True)
+class FactoryAcceleration:
+    """The maker's calibration of the accelerometer: acceleration [g] = g_per_count (counts - offset_counts).
+
+    Attributes:
+        source: the part of the file that holds it.
+        method: the maker's number of its kind.
+        sample_rate_hz: the rate for which it holds.
+        offset_counts: offsets of raw x, y, z.
+        g_per_count: 3 x 3, symmetric.
+    """
+
+    source: str
+    method: int
+    sample_rate_hz: int
+    offset_counts: Three
+    g_per_count: tuple[Three, Three, Three]
+
+
+@dataclass(frozen=True, slots=True)
+class FactoryTemperature:
+    """The maker's calibration of the thermometer: the line through two points.
+
+    Attributes:
+        source, method: as in FactoryAcceleration.
+        counts, celsius: the low and the high point.
+    """
+
+    source: str
+    method: int
+    counts: tuple[float, float]
+    celsius: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class FactoryCalibration:
+    """The calibration that the maker ships with a file, applied by its reader before all else.
+
+    Most devices apply it themselves, and their files hold calibrated counts. If a file holds counts of the
+    bare sensor and the maker's numbers, its reader applies these, so that all the rest sees what the maker's
+    own software shows. The report says so, since coefficients found after it hold only there.
+    """
+
+    acceleration: FactoryAcceleration | None = None
+    temperature: FactoryTemperature | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the report's `recording.factory_calibration`."""
+        values: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return values
+
+    def notes(self) -> tuple[str, ...]:
+        """Return sentences about what was applied."""
+        sentences = []
+        if self.acceleration is not None:
+            part = self.acceleration
+            rate = f"for {part.sample_rate_hz} Hz"
+            sentences.append(f"the maker's calibration ({part.source}, {rate}) was applied before any other")
+        if self.temperature is not None:
+            sentences.append(
+                f"the maker's calibration of the thermometer ({self.temperature.source}) was applied"
+            )
+        return tuple(sentences)
 
 
 @dataclass(frozen=True, slots=True)
 class Calibrated:
-    """How a recording that accelcal calibrated before came to be; None where its file does not say.
+    """Origin of a recording that accelcal calibrated before; None for what its file does not say.
 
     Attributes:
-        name: of the raw recording's file.
-        outcome: of its calibration.
-        held_out_mg: error of that on postures that were left out of the fit.
+        name: name of the raw recording's file.
+        outcome: outcome of its calibration.
+        held_out_mg: error on postures that were left out of the fit.
     """
 
     name: str
     outcome: str | None = None
     held_out_mg: float | None = None
 
-    def told(self) -> str:
-        """For people, such as `calibrated already, from a.cwa (calibrated, 4.4 mg held out)`."""
+    def sentence(self) -> str:
+        """Return a sentence such as `calibrated already, from a.cwa (calibrated, 4.4 mg held out)`."""
         error = None if self.held_out_mg is None else f"{self.held_out_mg:.1f} mg held out"
         known = ", ".join(filter(None, (self.outcome and self.outcome.replace("_", " "), error)))
         return f"calibrated already, from {self.name}{f' ({known})' if known else ''}"
@@ -87,27 +152,27 @@ class Calibrated:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What is known of a recording before its samples are read.
+    """A recording as it is known before its samples are read.
 
     Attributes:
         format: name of the format, as in `--format`.
         rate_hz: nominal sampling rate.
         lsb_per_g: raw counts in one g.
-        range_g: the sensor clips at +- this; None if unknown.
+        range_g: largest |value| that the sensor measures [g]; None if unknown.
         start_us: time of the first sample, microseconds since 1970 on the device's clock; None
             if the file has none (times then count from 1970-01-01).
         timezone: zone of the times, None if they are local times of an unknown zone. A reader states what
             the file says; `core/local_time.py` decides.
-        has_offsets: its times had offsets from UTC, and were converted to UTC.
-        stamped: its rows have times of their own, such as a computer writes, whose clock may follow daylight
-            saving; the clock of a device runs on.
+        has_offsets: True if its times had offsets from UTC, and were converted to UTC.
+        stamped: True if its rows have times of their own, such as a computer writes, whose clock may follow
+            daylight saving; the clock of a device does not.
         samples: number of samples, None if only reading everything would show it.
         duration_s: length from headers and first and last pages, None if unknown.
         gyro_dps_per_lsb: deg/s in one count of each gyroscope axis, None without a gyroscope.
-        factory: the maker's calibration, where the reader applied one: counts are those that it gives.
-        companion: a file beside the recording that says how to read it, such as a layout.
-        calibrated: set for a file of ours with calibrated values.
-        notes: what a user should know of how the file was understood.
+        factory: the maker's calibration, if the reader applied one: counts are calibrated by it.
+        companion: another file that says how to read the recording, such as a layout.
+        calibrated: origin of a file of ours with calibrated values.
+        notes: what a user should know about how the file was understood.
     """
 
     path: Path
@@ -132,7 +197,7 @@ class Recording:
 
     @property
     def of_bare_sensor(self) -> bool:
-        """Whether its counts are those that the maker's calibration gives of the raw ones."""
+        """True if the file holds counts of the bare sensor, to which the maker's calibration was applied."""
         return self.factory is not None and self.factory.acceleration is not None
 
 
@@ -142,10 +207,10 @@ class Problem:
 
     Attributes:
         code: stable lower-case name, such as `checksum` or `truncated`.
-        byte_offset: where in the file (in the uncompressed stream for .gz), None if unknown.
+        byte_offset: place in the file (in the uncompressed stream for .gz), None if unknown.
         sample: number of the first sample after the problem.
-        count: how many units (pages, rows, bytes: as the message says) are concerned.
-        lost_bytes: how many bytes of the (uncompressed) file could not be used because they are
+        count: number of units (pages, rows, bytes: as the message says) that are affected.
+        lost_bytes: number of bytes of the (uncompressed) file that could not be used because they are
             damaged; 0 for what is missing, repeated or normal.
     """
 
@@ -165,16 +230,16 @@ class Chunk:
         first_sample: number of row 0 within the recording.
         counts: (n, 3) int16 or int32, raw counts of x, y, z.
         clock: the rows' times.
-        end_byte: how far into the file this chunk reaches, for progress.
+        end_byte: byte of the file up to which this chunk reaches, for progress.
         breaks: rows r in 0..n-1, ascending, before which the recording is not continuous (lost
             data, a jump of the clock); the recording's very first row is not one.
-        clock_jumps: those of the breaks where nothing but the clock jumps: of the file, the row follows
-            directly on the one before. Only a reader whose rows have stamps of their own knows that.
+        clock_jumps: those of the breaks where only the clock jumps: in the file, the row directly follows the
+            one before. Only a reader whose rows have stamps of their own knows that.
         temperature_mc: (n,) int32, thousandths of a degree Celsius, or None.
         gyro_counts: (n, 3) int16 or int32, or None.
         validity: (n,) uint8 of `Validity`, or None if all rows were measured.
-        problems: what was found wrong while reading these rows.
-        used_bytes: how many bytes of the (uncompressed) file these rows were made of, without
+        problems: those found while reading these rows.
+        used_bytes: number of bytes of the (uncompressed) file that these rows were made of, without
             headers and unused memory.
     """
 
@@ -200,11 +265,11 @@ class Chunk:
 
     @property
     def is_fresh(self) -> bool:
-        """Whether the first row does not continue the chunk before."""
+        """True if the first row does not continue the chunk before."""
         return len(self.breaks) > 0 and self.breaks[0] == 0
 
     def part(self, start: int, stop: int) -> Chunk:
-        """Rows start..stop-1, as views; problems and used bytes go with row 0."""
+        """Return rows start..stop-1 as views; problems and used bytes go with row 0."""
         low, high = np.searchsorted(self.breaks, (start, stop))
         first, last = np.searchsorted(self.clock_jumps, (start, stop))
         return replace(
@@ -219,9 +284,9 @@ class Chunk:
         )
 
     def keep(self, mask: NDArray[np.bool_]) -> Chunk:
-        """The rows of a mask (n,), which do not continue across those left out.
+        """Return the rows of a mask (n,), with breaks where rows were left out.
 
-        After that, no break is known to be of the clock alone.
+        No break is known to be one of the clock alone any more.
         """
         broken = ~mask
         broken[self.breaks] = True
@@ -234,7 +299,7 @@ class Chunk:
         )
 
     def copy(self) -> Chunk:
-        """The same rows in memory of their own, so that a few do not keep a whole chunk alive."""
+        """Copy the rows to memory of their own, so that a few do not keep a whole chunk alive."""
         long = isinstance(self.clock, StampClock | JoinedClock)
         return replace(
             self,
@@ -244,13 +309,13 @@ class Chunk:
 
 
 def in_columns(chunk: Chunk) -> Chunk:
-    """The same rows, the counts of each axis one behind the other: that is how most are read."""
+    """Return the rows with the counts of each axis contiguous, as most are read."""
     counts: Any = np.asfortranarray(chunk.counts)
     return replace(chunk, counts=counts)
 
 
 def joined(chunks: Sequence[Chunk]) -> Chunk:
-    """Chunks that follow one another, at least one, as a single one."""
+    """Join chunks that follow one another, at least one."""
     if len(chunks) == 1:
         return chunks[0]
     with_rows = [chunk for chunk in chunks if len(chunk)] or chunks
@@ -270,7 +335,7 @@ def joined(chunks: Sequence[Chunk]) -> Chunk:
 
 
 def _joined_clock(chunks: Sequence[Chunk]) -> Clock:
-    """Two plain clocks are asked for times when these are wanted; more of them at once."""
+    """Join clocks: two plain ones give times on demand, others are asked at once."""
     first, *others = (chunk.clock for chunk in chunks)
     if len(others) == 1 and not any(isinstance(clock, JoinedClock) for clock in (first, others[0])):
         return JoinedClock(first, len(chunks[0]), others[0])
@@ -278,7 +343,7 @@ def _joined_clock(chunks: Sequence[Chunk]) -> Clock:
 
 
 def _joined_channel(chunks: Sequence[Chunk], name: str) -> Any:
-    """A channel of all chunks; where only some have it, filled up or left out as CHANNELS says."""
+    """Join a channel of chunks; if only some have it, fill it up or leave it out as CHANNELS says."""
     columns, missing = [getattr(chunk, name) for chunk in chunks], CHANNELS[name]
     known = [column is not None for column in columns]
     if not (all(known) if missing is None else any(known)):
@@ -288,10 +353,10 @@ def _joined_channel(chunks: Sequence[Chunk], name: str) -> Any:
 
 
 def clipped_at(chunk: Chunk, low: Any, high: Any) -> Chunk:
-    """The chunk with measured rows marked that reach the ends of what the sensor can tell.
+    """Return the chunk with measured rows marked that reach the limits of the sensor.
 
     Args:
-        low, high: counts of all axes, or (3,) of each.
+        low, high: limits in counts, one for all axes or (3,).
     """
     counts = chunk.counts
     if not len(chunk) or (counts.min() > np.max(low) and counts.max() < np.min(high)):
@@ -303,7 +368,7 @@ def clipped_at(chunk: Chunk, low: Any, high: Any) -> Chunk:
 
 
 def cut_columns(record: Any, names: Iterable[str], rows: Any) -> dict[str, Any]:
-    """Some rows (a slice, a mask or numbers) of the columns that a record has, by name."""
+    """Return some rows (a slice, a mask or numbers) of the columns that a record has, by name."""
     cut = {}
     for name in names:
         column = getattr(record, name)
@@ -313,12 +378,12 @@ def cut_columns(record: Any, names: Iterable[str], rows: Any) -> dict[str, Any]:
 
 
 def cut_channels(channels: Channels, rows: Any) -> Channels:
-    """Some rows (a slice, a mask or numbers) of all channels."""
+    """Return some rows (a slice, a mask or numbers) of all channels."""
     return {name: values[rows] for name, values in channels.items()}
 
 
 def joined_columns(records: Sequence[Any], names: Iterable[str]) -> dict[str, Any]:
-    """Columns of records one after the other, by name; None if one of the records has none."""
+    """Join columns of records, by name; None for a column that one of the records lacks."""
     parts = {name: [getattr(record, name) for record in records] for name in names}
     return {
         name: None if any(column is None for column in columns) else np.concatenate(columns)
@@ -327,21 +392,21 @@ def joined_columns(records: Sequence[Any], names: Iterable[str]) -> dict[str, An
 
 
 def joined_channels(parts: Sequence[Channels]) -> Channels:
-    """Channels one after the other; one that a part does not have is left out."""
+    """Join channels; a channel that one of the parts lacks is left out."""
     names = [name for name in parts[0] if all(name in part for part in parts)]
     return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedFile:
-    """One file of a session of several, each of which is a recording of its own.
+    """A file of a session of several, each of which is a recording of its own.
 
     Attributes:
-        name: within the session.
-        first_sample, samples: its rows within the whole.
-        first_us: time of its first row there, on the device's clock.
-        moved_us: what was added to its own times.
-        dated: whether these have a date.
+        name: its name within the session.
+        first_sample, samples: its first row within the whole, and the number of its rows.
+        first_us: time of its first row in the session, on the device's clock.
+        moved_us: time that was added to its own times.
+        dated: True if its own times have a date.
         problems, lost_bytes: its damage.
     """
 
@@ -356,7 +421,7 @@ class PlacedFile:
 
 
 class Closing:
-    """Closed at the end of a `with` block."""
+    """Something that is closed at the end of a `with` block."""
 
     def close(self) -> None:
         """Release the file."""
@@ -376,7 +441,7 @@ class Intake:
     """
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
-        """The rows that are settled by these bytes, which follow on those before.
+        """Yield the rows that are complete with these bytes, which follow those before.
 
         Args:
             last: nothing follows.
@@ -394,8 +459,8 @@ class Reader(Closing):
     beginning, and the rows do not depend on `chunk_samples`. Problems travel with the chunks.
 
     Attributes:
-        threads: how many may work at a time; a format may leave them unused.
-        files: those of a session, once all its rows were read; of any other recording none.
+        threads: number that may work at a time; a format may leave them unused.
+        files: those of a session, once all its rows were read; empty for other recordings.
     """
 
     recording: Recording
@@ -411,10 +476,10 @@ class Reader(Closing):
         raise NotImplementedError
 
     def intake(self) -> Intake:
-        """Takes the recording's bytes from the first one on, of a format that can be read as it grows.
+        """Return what reads the recording's bytes from the first one on, as they come.
 
         Raises:
-            UnreadableError: it cannot be.
+            UnreadableError: the format cannot be read as it grows.
         """
         raise UnreadableError(
             f"recordings of format {self.recording.format} are not read while they grow",
@@ -433,66 +498,5 @@ class Reader(Closing):
 
 
 def as_json_device(device: Device) -> dict[str, Any]:
-    """The report's `device` object."""
+    """Return the report's `device` object."""
     return {"model": device.model, "serial": device.serial, "firmware": device.firmware}
-
-
-Three = tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class FactoryAcceleration:
-    """Acceleration [g] = g_per_count (counts - offset_counts).
-
-    Attributes:
-        source: the part of the file that holds it.
-        method: the maker's number of its kind.
-        sample_rate_hz: the rate for which it holds.
-        offset_counts: of raw x, y, z.
-        g_per_count: 3 x 3, symmetric.
-    """
-
-    source: str
-    method: int
-    sample_rate_hz: int
-    offset_counts: Three
-    g_per_count: tuple[Three, Three, Three]
-
-
-@dataclass(frozen=True, slots=True)
-class FactoryTemperature:
-    """Temperature on the line through two points, at which the thermometer gave so many counts.
-
-    Attributes:
-        source, method: as above.
-        counts, celsius: the low and the high point.
-    """
-
-    source: str
-    method: int
-    counts: tuple[float, float]
-    celsius: tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class FactoryCalibration:
-    """What was applied; None where there was nothing to apply."""
-
-    acceleration: FactoryAcceleration | None = None
-    temperature: FactoryTemperature | None = None
-
-    def as_json(self) -> dict[str, Any]:
-        """The report's `recording.factory_calibration`."""
-        values: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        return values
-
-    def notes(self) -> tuple[str, ...]:
-        """For people."""
-        told = []
-        if self.acceleration is not None:
-            part = self.acceleration
-            rate = f"for {part.sample_rate_hz} Hz"
-            told.append(f"the maker's calibration ({part.source}, {rate}) was applied before any other")
-        if self.temperature is not None:
-            told.append(f"the maker's calibration of the thermometer ({self.temperature.source}) was applied")
-        return tuple(told)

@@ -1,4 +1,4 @@
-"""Facts that one pass over a recording finds out, and what the judge says of its calibration."""
+"""Facts that one pass over a recording finds, and the judgement of its calibration."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ErrorSummary:
-    """mean | |a| - 1 g | over postures, their median and 95th percentile [mg]."""
+    """Mean, median and 95th percentile of | |a| - 1 g | over postures [mg]."""
 
     mean: float
     median: float
@@ -34,14 +34,14 @@ class ErrorSummary:
 
 @dataclass(frozen=True, slots=True)
 class Holdout:
-    """Error on data that took no part in the fit.
+    """Errors on data that took no part in the fit.
 
     Attributes:
-        method: how it was held out.
+        method: how the data were held out.
         ci95: confidence interval of the mean after calibration [mg], Student's t over postures.
         per_posture: (before, after) [mg] of each posture, in the order of the postures.
-        blocks: (posture, after [mg]) of each block by which models are compared: a posture, or
-            where there is temperature a posture within a narrow range of it.
+        blocks: (posture, after [mg]) of each block by which models are compared: a posture, or with
+            temperatures a posture within a narrow range of them.
     """
 
     method: str
@@ -54,15 +54,15 @@ class Holdout:
     blocks: tuple[tuple[int, float], ...] = ()
 
     def compared_mg(self) -> float:
-        """Mean over the blocks after calibration: what the model ladder compares [mg]."""
+        """Return the mean over the blocks after calibration [mg], which the model ladder compares."""
         return fsum(after for _, after in self.blocks) / len(self.blocks)
 
     def improvement_factor(self) -> float:
-        """Error before over error after: how many times smaller it has become."""
+        """Return the error before calibration over that after it."""
         return self.before.mean / self.after.mean if self.after.mean else float("inf")
 
     def improvement_percent(self) -> float:
-        """R of F eq. 21: the factor in percent, so that 100 means no change."""
+        """Return R of F eq. 21: the factor in percent, so that 100 means no change."""
         return 100 * self.before.mean / self.after.mean if self.after.mean else float("inf")
 
 
@@ -75,12 +75,12 @@ class Coverage:
             counts on every axis.
         axis_min_g, axis_max_g: extreme raw values of x, y, z.
         cells: number of orientation cells with points (split by temperature where it is used).
-        distinct_orientations: how many of the points lie in different postures.
-        condition_number: of the fit's Jacobian with columns of unit length; None if not fitted.
+        distinct_orientations: number of postures with points.
+        condition_number: that of the fit's Jacobian with columns of unit length; None if not fitted.
         worst_direction_mg: standard error of |a| in the least certain of 162 directions.
         saturated: axes that measure nothing beyond a value, in raw g; no point is near it.
-        subsets_full_after_h: hours of samples until two still windows, well apart, were in each of F's nine
-            subsets; None where they never were, or nobody looked (`watch` and profile `paper` do).
+        subsets_full_after_h: hours of samples until each of F's nine subsets held two still windows, well
+            apart; None if they never did, or if this was not looked for (`watch` and profile `paper` do).
     """
 
     subsets: tuple[tuple[int, int, int], ...]
@@ -96,11 +96,11 @@ class Coverage:
 
 @dataclass(frozen=True, slots=True)
 class SphereError:
-    """mean | |a| - 1 g | over all directions, whether the wrist has been there or not [mg].
+    """Mean | |a| - 1 g | over all directions, also those where the wrist has not been [mg].
 
     Attributes:
-        ci95: 2.5 % for a wrist that spends an unknown share of its time where it has been, to 97.5 % for one
-            that goes everywhere.
+        ci95: from 2.5 % for a wrist that spends an unknown share of its time where it has been, to 97.5 % for
+            one that goes everywhere.
         worst_direction: the expected error in the direction where it is largest.
         worst_direction_at: that direction, a unit vector of the true acceleration.
     """
@@ -118,8 +118,8 @@ class Trial:
     Attributes:
         holdout: its held-out error, None if it could not be fitted.
         reason: why it was not eligible, None if it was.
-        fit: to all points, where there is one.
-        prior: name of the prior it was fitted with; None: without.
+        fit: the fit to all points, if there is one.
+        prior: name of the prior that it was fitted with, or None.
     """
 
     model: str
@@ -130,8 +130,8 @@ class Trial:
 
 
 ChangeKind = Literal["none", "drift", "step", "gain", "device", "walk"]
-"""How a sensor changes: not; its offsets in proportion to time; its offsets at once; its scales and offsets
-at once; all its parameters at once, as those of another device; its offsets from knot to knot."""
+"""How a sensor changes: not at all; its offsets in proportion to time; its offsets at once; its scales and
+offsets at once; all its parameters at once, as if by another device; its offsets from knot to knot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,9 +139,9 @@ class TimeHoldout:
     """Mean errors [mg] on stretches of time, each judged by a fit of the others.
 
     Attributes:
-        constant_mg: of a sensor that stays as it is.
-        changing_mg: of one that changes; None where none was found that is clearly better.
-        standard_error_mg: of their difference.
+        constant_mg: error of a constant sensor.
+        changing_mg: error of a changing sensor; None if none is clearly better.
+        standard_error_mg: that of their difference.
     """
 
     stretches: int
@@ -155,12 +155,12 @@ class Change:
     """How the sensor changed while it recorded.
 
     Attributes:
-        unchecked: why this could not be seen, None if it could.
-        at_block: number of the block of time at which a sudden change took place; at_us: when that begins, on
-            the device's clock.
-        correction: what puts the sensor right, in standard g; None where one calibration cannot follow.
+        unchecked: why a change could not be looked for, or None.
+        at_block: number of the block of time at which a sudden change took place.
+        at_us: beginning of that block on the device's clock.
+        correction: what corrects the sensor, in standard g; None if one calibration cannot follow.
         size_mg: the largest change of |a|, over all directions.
-        offset_mg, scale_percent: by how much those of raw x, y, z changed from beginning to end.
+        offset_mg, scale_percent: change of those of raw x, y, z from beginning to end.
     """
 
     kind: ChangeKind
@@ -175,20 +175,20 @@ class Change:
 
 
 MisfitKind = Literal["quadratic", "cubic", "gain by temperature", "curved by temperature", "previous posture"]
-"""What a sensor may do that the parameters do not describe: its response is bent, with the square or the
+"""Behaviour of a sensor that the parameters do not describe: its response is bent, with the square or the
 cube of the acceleration; its scales change with temperature; its offsets do so on a curve; its offsets depend
 on the posture before."""
 
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
-    """One thing that a sensor may do beyond its parameters, and how much of it the points show.
+    """A behaviour that the parameters do not describe, and how much of it the points show.
 
     Attributes:
-        size, standard_errors: of x, y, z, in `unit`.
+        size, standard_errors: those of x, y, z, in `unit`.
         before_mg, after_mg: mean error on held-out postures without it and with it.
-        largest_mg: the most that it changes |a| by.
-        found: whether the error falls so clearly that it is believed.
+        largest_mg: its largest effect on |a|.
+        found: True if the error falls so clearly that it is believed.
     """
 
     kind: MisfitKind
@@ -203,7 +203,7 @@ class Misfit:
 
 @dataclass(frozen=True, slots=True)
 class FitErrors:
-    """Errors on the very points that were fitted; not the number to quote."""
+    """Errors on the points that were fitted; not the number to quote."""
 
     points: int
     postures: int
@@ -215,13 +215,13 @@ class FitErrors:
 class WithoutMisalignment:
     """The same points fitted without misalignment, for tools whose formula has none.
 
-    Cutting a calibration down to the diagonal of its K is no substitute: scales and offsets have then to make
-    up for what is left out.
+    Cutting a calibration down to the diagonal of its K is no substitute: scales and offsets have to make up
+    for what is left out.
 
     Attributes:
-        calibration: of model 6, or 6T where slopes were fitted.
-        holdout: its error on what the calibration itself was held out on; None where there is too little.
-        sphere: its error over all directions; None where nothing is known of the whole sphere.
+        calibration: of model 6, or 6T if slopes were fitted.
+        holdout: its error on the data on which the calibration itself was held out; None if they are too few.
+        sphere: its error over all directions; None if unknown.
     """
 
     calibration: Calibration
@@ -234,13 +234,13 @@ class Judgement:
     """The verdict on a recording, with all that supports it; calibration is None if refused.
 
     Attributes:
-        candidate: what was fitted with a prior, also if it is not good enough to be the calibration.
-        penalty: the prior as the fit had it; None without one.
-        sphere: error of the calibration over all directions; sphere_before: of the raw values.
-        change: how the sensor changed meanwhile; None where nobody looked.
-        misfits: what was looked for that the parameters do not describe; None where nobody looked.
-        unlike: the points speak against a prior that was learnt from other recordings.
-        without_misalignment: beside a calibration that has misalignment; None where that cannot be fitted.
+        candidate: the fit with a prior, also if it is not good enough to be the calibration.
+        penalty: the prior as the fit used it; None without one.
+        sphere: error of the calibration over all directions; sphere_before: that of the raw values.
+        change: how the sensor changed meanwhile; None if this was not looked for.
+        misfits: kinds of behaviour that were tested; None if none were.
+        unlike: True if the points speak against a prior that was learnt from other recordings.
+        without_misalignment: for a calibration with misalignment; None if that cannot be fitted.
     """
 
     outcome: Outcome
@@ -269,7 +269,7 @@ class Gap:
     Attributes:
         sample: number of the first sample after the gap.
         start_us: time of the last sample before it.
-        seconds: from that sample to the next one.
+        seconds: time from that sample to the next.
     """
 
     sample: int
@@ -279,11 +279,11 @@ class Gap:
 
 @dataclass(frozen=True, slots=True)
 class Jumps:
-    """Where the times of consecutive rows do not go on.
+    """Jumps of the times from row to row.
 
     Attributes:
-        gaps: how many times time is missing, and how much in all [us].
-        back: how many times a stamp repeats the one before or goes back.
+        gaps, gap_us: number of gaps, and the time that is missing in all [us].
+        back: number of stamps that repeat the one before or go back.
     """
 
     gaps: int = 0
@@ -293,19 +293,19 @@ class Jumps:
 
 @dataclass(frozen=True, slots=True)
 class TimeRows:
-    """What a recording is made of along time: one number for each of its b blocks, in the order of time.
+    """A recording along time: one number for each of its blocks, in the order of time.
 
     Attributes:
         block_samples: samples of a block; the last one may have fewer.
-        samples: how many there are.
-        still: still windows that begin there, near 1 g or not; moving: how many windows the other samples
-            make that were measured.
-        filled, clipped, recovered: samples of the device's idle sleep, at the sensor's range, from a damaged
-            block.
-        lost_bytes: of the (uncompressed) file, that damage took there.
+        samples: number of samples.
+        still: number of still windows that begin there, near 1 g or not.
+        moving: number of windows that the other measured samples make.
+        filled, clipped, recovered: samples of the device's idle sleep, at the sensor's range, and from
+            damaged blocks.
+        lost_bytes: bytes of the (uncompressed) file that damage took there.
         gap_us: time that is missing before its samples.
         temperature_mc: mean [thousandths of a degree C]; None without thermometer.
-        worn: whether the device was worn, None where too little was measured to tell.
+        worn: True if the device was worn, None if too little was measured to tell.
     """
 
     block_samples: int
@@ -326,11 +326,11 @@ class TimeRows:
 
 @dataclass(frozen=True, slots=True)
 class SampleCounts:
-    """Samples by what is particular to them; the report's `file_health` has them by these names.
+    """Numbers of special samples, under their names in the report's `file_health`.
 
     Attributes:
-        filled_samples: of idle sleep, when the device measured nothing.
-        clipped_samples_before: at the sensor's range as measured, before calibration.
+        filled_samples: those of idle sleep, when the device measured nothing.
+        clipped_samples_before: those at the sensor's range as measured, before calibration.
     """
 
     filled_samples: int = 0
@@ -342,8 +342,8 @@ class Rest:
     """What still windows measure before calibration, near 1 g or not, in units of local gravity.
 
     Attributes:
-        windows: how many there are; without any, all but the last attribute have no meaning.
-        median_g, p5_g, p95_g: quantiles of |a|, to half a percent.
+        windows: their number; without any, only the last attribute has a meaning.
+        median_g, p5_g, p95_g: percentiles of |a|, to half a percent.
         axis_min_g, axis_max_g: extreme means of x, y, z.
         alike: axes whose values are the same in all windows, such as ("x", "y").
         error_mg: mean | |a| - 1 g | of the windows of 0.5 to 1.5 g; None without any.
@@ -367,16 +367,18 @@ class Facts:
 
     Attributes:
         first_us, last_us: times of the first and last sample; None without samples.
-        rate_hz: measured: samples over time within unbroken stretches; None if unknown.
-        gaps_omitted: gaps beyond those that are listed.
+        rate_hz: measured rate, samples over time within unbroken stretches; None if unknown.
+        gaps_omitted: number of gaps beyond those that are listed.
         rest: what its still windows measure.
-        utc_offset_s: seconds that the device's clock is ahead of UTC; None if its zone, or the
-            time of the start, is not known.
-        lost_bytes, used_bytes: of the (uncompressed) file: damaged ones, and those that the samples
-            were made of.
-        zone_change: the zone changed its offset from UTC during the recording; None if not, or unknown.
-        gone_over: short jumps of its times that did not end a window.
-        windows: complete ones, still or not; quietest: the one that moves least; None if none was measured.
+        utc_offset_s: seconds that the device's clock is ahead of UTC; None if its zone or the time of the
+            start is unknown.
+        lost_bytes, used_bytes: damaged bytes of the (uncompressed) file, and those that the samples were made
+            of.
+        zone_change: change of the zone's offset from UTC during the recording; None if there is none, or
+            unknown.
+        gone_over: number of short jumps of its times that did not end a window.
+        windows: number of complete windows, still or not.
+        quietest: the window that moves least; None if none was measured.
     """
 
     samples: int
@@ -400,5 +402,5 @@ class Facts:
     quietest: Quietest | None = None
 
     def lost_percent(self) -> float:
-        """Share of the recording's bytes that damage has taken."""
+        """Return the share of the recording's bytes that was lost to damage [%]."""
         return 100 * self.lost_bytes / max(1, self.lost_bytes + self.used_bytes)

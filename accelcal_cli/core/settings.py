@@ -1,4 +1,4 @@
-"""The one place for every setting of the method: name, unit, default, bounds, source, and its option.
+"""Every setting of the method: name, unit, default, bounds, source, and its option, declared once.
 
 Command-line options (cli/options.py) and the checks of settings that are read back from a report
 (pipeline/report_settings.py) are made from what is declared here.
@@ -12,10 +12,10 @@ from typing import Any
 from accelcal_cli.core.gravity import Gravity
 
 SETTING = "setting"
-"""Key of a field's metadata that holds its Setting."""
+"""Key of a field's metadata under which its Setting is found."""
 
 SIX_POSE = "six-pose"
-"""The profile that reports of known orientations name."""
+"""Name of the profile in reports of known orientations."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,11 +23,11 @@ class Option:
     """The command-line option that sets a field.
 
     Attributes:
-        name: with `--no-` for one that switches off.
-        metavar: what the help calls its value; None: by the type.
-        default: as shown in the help; None: the field's own.
-        bounds: narrower ones for a number that is typed than for one in a report; None: the setting's.
-        above: a typed number need only be above this, in place of the lower bound; None: the bound holds.
+        name: as it is typed, with `--no-` for one that switches off.
+        metavar: name of its value in the help; None: by the type.
+        default: the default as shown in the help; None: the field's own.
+        bounds: narrower bounds for a typed number than for one in a report; None: the setting's.
+        above: a typed number must only be above this, instead of the lower bound; None: the bound holds.
     """
 
     name: str
@@ -40,11 +40,11 @@ class Option:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What a field may hold, besides None if its type allows it, and the option that sets it.
+    """The values that a field may have, besides None if its type allows it, and the option that sets it.
 
     Attributes:
         low, high: bounds of a number, or of every number of a tuple; None: unbounded.
-        choices: names that are possible; empty: any.
+        choices: possible names; empty: any.
     """
 
     low: float | None = None
@@ -53,7 +53,7 @@ class Setting:
     choices: tuple[str, ...] = ()
 
     def allows(self, value: Any) -> bool:
-        """Whether a value, of the field's type and not None, is among the choices and within the bounds."""
+        """Return True if a value of the field's type, not None, is within the choices and bounds."""
         if self.choices:
             return value in self.choices
         numbers = value if isinstance(value, tuple) else (value,)
@@ -67,12 +67,12 @@ def setting(
     option: Option | None = None,
     choices: tuple[str, ...] = (),
 ) -> Any:
-    """A field of a dataclass with its Setting."""
+    """Return a field of a dataclass with its Setting."""
     return field(default=default, metadata={SETTING: Setting(low, high, option, choices)})
 
 
 def setting_of(kind: Any, name: str) -> Setting:
-    """The Setting of a dataclass's field."""
+    """Return the Setting of a dataclass's field."""
     declared: Setting = kind.__dataclass_fields__[name].metadata.get(SETTING, Setting())
     return declared
 
@@ -82,17 +82,17 @@ class Adaptive:
     """Numbers of stillness rule `adaptive` (G: Grammenos, Mascolo, Crowcroft 2018, section 4.4).
 
     Attributes:
-        acceleration_factor: standard deviation of |a| stays below so many times its minimum (G: 2).
-        rotation_factor: the same for the gyroscope, where there is one (G: 3).
-        min_samples: a window has at least so many samples, however long they take (the standard
-            deviation of 100 values is known to 7 %, so that the minimum over a week of windows is
-            about two thirds of the usual one; of 30 values it would be less than half).
-        min_windows: a state has at least so many windows (G gathers more once a first window has
-            passed; 2, since |a| alone does not see a slow turn, but the means of two windows do).
-        max_windows: a state has at most so many windows, then another begins (60: a minute at
-            100 Hz), so that hours in one posture stay many windows with their own temperatures.
-        held_windows: candidates wait until so many more have come, so that an early one is judged
-            by a minimum that has settled (measured: 16384 are about 4.5 h of rest; 3 MB).
+        acceleration_factor: largest standard deviation of |a|, in multiples of its minimum (G: 2).
+        rotation_factor: largest standard deviation of the gyroscope, in multiples of its minimum (G: 3).
+        min_samples: fewest samples of a window, however long they take (the standard deviation of 100
+            values is known to 7 %, so that the minimum over a week of windows is about two thirds of the
+            usual one; of 30 values it would be less than half).
+        min_windows: fewest windows of a state (G gathers more once a first window has passed; 2, since |a|
+            alone does not show a slow turn, but the means of two windows do).
+        max_windows: most windows of a state, after which another begins (60: a minute at 100 Hz), so that
+            hours in one posture stay many windows with their own temperatures.
+        held_windows: number of further windows that a candidate waits for, so that an early one is judged
+            by a settled minimum (measured: 16384 are about 4.5 h of rest; 3 MB).
     """
 
     acceleration_factor: int = setting(2, 1, 30)
@@ -117,12 +117,12 @@ STILLNESS: dict[str, dict[str, Any]] = {
     "deviation": {**_FIXED, **_UNUSED, "segment_seconds": 10.0},
     "adaptive": {**_UNUSED, "segment_seconds": 1.0, "stillness_deviation_g": None, "adaptive": Adaptive()},
 }
-"""Rules of stillness, as in `--stillness`, and the settings that make them."""
+"""Rules of stillness, as in `--stillness`, and the settings that each stands for."""
 
 RANGE_RULES = tuple(
     name for name, numbers in STILLNESS.items() if numbers["stillness_threshold_g"] is not None
 )
-"""Those that limit max - min."""
+"""Rules that limit max - min."""
 
 
 NO_PRIOR = "none"
@@ -135,51 +135,50 @@ NEVER = "never"
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What decides the result, besides the recording. All of it is in the report.
+    """All that decides the result besides the recording; it is part of the report.
 
     Attributes:
-        profile: `default`, or `paper` for F's procedure (docs/evaluation.md says what is added to it).
+        profile: `default`, or `paper` for F's procedure (docs/evaluation.md lists the additions).
         optimizer: as in `--optimizer`.
-        model: `auto`, or the model (9, 6, 3) the user insists on.
-        prior: what is known of sensors before any point is seen (docs/prior.md): `population`, which DEFAULT
-            has; `none`: the simplest model that held-out postures support; `study`, `device`: learnt from
-            other recordings, and in the report. Older reports had none.
-        recalibrate: `auto`, which DEFAULT has: the calibration follows a sensor that changes while it records
-            (docs/change.md); or `never`: that is only told. Older reports did neither.
-        temperature: whether a slope per axis may be fitted where the recording has temperature.
+        model: `auto`, or the model (9, 6, 3) that the user insists on.
+        prior: knowledge of sensors before any point is seen (docs/prior.md). `population` is that of DEFAULT;
+            `none`: the simplest model that held-out postures support; `study`, `device`: learnt from other
+            recordings, and part of the report. Older reports had none.
+        recalibrate: `auto`, as in DEFAULT: the calibration follows a sensor that changes while it records
+            (docs/change.md); `never`: a change is only reported. Older reports did neither.
+        temperature: True if a slope per axis may be fitted when the recording has temperature.
         stillness: rule of stillness, a key of STILLNESS, which sets the next five.
         segment_seconds: length of a window [s] (F II.B.1: 5 s; van Hees et al. 2014: 10 s; G 4.4:
             at least 1 s).
-        stillness_threshold_g: max - min of a still window stays below [g] (F II.B.1: 0.12 g);
-            None: not looked at.
-        stillness_deviation_g: standard deviation of every axis stays below [g] (van Hees et al.
-            2014: 13 mg); None: not looked at.
+        stillness_threshold_g: max - min of a still window is below this [g] (F II.B.1: 0.12 g); None: no
+            limit.
+        stillness_deviation_g: standard deviation of every axis is below this [g] (van Hees et al. 2014:
+            13 mg); None: no limit.
         stillness_axes: axes of the max - min rule (F: one, of its choice; here all, since slow movement
             across the other two passes a rule that looks at one).
         adaptive: numbers of rule `adaptive`; None for the others.
-        longest_gap_s: a window goes on over gaps and steps back of the clock of at most so much [s], together
-            no more than its own length; 0, which older reports had: over none (docs/stillness.md; phones
-            lose up to 0.2 s at a time, and what is still before and after half a second hardly moved
-            in between).
+        longest_gap_s: longest gap, or step back of the clock, that a window may span [s]; together they are
+            no longer than the window. 0, as in older reports: none (docs/stillness.md; phones lose up to
+            0.2 s at a time, and what is still before and after half a second hardly moved in between).
         cells_per_g: orientation cells per g on each axis (measured: 20; 10 leaves a bias).
-        norm_low_g, norm_high_g: still windows with |mean| outside are implausible [g].
-        posture_degrees: points within so many degrees are one posture.
+        norm_low_g, norm_high_g: bounds of a plausible still window's |mean| [g].
+        posture_degrees: largest angle between a point and the first of its posture [degrees].
         folds: number of posture-blocked folds.
-        min_postures: fewer cannot hold nine unknowns (F II.B.1: nine distinct points).
-        coverage_g: scale needs raw values beyond -this and +this on every axis [g] (van Hees
-            et al. 2014: 0.3 g).
+        min_postures: fewest postures for nine unknowns (F II.B.1: nine distinct points).
+        coverage_g: raw values [g] that a scale needs on both sides of every axis (van Hees et al. 2014:
+            0.3 g).
         max_error_mg: held-out error that a usable calibration stays below [mg] (van Hees: 10 mg).
-        min_temperature_range_c: a slope needs at least this range of temperatures [degrees C].
-        temperature_block_c: models are compared on postures within so many degrees C, so that what
-            a slope brings shows where one posture was held at different temperatures.
-        precision_mg: calibrated values are written in steps of at most so much [mg], a power of two
-            of g, so that they compress; None: as exact as single precision is.
-        latitude: where the recording was made [degrees]; None: rest measures 1 standard g.
-        altitude_m: metres above the sea there.
-        max_damage_percent: a recording of which damage has taken a larger share is refused [%]; what
-            is left of it may not be what was worn.
-        min_distance_g: every point of profile `paper` is at least so far from all others [g] (F II.B.1:
-            a mean "differs sufficiently from the already acquired"; measured: 0.2); 0: anything goes.
+        min_temperature_range_c: smallest range of temperatures for a slope [degrees C].
+        temperature_block_c: range of temperatures within which a posture is one block when models are
+            compared [degrees C], so that a slope shows where one posture had different temperatures.
+        precision_mg: longest step of calibrated values [mg]; the step is a power of two of g, so that they
+            compress. None: single precision.
+        latitude: of the place of recording [degrees]; None: rest measures 1 standard g.
+        altitude_m: of the place of recording, above the sea [m].
+        max_damage_percent: share that damage may take of a recording before it is refused [%]; the rest of it
+            may not be what was worn.
+        min_distance_g: smallest distance between points of profile `paper` [g] (F II.B.1: a mean "differs
+            sufficiently from the already acquired"; measured: 0.2); 0: any.
         min_subset_points, max_subset_points: points in each of the nine subsets of profile `paper` (F II.B.1:
             2 and 2, 18 in all). With fewer in any, nothing is fitted; no subset takes more.
     """
@@ -324,36 +323,37 @@ class Settings:
 
 
 def _as_in_settings(name: str) -> Any:
-    """A field with the default, the bounds and the option that it has in Settings."""
+    """Return a field with the default, bounds and option that it has in Settings."""
     same = Settings.__dataclass_fields__[name]
     return field(default=same.default, metadata=same.metadata)
 
 
 POSES_IF_ASKED = ("unchecked", "roll")
-"""Fields of PoseSettings that a report has only where they were asked for."""
+"""Fields of PoseSettings that a report has only if they were asked for."""
 
 
 @dataclass(frozen=True, slots=True)
 class PoseSettings:
-    """What decides a calibration from known orientations, besides the recording and its list of poses.
+    """All that decides a calibration from known orientations, besides the recording and its list of poses.
 
     Attributes:
         segment_seconds: length of a window [s]; short, since a face is held for seconds.
         stillness_threshold_g, stillness_deviation_g: as in `Settings`, on every axis.
         longest_gap_s: as in `Settings`.
-        norm_low_g, norm_high_g: as in `Settings`; not asked of listed poses.
-        face_degrees: a state within so many degrees of an axis lies on that face; wide, since raw
-            values carry the very errors that are sought.
-        state_degrees: windows within so many degrees of their state's mean belong to it.
-        min_state_seconds: shorter states are left out [s]; not asked of listed poses.
-        posture_degrees: listed references within so many degrees are held out together.
-        max_condition: of the matrix [a 1]; the poses do not determine the parameters beyond.
+        norm_low_g, norm_high_g: as in `Settings`; not required of listed poses.
+        face_degrees: largest angle between a state and the axis of its face [degrees]; wide, since raw values
+            have the errors that are sought.
+        state_degrees: largest angle between a window and the mean of its state [degrees].
+        min_state_seconds: shortest state [s]; not required of listed poses.
+        posture_degrees: largest angle between listed references that are held out together [degrees].
+        max_condition: condition number of the matrix [a 1] above which the poses do not determine the
+            parameters.
         max_error_mg: as in `Settings`.
-        max_vector_error_mg: held-out |a - reference| that a usable calibration stays below [mg]; one
-            face tilted by a degree makes 12 mg of it.
+        max_vector_error_mg: held-out |a - reference| that a usable calibration stays below [mg]; one face
+            tilted by a degree contributes 12 mg.
         latitude, altitude_m, max_damage_percent: as in `Settings`.
-        unchecked: poses that leave none to judge a fit by are fitted all the same.
-        roll: where the device was rolled about a level axis, as given: `z,80,95`.
+        unchecked: True to fit poses that leave none to judge the fit by.
+        roll: where the device was rolled about a level axis, as typed: `z,80,95`.
     """
 
     segment_seconds: float = setting(
@@ -395,12 +395,12 @@ class PoseSettings:
 
     @property
     def profile(self) -> str:
-        """What the report's `settings` call these."""
+        """Name of the profile in the report's `settings`."""
         return SIX_POSE
 
     @property
     def stillness(self) -> Settings:
-        """The same as settings of the segmenter."""
+        """The settings of the segmenter."""
         names = (
             "segment_seconds",
             "stillness_threshold_g",
@@ -422,13 +422,13 @@ class PoseSettings:
 
 @dataclass(frozen=True, slots=True)
 class EffectiveSettings:
-    """All that decides a result besides the recording; the report's `settings`.
+    """The report's `settings`: all that decides a result besides the recording.
 
     Attributes:
-        report_only: no calibrated recording is written.
+        report_only: True if no calibrated recording is written.
         input: how the recording was read.
         poses: a session's list of poses, by name and hash; None in both: its faces were found.
-        effect: what the calibration changes in measures of activity is found, too.
+        effect: True if the effect on measures of activity is reported.
     """
 
     method: Settings | PoseSettings
@@ -439,7 +439,7 @@ class EffectiveSettings:
 
     @property
     def precision_mg(self) -> float | None:
-        """Longest step between calibrated values that are written; None: exact."""
+        """Longest step of calibrated values that are written [mg]; None: exact."""
         return self.method.precision_mg if isinstance(self.method, Settings) else None
 
     def as_json(self) -> dict[str, Any]:
@@ -451,7 +451,7 @@ class EffectiveSettings:
 
 
 def with_stillness(settings: Settings, name: str) -> Settings:
-    """The settings with a rule of stillness and its own numbers."""
+    """Return the settings with a rule of stillness and its numbers."""
     return replace(settings, stillness=name, **STILLNESS[name])
 
 

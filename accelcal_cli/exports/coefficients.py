@@ -1,7 +1,7 @@
 """Coefficients for tools that know scales, offsets and slopes, but no misalignment.
 
 Each form is one small function with the tool's formula and its source. A calibration with misalignment is
-never cut down: exported is the result of the same points without misalignment (judge/simpler.py).
+never cut down: exported is the result of the same points without misalignment (judge/verdict.py).
 """
 
 from __future__ import annotations

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.arithmetic import ONE
-from accelcal_cli.core.calibration import calibrated
+from accelcal_cli.core.calibration import Calibration, calibrated
+from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import WEIGHT_ONE, Model, PointSet
 from accelcal_cli.core.results import Coverage, ErrorSummary
 from accelcal_cli.core.statistics import mean, quantile
@@ -23,7 +24,10 @@ from accelcal_cli.core.statistics import mean, quantile
 Floats = NDArray[np.float64]
 
 INTERVALS_G = ((-1.25, -0.75), (-0.25, 0.25), (0.75, 1.25))
+"""F's intervals of an axis [g], by which coverage counts points."""
+
 _PAIRS = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
+"""Row and column of each entry of K, in the order of the parameters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +35,8 @@ class Uncertainty:
     """How well a fit is determined.
 
     Attributes:
-        standard_errors: of the twelve parameters (0 where not free), slopes per scaled degree.
-        condition_number: of the weighted Jacobian, columns scaled to unit length.
+        standard_errors: those of the twelve parameters (0 where not free), slopes per scaled degree.
+        condition_number: that of the weighted Jacobian, columns scaled to unit length.
         worst_direction_mg: largest standard error of |a| over directions of the sphere.
     """
 
@@ -42,7 +46,7 @@ class Uncertainty:
 
 
 def coverage(points: PointSet, label: NDArray[np.int64]) -> Coverage:
-    """Where the points lie, before any fit; `label` is the number of each one's posture, (n,)."""
+    """Return where points lie, before any fit; `label` (n,) is the posture number of each."""
     if not len(points):
         return Coverage(((0, 0, 0),) * 3, (0.0,) * 3, (0.0,) * 3, 0, 0)
     g = points.xyz_g()
@@ -56,7 +60,7 @@ def coverage(points: PointSet, label: NDArray[np.int64]) -> Coverage:
 
 
 def jacobian(g: Floats, tau: Floats | None, parameters: tuple[int, ...]) -> Floats:
-    """d(|a|^2 - 1)/dp for raw points g (n, 3) and scaled temperatures (n,): (n, 12)."""
+    """Return d(|a|^2 - 1)/dp of raw points g (n, 3) and scaled temperatures (n,): (n, 12)."""
     tau = np.zeros(len(g)) if tau is None else tau
     k, u = _gain_and_shifted(g, tau, parameters)
     a = u @ k.T
@@ -66,16 +70,16 @@ def jacobian(g: Floats, tau: Floats | None, parameters: tuple[int, ...]) -> Floa
 
 
 def residuals(g: Floats, tau: Floats | None, parameters: tuple[int, ...]) -> Floats:
-    """|a|^2 - 1 of raw points g (n, 3) and scaled temperatures (n,), (n,)."""
+    """Return |a|^2 - 1 of raw points g (n, 3) and scaled temperatures (n,): (n,)."""
     k, u = _gain_and_shifted(g, np.zeros(len(g)) if tau is None else tau, parameters)
     return np.asarray(((u @ k.T) ** 2).sum(axis=1) - 1)
 
 
 def slope_information(points: PointSet) -> float:
-    """How much the points say of the slopes, beside the offsets, where they say least; 0 for nothing.
+    """Return the least information that points hold on a slope, apart from the offsets; 0 for none.
 
     With A, B, C the weighted means of g g^T, tau g g^T and tau^2 g g^T (g the raw points), the columns of
-    the slopes less what those of the offsets explain have the squares C - B A^-1 B; its smallest eigenvalue.
+    the slopes less what those of the offsets explain have the squares C - B A^-1 B: its smallest eigenvalue.
     """
     if points.tau is None or not points.weights.any():
         return 0.0
@@ -85,14 +89,14 @@ def slope_information(points: PointSet) -> float:
 
 
 def _gain_and_shifted(g: Floats, tau: Floats, parameters: tuple[int, ...]) -> tuple[Floats, Floats]:
-    """K, and v + o + s (T - Tref)."""
+    """Return K and v + o + s (T - Tref)."""
     p = np.array(parameters) / ONE
     k = np.array([[p[0], 0, 0], [p[3], p[1], 0], [p[4], p[5], p[2]]])
     return k, g + p[6:9] + tau[:, None] * p[9:12]
 
 
 def uncertainty(points: PointSet, parameters: tuple[int, ...], model: Model) -> Uncertainty | None:
-    """Least-squares standard errors; None if the points do not determine the parameters."""
+    """Return least-squares standard errors; None if the points do not determine the parameters."""
     free = list(model.free)
     weights = points.weights / WEIGHT_ONE
     surplus = float(weights.sum()) - len(free)
@@ -117,10 +121,10 @@ def uncertainty(points: PointSet, parameters: tuple[int, ...], model: Model) -> 
 
 
 def worst_direction_mg(parameters: tuple[int, ...], free: list[int], covariance: Floats) -> float:
-    """Largest standard error of |a| over directions of the sphere [mg].
+    """Return the largest standard error of |a| over directions of the sphere [mg].
 
     Args:
-        covariance: of the free parameters.
+        free: indices of the free parameters; covariance: theirs.
     """
     rows = jacobian(directions(), None, parameters)[:, free]
     variances = np.einsum("ni,ij,nj->n", rows, covariance, rows)
@@ -129,7 +133,7 @@ def worst_direction_mg(parameters: tuple[int, ...], free: list[int], covariance:
 
 @cache
 def directions() -> Floats:
-    """162 directions evenly spread over the sphere (a golden spiral), (162, 3)."""
+    """Return 162 directions evenly spread over the sphere (a golden spiral), (162, 3)."""
     index = np.arange(162) + 0.5
     z = 1 - 2 * index / 162
     turn = np.pi * (1 + 5**0.5) * index
@@ -152,7 +156,7 @@ def lengths_off_mg(xyz: Sequence[Floats]) -> Floats:
 
 
 def per_posture(errors: Floats, weights: NDArray[np.int64], label: NDArray[np.int64]) -> dict[int, float]:
-    """Weighted mean error of each posture."""
+    """Return the weighted mean error of each posture."""
     order = np.argsort(label, kind="stable")
     postures, first = np.unique(label[order], return_index=True)
     shares, weight = (weights * errors)[order].tolist(), weights[order].tolist()
@@ -164,6 +168,40 @@ def per_posture(errors: Floats, weights: NDArray[np.int64], label: NDArray[np.in
 
 
 def summary(values: list[float]) -> ErrorSummary:
-    """Mean, median and 95th percentile (linear interpolation between order statistics)."""
+    """Return mean, median and 95th percentile (linear interpolation between order statistics)."""
     ordered = sorted(values)
     return ErrorSummary(mean(ordered), quantile(ordered, 0.5), quantile(ordered, 0.95))
+
+
+def applied(points: PointSet, calibration: Calibration, rest: Gravity) -> list[Floats]:
+    """Return calibrated x, y, z of points, each (n,); in and out in units of local gravity."""
+    local_g = float(rest.local_g())
+    raw = [points.xyz[:, axis] / ONE * local_g for axis in range(3)]
+    celsius = None if calibration.temperature is None else temperatures_c(points)
+    return [value / local_g for value in calibration.applied(raw, celsius)]
+
+
+def temperatures_c(points: PointSet) -> Floats:
+    """Return the temperatures [degrees C] of points that have them, (n,)."""
+    assert points.tau is not None and points.temperature is not None
+    scale = points.temperature
+    return np.asarray(scale.reference_mc / 1000 + points.tau / ONE * scale.span_c, np.float64)
+
+
+def difference_mg(one: Calibration, other: Calibration, raw_g: Floats) -> tuple[float, float]:
+    """Return the largest and mean length of the difference between two calibrations' results [mg].
+
+    Args:
+        raw_g: raw vectors (n, 3), at the reference temperature of `one`, or of `other` if it has none.
+    """
+    at_c = (one if one.temperature is not None else other).reference_c()
+    difference = _at(one, raw_g, at_c) - _at(other, raw_g, at_c)
+    lengths = (1000 * np.sqrt((difference * difference).sum(axis=1))).tolist()
+    return max(lengths), fsum(lengths) / len(lengths)
+
+
+def _at(calibration: Calibration, raw_g: Floats, at_c: float) -> Floats:
+    shift = calibration.offset_g()
+    if calibration.temperature is not None:
+        shift = shift + calibration.slope_g_per_c() * (at_c - calibration.reference_c())
+    return np.asarray((raw_g + shift) @ calibration.gain().T)

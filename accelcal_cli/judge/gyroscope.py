@@ -20,7 +20,7 @@ from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import counted
 from accelcal_cli.core.gyroscope import Bias, Gyroscope, Rest, RestRates, Triple, Turn, TurnHoldout, Turns
 from accelcal_cli.core.statistics import interval95, mean, quantile, student_t_975
-from accelcal_cli.judge.turning import Gravity, Turned, raw_steps
+from accelcal_cli.judge.turning import Turned, TurningGravity, raw_steps
 
 LEAST_TURN_DEG = 20.0
 """Smallest angle [degrees] between gravity before and after a turn that is used."""
@@ -89,7 +89,7 @@ def judge_gyroscope(found: Turns, calibration: Calibration | None, least_range_c
 
 
 def _judged(pairs: _Pairs, found: Turns, bias: Bias) -> Gyroscope:
-    gravity = Gravity(pairs.turns, pairs.before, found.dps_per_lsb)
+    gravity = TurningGravity(pairs.turns, pairs.before, found.dps_per_lsb)
     raw = gravity.turned(np.eye(3))
     try:
         fit = _fitted(gravity, pairs.after, raw)
@@ -248,7 +248,7 @@ def _summed(parts: Floats) -> list[list[float]]:
     return [[fsum(parts[:, row, column].tolist()) for column in range(9)] for row in range(9)]
 
 
-def _fitted(gravity: Gravity, after: Floats, raw: Turned) -> _Fit:
+def _fitted(gravity: TurningGravity, after: Floats, raw: Turned) -> _Fit:
     """Fit S by Gauss-Newton from the identity; raises ValueError if the turns do not determine it."""
     scale, turned, weights = np.eye(3), raw, np.ones(len(after))
     for _ in range(ITERATIONS):
@@ -281,7 +281,7 @@ def _huber_weights(distances: Floats) -> Floats:
     return np.minimum(1.0, limit / np.maximum(distances, 1e-12)) if limit else np.ones(len(distances))
 
 
-def _holdout(fit: _Fit, gravity: Gravity, after: Floats, raw: Turned) -> TurnHoldout:
+def _holdout(fit: _Fit, gravity: TurningGravity, after: Floats, raw: Turned) -> TurnHoldout:
     """Return errors on fifths of the turns, in the order of time, by fits without them.
 
     One Gauss-Newton step from the fit of all leads to the fit without a fifth: the rest is of second order,

@@ -1,9 +1,9 @@
-"""Does the sensor do what its parameters say? Errors on held-out postures with and without more than that.
+"""Misfits: behaviour of a sensor that the twelve parameters cannot describe, found on held-out postures.
 
 A response that is bent, scales that change with temperature, offsets that do so on a curve, or that depend on
-the posture before: the fit takes the part of them that looks like its own parameters, and the rest looks like
-scatter of the postures, which is not what it is where the wrist has not been. Each is added to the fit in
-turn, about the calibration that was found, and believed where the postures that a fit did not see say so.
+the posture before: the fit absorbs the part that looks like its own parameters, and the rest looks like
+scatter of the postures, which underestimates the error where the wrist has not been. Each misfit is added to
+the fit in turn, linearly about the calibration, and believed if held-out postures confirm it.
 """
 
 from __future__ import annotations
@@ -24,29 +24,33 @@ from accelcal_cli.judge.model_ladder import folds
 from accelcal_cli.judge.posterior import Bend, Posterior, largest_error_mg, noise
 
 LEAST_MG = 3.0
+"""Size [mg] that a misfit must reach in some direction to be believed."""
+
 LEAST_FALL = 0.15
-"""A misfit is believed if it is at least so large in some direction, and if the error on held-out postures
-clearly falls (its 95 % interval is above 0), by at least this share."""
+"""Share by which the error on held-out postures must clearly fall (95 % interval above 0)."""
 
 POWERS: dict[MisfitKind, int] = {"quadratic": 2, "cubic": 3}
+"""Power of the acceleration in each kind of bend."""
+
 WIDTH_BEND, WIDTH_GAIN_PER_C, WIDTH_CURVE_G_PER_C2, WIDTH_PREVIOUS = 0.01, 5e-4, 2e-4, 0.01
-"""How large each may well be, as scale parameter of its prior; those of bends and of the previous posture
-are for 1 g."""
+"""Usual sizes, as scale parameters of priors; those of bends and of the previous posture are for 1 g."""
 
 ROUNDS = 3
+"""Rounds in which the noise is estimated anew, together with a misfit."""
+
 _OFFSETS = slice(6, 9)
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Suspect:
-    """One thing that a sensor may do.
+class MisfitHypothesis:
+    """A misfit that a sensor may have, corrected by c on x, y, z.
 
     Attributes:
-        columns: (n, 3) d(|a|^2 - 1)/dc at each point, of what makes up for it on x, y, z.
-        width: of the prior of each c.
-        unit, factor: of what the sensor does; it is -c in this unit.
+        columns: (n, 3) d(|a|^2 - 1)/dc at each point.
+        width: scale parameter of the prior of each c.
+        unit, factor: the misfit itself is -c times the factor, in this unit.
     """
 
     kind: MisfitKind
@@ -57,12 +61,12 @@ class Suspect:
 
 
 class MisfitSearch:
-    """What the points of a recording show beyond the parameters of a fit.
+    """Looks for misfits in the points of a recording.
 
     Args:
         label: (n,) posture number of each point.
         known: the fit to these points.
-        number: of the folds.
+        number: number of folds.
     """
 
     def __init__(self, points: PointSet, label: NDArray[np.int64], known: Posterior, number: int) -> None:
@@ -80,64 +84,64 @@ class MisfitSearch:
         self._still = self._held_out(None)
 
     def misfits(self) -> tuple[Misfit, ...]:
-        """What was looked for, whether it was found or not."""
-        return tuple(self._misfit(suspect) for suspect in self._suspects())
+        """Return all kinds of misfits that the points allow to be tested, found or not."""
+        return tuple(self._misfit(hypothesis) for hypothesis in self._hypotheses())
 
     def truth(self, found: tuple[Misfit, ...]) -> Posterior:
-        """What is known of the sensor with the bend that was found, if one was."""
+        """Return the posterior of the sensor, with the bend if one was found."""
         bends = [one for one in found if one.found and one.kind in POWERS]
         if not bends:
             return self._known
         kind = min(bends, key=lambda one: one.after_mg).kind
-        return _bent(kind, *self._together(next(one for one in self._suspects() if one.kind == kind)))
+        return _bent(kind, *self._together(next(one for one in self._hypotheses() if one.kind == kind)))
 
-    def _suspects(self) -> Iterator[Suspect]:
+    def _hypotheses(self) -> Iterator[MisfitHypothesis]:
         offsets, points = self._all[:, _OFFSETS], self._points
         g = points.xyz_g()
         for kind, power in POWERS.items():
-            yield Suspect(kind, offsets * g**power, WIDTH_BEND, "percent at 1 g", 100)
+            yield MisfitHypothesis(kind, offsets * g**power, WIDTH_BEND, "percent at 1 g", 100)
         if self._known.model.has_temperature and self._tau is not None and points.temperature is not None:
             tau, span = self._tau[:, np.newaxis], points.temperature.span_c
             by_gain = offsets * g * tau
-            yield Suspect(
+            yield MisfitHypothesis(
                 "gain by temperature", by_gain, WIDTH_GAIN_PER_C * span, "percent per degree C", 100 / span
             )
             curve, width = offsets * tau * tau, WIDTH_CURVE_G_PER_C2 * span * span
-            yield Suspect(
+            yield MisfitHypothesis(
                 "curved by temperature", curve, width, "mg per square degree C", 1000 / (span * span)
             )
         if points.previous is not None:
             before = offsets * (points.previous / ONE)
-            yield Suspect("previous posture", before, WIDTH_PREVIOUS, "mg per g", 1000)
+            yield MisfitHypothesis("previous posture", before, WIDTH_PREVIOUS, "mg per g", 1000)
 
-    def _misfit(self, suspect: Suspect) -> Misfit:
-        after = self._held_out(suspect)
+    def _misfit(self, hypothesis: MisfitHypothesis) -> Misfit:
+        after = self._held_out(hypothesis)
         falls = [one - other for one, other in zip(self._still, after, strict=True)]
         clearly = interval95(falls)[0] > 0
-        together, c = self._together(suspect)
+        together, c = self._together(hypothesis)
         errors = np.sqrt(np.diag(np.array(together.covariance))[-3:])
-        largest = float(500 * np.abs(suspect.columns @ c).max())
-        if suspect.kind in POWERS:
-            largest = largest_error_mg(_bent(suspect.kind, together, c), self._known.found.fit.parameters)
+        largest = float(500 * np.abs(hypothesis.columns @ c).max())
+        if hypothesis.kind in POWERS:
+            largest = largest_error_mg(_bent(hypothesis.kind, together, c), self._known.found.fit.parameters)
         before_mg, after_mg = mean(self._still), mean(after)
         return Misfit(
-            suspect.kind,
-            suspect.unit,
-            _three(-suspect.factor * c),
-            _three(suspect.factor * errors),
+            hypothesis.kind,
+            hypothesis.unit,
+            _three(-hypothesis.factor * c),
+            _three(hypothesis.factor * errors),
             before_mg,
             after_mg,
             largest,
             clearly and largest >= LEAST_MG and before_mg - after_mg >= LEAST_FALL * before_mg,
         )
 
-    def _together(self, suspect: Suspect) -> tuple[Posterior, Floats]:
-        """The posterior of parameters and suspect together, whose noise is what they leave; and c."""
+    def _together(self, hypothesis: MisfitHypothesis) -> tuple[Posterior, Floats]:
+        """Fit parameters and misfit together; return their posterior, with the noise that is left, and c."""
         known, everything = self._known, np.ones(len(self._label), np.bool_)
         noise_g, freedom = known.noise_g, known.freedom
-        full = np.column_stack([self._rows, suspect.columns])
+        full = np.column_stack([self._rows, hypothesis.columns])
         for _ in range(ROUNDS):
-            moved, around = self._fit(suspect, everything, noise_g)
+            moved, around = self._fit(hypothesis, everything, noise_g)
             left = self._error - full @ moved
             total = float(self._weights.sum())
             squares = float((self._weights * left * left).sum()) / total
@@ -158,48 +162,44 @@ class MisfitSearch:
         )
         return joint, np.asarray(moved[-3:])
 
-    def _held_out(self, suspect: Suspect | None) -> list[float]:
-        """Mean error of each posture [mg] by a fit of the other folds."""
-        full = self._rows if suspect is None else np.column_stack([self._rows, suspect.columns])
+    def _held_out(self, hypothesis: MisfitHypothesis | None) -> list[float]:
+        """Return the mean error of each posture [mg] by a fit of the other folds."""
+        full = self._rows if hypothesis is None else np.column_stack([self._rows, hypothesis.columns])
         left = np.empty(len(self._label))
         for fold in sorted(set(self._fold.tolist())):
             out = self._fold == fold
-            moved, _ = self._fit(suspect, ~out, self._known.noise_g)
+            moved, _ = self._fit(hypothesis, ~out, self._known.noise_g)
             left[out] = self._error[out] - full[out] @ moved
         errors = np.bincount(self._label, 500 * np.abs(left) * self._weights)
         held: list[float] = (errors / np.bincount(self._label, self._weights)).tolist()
         return held
 
     def _fit(
-        self, suspect: Suspect | None, which: NDArray[np.bool_], noise_g: float
+        self, hypothesis: MisfitHypothesis | None, which: NDArray[np.bool_], noise_g: float
     ) -> tuple[Floats, Floats]:
-        """By how much parameters and suspect move, and the curvature with their priors."""
-        full, strength, centre = self._rows, self._strength(noise_g), self._centre
-        if suspect is not None:
-            full = np.column_stack([full, suspect.columns])
-            own = self._unit(noise_g) / (suspect.width * suspect.width)
+        """Return the change of the parameters and c, and the curvature with their priors."""
+        known, full, centre = self._known, self._rows, self._centre
+        penalty = np.array([known.penalty.strength[index] for index in self._free])
+        strength = penalty / (1 << PENALTY_BITS) * (noise_g / known.noise_g) ** 2
+        if hypothesis is not None:
+            full = np.column_stack([full, hypothesis.columns])
+            own = self._unit(noise_g) / (hypothesis.width * hypothesis.width)
             strength, centre = np.append(strength, [own] * 3), np.append(centre, [0.0] * 3)
         weighted = full[which] * self._weights[which, np.newaxis]
         around = weighted.T @ full[which] + np.diag(strength)
         return np.linalg.solve(around, weighted.T @ self._error[which] + strength * centre), around
 
     def _unit(self, noise_g: float) -> float:
-        """What a prior of width 1 adds to the curvature of the weighted sum."""
+        """Return what a prior of width 1 adds to the curvature of the weighted sum."""
         return 4 * noise_g * noise_g / self._postures * float(self._weights.sum())
-
-    def _strength(self, noise_g: float) -> Floats:
-        """The prior of the fit's own parameters, at another noise."""
-        own = np.array([self._known.penalty.strength[index] for index in self._free])
-        return np.asarray(own / (1 << PENALTY_BITS) * (noise_g / self._known.noise_g) ** 2)
 
 
 def _bent(kind: MisfitKind, together: Posterior, c: Floats) -> Posterior:
-    """The posterior of a sensor with a bend."""
     return replace(together, bend=Bend(POWERS[kind], _three(c)))
 
 
-def told(found: Misfit) -> str:
-    """A sentence for people about a misfit that was found."""
+def misfit_sentence(found: Misfit) -> str:
+    """Return a sentence about a misfit that was found."""
     shown = ", ".join(f"{axis} {value:.2g}" for axis, value in zip("xyz", found.size, strict=True))
     what = {
         "quadratic": f"the sensor's response is bent, with the square of the acceleration ({shown} % at 1 g)",

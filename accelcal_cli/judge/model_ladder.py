@@ -1,7 +1,7 @@
-"""The model ladder: which model is supported by postures that its fit has not seen?
+"""The model ladder: the model that is supported by postures which its fit has not seen.
 
-Points are grouped into postures, and postures into folds, exactly in integers; the held-out error is what a
-calibration does to the postures of the fold that it has not seen.
+Points are grouped into postures, and postures into folds, exactly in integers; the held-out error is that of
+the postures of a fold under a calibration that was fitted without them.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE
-from accelcal_cli.core.calibration import IDENTITY
+from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.errors import DivergedError, counted
+from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import MODELS, Fit, Model, PenalizedFitter, PointSet
 from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.core.results import Coverage, Holdout, Trial
@@ -24,20 +25,24 @@ from accelcal_cli.core.statistics import clustered_error, interval95, mean
 from accelcal_cli.judge import errors
 
 FitFunction = Callable[[Sequence[PointSet], Model], list[Fit]]
-"""The optimizer: a fit of a model to each of some sets of points."""
+"""The optimizer: fits a model to each of several sets of points."""
 
 LADDER = ("0", "3", "6", "3T", "9", "6T", "9T")
-"""By number of parameters; the simpler model comes first."""
+"""Names of the models by number of parameters; the simpler model comes first."""
 
 KINDS = ("scale", "misalignment", "offset", "temperature slopes")
-"""The twelve parameters, by threes."""
+"""Names of the parameters in groups of three."""
 
 LEAST_INFORMATION = 2.0**-14
-"""What the points of a fit have to say of the slopes (`errors.slope_information`). Sound recordings have
-2**-12.7 and more, those where only one posture is hot 2**-46 and less: there the descent has a floor so flat
-that it walks on for thousands of steps, to slopes that mean nothing."""
+"""Least information on the slopes (`errors.slope_information`) that a fit needs. Sound recordings have at
+least 2**-12.7, those where only one posture is hot at most 2**-46: there the objective is so flat that a
+descent goes on for thousands of steps, to slopes that mean nothing."""
+
+FEWEST_POSTURES = 2
+"""Postures that errors can be compared on."""
 
 _COARSE_BITS = 12
+"""Fraction bits of the coordinates that postures are told apart by."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,8 +52,8 @@ class Fitting:
     Attributes:
         fit: the optimizer with its numbers for the settings' profile.
         models: names of the models that it can fit.
-        penalized: the optimizer with a prior; None where the settings have none.
-        prior: what it is told of sensors.
+        penalized: the optimizer with a prior; None if the settings have none.
+        prior: what is known of sensors beforehand.
     """
 
     settings: Settings
@@ -59,10 +64,10 @@ class Fitting:
 
 
 def postures(points: PointSet, degrees: float) -> NDArray[np.int64]:
-    """Posture number of each point, (n,), numbered from 0 by first point.
+    """Return the posture number of each point, (n,), from 0.
 
     Points are taken by falling number of windows (then in their order); each joins the nearest
-    posture within so many degrees of its first point, or begins one.
+    posture whose first point is within `degrees`, or begins one.
     """
     limit = round(4096 * cos(radians(degrees)) ** 2)
     order = np.lexsort((np.arange(len(points)), -points.windows))
@@ -85,7 +90,7 @@ def postures(points: PointSet, degrees: float) -> NDArray[np.int64]:
 
 
 def temperature_blocks(points: PointSet, label: NDArray[np.int64], width_c: float) -> NDArray[np.int64]:
-    """Number of each point's block, (n,): its posture within `width_c` degrees C, posture by posture.
+    """Return the block number of each point, (n,): a block is a posture within `width_c` degrees C.
 
     Without temperatures a block is a posture.
     """
@@ -98,23 +103,23 @@ def temperature_blocks(points: PointSet, label: NDArray[np.int64], width_c: floa
 
 
 def folds(label: NDArray[np.int64], number: int) -> NDArray[np.int64]:
-    """Fold of each point: postures are dealt out in turn, so that none is split."""
+    """Return the fold of each point: postures are dealt out in turn, so that none is split."""
     return label % number
 
 
 def _left_out(label: NDArray[np.int64], number: int) -> list[NDArray[np.bool_]]:
-    """The points of each fold, which its fit does not see, (n,) each."""
+    """Return masks (n,) of the points of each fold, which its fit does not see."""
     fold = folds(label, number)
     return [fold == one for one in sorted(set(fold.tolist()))]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """Points that belong together.
+    """The points of a recording.
 
     Attributes:
         label: (n,) posture number of each point.
-        block: (n,) number of its block, within one posture.
+        block: (n,) block number of each point; a block lies within one posture.
     """
 
     points: PointSet
@@ -123,7 +128,7 @@ class Sample:
 
 
 def blocked(sample: Sample, model: Model, fit: FitFunction, number: int) -> tuple[Holdout, Fit]:
-    """Folds of whole postures, each judged by a fit of the others; and the fit to all points.
+    """Judge each fold of whole postures by a fit to the others; also return the fit to all points.
 
     A random hold-out would leave neighbours of every held-out point in the fit and hide failure.
     """
@@ -144,11 +149,36 @@ def blocked(sample: Sample, model: Model, fit: FitFunction, number: int) -> tupl
 
 
 def control(points: PointSet, parameters: tuple[int, ...]) -> Holdout:
-    """F's second set of points, none of which was fitted (eq. 21); every point is a posture."""
+    """Judge a fit by F's second set of points (eq. 21); every point counts as a posture."""
     before = errors.deviations_mg(points, IDENTITY).tolist()
     after = errors.deviations_mg(points, parameters).tolist()
     pairs = tuple(zip(before, after, strict=True))
     return of_postures("control points (second set)", len(points), pairs, tuple(enumerate(after)))
+
+
+def held_out(
+    points: PointSet, calibration: Calibration, rest: Gravity, degrees: float, method: str
+) -> Holdout | None:
+    """Judge a calibration by points that it was not fitted to; postures count alike.
+
+    Args:
+        points: in units of local gravity, with temperatures if the calibration has slopes.
+        rest: what rest measures where the points were recorded.
+        degrees: width of a posture.
+        method: how they were held out, for the report.
+
+    Returns:
+        None for fewer than FEWEST_POSTURES.
+    """
+    label = postures(points, degrees)
+    if not len(points) or label.max() + 1 < FEWEST_POSTURES:
+        return None
+    raw = [points.xyz[:, axis] / ONE for axis in range(3)]
+    before, after = (
+        errors.per_posture(errors.lengths_off_mg(xyz), points.weights, label)
+        for xyz in (raw, errors.applied(points, calibration, rest))
+    )
+    return of_postures(method, len(points), tuple((before[key], after[key]) for key in sorted(before)))
 
 
 def of_postures(
@@ -157,7 +187,7 @@ def of_postures(
     pairs: tuple[tuple[float, float], ...],
     blocks: tuple[tuple[int, float], ...] = (),
 ) -> Holdout:
-    """The summary of (before, after) [mg] of each posture, of so many points."""
+    """Summarise the errors of `number` points by pairs of (before, after) [mg] of each posture."""
     before, after = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
     summaries = errors.summary(before), errors.summary(after)
     low, high = interval95(after)
@@ -166,11 +196,11 @@ def of_postures(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What the ladder has to go by.
+    """What the models of the ladder are tried on.
 
     Attributes:
         sample: the recording's points, their postures and blocks.
-        coverage: where they lie.
+        coverage: where the points lie.
         models: names of the models that the optimizer can fit.
     """
 
@@ -180,19 +210,14 @@ class Evidence:
 
 
 def try_models(evidence: Evidence, settings: Settings, fit: FitFunction) -> tuple[Trial, ...]:
-    """Held-out error of every model that the points can hold, and why the others cannot."""
-    names = _wanted(settings, temperature=evidence.sample.points.tau is not None)
+    """Try every model that the settings allow; slopes only if there are temperatures."""
+    warm = evidence.sample.points.tau is not None
+    allowed = ("0", *LADDER) if settings.model == "auto" else ("0", settings.model, f"{settings.model}T")
     trials = []
-    for name in names:
-        trials.append(_trial(evidence, settings, fit, MODELS[name]))
+    for name in LADDER:
+        if name in allowed and (warm or not name.endswith("T")):
+            trials.append(_trial(evidence, settings, fit, MODELS[name]))
     return tuple(trials)
-
-
-def _wanted(settings: Settings, *, temperature: bool) -> list[str]:
-    """Identity, and the models that the user allows; slopes only where there is temperature."""
-    names = [name for name in LADDER if settings.model in ("auto", name.removesuffix("T"))]
-    names = names if "0" in names else ["0", *names]
-    return names if temperature else [name for name in names if not name.endswith("T")]
 
 
 def _trial(evidence: Evidence, settings: Settings, fit: FitFunction, model: Model) -> Trial:
@@ -211,7 +236,7 @@ def _trial(evidence: Evidence, settings: Settings, fit: FitFunction, model: Mode
 
 
 def doubt(known: errors.Uncertainty | None, limit_mg: float) -> str | None:
-    """Why a model that fits points which it did not see may still be wrong elsewhere on the sphere."""
+    """Return why a model may be wrong where there are no points, or None."""
     if known is None:
         return "the points do not determine it"
     if known.worst_direction_mg >= limit_mg:
@@ -220,9 +245,9 @@ def doubt(known: errors.Uncertainty | None, limit_mg: float) -> str | None:
 
 
 def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> str | None:
-    """Why a model cannot be fitted, or None if it can (or the user insists on it)."""
+    """Return why a model cannot be fitted, or None if it can be (or the user insists on it)."""
     if model.name not in evidence.models:
-        return f"optimizer {settings.optimizer} fits no {_beyond(evidence.models, model)}"
+        return f"optimizer {settings.optimizer} fits no {_never_fitted(evidence.models, model)}"
     number = evidence.coverage.distinct_orientations
     if model.free and number < settings.min_postures:
         return f"stillness in only {counted(number, 'posture')}, at least {settings.min_postures} are needed"
@@ -239,28 +264,28 @@ def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> str | 
 
 
 def _slopes_known(sample: Sample, number: int) -> bool:
-    """Whether the points of every fit, with any fold left out, tell slopes from offsets on all axes."""
+    """Return True if all fits, with any fold left out, can tell slopes from offsets on all axes."""
     parts = (sample.points.select(~out) for out in _left_out(sample.label, number))
     return all(errors.slope_information(part) >= LEAST_INFORMATION for part in parts)
 
 
 def _uncovered(coverage: Coverage, reach_g: float, model: Model) -> list[str]:
-    """What a model needs and the points lack: scale both sides of every axis, an offset one of them."""
+    """Return sides of axes that a model needs points on: both for a scale, one for an offset."""
     if any(index < 6 for index in model.free):
         return one_sided_axes(coverage, reach_g)
     sides = zip("xyz", coverage.axis_min_g, coverage.axis_max_g, strict=True)
     return [f"{axis} beyond +-{reach_g:g} g" for axis, low, high in sides if max(-low, high) < reach_g]
 
 
-def _beyond(models: tuple[str, ...], model: Model) -> str:
-    """The first kind of parameter that a model has and the optimizer never fits."""
+def _never_fitted(models: tuple[str, ...], model: Model) -> str:
+    """Return the first kind of parameter that a model has and the optimizer never fits."""
     fitted = {index for name in models for index in MODELS[name].free}
     new = [KINDS[index // 3] for index in model.free if index not in fitted]
     return new[0] if new else f"model {model.name}"
 
 
 def one_sided_axes(coverage: Coverage, reach_g: float) -> list[str]:
-    """Sides of axes without points, such as `x below -0.3 g`."""
+    """Return sides of axes without points, such as `x below -0.3 g`."""
     missing = []
     for axis, low, high in zip("xyz", coverage.axis_min_g, coverage.axis_max_g, strict=True):
         if low > -reach_g:
@@ -271,17 +296,16 @@ def one_sided_axes(coverage: Coverage, reach_g: float) -> list[str]:
 
 
 def temperature_range_c(points: PointSet) -> float:
-    """Range of the points' temperatures [degrees C]; 0 without temperatures."""
+    """Return the range of the points' temperatures [degrees C]; 0 without temperatures."""
     if points.tau is None or points.temperature is None or not len(points):
         return 0.0
     return float(points.tau.max() - points.tau.min()) / ONE * points.temperature.span_c
 
 
 def choose(trials: tuple[Trial, ...]) -> Trial:
-    """The simplest model whose error is within one standard error of the best one's.
+    """Return the simplest model whose error is within one standard error of the best one's.
 
-    The errors are those of the blocks; the standard error is that of their differences, which
-    are alike within a posture.
+    The errors are those of the blocks; the standard error is that of their differences, clustered by posture.
     """
     scored = [trial for trial in trials if trial.holdout is not None]
     best = min(scored, key=lambda trial: trial.holdout.compared_mg() if trial.holdout else float("inf"))

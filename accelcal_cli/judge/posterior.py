@@ -1,12 +1,16 @@
 """The most probable calibration of a recording, given what sensors are like, and how uncertain it is.
 
 A few hours of wear determine some combinations of the parameters well and others hardly at all. A prior says
-how far sensors are off: what the points determine, they determine; what they leave open stays near the ideal
-sensor, and how wrong that may be is known. Noise is the scatter of whole postures (breathing, soft tissue,
-hysteresis), estimated together with the parameters.
+how far sensors are off: what the points leave open stays near the ideal sensor, and how wrong that may be is
+known. Noise is the scatter of whole postures (breathing, soft tissue, hysteresis), estimated together with
+the parameters.
 
-The fit is integers; what steers it (noise, penalties) is made of them by additions, multiplications,
-divisions and roots in a fixed order, so that it is the same bits on every machine.
+Held-out postures say how wrong a calibration is where the wrist has been. Its error over the whole sphere
+follows from the posterior: sensors are drawn from it, and each is calibrated, to first order, and compared
+with 1 g.
+
+The fit is integers; noise and penalties are computed by additions, multiplications, divisions and roots in a
+fixed order, so that they are the same bits on every machine.
 """
 
 from __future__ import annotations
@@ -39,24 +43,45 @@ from accelcal_cli.judge.errors import directions, jacobian, worst_direction_mg
 from accelcal_cli.judge.model_ladder import FitFunction
 
 ROUNDS = 60
-"""Bound on the rounds of noise and penalties; about ten settle them."""
+"""Most rounds of noise and penalties; about ten settle them."""
 
 PENALTY_DIGITS = 10
-"""Leading bits of a penalty: with fewer it settles sooner, and nothing depends on its last bits."""
+"""Leading bits of a penalty: with few it settles sooner, and nothing depends on its last bits."""
 
 ODD_ONES = 20
-"""One in so many sensors is taken to be unlike what others say of it."""
+"""Number of sensors among which one is assumed to be unlike the others of its model or its own past."""
 
 NOISE_RANGE = 50
-"""Noise is sought within so many times the usual one, and its inverse."""
+"""Factor by which the noise may be larger or smaller than the usual one."""
+
+DRAWS = 1000
+"""Sensors drawn from the posterior: their number gives the ends of the interval to about 2 % of its width."""
+
+SEED = 20181
+TAIL = 0.025
+"""Share of the draws beyond each end of the interval."""
+
+BEND_ROUNDS = 4
+"""Iterations that invert a bend of a few percent to 1e-7 g."""
+
+LARGEST_RATIO = 6.0
+"""Error in standard deviations of the noise beyond which noise does not change a mean error."""
+
+STEPS = 100
+"""Entries of the table of mean errors in one standard deviation."""
+
+TOGETHER = 50
+"""Draws that are worked on at a time, so that intermediate values stay in the processor's cache."""
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Bend:
-    """What straightens the response of a sensor that is not a straight line: v + c v^power, axis by axis.
+    """Straightens the response of a sensor that is not linear: v + c v^power, axis by axis.
 
     Attributes:
-        c: of raw x, y, z, in g.
+        c: one for each of raw x, y, z in g.
     """
 
     power: int
@@ -65,16 +90,16 @@ class Bend:
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """The most probable parameters and what is known of them.
+    """The most probable parameters and their uncertainty.
 
     Attributes:
-        found: the fit, and what lies around it.
-        postures: how many were fitted.
-        penalty: the prior at its parameters, as the fit had it; that of a part of the points is the same.
+        found: the fit, with the curvature there.
+        postures: number of postures that were fitted.
+        penalty: the prior at these parameters, as the fit used it; fits to parts of the points use the same.
         noise_g: standard deviation of |a| from posture to posture [g].
         freedom: degrees of freedom of that noise.
-        covariance: of the free parameters (slopes per scaled degree), and of the bend where there is one.
-        bend: of a sensor whose response is bent; None of one that is as the model says.
+        covariance: that of the free parameters (slopes per scaled degree), and of the bend if there is one.
+        bend: None for a sensor with a linear response.
     """
 
     model: Model
@@ -87,7 +112,7 @@ class Posterior:
     bend: Bend | None = None
 
     def fitter(self, penalized: PenalizedFitter) -> FitFunction:
-        """A fit of parts of the points, with the same noise and prior."""
+        """Return a function that fits parts of the points, with the same noise and prior."""
 
         def fits(sets: Sequence[PointSet], model: Model) -> list[Fit]:
             return [penalized(points, model, self.penalty, IDENTITY).fit for points in sets]
@@ -95,14 +120,14 @@ class Posterior:
         return fits
 
     def standard_errors(self) -> tuple[float, ...]:
-        """Of the twelve parameters, 0 where not free; slopes per scaled degree."""
+        """Return those of the twelve parameters, 0 where not free; slopes per scaled degree."""
         errors = [0.0] * len(IDENTITY)
         for place, index in enumerate(self.model.free):
             errors[index] = sqrt(self.covariance[place][place])
         return tuple(errors)
 
     def worst_direction_mg(self) -> float:
-        """Largest standard error of |a| over directions of the sphere."""
+        """Return the largest standard error of |a| over directions of the sphere [mg]."""
         free = list(self.model.free)
         return worst_direction_mg(self.found.fit.parameters, free, np.array(self.covariance))
 
@@ -110,27 +135,30 @@ class Posterior:
 def posterior(
     points: PointSet, postures: int, model: Model, prior: Prior, fitter: PenalizedFitter
 ) -> Posterior:
-    """The most probable parameters of a model.
+    """Find the most probable parameters of a model.
 
-    The result is that of the last penalty from the ideal sensor: points and penalty give its bits again.
     Parameters, noise and the weight of each parameter's prior (the usual way to fit with Student's t:
-    Lange, Little, Taylor 1989) are found in turn until none changes.
+    Lange, Little, Taylor 1989) are found in turn until none changes. The result is the fit with the last
+    penalty from the ideal sensor, so that points and penalty reproduce its bits.
 
     Args:
-        postures: how many there are; each counts as one independent observation.
+        postures: number of postures, each of which counts as one independent observation.
 
     Raises:
-        DivergedError, FixedPointOverflowError: the fit does.
+        DivergedError, FixedPointOverflowError: the fit raises it.
     """
-    expected = _expected(prior, points)
+    scaled = _scaled(prior, points)
     noise_g, start, before = 2 * prior.noise_g, IDENTITY, None
     for _ in range(ROUNDS):
-        penalty = _penalty(points, postures, expected, prior.freedom, noise_g, start)
+        penalty = _penalty(points, postures, scaled, prior.freedom, noise_g, start)
         if penalty == before:
             break
         found, before = fitter(points, model, penalty, start), penalty
         start = found.fit.parameters
-        used = _used(found, _inverse(points, found, penalty))
+        spread = _inverse(points, found, penalty)
+        pairs = zip(found.curvature, zip(*spread, strict=True), strict=True)
+        # trace(H), with H the projection of the residuals on the fit: the postures that parameters use up
+        used = sum(one * other for row, column in pairs for one, other in zip(row, column, strict=True))
         noise_g, freedom = noise(used, found.mean_square, postures, prior)
     found = fitter(points, model, penalty, IDENTITY)
     unit = 4 * noise_g * noise_g / postures
@@ -139,7 +167,7 @@ def posterior(
 
 
 @dataclass(frozen=True, slots=True)
-class _Expected:
+class _ScaledPrior:
     """A prior in the units of the fit: twelve fixed-point parameters, and their scale parameters."""
 
     centre: tuple[int, ...]
@@ -149,12 +177,12 @@ class _Expected:
 def speaks_against(
     learnt: Posterior, usual: Posterior, priors: tuple[Prior, Prior], points: PointSet
 ) -> bool:
-    """Whether points are so much likelier with the population's prior that the learnt one is not for them.
+    """Return True if points are so much likelier with the population's prior that the learnt one is wrong.
 
     One sensor in ODD_ONES was hit, or swapped, or is unlike others of its model.
 
     Args:
-        priors: of the two posteriors of these points.
+        priors: those of the two posteriors of these points.
     """
     ours, theirs = (
         _log_evidence(known, prior, points) for known, prior in zip((learnt, usual), priors, strict=True)
@@ -163,21 +191,21 @@ def speaks_against(
 
 
 def _log_evidence(known: Posterior, prior: Prior, points: PointSet) -> float:
-    """Logarithm of the probability of the points, but for a constant, by Laplace's approximation."""
-    expected, freedom = _expected(prior, points), prior.freedom
+    """Return the log probability of the points, up to a constant, by Laplace's approximation."""
+    scaled, freedom = _scaled(prior, points), prior.freedom
     squares = known.postures * known.found.mean_square / (4 * known.noise_g * known.noise_g)
     evidence = -known.postures * log(known.noise_g) - squares / 2
     for index in known.model.free:
-        width = expected.widths[index]
-        away = (known.found.fit.parameters[index] - expected.centre[index]) / ONE / width
+        width = scaled.widths[index]
+        away = (known.found.fit.parameters[index] - scaled.centre[index]) / ONE / width
         evidence -= (freedom + 1) / 2 * log(1 + away * away / freedom) + log(width)
     away = log(known.noise_g / prior.noise_g) / prior.noise_spread
     evidence -= (prior.noise_freedom + 1) / 2 * log(1 + away * away / prior.noise_freedom)
     return evidence + float(np.linalg.slogdet(np.array(known.covariance))[1]) / 2
 
 
-def _expected(prior: Prior, points: PointSet) -> _Expected:
-    """The prior at the points' mean temperature, with slopes per scaled degree."""
+def _scaled(prior: Prior, points: PointSet) -> _ScaledPrior:
+    """Convert a prior to the points' mean temperature, with slopes per scaled degree."""
     scale, centre = points.temperature, list(prior.centre)
     span = 1.0 if scale is None else scale.span_c
     if scale is not None and prior.reference_c is not None:
@@ -185,37 +213,37 @@ def _expected(prior: Prior, points: PointSet) -> _Expected:
         centre[6:9] = [offset + warmer * slope for offset, slope in zip(centre[6:9], centre[9:], strict=True)]
     centre[9:] = [slope * span for slope in centre[9:]]
     widths = (*prior.width[:9], *(width * span for width in prior.width[9:]))
-    return _Expected(tuple(round(value * ONE) for value in centre), widths)
+    return _ScaledPrior(tuple(round(value * ONE) for value in centre), widths)
 
 
 def _penalty(
     points: PointSet,
     postures: int,
-    expected: _Expected,
+    scaled: _ScaledPrior,
     freedom: float,
     noise_g: float,
     parameters: tuple[int, ...],
 ) -> Penalty:
-    """The prior as a penalty on the weighted sum of (|a|^2 - 1)^2, whose residuals are twice those of |a|."""
+    """Convert a prior to a penalty on the sum of (|a|^2 - 1)^2, whose residuals are twice those of |a|."""
     total = sum(points.weights.tolist()) / WEIGHT_ONE
     unit = 4 * noise_g * noise_g / postures * total
     strength = []
-    for value, centre, width in zip(parameters, expected.centre, expected.widths, strict=True):
+    for value, centre, width in zip(parameters, scaled.centre, scaled.widths, strict=True):
         away = (value - centre) / ONE / width
         weight = (freedom + 1) / (freedom + away * away)
-        strength.append(_short(unit * weight / (width * width)))
-    return Penalty(expected.centre, tuple(strength))
+        strength.append(_leading_bits(unit * weight / (width * width)))
+    return Penalty(scaled.centre, tuple(strength))
 
 
-def _short(value: float) -> int:
-    """In units of 2**-PENALTY_BITS, with few leading bits; at least one."""
+def _leading_bits(value: float) -> int:
+    """Return PENALTY_DIGITS leading bits of a value in units of 2**-PENALTY_BITS; at least 1."""
     whole = round(value * (1 << PENALTY_BITS))
     drop = max(0, whole.bit_length() - PENALTY_DIGITS)
     return max(1, whole >> drop << drop)
 
 
 def _inverse(points: PointSet, found: PenalizedFit, penalty: Penalty) -> list[list[float]]:
-    """Inverse of the curvature with the prior: the free parameters' covariance but for its scale."""
+    """Return the inverse of the curvature with the prior: the covariance up to its scale."""
     total = sum(points.weights.tolist()) / WEIGHT_ONE
     around = [list(row) for row in found.curvature]
     for place, index in enumerate(found.model.free):
@@ -223,17 +251,11 @@ def _inverse(points: PointSet, found: PenalizedFit, penalty: Penalty) -> list[li
     return inverse(around)
 
 
-def _used(found: PenalizedFit, spread: list[list[float]]) -> float:
-    """How many postures the parameters use up: trace(H), where H takes the residuals' place in the fit."""
-    pairs = zip(found.curvature, zip(*spread, strict=True), strict=True)
-    return float(sum(one * other for row, column in pairs for one, other in zip(row, column, strict=True)))
-
-
 def noise(used: float, mean_square: float, postures: int, prior: Prior) -> tuple[float, float]:
-    """The noise [g] that residuals and prior speak for, and its degrees of freedom.
+    """Return the most probable noise [g], given residuals and prior, and its degrees of freedom.
 
     Args:
-        used: how many postures the parameters use up.
+        used: number of postures that the parameters use up.
         mean_square: weighted mean of (|a|^2 - 1)^2.
     """
     surplus = postures - used
@@ -242,9 +264,9 @@ def noise(used: float, mean_square: float, postures: int, prior: Prior) -> tuple
 
 
 def _noise_g(surplus: float, squares: float, prior: Prior) -> float:
-    """The noise that the residuals speak for, drawn to the usual one by as much as they leave open.
+    """Return the most probable noise [g], given the residuals and the prior.
 
-    Where n is the number of postures beyond those that the parameters use up, S the sum of their squared
+    With n the number of postures beyond those that the parameters use up, S the sum of their squared
     residuals and x the logarithm of s over the usual noise, it solves n - S / s^2 + pull(x) = 0. The pull of
     a heavy-tailed distribution fades: a sensor that is far quieter than others is believed.
     """
@@ -259,7 +281,7 @@ def _noise_g(surplus: float, squares: float, prior: Prior) -> float:
 
 
 def _pull(noise_g: float, prior: Prior) -> tuple[float, float]:
-    """First and second derivative of the noise's prior by its logarithm."""
+    """Return the first and second derivative of the noise's prior by its logarithm."""
     away = log_ratio(noise_g, prior.noise_g)
     width, freedom = prior.noise_freedom * prior.noise_spread * prior.noise_spread, prior.noise_freedom + 1
     below = width + away * away
@@ -267,32 +289,10 @@ def _pull(noise_g: float, prior: Prior) -> tuple[float, float]:
 
 
 def log_ratio(one: float, other: float) -> float:
-    """The logarithm of a ratio within 50 of 1, by Pade's fraction of its series: the same on all machines."""
+    """Return the log of a ratio within 1/50 to 50, by a Pade approximant: the same bits on every machine."""
     part = (one - other) / (one + other)
     square = part * part
     return 2 * part * (15 - 4 * square) / (15 - 9 * square)
-
-
-DRAWS = 1000
-"""Sensors: with so many the ends of the interval are known to about 2 % of its width, if it is normal."""
-
-SEED = 20181
-TAIL = 0.025
-"""Share of the draws beyond each end of the interval."""
-
-BEND_ROUNDS = 4
-"""A bend of a few percent is turned round to 1e-7 g in so many."""
-
-LARGEST_RATIO = 6.0
-"""Beyond so many standard deviations noise does not change a mean error."""
-
-STEPS = 100
-"""Places of the table of mean errors in one standard deviation."""
-
-TOGETHER = 50
-"""Draws at a time: what is worked out of them stays in the processor's cache."""
-
-Floats = NDArray[np.float64]
 
 
 def sphere_errors(
@@ -302,13 +302,13 @@ def sphere_errors(
     judged: Sequence[tuple[int, ...]],
     saturated: Saturated = (),
 ) -> list[SphereError]:
-    """Mean | |a| - 1 g | of calibrations over all directions, at the points' mean temperature.
+    """Return mean | |a| - 1 g | of calibrations over all directions, at the points' mean temperature.
 
     The interval allows for where the wrist will go: its low end (2.5 %) is for one that spends an unknown
     share of its time in the postures where it has been, its high end (97.5 %) for one that goes everywhere.
 
     Args:
-        points: those that the posterior is of; label is the posture number of each, (n,).
+        points: those of the posterior; label: posture number of each, (n,).
         judged: twelve fixed-point parameters of each calibration: those of the posterior, of a simpler model,
             or of the ideal sensor.
         saturated: axes that measure nothing beyond a value.
@@ -329,13 +329,13 @@ def sphere_errors(
 
 
 def largest_error_mg(known: Posterior, judged: tuple[int, ...]) -> float:
-    """Largest | |a| - 1 g | of a calibration over all directions, of the most probable sensor [mg]."""
+    """Return the largest | |a| - 1 g | over all directions of the most probable sensor, calibrated [mg]."""
     raw = _bent(_raw_directions(known.found.fit.parameters), known.bend)
     return float(1000 * np.abs(_lengths(raw, judged) - 1).max())
 
 
 def _bent(straight: Floats, bend: Bend | None) -> Floats:
-    """What a sensor whose response is bent measures instead of vectors in g, (n, 3)."""
+    """Return what a sensor with a bend measures instead of vectors (n, 3) in g."""
     if bend is None:
         return straight
     measured, c = straight, np.array(bend.c)
@@ -345,12 +345,12 @@ def _bent(straight: Floats, bend: Bend | None) -> Floats:
 
 
 def _straight(measured: Floats, bend: Bend | None) -> Floats:
-    """What measured vectors in g would be without the bend, (n, 3)."""
+    """Remove the bend from measured vectors (n, 3) in g."""
     return measured if bend is None else measured + np.array(bend.c) * measured**bend.power
 
 
 def _columns(measured: Floats, known: Posterior) -> Floats:
-    """d(|a|^2 - 1)/dp of the free parameters, and of the bend where there is one, at raw vectors (n, 3)."""
+    """Return d(|a|^2 - 1)/dp of the free parameters, and of a bend, at raw vectors (n, 3)."""
     rows = jacobian(_straight(measured, known.bend), None, known.found.fit.parameters)
     own = rows[:, list(known.model.free)]
     if known.bend is None:
@@ -359,7 +359,7 @@ def _columns(measured: Floats, known: Posterior) -> Floats:
 
 
 def _summary(everywhere: Floats, visited: Floats) -> SphereError:
-    """Of each draw's mean errors [g] in all directions, (DRAWS, 162), and in the postures, (DRAWS, p)."""
+    """Summarise mean errors [g] of draws, in all directions (DRAWS, 162) and in the postures (DRAWS, p)."""
     of_directions, of_draws = everywhere.mean(axis=0), everywhere.mean(axis=1)
     worst = int(of_directions.argmax())
     share = _normal()[1]
@@ -376,7 +376,7 @@ def _summary(everywhere: Floats, visited: Floats) -> SphereError:
 
 
 def _raw_directions(parameters: tuple[int, ...]) -> Floats:
-    """What a sensor with these errors measures at rest in all directions, (162, 3) in g."""
+    """Return what a sensor with these parameters measures at rest in all directions, (162, 3) in g."""
     p = [value / ONE for value in parameters]
     true = directions()
     x = true[:, 0] / p[0]
@@ -386,7 +386,7 @@ def _raw_directions(parameters: tuple[int, ...]) -> Floats:
 
 
 def _as_measured(raw: Floats, saturated: Saturated) -> Floats:
-    """Raw vectors as a sensor that saturates gives them."""
+    """Limit raw vectors as a sensor that saturates does."""
     measured = raw.copy()
     for axis, limit_g in saturated:
         bound = np.minimum if limit_g > 0 else np.maximum
@@ -395,7 +395,7 @@ def _as_measured(raw: Floats, saturated: Saturated) -> Floats:
 
 
 def _posture_means(points: PointSet, label: NDArray[np.int64]) -> Floats:
-    """Raw mean of each posture, (postures, 3) in g."""
+    """Return the raw mean of each posture, (postures, 3) in g."""
     g = points.xyz_g()
     keys = sorted(set(label.tolist()))
     rows = [np.average(g[label == key], axis=0, weights=points.weights[label == key]) for key in keys]
@@ -403,7 +403,7 @@ def _posture_means(points: PointSet, label: NDArray[np.int64]) -> Floats:
 
 
 def _drawn(known: Posterior) -> tuple[Floats, Floats]:
-    """Noise of each draw, (DRAWS, 1) in g, and its free parameters less the best ones, (DRAWS, free).
+    """Draw sensors: their noise, (DRAWS, 1) in g, and free parameters less the best ones, (DRAWS, free).
 
     The noise is drawn by the cube-root approximation of a chi-squared variable (Wilson, Hilferty 1931).
     """
@@ -417,14 +417,14 @@ def _drawn(known: Posterior) -> tuple[Floats, Floats]:
 
 @cache
 def _normal() -> tuple[Floats, Floats]:
-    """Standard normal numbers, (DRAWS, 16), and numbers from 0 to 1, (DRAWS,); always the same."""
+    """Return standard normal numbers, (DRAWS, 16), and uniform ones, (DRAWS,); always the same."""
     random = np.random.RandomState(SEED)
     normal, uniform = random.standard_normal((DRAWS, 13)), random.uniform(size=DRAWS)
     return np.column_stack([normal, random.standard_normal((DRAWS, 3))]), uniform
 
 
 def _lengths(raw: Floats, parameters: tuple[int, ...]) -> Floats:
-    """|a| of raw vectors, (n,)."""
+    """Return |a| of raw vectors, (n,)."""
     p = [value / ONE for value in parameters]
     x, y, z = (raw[:, axis] + p[6 + axis] for axis in range(3))
     ax, ay, az = p[0] * x, p[3] * x + p[1] * y, p[4] * x + p[5] * y + p[2] * z
@@ -432,7 +432,7 @@ def _lengths(raw: Floats, parameters: tuple[int, ...]) -> Floats:
 
 
 def _mean_error(deviations: Floats, noise: Floats) -> Floats:
-    """Mean of |d + noise| for each deviation d, (DRAWS, n): that of a folded normal distribution."""
+    """Return the mean of |d + noise| for each deviation d, (DRAWS, n): folded normal distributions."""
     found = np.empty_like(deviations)
     for first in range(0, len(deviations), TOGETHER):
         rows = slice(first, first + TOGETHER)
@@ -442,11 +442,11 @@ def _mean_error(deviations: Floats, noise: Floats) -> Floats:
 
 
 def _tabulated(ratio: Floats) -> Floats:
-    """What the table has for ratios, linear between its places; of no use beyond its end.
+    """Interpolate linearly in the table of mean errors; not valid beyond its end.
 
-    The same bits as of np.interp, which searches where the even steps of the table tell the place.
+    The bits are those of np.interp, which would search for the place that the even steps already tell.
     """
-    places, values, slopes = _folded()
+    places, values, slopes = _mean_error_table()
     before = (np.fmin(ratio, LARGEST_RATIO) * STEPS + 0.5).astype(np.intp)  # the nearest place
     before -= places[before] > ratio
     np.minimum(before, len(slopes) - 1, out=before)
@@ -454,8 +454,8 @@ def _tabulated(ratio: Floats) -> Floats:
 
 
 @cache
-def _folded() -> tuple[Floats, Floats, Floats]:
-    """Mean of |t + a standard normal number| for t from 0 to LARGEST_RATIO, and its slopes between these."""
+def _mean_error_table() -> tuple[Floats, Floats, Floats]:
+    """Return t from 0 to LARGEST_RATIO, means of |t + a standard normal number|, and the slopes between."""
     places = np.linspace(0, LARGEST_RATIO, round(LARGEST_RATIO * STEPS) + 1)
     means = [sqrt(2 / pi) * exp(-t * t / 2) + t * erf(t / sqrt(2)) for t in places.tolist()]
     return places, np.array(means), np.diff(means) / np.diff(places)

@@ -1,10 +1,9 @@
-"""Errors of a calibration along a recording, and whether it has degraded.
+"""Errors of a calibration along a recording, and if it has degraded.
 
-The check is that of Grammenos et al. (2018): every hour the deviation of |a| from g on still windows is
-looked at, and a sensor whose deviation has grown is to be calibrated anew. Here a calibration is held against
-what the recording itself says: the error that a fit leaves on stretches of time which it has not seen. Where
-a new calibration would gain little, the old one holds; where it would gain much and clearly, or where the
-error is beyond the limit, it has degraded.
+The check is that of Grammenos et al. (2018): the deviation of |a| from g on still windows is examined every
+hour, and a sensor whose deviation has grown is calibrated anew. Here a calibration is compared with fits to
+the recording itself, on stretches of time that they have not seen. If a new calibration would gain little,
+the old one holds; if it would gain much and clearly, or if the error is beyond the limit, it has degraded.
 """
 
 from __future__ import annotations
@@ -22,18 +21,18 @@ from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import PointSet, TimedMeans
 from accelcal_cli.core.results import Change, Holdout
 from accelcal_cli.core.statistics import interval95, mean, weighted_percentile
-from accelcal_cli.judge.change import LEAST_MG, Compared
-from accelcal_cli.judge.verdict import applied
+from accelcal_cli.judge.change import LEAST_MG, ComparedErrors
+from accelcal_cli.judge.errors import applied
 
 PARTS = 4
-"""A recording whose sensor creeps is looked at in so many parts of time."""
+"""Number of parts of time in which a calibration is judged if the sensor changed slowly."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
-    """Mean and 95th percentile of | |a| - 1 g | [mg], in which windows count alike.
+class ErrorSpread:
+    """Mean and 95th percentile of | |a| - 1 g | [mg]; windows count alike.
 
     Attributes:
         off: 5th, 50th and 95th percentile of |a| - 1 g, with its sign.
@@ -45,10 +44,7 @@ class Spread:
 
 
 def deviations_mg(means: TimedMeans, calibration: Calibration | None, rest: Gravity) -> Floats:
-    """|a| - 1 g of each observation [mg], (n,), in units of local gravity; of raw values without one.
-
-    Elementwise, so that the figures are the same bits on every machine.
-    """
+    """Return |a| - 1 g of each observation [mg], (n,), relative to local gravity; None: of raw values."""
     right = means
     if calibration is not None and calibration.correction is not None and len(means.block):
         right = means.corrected(calibration.correction)
@@ -70,11 +66,14 @@ def _lengths_off_mg(a: list[Floats]) -> Floats:
     return np.asarray(1000 * (np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]) - 1.0))
 
 
-def by_block(deviations: Floats, windows: NDArray[np.int64], block: NDArray[np.int64]) -> dict[int, Spread]:
-    """How far off observations are in each block of time that has any.
+def by_block(
+    deviations: Floats, windows: NDArray[np.int64], block: NDArray[np.int64]
+) -> dict[int, ErrorSpread]:
+    """Summarise the deviations in each block of time that has observations.
 
     Args:
-        windows: (n,) how many there are behind each observation; block: (n,) where it belongs.
+        windows: (n,) number of windows behind each observation.
+        block: (n,) number of its block.
     """
     held: dict[int, list[tuple[float, int]]] = defaultdict(list)
     columns = (deviations.tolist(), windows.tolist(), block.tolist())
@@ -83,12 +82,12 @@ def by_block(deviations: Floats, windows: NDArray[np.int64], block: NDArray[np.i
     return {one: _spread(held[one]) for one in sorted(held)}
 
 
-def _spread(deviations: list[tuple[float, int]]) -> Spread:
-    """Of deviations and how often each counts."""
+def _spread(deviations: list[tuple[float, int]]) -> ErrorSpread:
+    """Summarise pairs of a deviation and its weight."""
     signed, errors = sorted(deviations), sorted((abs(value), number) for value, number in deviations)
     average = fsum(error * number for error, number in errors) / sum(number for _, number in errors)
     low, middle, high = (weighted_percentile(signed, percent) for percent in (5, 50, 95))
-    return Spread(average, weighted_percentile(errors, 95), (low, middle, high))
+    return ErrorSpread(average, weighted_percentile(errors, 95), (low, middle, high))
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,11 +95,11 @@ class Period:
     """A part of a recording in which a calibration is judged as a whole.
 
     Attributes:
-        first, end: number of its first block, and of the one after its last.
+        first, end: numbers of its first block, and of the one after its last.
         given_mg: mean error of the calibration over its stretches of time.
-        unseen_mg: the same of a calibration of the recording itself, on stretches that it has not seen.
-        fall_mg: 95 % interval of how much less that is.
-        degraded: whether the calibration does not hold there.
+        unseen_mg: mean error of fits to the recording itself, on stretches that they have not seen.
+        fall_mg: 95 % interval of the difference.
+        degraded: True if the calibration does not hold there.
     """
 
     first: int
@@ -112,12 +111,12 @@ class Period:
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
-    """What is said of a calibration along a recording.
+class QualityCheck:
+    """The judgement of a calibration along a recording.
 
     Attributes:
         periods: one, unless the sensor changed meanwhile or the error rose at the end.
-        rises: whether the error of the last period is far above all before.
+        rises: True if the error of the last period is far above all before.
     """
 
     periods: tuple[Period, ...]
@@ -125,38 +124,35 @@ class Check:
 
     @property
     def degraded(self) -> tuple[Period, ...]:
-        """The periods in which the calibration does not hold."""
+        """Periods in which the calibration does not hold."""
         return tuple(period for period in self.periods if period.degraded)
 
 
-def check(compared: Compared, change: Change, blocks: int, limit_mg: float) -> Check:
+def check(compared: ComparedErrors, change: Change, blocks: int, limit_mg: float) -> QualityCheck:
     """Judge a calibration of other data along a recording.
 
     Args:
-        change: how the recording's sensor changed meanwhile, as found about the calibration.
-        blocks: how many blocks of time the recording has.
-        limit_mg: an error that no usable calibration has.
+        change: how the recording's sensor changed meanwhile, relative to the calibration.
+        blocks: number of blocks of time in the recording.
+        limit_mg: error that no usable calibration reaches.
     """
     whole = _clear(_falls(compared, 0, blocks))
     rise = None if change.at_block is not None else _rise(compared)
     moment = change.at_block if rise is None else rise
-    edges = [0, blocks] if change.kind == "none" else _parts(blocks)
+    edges = [0, blocks]
+    if change.kind != "none":
+        edges = sorted({round(part * blocks / PARTS) for part in range(PARTS + 1)})
     if moment is not None:
         edges = [0, moment, blocks]
     periods = [
         _period(compared, first, end, limit_mg, clear=whole and moment is not None)
         for first, end in pairwise(edges)
     ]
-    return Check(tuple(period for period in periods if period is not None), rise is not None)
+    return QualityCheck(tuple(period for period in periods if period is not None), rise is not None)
 
 
-def _parts(blocks: int) -> list[int]:
-    """Where parts of about the same length begin, and where the last one ends."""
-    return sorted({round(part * blocks / PARTS) for part in range(PARTS + 1)})
-
-
-def _rise(compared: Compared) -> int | None:
-    """The block from which on every stretch has an error far above all before; None where there is none.
+def _rise(compared: ComparedErrors) -> int | None:
+    """Return the block from which on every stretch has an error far above all before, or None.
 
     A change in a recording's last hours is too short for `ChangeSearch`. By chance the last two of n
     stretches are the worst ones once in n (n - 1) / 2 times, and hardly ever by so much.
@@ -169,11 +165,11 @@ def _rise(compared: Compared) -> int | None:
     return None
 
 
-def _period(compared: Compared, first: int, end: int, limit_mg: float, *, clear: bool) -> Period | None:
-    """A part of the recording; None without stillness.
+def _period(compared: ComparedErrors, first: int, end: int, limit_mg: float, *, clear: bool) -> Period | None:
+    """Judge a part of the recording; None without stillness.
 
     Args:
-        clear: that there is a fall is known already, from all of the recording.
+        clear: True if a fall is already known from all of the recording.
     """
     pairs = _falls(compared, first, end)
     if not pairs:
@@ -183,8 +179,8 @@ def _period(compared: Compared, first: int, end: int, limit_mg: float, *, clear:
     return Period(first, end, given, unseen, _interval(pairs), pays or given >= limit_mg)
 
 
-def _falls(compared: Compared, first: int, end: int) -> list[tuple[float, float]]:
-    """(given, unseen) mean error of each stretch, as far as it lies within these blocks."""
+def _falls(compared: ComparedErrors, first: int, end: int) -> list[tuple[float, float]]:
+    """Return (given, unseen) mean errors of each stretch, as far as it lies within some blocks."""
     inside = (compared.block >= first) & (compared.block < end)
     return [
         (float(compared.given_mg[one].mean()), float(compared.unseen_mg[one].mean()))
@@ -198,10 +194,10 @@ def _clear(pairs: list[tuple[float, float]]) -> bool:
 
 
 def _interval(pairs: list[tuple[float, float]]) -> tuple[float, float]:
-    """95 % interval of the mean fall, Student's t over stretches."""
+    """Return the 95 % interval of the mean fall over stretches."""
     return interval95([given - unseen for given, unseen in pairs])
 
 
 def far_off(holdout: Holdout | None, limit_mg: float) -> bool:
-    """Whether errors on postures that were not fitted are clearly beyond a limit."""
+    """Return True if errors on postures that were not fitted are clearly beyond a limit."""
     return holdout is not None and holdout.ci95[0] >= limit_mg

@@ -6,7 +6,7 @@ Rodrigues' formula. What S does to the end follows from the same pass: a change 
 the end of the turn by Q(T) (u(0) x sum of Q(t)^T dS r(t) dt), where Q(t) has turned u(0) to u(t).
 
 All is elementwise, in a fixed order, with sums, products and quotients only (series instead of sine and
-cosine), so that the same turns give the same bits on every machine.
+cosine), so that turns give the same bits on every machine.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from accelcal_cli.core.gyroscope import Triple, Turn
 
 BLOCK = 32
-"""Samples that are gone through one after the other; blocks of them are turned side by side."""
+"""Samples that are processed one after the other; blocks of them are processed side by side."""
 
 BATCH_BLOCKS = 4096
-"""Blocks at a time, so that memory is bounded and what is worked on lies in the processor's cache."""
+"""Blocks that are processed at a time, so that memory is bounded and fits the processor's cache."""
 
 SERIES = 12
 """Terms of the series of sin(x) / x and (1 - cos x) / x^2: exact to 1e-13 up to half a turn in a step."""
@@ -33,13 +33,13 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Batch:
+class _TurnBatch:
     """Turns cut into blocks.
 
     Attributes:
         first: number of the first turn.
-        steps: (BLOCK, 3, t) angle of each step by the raw rate, less the bias [rad]; zero behind the end.
-        begins: (p,) number of each turn's first block; blocks: (p,) how many it has.
+        steps: (BLOCK, 3, t) angle of each step by the raw rate, less the bias [rad]; zero after the end.
+        begins: (p,) number of each turn's first block; blocks: (p,) number of its blocks.
     """
 
     first: int
@@ -50,18 +50,18 @@ class _Batch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turned:
-    """Where n turns end.
+    """Gravity at the end of n turns.
 
     Attributes:
         direction: (n, 3) unit vectors.
-        slope: (n, 3, 9) change of them with the entries of S, row by row.
+        slope: (n, 3, 9) derivatives with respect to the entries of S, row by row.
     """
 
     direction: Floats
     slope: Floats
 
 
-class Gravity:
+class TurningGravity:
     """Turns of a gyroscope, with gravity's direction at their beginning.
 
     Args:
@@ -76,7 +76,7 @@ class Gravity:
         return len(self._before)
 
     def turned(self, scale: Floats) -> Turned:
-        """Where gravity points after each turn.
+        """Return gravity's direction after each turn.
 
         Args:
             scale: S, (3, 3), or (3, 3, n) with one for each turn.
@@ -86,7 +86,7 @@ class Gravity:
             np.concatenate([part.direction for part in parts]), np.concatenate([part.slope for part in parts])
         )
 
-    def _turned(self, batch: _Batch, scale: Floats) -> Turned:
+    def _turned(self, batch: _TurnBatch, scale: Floats) -> Turned:
         turns = slice(batch.first, batch.first + len(batch.begins))
         own = scale if scale.ndim == 2 else np.repeat(scale[:, :, turns], batch.blocks, axis=2)
         turn, moment = _joined(batch, *_through_blocks(batch.steps, own))
@@ -97,7 +97,7 @@ class Gravity:
 
 
 def raw_steps(turn: Turn, dps_per_lsb: Triple) -> Floats:
-    """(n + 1, 3) angle from each sample to the next by the raw rate less that of the rests [rad].
+    """Return angles from each sample to the next by the raw rate less that of the rests [rad], (n + 1, 3).
 
     The first step begins at rest, the last one ends there: n samples make n + 1 trapezoids.
     """
@@ -110,7 +110,7 @@ def raw_steps(turn: Turn, dps_per_lsb: Triple) -> Floats:
     return np.asarray((padded[:-1] + padded[1:]) / 2)
 
 
-def _batches(turns: Sequence[Turn], dps_per_lsb: Triple) -> Iterator[_Batch]:
+def _batches(turns: Sequence[Turn], dps_per_lsb: Triple) -> Iterator[_TurnBatch]:
     first, held, total = 0, list[Floats](), 0
     for number, turn in enumerate(turns):
         steps = raw_steps(turn, dps_per_lsb)
@@ -126,14 +126,14 @@ def _batches(turns: Sequence[Turn], dps_per_lsb: Triple) -> Iterator[_Batch]:
         yield _batch(first, held)
 
 
-def _batch(first: int, held: list[Floats]) -> _Batch:
+def _batch(first: int, held: list[Floats]) -> _TurnBatch:
     blocks = np.array([len(one) for one in held], np.int64)
     steps = np.ascontiguousarray(np.concatenate(held).transpose(1, 2, 0))
-    return _Batch(first, steps, np.cumsum(blocks) - blocks, blocks)
+    return _TurnBatch(first, steps, np.cumsum(blocks) - blocks, blocks)
 
 
 def _through_blocks(steps: Floats, scale: Floats) -> tuple[Floats, Floats]:
-    """Q (3, 3, t) of each block, and its sum of Q^T (x) r dt, (3, 3, 3, t)."""
+    """Return Q of each block, (3, 3, t), and its sum of Q^T (x) r dt, (3, 3, 3, t)."""
     own = scale[:, :, np.newaxis] if scale.ndim == 2 else scale
     turn = np.zeros((3, 3, steps.shape[2]))
     turn[[0, 1, 2], [0, 1, 2]] = 1.0
@@ -148,7 +148,7 @@ def _through_blocks(steps: Floats, scale: Floats) -> tuple[Floats, Floats]:
 
 
 def _rotation(angle: Floats) -> Floats:
-    """(3, 3, t) matrices that turn directions as a rotation of the sensor by (3, t) angles [rad] does."""
+    """Return matrices (3, 3, t) that turn directions as a rotation of the sensor by angles (3, t) [rad]."""
     x, y, z = angle
     squared = x * x + y * y + z * z
     sine, versine = _series(squared, 1), _series(squared, 2)
@@ -163,15 +163,15 @@ def _rotation(angle: Floats) -> Floats:
 
 
 def _series(squared: Floats, first: int) -> Floats:
-    """sin(x) / x (first = 1) or (1 - cos x) / x^2 (first = 2) of x^2."""
+    """Return sin(x) / x (first = 1) or (1 - cos x) / x^2 (first = 2) of x^2."""
     total = np.ones_like(squared)
     for term in range(SERIES, 0, -1):
         total = 1.0 - squared / ((2 * term + first - 1) * (2 * term + first)) * total
     return total if first == 1 else total / 2
 
 
-def _joined(batch: _Batch, turn: Floats, moment: Floats) -> tuple[Floats, Floats]:
-    """The same of whole turns (3, 3, p) and (3, 3, 3, p), block after block."""
+def _joined(batch: _TurnBatch, turn: Floats, moment: Floats) -> tuple[Floats, Floats]:
+    """Combine blocks to whole turns: Q (3, 3, p), and the sums (3, 3, 3, p)."""
     number = len(batch.begins)
     whole, total = np.zeros((3, 3, number)), np.zeros((3, 3, 3, number))
     whole[[0, 1, 2], [0, 1, 2]] = 1.0
@@ -186,14 +186,14 @@ def _joined(batch: _Batch, turn: Floats, moment: Floats) -> tuple[Floats, Floats
 
 
 def _times(left: Floats, right: Floats) -> Floats:
-    """Matrix products (3, 3, t) (3, m, t), term by term."""
+    """Return matrix products (3, 3, t) (3, m, t), term by term."""
     parts = (left[:, index, np.newaxis] * right[np.newaxis, index] for index in range(3))
     first, second, third = parts
     return np.asarray(first + second + third)
 
 
 def _cross(left: Floats, right: Floats) -> Floats:
-    """(3, t) x (3, m, t) for each of m."""
+    """Return the cross products (3, t) x (3, m, t) for each of m."""
     return np.stack(
         [left[(a + 1) % 3] * right[(a + 2) % 3] - left[(a + 2) % 3] * right[(a + 1) % 3] for a in range(3)]
     )

@@ -1,68 +1,59 @@
-"""The verdict on a recording: outcome, reason, and the calibration where there is one.
+"""The verdict on a recording: outcome, reason, and the calibration if there is one.
 
-`judge` is for the default profile, `judge_paper` for profile `paper`; `damage_verdict` refuses a recording
-that has lost too much to damage. Coefficients that were not found from the points at hand are judged by
-`held_out`, and compared by `better` and `worse`.
+`judge` is for the default profile, `judge_paper` for profile `paper`. Coefficients that were found elsewhere
+are compared by `better` and `worse`.
+
+A verdict also has what the same points give without misalignment, for tools whose formula has none. Such a
+tool cannot be given a calibration whose K is cut down to its diagonal: scales and offsets have to make up for
+what is left out. The simpler model is therefore fitted to the same points, with the same prior, and held out
+on the same postures, so that its cost is known.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from math import fsum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import ONE
-from accelcal_cli.core.calibration import IDENTITY, Calibration
+from accelcal_cli.core.calibration import IDENTITY, Calibration, in_standard_g
 from accelcal_cli.core.errors import DivergedError, counted
 from accelcal_cli.core.gravity import Gravity
-from accelcal_cli.core.points import MODELS, Fit, PenalizedFitter, PointSet, Saturated
-from accelcal_cli.core.prior import POPULATION, Prior
-from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Recording
+from accelcal_cli.core.points import MODELS, Fit, Model, PenalizedFitter, PointSet, Saturated
+from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import (
     Coverage,
-    Facts,
     FitErrors,
     Holdout,
     Judgement,
     Outcome,
     Trial,
+    WithoutMisalignment,
 )
 from accelcal_cli.core.settings import PAPER, Settings
 from accelcal_cli.core.statistics import interval95, mean
 from accelcal_cli.judge import model_ladder
-from accelcal_cli.judge.errors import Uncertainty, deviations_mg, lengths_off_mg, per_posture, uncertainty
+from accelcal_cli.judge.errors import Uncertainty, deviations_mg, per_posture, uncertainty
 from accelcal_cli.judge.errors import coverage as coverage_of
-from accelcal_cli.judge.misfit import MisfitSearch, told
-from accelcal_cli.judge.model_ladder import Evidence, Fitting, Sample, blocked, postures
+from accelcal_cli.judge.misfit import MisfitSearch, misfit_sentence
+from accelcal_cli.judge.model_ladder import FEWEST_POSTURES, Evidence, Fitting, Sample, blocked, postures
 from accelcal_cli.judge.posterior import Posterior, posterior, speaks_against, sphere_errors
-from accelcal_cli.judge.rest import ONE_G, picture, why_nothing_still
-from accelcal_cli.judge.simpler import SIMPLER, calibration_of_fit, with_simpler, with_simpler_of_paper
+from accelcal_cli.judge.refusal import DISAGREE, LONGER, NO_STILLNESS
+
+SIMPLER = {"9": "6", "9T": "6T"}
+"""Models with misalignment, and what is left of each without it."""
 
 FULL_MODELS = tuple(SIMPLER)
 DIVERGES = "the fit diverges: the points do not determine the parameters"
+
 FEWEST_CONTROL_POINTS = 2
-"""Of profile `paper` where any distance will do; else all 18 are needed."""
-
-LONGER = "record longer, with more turns of the wrist"
-DISAGREE = "check that the device is sound, and that what is taken for rest is rest (--stillness)"
-NOTHING_STILL = "no still window was found"
-NO_STILLNESS = f"{NOTHING_STILL}; {LONGER}"
-FAR_OFF = "still windows measure far from 1 g"
-FAR_FROM_1_G = f"{FAR_OFF}; check the unit with --unit and --lsb-per-g"
-
-CUT_SHORT = "truncated"
-"""Code of the problem that all readers report for a file that breaks off."""
-
-COPY_AGAIN = "the file is cut short: copy it again from the device"
-FEWEST_POSTURES = 2
+"""Points that F's second set needs if any distance between them will do; otherwise it needs all 18."""
 
 ODD_TIMES, ODD_MG = 3.0, 1.0
-"""Errors on a recording's own windows that speak against it are larger than before, and larger than so many
-times the pool's median and so many mg more."""
+"""Factor of the pool's median error, and what is added to it [mg], above which an error is unusual."""
 
 SEEN = "own points, which are among those that were fitted"
+"""How the points of a recording of a pool were held out, for the report."""
 
 
 def judge(
@@ -72,22 +63,22 @@ def judge(
     label: NDArray[np.int64] | None = None,
     saturated: Saturated = (),
 ) -> Judgement:
-    """The most probable calibration, or the model that posture-blocked held-out error chooses.
+    """Judge a recording by its most probable calibration, or by the model with the best held-out error.
 
-    With a prior all parameters that the points speak of are fitted, and the ladder of models is tried for
-    comparison; without one, or with a model that the user insists on, the ladder decides.
+    With a prior, all parameters that the points determine are fitted, and the ladder of models is tried for
+    comparison. Without one, or with a model that the user insists on, the ladder decides.
 
     Args:
         points: calibration points of one recording.
-        why_none: the reason, where there are no points.
-        label: (n,) posture numbers, where they are known; else found by direction.
+        why_none: the reason if there are no points.
+        label: (n,) posture numbers; None: found by direction.
         saturated: axes that measure nothing beyond a value; the verdict names them.
     """
     label = postures(points, how.settings.posture_degrees) if label is None else label
     verdict = _judged(points, how, why_none, label, replace(coverage_of(points, label), saturated=saturated))
     beyond = [f"{'xyz'[axis]} measures nothing beyond {at:.2f} g" for axis, at in saturated]
-    found = [told(one) for one in verdict.misfits or () if one.found]
-    return replace(verdict, message="; ".join([verdict.message, *beyond, *found]))
+    misfits = [misfit_sentence(one) for one in verdict.misfits or () if one.found]
+    return replace(verdict, message="; ".join([verdict.message, *beyond, *misfits]))
 
 
 def _judged(
@@ -122,12 +113,13 @@ def _most_probable(
     how: Fitting,
     penalized: PenalizedFitter,
 ) -> Judgement:
-    """The verdict on the fit with a prior, by its error over the whole sphere."""
+    """Judge the fit with a prior by its error over the whole sphere."""
     points, label, settings = sample.points, sample.label, how.settings
-    name = "9T" if _warm_and_cool(points, settings) else "9"
+    slopes = model_ladder.temperature_range_c(points) >= settings.min_temperature_range_c
+    name = "9T" if slopes else "9"
     try:
         known = posterior(points, coverage.distinct_orientations, MODELS[name], how.prior, penalized)
-        unlike = how.prior is not POPULATION and _is_unlike(known, sample, coverage, how.prior, penalized)
+        unlike = how.prior is not POPULATION and _contradicts_prior(known, sample, coverage, how, penalized)
         holdout, _ = blocked(sample, MODELS[name], known.fitter(penalized), settings.folds)
     except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, trials)
@@ -164,40 +156,39 @@ def _most_probable(
     return with_simpler(completed, sample, how, truth)
 
 
-def as_it_is(points: PointSet, how: Fitting, told: str) -> Judgement:
-    """The verdict on values that were calibrated before: nothing is fitted.
+def judge_calibrated(points: PointSet, how: Fitting, origin: str) -> Judgement:
+    """Judge values that were calibrated before, without fitting anything.
 
     Args:
-        points: of the calibrated values; they tell how well these hold.
-        told: where the values are from.
+        points: of the calibrated values.
+        origin: where the values are from, for the message.
     """
     label = postures(points, how.settings.posture_degrees)
     coverage = coverage_of(points, label)
     if not len(points):
-        return Judgement(Outcome.REFUSED, f"{told}; there is no stillness to check that", coverage, ())
+        return Judgement(Outcome.REFUSED, f"{origin}; there is no stillness to check that", coverage, ())
     number = counted(coverage.distinct_orientations, "posture")
     sample = Sample(
         points, label, model_ladder.temperature_blocks(points, label, how.settings.temperature_block_c)
     )
     holdout, same = blocked(sample, MODELS["0"], how.fit, how.settings.folds)
-    text = f"{told}; not fitted again: {holdout.before.mean:.1f} mg on {number} of its own stillness"
+    text = f"{origin}; not fitted again: {holdout.before.mean:.1f} mg on {number} of its own stillness"
     verdict = Judgement(
         Outcome.ALREADY_GOOD, text, coverage, (Trial("0", holdout, None, same),), holdout=holdout
     )
     return _complete(verdict, "0", same, points, label, how.settings.gravity)
 
 
-def _is_unlike(
-    known: Posterior, sample: Sample, coverage: Coverage, prior: Prior, penalized: PenalizedFitter
+def _contradicts_prior(
+    known: Posterior, sample: Sample, coverage: Coverage, how: Fitting, penalized: PenalizedFitter
 ) -> bool:
-    """Whether the points speak against the prior with which they were fitted, and for that of all sensors."""
+    """Return True if the points speak against the prior that was used, and for the one of all sensors."""
     points = sample.points
     usual = posterior(points, coverage.distinct_orientations, known.model, POPULATION, penalized)
-    return speaks_against(known, usual, (prior, POPULATION), points)
+    return speaks_against(known, usual, (how.prior, POPULATION), points)
 
 
 def _outcome_of_sphere(verdict: Judgement, settings: Settings) -> tuple[Outcome, str]:
-    """The outcome of the fit with a prior, and why."""
     sphere, holdout = verdict.sphere, verdict.holdout
     assert sphere is not None and holdout is not None and verdict.sphere_before is not None
     raw, *_, fitted = verdict.trials
@@ -217,7 +208,7 @@ def _outcome_of_sphere(verdict: Judgement, settings: Settings) -> tuple[Outcome,
 
 
 def _missing(verdict: Judgement, settings: Settings) -> str:
-    """What a recording lacks whose points leave too much open."""
+    """Return what a recording lacks whose points leave too much uncertain."""
     coverage, holdout = verdict.coverage, verdict.holdout
     number = coverage.distinct_orientations
     if number < settings.min_postures:
@@ -228,23 +219,18 @@ def _missing(verdict: Judgement, settings: Settings) -> str:
     return f"{number} postures disagree by {holdout.after.mean:.1f} mg: {DISAGREE}"
 
 
-def _warm_and_cool(points: PointSet, settings: Settings) -> bool:
-    """Whether the points have temperatures from which slopes can be told."""
-    return model_ladder.temperature_range_c(points) >= settings.min_temperature_range_c
-
-
 def judge_paper(
     fit_points: PointSet,
     control_points: PointSet,
     missing: tuple[list[str], list[str]],
     how: Fitting,
 ) -> Judgement:
-    """F's procedure: nine parameters from the full first set, judged on the second (eq. 21).
+    """Judge by F's procedure: nine parameters from the full first set, held out on the second (eq. 21).
 
-    An optimizer that cannot fit nine fits six, as the non-iterative method of F's Table 3 does. What
-    the points leave uncertain somewhere on the sphere is refused, however small the error is on the
-    second set, and so, with a least distance, is a second set that is not full (measured with 3 to 15
-    control points: errors on the sphere of up to 5.7 times the reported one; with 18, 1.24 times).
+    An optimizer that cannot fit nine fits six, as the non-iterative method of F's Table 3 does. A fit that is
+    uncertain somewhere on the sphere is refused, however small the error on the second set; so is a second
+    set that is not full, if points keep a least distance (measured with 3 to 15 control points: errors on the
+    sphere up to 5.7 times the reported one; with 18, 1.24 times).
 
     Args:
         missing: names of the subsets that are not full, of the first set and of the second.
@@ -255,7 +241,7 @@ def judge_paper(
     if len(control_points) >= FEWEST_CONTROL_POINTS and not settings.min_distance_g:
         second = []
     if first or second:
-        text = f"{_wanting(first, second, settings)}; profile paper needs all nine, profile default does not"
+        text = f"{_not_full(first, second, settings)}; profile paper needs all nine, profile default does not"
         return Judgement(Outcome.REFUSED, text, coverage, ())
     name = "9" if "9" in how.models else "6"
     try:
@@ -266,7 +252,7 @@ def judge_paper(
     unsure = model_ladder.doubt(known, settings.max_error_mg)
     held = None if unsure else model_ladder.control(control_points, fitted.parameters)
     trial = Trial(name, held, unsure, fitted)
-    verdict = _verdict_of_paper(trial, _with(coverage, known), settings)
+    verdict = _verdict_of_paper(trial, _with_precision(coverage, known), settings)
     if verdict.outcome is Outcome.REFUSED:
         return verdict
     label = np.arange(len(fit_points), dtype=np.int64)
@@ -275,7 +261,7 @@ def judge_paper(
 
 
 def _verdict_of_paper(trial: Trial, coverage: Coverage, settings: Settings) -> Judgement:
-    """The outcome of F's one fit, without a calibration."""
+    """Return the verdict on F's single fit, without its calibration."""
     if trial.holdout is None:
         text = f"model {trial.model} cannot be trusted: {trial.reason}; {_advice(coverage, settings)}"
         return Judgement(Outcome.REFUSED, text, coverage, (trial,))
@@ -285,8 +271,8 @@ def _verdict_of_paper(trial: Trial, coverage: Coverage, settings: Settings) -> J
     return Judgement(outcome, text, coverage, trials, holdout=trial.holdout)
 
 
-def _wanting(first: list[str], second: list[str], settings: Settings) -> str:
-    """What is said of subsets that are not full: those of the first set, or else of the second."""
+def _not_full(first: list[str], second: list[str], settings: Settings) -> str:
+    """Name the subsets that are not full, of the first set or else of the second."""
     least_g = settings.min_distance_g
     apart = f" that are at least {least_g:g} g from all others" if least_g else ""
     least = settings.min_subset_points
@@ -295,8 +281,8 @@ def _wanting(first: list[str], second: list[str], settings: Settings) -> str:
     return f"{'' if first else 'control '}subsets without {few}{apart}: {' '.join(first or second)}"
 
 
-def _with(coverage: Coverage, known: Uncertainty | None) -> Coverage:
-    """The coverage with what the fit says of it."""
+def _with_precision(coverage: Coverage, known: Uncertainty | None) -> Coverage:
+    """Add the fit's conditioning to the coverage."""
     if known is None:
         return coverage
     worst_mg = known.worst_direction_mg
@@ -306,10 +292,10 @@ def _with(coverage: Coverage, known: Uncertainty | None) -> Coverage:
 def _complete(
     verdict: Judgement, model: str, fit: Fit, points: PointSet, label: NDArray[np.int64], gravity: Gravity
 ) -> Judgement:
-    """A verdict with its calibration, in standard g, and what is known of it.
+    """Add the calibration, in standard g, and its errors to a verdict.
 
     Args:
-        fit: of the model to the points, whose posture numbers are `label`.
+        fit: that of the model to the points, whose posture numbers are `label`.
     """
     before, after = (
         mean(list(per_posture(deviations_mg(points, p), points.weights, label).values()))
@@ -325,16 +311,16 @@ def _complete(
     if precision is None:
         return completed
     errors = _in_standard_g(precision.standard_errors, gravity)
-    return replace(completed, coverage=_with(verdict.coverage, precision), standard_errors=errors)
+    return replace(completed, coverage=_with_precision(verdict.coverage, precision), standard_errors=errors)
 
 
 def _in_standard_g(errors: tuple[float, ...], gravity: Gravity) -> tuple[float, ...]:
-    """Standard errors of parameters whose offsets and slopes were in units of local gravity."""
+    """Convert standard errors of parameters from units of local gravity to standard g."""
     return (*errors[:6], *(value * float(gravity.local_g()) for value in errors[6:]))
 
 
 def _chosen(trials: tuple[Trial, ...], settings: Settings) -> Trial:
-    """The ladder's choice; of the models the user insists on where there is one."""
+    """Return the ladder's choice, among the models that the user insists on if there are any."""
     if settings.model == "auto":
         return model_ladder.choose(trials)
     named = tuple(trial for trial in trials if trial.model != "0")
@@ -404,44 +390,8 @@ def _change(holdout: Holdout) -> str:
     return f"{holdout.before.mean:.1f} mg before, {holdout.after.mean:.2f} mg after"
 
 
-def damage_verdict(facts: Facts, max_percent: float, coverage: Coverage) -> Judgement | None:
-    """The refusal of a recording of which damage has taken more than `max_percent`; None for any other."""
-    share = facts.lost_percent()
-    if share <= max_percent:
-        return None
-    text = (
-        f"{share:.1f} % of the recording is lost to damage ({facts.lost_bytes} bytes), "
-        f"{max_percent:g} % is the limit; copy it again from the device, or allow more with --max-damage"
-    )
-    return Judgement(Outcome.REFUSED, text, coverage, ())
-
-
-def advised(verdict: Judgement, facts: Facts, recording: Recording, settings: Settings) -> Judgement:
-    """A refusal with its numbers and advice that fits: rest that is none, or a file that was cut short."""
-    if verdict.outcome is not Outcome.REFUSED:
-        return verdict
-    odd = picture(facts.rest, recording.lsb_per_g, decimal=recording.lsb_per_g >= FLOAT_LSB_PER_G)
-    if odd is None or ONE_G not in odd:
-        verdict = replace(verdict, message=_with_numbers(verdict.message, facts, recording, settings))
-    if odd is not None:
-        return replace(verdict, message=f"{verdict.message.split('; ')[0]}; {odd}")
-    if all(problem.code != CUT_SHORT for problem in facts.problems):
-        return verdict
-    return replace(verdict, message=verdict.message.replace(LONGER, f"{COPY_AGAIN}, or {LONGER}"))
-
-
-def _with_numbers(message: str, facts: Facts, recording: Recording, settings: Settings) -> str:
-    """A refusal for want of stillness near 1 g with what was measured instead, and its limit."""
-    if message == NO_STILLNESS:
-        found, advice = why_nothing_still(facts, recording, settings)
-        return f"{NOTHING_STILL}: {found}; {advice}{LONGER}"
-    if message == FAR_FROM_1_G:
-        return message.replace(FAR_OFF, f"{FAR_OFF} (typically {facts.rest.median_g:.3g} g)")
-    return message
-
-
 def with_errors_before(followed: Judgement, raw: Judgement) -> Judgement:
-    """A verdict on points that were put right, with the errors before calibration of those that were not."""
+    """Give a verdict on corrected points the errors before calibration of the uncorrected ones."""
     holdout, errors, message = followed.holdout, followed.fit_errors, followed.message
     if holdout is not None and raw.holdout is not None:
         message = message.replace(_change(holdout), _change(replace(holdout, before=raw.holdout.before)))
@@ -461,32 +411,8 @@ def with_errors_before(followed: Judgement, raw: Judgement) -> Judgement:
     )
 
 
-def held_out(
-    points: PointSet, calibration: Calibration, rest: Gravity, degrees: float, method: str
-) -> Holdout | None:
-    """Errors before and after on all points, none of which was fitted; whole postures count alike.
-
-    Args:
-        points: in units of local gravity, with temperatures where the calibration has slopes.
-        rest: what rest measures where the points were recorded.
-        degrees: width of a posture.
-        method: how it was held out, for the report.
-
-    Returns:
-        None for fewer than two postures.
-    """
-    label = postures(points, degrees)
-    if not len(points) or label.max() + 1 < FEWEST_POSTURES:
-        return None
-    raw = [points.xyz[:, axis] / ONE for axis in range(3)]
-    before = per_posture(lengths_off_mg(raw), points.weights, label)
-    after = per_posture(lengths_off_mg(applied(points, calibration, rest)), points.weights, label)
-    pairs = tuple((before[key], after[key]) for key in sorted(before))
-    return model_ladder.of_postures(method, len(points), pairs)
-
-
 def better(borrowed: Holdout, own: Holdout) -> bool:
-    """Whether held-out errors are lower than others on the same postures, by more than the uncertainty.
+    """Return True if held-out errors are clearly lower than others on the same postures.
 
     The 95 % confidence interval of the mean difference, posture by posture, lies above 0.
     """
@@ -494,48 +420,11 @@ def better(borrowed: Holdout, own: Holdout) -> bool:
     return interval95([own_after - borrowed_after for (_, borrowed_after), (_, own_after) in pairs])[0] > 0
 
 
-def applied(points: PointSet, calibration: Calibration, rest: Gravity) -> list[NDArray[np.float64]]:
-    """Calibrated x, y, z of points, in and out in units of local gravity, each (n,).
-
-    Elementwise, so that the figures are the same bits on every machine.
-    """
-    local_g = float(rest.local_g())
-    raw = [points.xyz[:, axis] / ONE * local_g for axis in range(3)]
-    celsius = None if calibration.temperature is None else temperatures_c(points)
-    return [value / local_g for value in calibration.applied(raw, celsius)]
-
-
-def temperatures_c(points: PointSet) -> NDArray[np.float64]:
-    """Temperatures of points that have them [degrees C], (n,)."""
-    assert points.tau is not None and points.temperature is not None
-    scale = points.temperature
-    return np.asarray(scale.reference_mc / 1000 + points.tau / ONE * scale.span_c, np.float64)
-
-
-def difference_mg(one: Calibration, other: Calibration, raw_g: NDArray[np.float64]) -> tuple[float, float]:
-    """Largest and mean length of the difference of two calibrations' results [mg].
-
-    Args:
-        raw_g: raw vectors, (n, 3), at the first one's reference temperature (the other's where it has none).
-    """
-    at_c = (one if one.temperature is not None else other).reference_c()
-    difference = _at(one, raw_g, at_c) - _at(other, raw_g, at_c)
-    lengths = (1000 * np.sqrt((difference * difference).sum(axis=1))).tolist()
-    return max(lengths), fsum(lengths) / len(lengths)
-
-
-def _at(calibration: Calibration, raw_g: NDArray[np.float64], at_c: float) -> NDArray[np.float64]:
-    shift = calibration.offset_g()
-    if calibration.temperature is not None:
-        shift = shift + calibration.slope_g_per_c() * (at_c - calibration.reference_c())
-    return np.asarray((raw_g + shift) @ calibration.gain().T)
-
-
 def worse(holdout: Holdout, usual_mg: float, limit_mg: float) -> str | None:
-    """Why a pool's coefficients are not for a recording, or None.
+    """Return why a pool's coefficients do not fit a recording, or None.
 
     Args:
-        held: errors on the recording's own windows.
+        holdout: errors on the recording's own windows.
         usual_mg: median of the pool's held-out errors; some recordings' postures are worse than others,
             and where a raw error happens to be small none can be smaller.
     """
@@ -544,3 +433,64 @@ def worse(holdout: Holdout, usual_mg: float, limit_mg: float) -> str | None:
     if after > before and after > ODD_TIMES * usual_mg + ODD_MG:
         return f"{changed}, {usual_mg:.2f} mg are usual in the pool"
     return f"{changed}, {limit_mg:g} mg is the limit" if after >= limit_mg else None
+
+
+def calibration_of_fit(model: str, fit: Fit, points: PointSet, gravity: Gravity) -> Calibration:
+    """Return the calibration of a fit to points in units of local gravity, in standard g."""
+    scale = points.temperature if MODELS[model].has_temperature else None
+    return Calibration(model, in_standard_g(fit.parameters, gravity.local_g()), scale, gravity)
+
+
+def with_simpler(
+    verdict: Judgement, sample: Sample, how: Fitting, truth: Posterior | None = None
+) -> Judgement:
+    """Add to a verdict what the same points give without misalignment, held out on the same postures.
+
+    Args:
+        truth: posterior of the sensor, for the error over the whole sphere.
+    """
+    calibration, points, gravity = verdict.calibration, sample.points, how.settings.gravity
+    name = None if calibration is None else SIMPLER.get(calibration.model)
+    if name is None:
+        return verdict
+    try:
+        holdout, fitted = _fitted(MODELS[name], sample, how, verdict)
+    except DivergedError:
+        return verdict
+    sphere = None
+    if truth is not None:
+        (sphere,) = sphere_errors(
+            points, sample.label, truth, (fitted.parameters,), verdict.coverage.saturated
+        )
+    simpler = WithoutMisalignment(calibration_of_fit(name, fitted, points, gravity), holdout, sphere)
+    return replace(verdict, without_misalignment=simpler)
+
+
+def _fitted(model: Model, sample: Sample, how: Fitting, verdict: Judgement) -> tuple[Holdout, Fit]:
+    """Return held-out error and fit of a model, with the prior if there is one; raises DivergedError."""
+    folds, penalized = how.settings.folds, how.penalized
+    if penalized is not None:
+        number = verdict.coverage.distinct_orientations
+        known = posterior(sample.points, number, model, how.prior, penalized)
+        return blocked(sample, model, known.fitter(penalized), folds)[0], known.found.fit
+    tried = next((trial for trial in verdict.trials if trial.model == model.name), None)
+    if tried is not None and tried.holdout is not None and tried.fit is not None:
+        return tried.holdout, tried.fit
+    if model.name not in how.models:
+        raise DivergedError(f"optimizer {how.settings.optimizer} does not fit model {model.name}")
+    return blocked(sample, model, how.fit, folds)
+
+
+def with_simpler_of_paper(
+    verdict: Judgement, fit_points: PointSet, control_points: PointSet, how: Fitting
+) -> Judgement:
+    """Add to a verdict of profile `paper` what the first set gives without misalignment, on the second."""
+    if verdict.trials[0].model != "9" or "6" not in how.models:
+        return verdict
+    try:
+        (fitted,) = how.fit((fit_points,), MODELS["6"])
+    except DivergedError:
+        return verdict
+    holdout = model_ladder.control(control_points, fitted.parameters)
+    calibration = calibration_of_fit("6", fitted, fit_points, how.settings.gravity)
+    return replace(verdict, without_misalignment=WithoutMisalignment(calibration, holdout))

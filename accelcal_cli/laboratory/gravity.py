@@ -31,7 +31,7 @@ from accelcal_cli.core.statistics import mean
 from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.gyroscope import judge_gyroscope
-from accelcal_cli.judge.turning import Gravity
+from accelcal_cli.judge.turning import TurningGravity
 from accelcal_cli.laboratory.cases import ALL, Case, CasePlan, Method, as_points, make_case, measured, methods
 from accelcal_cli.output.report import significant
 from accelcal_cli.output.words import figure
@@ -183,7 +183,7 @@ def _turns(case: Case, plan: CasePlan, random: RandomState) -> Turns:
             true[-1].counts + np.rint(random.standard_normal(rates.shape) * sensor.noise_dps / dps[0])
         )
     start = unit(random.standard_normal((TURNS, 3)))
-    end = Gravity(true, start, dps).turned(sensor.scale).direction
+    end = TurningGravity(true, start, dps).turned(sensor.scale).direction
     rests = [[_rest(case, plan, one, random) for one in side] for side in (start, end)]
     turns = tuple(
         Turn(before, after, counts.astype(np.int32), 1e6 / RATE_HZ)

@@ -29,7 +29,7 @@ from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.statistics import mean
-from accelcal_cli.judge.verdict import held_out
+from accelcal_cli.judge.model_ladder import held_out
 from accelcal_cli.laboratory.sensors import Population, Track, sphere_error_mg, track
 from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress

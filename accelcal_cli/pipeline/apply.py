@@ -21,7 +21,8 @@ from accelcal_cli.core.input_files import size_of
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome, WithoutMisalignment
 from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS, SIX_POSE, Settings
-from accelcal_cli.judge.verdict import FEWEST_POSTURES, better, held_out
+from accelcal_cli.judge.model_ladder import FEWEST_POSTURES, held_out
+from accelcal_cli.judge.verdict import better
 from accelcal_cli.output.coefficients import (
     COPIED,
     Coefficients,
@@ -97,7 +98,7 @@ def with_coefficients(run: RecordingRun, donor: Coefficients) -> tuple[Recording
     recording, request = run.reader.recording, run.request
     if recording.calibrated is not None:
         hint = "apply them to the raw recording"
-        raise UsageError(f"is {recording.calibrated.told()}", path=recording.path, hint=hint)
+        raise UsageError(f"is {recording.calibrated.sentence()}", path=recording.path, hint=hint)
     relation = checked_relation(donor, recording, run.bytes_at, request)
     settings = settings_for(donor, relation, request.recording_settings)
     need_temperature(at_reference(donor.calibration, settings), recording, has=recording.has_temperature)

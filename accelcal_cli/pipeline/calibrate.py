@@ -26,10 +26,11 @@ from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.results import Coverage, Facts, Judgement, Outcome
 from accelcal_cli.core.settings import NO_PRIOR, PoseSettings, Settings
 from accelcal_cli.core.system import give_back_freed_memory
-from accelcal_cli.judge.change import told
+from accelcal_cli.judge.change import change_sentence
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import postures
-from accelcal_cli.judge.verdict import advised, as_it_is, damage_verdict
+from accelcal_cli.judge.refusal import advised, damage_verdict
+from accelcal_cli.judge.verdict import judge_calibrated
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.output.quality import QualityInput, dumps_quality, quality_json
@@ -182,7 +183,7 @@ class OwnCalibration(Judge):
             judgement = found.damage
         elif recording.calibrated is not None:
             how = procedures.fitting(replace(self.settings, prior=NO_PRIOR))
-            judgement = as_it_is(found.points, how, recording.calibrated.told())
+            judgement = judge_calibrated(found.points, how, recording.calibrated.sentence())
         else:
             how = procedures.fitting(self.settings, None if learnt is None else learnt.prior)
             judgement = advised(procedure.judge(how), found.facts, recording, self.settings)
@@ -193,12 +194,12 @@ class OwnCalibration(Judge):
 
     def _with_notes(self, judgement: Judgement, found: Survey) -> Judgement:
         """Return the judgement with a message that names the prior, repeated windows and a change."""
-        notes = [] if self.learnt is None else [self.learnt.told()]
+        notes = [] if self.learnt is None else [self.learnt.sentence()]
         if repeated := found.method.segmenter.counts.repeated:
             notes.append(f"{counted(repeated, 'still window')} repeat earlier ones exactly and were left out")
         if judgement.change is not None:
             followed = judgement.calibration is not None and judgement.calibration.correction is not None
-            change = told(judgement.change, found.facts.utc_offset_s, followed=followed)
+            change = change_sentence(judgement.change, found.facts.utc_offset_s, followed=followed)
             notes += [] if change is None else [change]
         return replace(judgement, message="; ".join([judgement.message, *notes]))
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.cells import MAX_BLOCKS, ONE_BLOCK
-from accelcal_cli.collect.rest import RestSums
+from accelcal_cli.collect.still_windows import RestSums
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
 from accelcal_cli.core.local_time import FOLLOWED, ZoneChange, zone_changes
@@ -23,10 +23,9 @@ from accelcal_cli.core.results import Facts, Gap, Jumps, SampleCounts, TimeRows
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.errors import deviations_mg as deviations_of_points
-from accelcal_cli.judge.errors import per_posture
+from accelcal_cli.judge.errors import per_posture, temperatures_c
 from accelcal_cli.judge.model_ladder import postures
-from accelcal_cli.judge.quality import Spread, by_block, deviations_mg, point_deviations_mg
-from accelcal_cli.judge.verdict import temperatures_c
+from accelcal_cli.judge.quality import ErrorSpread, by_block, deviations_mg, point_deviations_mg
 from accelcal_cli.output.quality import BlockErrors, Errors, PointErrors, QualityInput
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.procedures import Method, TimedCellProcedure
@@ -398,7 +397,7 @@ def _block_errors(
     }
 
 
-def _errors(spread: Spread) -> Errors:
+def _errors(spread: ErrorSpread) -> Errors:
     return (spread.mean, spread.p95, *spread.off)
 
 

@@ -19,7 +19,8 @@ from accelcal_cli.core.settings import DEFAULT, NO_PRIOR, Settings
 from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import Fitting, postures
-from accelcal_cli.judge.verdict import advised, as_it_is, damage_verdict
+from accelcal_cli.judge.refusal import advised, damage_verdict
+from accelcal_cli.judge.verdict import judge_calibrated
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.report import (
     clock_json,
@@ -133,7 +134,7 @@ def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
     damage = damage_verdict(facts, settings.max_damage_percent, covered)
     prediction = damage
     if prediction is None and recording.calibrated is not None:
-        prediction = as_it_is(points, fitter, recording.calibrated.told())
+        prediction = judge_calibrated(points, fitter, recording.calibrated.sentence())
     if prediction is None:
         prediction = advised(method.procedure.judge(fitter), facts, recording, settings)
     facts = facts if whole else _to_its_end(facts, recording)

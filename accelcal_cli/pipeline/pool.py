@@ -18,7 +18,8 @@ from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.judge.verdict import SEEN, held_out, worse
+from accelcal_cli.judge.model_ladder import held_out
+from accelcal_cli.judge.verdict import SEEN, worse
 from accelcal_cli.output.coefficients import calibration_of
 from accelcal_cli.output.report import ReportInput, WindowUse
 from accelcal_cli.output.report_kinds import TAKEN, Member, PoolInput, build_pool, of_member

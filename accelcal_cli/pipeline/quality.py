@@ -17,7 +17,7 @@ from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Change, Judgement, Outcome
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.statistics import mean
-from accelcal_cli.judge.change import LEAST_MG, ChangeSearch, Compared, told
+from accelcal_cli.judge.change import LEAST_MG, ChangeSearch, ComparedErrors, change_sentence
 from accelcal_cli.judge.quality import Period, check, far_off
 from accelcal_cli.output.quality import QualityInput, rows_json
 from accelcal_cli.pipeline.apply import with_coefficients
@@ -126,7 +126,7 @@ class ComparedAlongTime:
     """
 
     change: Change
-    compared: Compared | None
+    compared: ComparedErrors | None
     blocks: int
     block_samples: int
 
@@ -213,7 +213,7 @@ def _degraded(start: Quality, change: Change) -> Quality:
 
 def _with_change(text: str, start: Quality, change: Change) -> str:
     """Append to a sentence how the sensor changed."""
-    changed = told(change, start.made.data.facts.utc_offset_s, followed=False)
+    changed = change_sentence(change, start.made.data.facts.utc_offset_s, followed=False)
     return text if changed is None else f"{text}; {changed.split(';')[0]}"
 
 

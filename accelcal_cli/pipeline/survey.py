@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.collect.repetition import Repetitions
+from accelcal_cli.collect.still_windows import Repetitions
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.points import WindowCounts, Windows, joined_windows

@@ -26,7 +26,7 @@ from accelcal_cli.pipeline.survey import StillWindows
 if TYPE_CHECKING:
     import pandas as pd
 
-    from accelcal_cli.collect.table import Table
+    from accelcal_cli.collect.table import PointTable
     from accelcal_cli.output.windows import WindowTable
 
 CSV = ".csv"
@@ -125,10 +125,10 @@ def fit_frame(frame: pd.DataFrame, settings: Settings) -> dict[str, Any]:
     return _report(table, settings, IN_MEMORY, hashlib.sha256(content).hexdigest(), len(content))
 
 
-def _report(table: Table, settings: Settings, path: Path, digest: str, size: int) -> dict[str, Any]:
-    from accelcal_cli.collect.table import given_points
+def _report(table: PointTable, settings: Settings, path: Path, digest: str, size: int) -> dict[str, Any]:
+    from accelcal_cli.collect.table import points_of_table
 
-    found = given_points(table, settings, path)
+    found = points_of_table(table, settings, path)
     fitter = fitting(settings)
     why_none = NOT_NEAR if found.implausible else NO_POINTS
     verdict = judge(found.points, fitter, why_none, found.label, found.saturated)

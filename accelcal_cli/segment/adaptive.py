@@ -1,16 +1,16 @@
 """The rule that adapts to the sensor's own noise (G 4.4 and Algorithm 1), causal and exact.
 
-Grammenos, Mascolo, Crowcroft 2018: a window is still where the standard deviation of |a| is below
+Grammenos, Mascolo, Crowcroft 2018: a window is still if the standard deviation of |a| is below
 twice the smallest one of the recording, and that of the gyroscope below three times its smallest;
-neighbouring still windows are merged. G leaves open when the minimum is known and what a window
+neighbouring still windows are merged. G does not say when the minimum is known, nor what a window
 without any spread means. Here:
 
 - The first windows all pass, as G's do, but no window is decided at once: a candidate waits until
   `held_windows` more have come, and the minima of that moment decide. The last ones are decided by
-  the minima of the whole recording. Memory is bounded, and so is what an early, higher minimum does.
-- A window of one constant value has no part in the minima, and no minimum falls below what the
+  the minima of the whole recording. This bounds memory, and the effect of an early, higher minimum.
+- A window of one constant value does not count for the minima, and no minimum falls below what the
   sensor's step allows (`LeastSpread`).
-- A first window that moves is given up at once, and so is one that the next does not agree with: G
+- A first window that moves is given up at once, and so is one with which the next does not agree: G
   gathers w_min, then up to w_max; here states grow by w_min at a time (`States`).
 - The rotation's standard deviation is that of the three axes together, in counts.
 
@@ -47,23 +47,26 @@ CANDIDATE = np.dtype(
         ("least_turn", np.int64),
     ]
 )
-"""A window that may be still: norm and turn are n times the variance of |a| and of the rotation,
-the least ones their minima when it came, later those by which it was decided."""
+"""A window that may be still: norm and turn are n times the variance of |a| and of the rotation, least_norm
+and least_turn their minima when it came, later the minima that decide it."""
 
 Candidates = NDArray[Any]
 
 MOVING = 1 << 62
-"""Instead of a variance, of a window that varies too much to look at."""
+"""Stands for the variance of a window that is certainly moving."""
+
 NEVER = 1 << 52
-"""Instead of a minimum, before there is one: up to 30^2 times it is below MOVING."""
+"""Stands for a minimum before there is one; 30^2 times it is below MOVING."""
+
 NORM_BITS = 17
+"""Bits of |a| at 1 g."""
 
 WIDEST_TURN = 1 << 18
-"""Counts; a window in which the gyroscope spreads as far is moving."""
+"""max - min of the gyroscope [counts] at which a window is moving."""
 
 
 def candidates(blocks: Blocks, spreads: dict[str, NDArray[np.int64]]) -> Candidates:
-    """Blocks as candidates; `spreads` holds norm, turn, least_norm and least_turn, each (m,)."""
+    """Convert blocks to candidates; `spreads` holds norm, turn, least_norm and least_turn, each (m,)."""
     table = np.zeros(len(blocks), CANDIDATE)
     table["run"] = blocks.run
     table["first"] = blocks.first_samples
@@ -76,12 +79,12 @@ def candidates(blocks: Blocks, spreads: dict[str, NDArray[np.int64]]) -> Candida
 
 
 def constant(windows: Candidates) -> NDArray[np.bool_]:
-    """Which windows hold one value only."""
+    """Return a mask of windows that hold a single value."""
     return np.asarray((windows["low"] == windows["high"]).all(axis=1))
 
 
 def passing(windows: Candidates, numbers: Adaptive) -> NDArray[np.bool_]:
-    """G 4.4: standard deviations below so many times their minima."""
+    """Return a mask of windows whose standard deviations are below multiples of their minima (G 4.4)."""
     calm = windows["norm"] < numbers.acceleration_factor**2 * windows["least_norm"]
     return np.asarray(calm & (windows["turn"] < numbers.rotation_factor**2 * windows["least_turn"]))
 
@@ -90,9 +93,9 @@ class States:
     """Joins still windows that follow one another and agree, in the order of time.
 
     A window joins the state before it if no sample and no break lies between them, the mean of each
-    axis is within `acceleration_factor` times the minimum standard deviation of that of the state's
-    first window, and the state is not full. A state of too few windows does not count. Windows of one
-    constant value are left single, for the collector to decide whether they were measured.
+    axis differs from that of the state's first window by at most `acceleration_factor` times the minimum
+    standard deviation, and the state is not full. A state of too few windows is dropped. Windows of one
+    constant value stay single, so that the collector can decide if they were measured.
     """
 
     def __init__(self, length: int, bits: int, numbers: Adaptive) -> None:
@@ -102,7 +105,7 @@ class States:
         self._open = np.zeros(0, CANDIDATE)
 
     def add(self, still: Candidates) -> list[Windows]:
-        """Take still windows in; returns the states that are complete."""
+        """Take further still windows and return the states that are complete."""
         windows = np.concatenate([self._open, still])
         starts = list(self._starts(windows))
         if not starts:
@@ -111,12 +114,12 @@ class States:
         return self._windows(windows[: starts[-1]], np.array(starts))
 
     def rest(self) -> list[Windows]:
-        """The last state."""
+        """Return the last state."""
         windows, self._open = self._open, self._open[:0]
         return self._windows(windows, np.array([0, len(windows)]))
 
     def _starts(self, windows: Candidates) -> Iterator[int]:
-        """Where states begin."""
+        """Yield the numbers of the windows at which states begin."""
         new = np.ones(len(windows), np.bool_)
         alone = constant(windows)
         new[1:] = (np.diff(windows["first"]) != self.length) | (np.diff(windows["run"]) != 0)
@@ -128,16 +131,13 @@ class States:
             start = low
             while start < high:
                 yield start
-                start = self._end(windows[start : min(high, start + self.numbers.max_windows)], start)
-
-    def _end(self, reach: Candidates, start: int) -> int:
-        """Where the state of the first of these windows ends."""
-        limit = self.tolerance(int(reach["least_norm"][0]))
-        far = (np.abs(reach["sums"] - reach["sums"][0]) > limit).any(axis=1)
-        return start + (int(far.argmax()) if far.any() else len(reach))
+                reach = windows[start : min(high, start + self.numbers.max_windows)]
+                limit = self.tolerance(int(reach["least_norm"][0]))
+                far = (np.abs(reach["sums"] - reach["sums"][0]) > limit).any(axis=1)
+                start += int(far.argmax()) if far.any() else len(reach)
 
     def tolerance(self, least: int) -> int:
-        """Largest difference of two sums of counts whose means agree.
+        """Return the largest difference of two sums of counts whose means agree.
 
         With n samples a window, n var = least / 4^bits: difference^2 < factor^2 n^2 var.
         """
@@ -146,7 +146,7 @@ class States:
         return isqrt(scaled)
 
     def _windows(self, windows: Candidates, starts: NDArray[np.int64]) -> list[Windows]:
-        """States between consecutive starts, in batches that all have temperatures or none."""
+        """Return the states between consecutive starts, in batches that all have temperatures or none."""
         first, number = starts[:-1], np.diff(starts)
         if not len(windows):
             return []
@@ -158,25 +158,18 @@ class States:
         states = Windows(number * self.length, windows["first"][first], sums, spread, temperature_sums)
         without = replace(states, temperature_sums=None)
         return [
-            (states if known[part[0]] else without).select(_only(part, enough))
+            (states if known[part[0]] else without).select(part[enough[part]])
             for part in np.split(np.arange(len(first)), np.flatnonzero(np.diff(known)) + 1)
         ]
 
 
-def _only(part: NDArray[np.int64], which: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """A mask with nothing outside a part."""
-    mask = np.zeros(len(which), np.bool_)
-    mask[part] = which[part]
-    return mask
-
-
 def norm_bits(lsb_per_g: float) -> int:
-    """b, so that one g has between 2^16 and 2^17 units of 2^-b counts."""
+    """Return b with which 1 g has between 2^16 and 2^17 units of 2^-b counts."""
     return NORM_BITS - int(np.frexp(lsb_per_g)[1])
 
 
 def norms(columns: NDArray[Any], bits: int) -> NDArray[np.int64]:
-    """|a| in units of 2^-bits counts, of (3, ...) counts.
+    """Return |a| of counts (3, ...) in units of 2^-bits counts.
 
     Products, sums, roots and powers of two are each rounded correctly (IEEE 754) in a fixed order,
     so that the integers are the same on every machine.
@@ -186,7 +179,7 @@ def norms(columns: NDArray[Any], bits: int) -> NDArray[np.int64]:
 
 
 def squares(blocks: NDArray[Any], widest: int) -> NDArray[np.int64]:
-    """n times the variance of (m, n) values, rounded up; MOVING where max - min reaches `widest`."""
+    """Return n times the variance of (m, n) values, rounded up; MOVING where max - min reaches `widest`."""
     spread = blocks.max(axis=1).astype(np.int64) - blocks.min(axis=1)
     scaled = np.full(len(blocks), MOVING, np.int64)
     index = np.flatnonzero(spread < widest)
@@ -198,22 +191,26 @@ def squares(blocks: NDArray[Any], widest: int) -> NDArray[np.int64]:
 
 
 def steps(columns: NDArray[Any], widest: int) -> NDArray[np.int64]:
-    """(m,) smallest difference of two consecutive values of (axes, m, n), 0 apart; or `widest`."""
+    """Return the smallest non-zero difference of consecutive values (axes, m, n), (m,); at most `widest`."""
     jumps = np.abs(np.diff(columns.astype(np.int64), axis=2))
     jumps[jumps == 0] = widest
     return np.asarray(jumps.min(axis=(0, 2), initial=widest))
 
 
 class LeastSpread:
-    """The smallest n times the variance so far, but never less than what the sensor's step allows.
+    """The smallest n times the variance so far, at least what the sensor's step allows.
 
-    Readings in steps of d have a standard deviation of d / sqrt(12) from rounding alone; where a
-    window has less, the value happened to lie between two steps. The step is the smallest difference
-    of two consecutive readings so far, at first `widest` counts.
+    Readings in steps of d have a standard deviation of d / sqrt(12) from rounding alone; if a window has
+    less, the value happened to lie between two steps. The step is the smallest difference of two consecutive
+    readings so far, at first `widest` counts.
+
+    Args:
+        length: n, samples of a window.
+        axes: number of axes whose variances are summed.
+        bits: variances are in units of 2^-bits counts.
     """
 
     def __init__(self, length: int, axes: int, widest: int, bits: int = 0) -> None:
-        """For n = `length` samples, variances summed over so many axes in units of 2^-bits counts."""
         self.length = length
         self.axes = axes
         self.widest = widest
@@ -222,17 +219,17 @@ class LeastSpread:
         self._least = NEVER
 
     def now(self) -> int:
-        """The minimum after all windows so far."""
+        """Return the minimum after all windows so far."""
         return max(self._least, self._floor(self.step))
 
     def follow(
         self, values: NDArray[np.int64], columns: NDArray[Any], index: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """The minimum after each of m windows, (m,).
+        """Return the minimum after each of m windows, (m,).
 
         Args:
-            values: (m,) n times the variance of each; 0 and MOVING are no minimum.
-            columns: (axes, k, n) the readings, in counts, of the k windows that have a part in it.
+            values: (m,) n times the variance of each; 0 and MOVING are ignored.
+            columns: (axes, k, n) readings [counts] of the k windows that count.
             index: (k,) their numbers.
         """
         counted = np.full(len(values), NEVER)
@@ -245,21 +242,21 @@ class LeastSpread:
         return np.maximum(least, allowed)
 
     def _steps(self, columns: NDArray[Any], index: NDArray[np.int64], number: int) -> NDArray[np.int64]:
-        """The sensor's step after each window, (m,); it cannot be less than a count."""
+        """Return the sensor's step after each window, (m,), at least one count."""
         observed = np.full(number, self.step)
         if self.step > 1:
             observed[index] = steps(columns, self.widest)
         return np.minimum(np.minimum.accumulate(observed), self.step)
 
     def _floor(self, step: int) -> int:
-        """n times the variance of rounding to steps, at least 1, at most NEVER."""
+        """Return n times the variance of rounding to steps, at least 1, at most NEVER."""
         whole = self.axes * self.length * step * step
         scaled = whole << 2 * self.bits if self.bits >= 0 else whole >> -2 * self.bits
         return max(1, min(NEVER, scaled // 12))
 
 
 class AdaptiveRule:
-    """For windows of so many samples; remembers minima, candidates and the open state."""
+    """The rule for windows of `length` samples, with its minima, candidates and open state."""
 
     def __init__(self, length: int, lsb_per_g: float, numbers: Adaptive) -> None:
         self.numbers = numbers
@@ -272,13 +269,13 @@ class AdaptiveRule:
         self._states = States(length, self.bits, numbers)
 
     def take(self, blocks: Blocks) -> list[Windows]:
-        """Take windows in; returns the states that are decided by now."""
+        """Take further windows and return the states that are decided by now."""
         new = candidates(blocks, self._spreads(blocks))
         new = new[blocks.usable & passing(new, self.numbers)]
         return self._states.add(self._decided(new))
 
     def rest(self) -> list[Windows]:
-        """The candidates that wait; those that too few others follow by the minima of the whole recording."""
+        """Return the last states; waiting candidates are decided by the minima of the whole recording."""
         followed, waiting = self._all_decided(), self._waiting[0]
         waiting["least_norm"], waiting["least_turn"] = self.least_norm.now(), self.least_turn.now()
         last = waiting[passing(waiting, self.numbers)]
@@ -286,9 +283,9 @@ class AdaptiveRule:
         return [*self._states.add(np.concatenate([followed, last])), *self._states.rest()]
 
     def _decided(self, new: Candidates) -> Candidates:
-        """Still windows among the candidates that enough others have followed.
+        """Return still windows among the candidates that have waited long enough.
 
-        They are looked at a quarter of the waiting ones at a time, which saves copying.
+        They are decided a quarter of the waiting ones at a time, which saves copying.
         """
         self._waiting.append(new)
         wait = self.numbers.held_windows
@@ -296,7 +293,7 @@ class AdaptiveRule:
         return self._all_decided() if enough else new[:0]
 
     def _all_decided(self) -> Candidates:
-        """Still windows among all candidates that enough others have followed; the others go on waiting."""
+        """Return still windows among all candidates that have waited long enough; the others stay waiting."""
         waiting, wait = np.concatenate(self._waiting), self.numbers.held_windows
         due = max(0, len(waiting) - wait)
         self._waiting = [waiting[due:].copy()]
@@ -305,7 +302,7 @@ class AdaptiveRule:
         return waiting[:due][passing(waiting[:due], self.numbers)]
 
     def _spreads(self, blocks: Blocks) -> dict[str, NDArray[np.int64]]:
-        """What the windows are judged by; those that were not measured have no part in the minima."""
+        """Return what windows are judged by; only measured windows count for the minima."""
         index = np.flatnonzero(blocks.usable & (blocks.low != blocks.high).any(axis=0))
         columns = blocks.columns[:, index]
         norm = np.zeros(len(blocks), np.int64)
@@ -320,9 +317,9 @@ class AdaptiveRule:
 
 
 def _turns(blocks: Blocks) -> tuple[NDArray[np.int64], NDArray[Any]]:
-    """n times the summed variance of the gyroscope's axes, (m,), and its columns (3, m, n).
+    """Return n times the summed variance of the gyroscope's axes, (m,), and its columns (3, m, n).
 
-    Without a gyroscope nothing turns.
+    Without a gyroscope both are zero.
     """
     if blocks.rows.gyro_counts is None:
         return np.zeros(len(blocks), np.int64), np.zeros((3, len(blocks), 1), np.int64)

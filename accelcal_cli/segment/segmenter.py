@@ -1,9 +1,9 @@
 """The online segmenter: chunks in, still windows out, in bounded memory.
 
-Windows do not overlap and start again after every break, so that none spans lost data; what is left of a
-run when it breaks is not used. Only over short gaps of a clock that jitters may a window go on
-(`ShortGaps`). The windows do not depend on how the rows are chunked. A `Rule` decides which windows,
-handed to it as `Blocks`, are still.
+Windows do not overlap and start again after every break, so that none spans lost data; the rest of a run
+before a break is not used. A window may only span short gaps of a clock that jitters (`ShortGaps`). The
+windows do not depend on how the rows are chunked. A `Rule` decides which windows, given to it as `Blocks`,
+are still.
 
 Sums of squares are computed at floating-point speed: a float holds every integer up to 2**24 (single) or
 2**53 (double), and a sum of integers whose absolute values add up to less than that is exact in any
@@ -23,19 +23,20 @@ from accelcal_cli.core.points import Quietest, WindowCounts, Windows
 from accelcal_cli.core.recording import Chunk, Validity, joined
 
 _EXACT: tuple[tuple[int, DTypeLike], ...] = ((1 << 24, np.float32), (1 << 53, np.float64))
+"""Largest integer up to which each type is exact."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocks:
-    """m complete windows of n samples, one after the other, without a break between them but short gaps.
+    """m complete windows of n samples, one after the other, with no breaks between them except short gaps.
 
     Attributes:
-        run: number of the unbroken stretch that they are part of, rising with time.
+        run: number of the unbroken stretch to which they belong, rising with time.
         rows: the m n rows.
         columns: (3, m, n) their counts.
         low, high: (3, m) int64, smallest and largest count.
         sums: (3, m) int64, sums of counts.
-        usable: (m,) whether every row was measured.
+        usable: (m,) True where every row was measured.
     """
 
     run: int
@@ -51,7 +52,7 @@ class Blocks:
 
     @property
     def length(self) -> int:
-        """Samples in a window."""
+        """Number of samples in a window."""
         return int(self.columns.shape[2])
 
     @property
@@ -69,7 +70,7 @@ class Blocks:
         return exact_sums(temperature_mc.reshape(len(self), -1), self.length * largest)
 
     def windows(self, which: NDArray[np.bool_]) -> Windows:
-        """The windows of a mask."""
+        """Return the windows of a mask."""
         samples = np.full(len(self), self.length, np.int64)
         spread = (self.high - self.low).T
         return Windows(samples, self.first_samples, self.sums.T, spread, self.temperature_sums).select(which)
@@ -77,11 +78,11 @@ class Blocks:
 
 @dataclass(frozen=True, slots=True)
 class ShortGaps:
-    """Jumps of the clock, ahead or back, that do not end a window: its mean needs rest, not even spacing.
+    """Jumps of the clock, ahead or back, that a window may span: its mean needs rest, not even spacing.
 
     Attributes:
-        longest_us: one that is longer ends the window [us]; 0: all do.
-        together_us: so much at most within one window [us], so that it stays bounded in time.
+        longest_us: longest jump that a window may span [us]; 0: none.
+        together_us: longest sum of jumps within one window [us], so that it stays bounded in time.
     """
 
     longest_us: int = 0
@@ -93,21 +94,21 @@ NO_GAPS = ShortGaps()
 
 
 class Rule(Protocol):
-    """Decides which windows are still; one object a recording, since it may remember.
+    """Decides which windows are still; a recording has its own object, which may keep a state.
 
-    What it yields is in the order of time, each made of one or more whole windows of the blocks, none
-    of them unusable, none in two; it must not depend on how a run was cut into blocks.
+    Still windows are returned in the order of time, each made of one or more whole windows of the blocks,
+    none of them unusable, none in two. The result must not depend on how a run was cut into blocks.
     """
 
     def take(self, blocks: Blocks) -> list[Windows]:
-        """Take windows in; returns the still ones that are decided by now."""
+        """Take further windows and return the still ones that are decided by now."""
 
     def rest(self) -> list[Windows]:
-        """What was held back; called once, after the last block."""
+        """Return the still windows that were held back; called once, after the last block."""
 
 
 def exact_type(bound: int) -> DTypeLike:
-    """The fastest type in which integers that add up to `bound` stay exact."""
+    """Return the fastest type in which integers that add up to `bound` stay exact."""
     for limit, kind in _EXACT:
         if bound <= limit:
             return kind
@@ -115,13 +116,13 @@ def exact_type(bound: int) -> DTypeLike:
 
 
 def exact_sums(blocks: NDArray[Any], bound: int) -> NDArray[np.int64]:
-    """Sums over the last axis of integers whose absolute values add up to at most `bound`."""
+    """Return sums over the last axis of integers whose absolute values add up to at most `bound`."""
     kind = np.int32 if bound <= np.iinfo(np.int32).max else np.int64
     return np.asarray(blocks.sum(axis=-1, dtype=kind), np.int64)
 
 
 def sums_of_squares(blocks: NDArray[Any], bound: int) -> NDArray[np.int64]:
-    """Sums over the last axis of squares that add up to at most `bound`; blocks is (m, n)."""
+    """Return sums over the last axis of squares that add up to at most `bound`; blocks is (m, n)."""
     values = blocks.astype(exact_type(bound), copy=False)
     return np.asarray(np.einsum("mn,mn->m", values, values)).astype(np.int64)
 
@@ -129,7 +130,7 @@ def sums_of_squares(blocks: NDArray[Any], bound: int) -> NDArray[np.int64]:
 def centred_squares(
     blocks: NDArray[Any], spread: NDArray[np.int64], sums: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(c, r), both (m,), with n^2 times the variance of a window of n counts = n c - r^2, r < n.
+    """Return c and r, both (m,), with n^2 times the variance of a window of n counts = n c - r^2, r < n.
 
     With d = counts - first count and sum(d) = q n + r, c is sum(d^2) - n q^2 - 2 q r; all terms
     stay small.
@@ -141,20 +142,20 @@ def centred_squares(
     """
     length = blocks.shape[1]
     largest = int(spread.max())
-    squares = sums_of_squares(_from_first(blocks, largest), largest * largest * length)
+    wide = blocks.astype(np.int64) if largest > np.iinfo(blocks.dtype).max else blocks
+    squares = sums_of_squares(np.asarray(wide - wide[:, :1]), largest * largest * length)
     q, r = np.divmod(sums - length * blocks[:, 0].astype(np.int64), length)
     return squares - length * q * q - 2 * q * r, r
 
 
-def _from_first(blocks: NDArray[Any], largest: int) -> NDArray[Any]:
-    """Counts of each window less its first one, at most `largest`; in their own type where it holds that."""
-    if largest > np.iinfo(blocks.dtype).max:
-        blocks = blocks.astype(np.int64)
-    return np.asarray(blocks - blocks[:, :1])
-
-
 class Segmenter:
-    """Feed it chunks; it yields the still windows that are decided so far, the last from `finish`."""
+    """Cuts chunks into windows and yields the still ones as they are decided, the last from `finish`.
+
+    Attributes:
+        counts: numbers of windows so far.
+        quietest: the window that moves least, of all that were measured throughout; None before the first.
+        gone_over: number of jumps of the clock within windows.
+    """
 
     def __init__(self, length: int, rule: Rule, gaps: ShortGaps = NO_GAPS) -> None:
         self.length = length
@@ -162,25 +163,23 @@ class Segmenter:
         self.gaps = gaps
         self.counts = WindowCounts()
         self.quietest: Quietest | None = None
-        """Of all windows that were measured throughout, still or not."""
         self.gone_over = 0
-        """Jumps of the clock within windows that these went on over."""
         self._run_number = 0
         self._pending: Chunk | None = None
         self._run_first = 0
         self._last_us = 0
+        # the window (its number within its run) that spans the last jump, and the sum of its jumps [us]
         self._window, self._window_us = -1, 0
-        """The number within its run of the window that went on over the last jump, and over how much [us]."""
 
     def feed(self, chunk: Chunk) -> Iterator[Windows]:
-        """Still windows that are decided in this chunk, in batches."""
+        """Yield the still windows that are decided with this chunk, in batches."""
         breaks = self._run_ends(chunk)
         edges = np.concatenate(([0], breaks[breaks > 0], [len(chunk)]))
         if len(breaks) and not breaks[0]:
             self._run_number += 1
             self._pending = None
         first = self._run_number
-        for index in self._mattering(np.diff(edges)).tolist():
+        for index in self._long_enough(np.diff(edges)).tolist():
             if index:
                 self._run_number = first + index
                 self._pending = None
@@ -189,13 +188,13 @@ class Segmenter:
             self._pending = self._pending.copy()
 
     def finish(self) -> Iterator[Windows]:
-        """Still windows that the rule held back; call once, after the last chunk."""
+        """Yield the still windows that the rule held back; call once, after the last chunk."""
         for windows in self.rule.rest():
             self._count_still(windows)
             yield windows
 
     def _run_ends(self, chunk: Chunk) -> NDArray[np.int64]:
-        """The breaks of a chunk but those that windows go on over."""
+        """Return the breaks that end a run; short clock jumps that a window may span are left out."""
         if not self.gaps.longest_us or not len(chunk):
             return chunk.breaks
         if len(chunk.clock_jumps):
@@ -208,13 +207,13 @@ class Segmenter:
         return breaks
 
     def _without_short(self, chunk: Chunk) -> NDArray[np.int64]:
-        """The same for a chunk in which the clock jumps."""
+        """Return the breaks that end a run of a chunk in which the clock jumps."""
         rows, times_us = chunk.breaks, chunk.time_us
         steps_us = np.abs(times_us[rows] - np.where(rows > 0, times_us[rows - 1], self._last_us))
         short = np.isin(rows, chunk.clock_jumps) & (steps_us <= self.gaps.longest_us)
         ends = np.ones(len(rows), np.bool_)
         for index, sample in enumerate((chunk.first_sample + rows).tolist()):
-            if short[index] and self._goes_on(sample, int(steps_us[index])):
+            if short[index] and self._may_span(sample, int(steps_us[index])):
                 ends[index] = False
             else:
                 self._begin_run(sample)
@@ -223,8 +222,8 @@ class Segmenter:
     def _begin_run(self, sample: int) -> None:
         self._run_first, self._window = sample, -1
 
-    def _goes_on(self, sample: int, step_us: int) -> bool:
-        """Whether the window that holds a sample may go on over a short jump before it."""
+    def _may_span(self, sample: int, step_us: int) -> bool:
+        """Return True if the window that holds a sample may span a short jump before it."""
         window, row = divmod(sample - self._run_first, self.length)
         if not row:
             return True
@@ -235,15 +234,15 @@ class Segmenter:
         self.gone_over += 1
         return True
 
-    def _mattering(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Which of a chunk's runs, of so many rows each, may make a window; damaged files have many more."""
+    def _long_enough(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return which runs of a chunk, given their numbers of rows, may make a window."""
         whole = rows >= self.length
         whole[0] |= self._pending is not None
         whole[-1] = True
         return np.flatnonzero(whole & (rows > 0))
 
     def _run(self, rows: Chunk) -> Iterator[Windows]:
-        """The windows in rows without a break that ends one inside."""
+        """Yield the still windows of rows within one run."""
         if self._pending is not None:
             need = self.length - len(self._pending)
             window = joined((self._pending, rows.part(0, min(need, len(rows)))))
@@ -265,7 +264,7 @@ class Segmenter:
             yield windows
 
     def _count_still(self, windows: Windows) -> None:
-        """Until they are found still, windows count as moving."""
+        # until they are found still, windows count as moving
         number = int(windows.samples.sum()) // self.length
         still = len(windows)
         self.counts += WindowCounts(moving=-number, still=still, joined=number - still)
@@ -282,7 +281,7 @@ class Segmenter:
     def _note_quietest(
         self, columns: NDArray[Any], spread: NDArray[np.int64], usable: NDArray[np.bool_]
     ) -> None:
-        """Keep the first of the windows with the least max - min."""
+        """Keep the first window with the least max - min."""
         if not usable.any():
             return
         index = int(np.where(usable, spread, spread.max() + 1).argmin())
@@ -291,7 +290,7 @@ class Segmenter:
             self.quietest = Quietest(int(spread[index]), deviation)
 
     def _usable(self, rows: Chunk, number: int) -> NDArray[np.bool_]:
-        """Windows that the device measured throughout; the others are counted by their worst row."""
+        """Return a mask of windows that were measured throughout; count the others by their worst row."""
         if rows.validity is None:
             return np.ones(number, np.bool_)
         flags = rows.validity.reshape(number, self.length)
@@ -305,13 +304,13 @@ class Segmenter:
 
 
 class TimedSegmenter(Segmenter):
-    """A segmenter whose windows carry their times, whenever its rule decides on them."""
+    """A segmenter whose windows have times."""
 
     def __init__(self, length: int, rule: Rule, rate_hz: float, gaps: ShortGaps = NO_GAPS) -> None:
         super().__init__(length, rule, gaps)
         self._period_us = round(1e6 / rate_hz)
+        # first sample and times of the first and last one [us] of all windows that are still undecided
         self._times = np.empty((3, 0), np.int64)
-        """Of all windows that may still be decided on: first sample, times of the first and last one [us]."""
 
     def feed(self, chunk: Chunk) -> Iterator[Windows]:
         """See `Segmenter`."""

@@ -23,12 +23,12 @@ from accelcal_cli.judge.learning import (
     FEWEST_DEVICES,
     OCCASION,
     WALK,
-    Past,
-    Told,
+    DatedEstimate,
+    Estimate,
     across_devices,
     along_device,
     learnt,
-    own_words,
+    own_estimate,
     together,
 )
 from accelcal_cli.pipeline.calibrate import calibrate, calibrate_with
@@ -149,7 +149,7 @@ def _across(devices: Sequence[Sequence[_Good]], model: str) -> LearntPrior:
     parts = []
     for index, (centre, width) in enumerate(zip(POPULATION.centre, POPULATION.width, strict=True)):
         some = [one for device in estimates if (one := device[index]) is not None]
-        known = Told(centre, width * width)
+        known = Estimate(centre, width * width)
         if len(some) >= FEWEST_DEVICES:
             known = across_devices(some, centre, width, POPULATION.freedom)
         parts.append(known)
@@ -157,18 +157,18 @@ def _across(devices: Sequence[Sequence[_Good]], model: str) -> LearntPrior:
     return LearntPrior(learnt(parts, reference_c), STUDY_PRIOR, model, len(devices), len(used), digest)
 
 
-def _of_recordings(rows: Sequence[Row], reference_c: float | None) -> list[Told | None]:
+def _of_recordings(rows: Sequence[Row], reference_c: float | None) -> list[Estimate | None]:
     """Return the estimate of each parameter from the recordings of one device; None without any."""
     each = [_estimates(row, reference_c) for row in rows]
-    found: list[Told | None] = []
+    found: list[Estimate | None] = []
     for index, occasion in enumerate(OCCASION):
         parts = [one for estimates in each if (one := estimates[index]) is not None]
-        wider = [Told(one.value, one.variance + occasion * occasion) for one in parts]
+        wider = [Estimate(one.value, one.variance + occasion * occasion) for one in parts]
         found.append(together(wider) if wider else None)
     return found
 
 
-def _estimates(row: Row, reference_c: float | None) -> list[Told | None]:
+def _estimates(row: Row, reference_c: float | None) -> list[Estimate | None]:
     """Return the estimate of each parameter from a recording alone, with offsets at a temperature."""
     values, errors = ([row[f"{start}{name}"] for name in PARAMETERS] for start in ("", "se_"))
     if row["reference_c"] is not None and reference_c is not None:
@@ -178,7 +178,9 @@ def _estimates(row: Row, reference_c: float | None) -> list[Told | None]:
             errors[at] = hypot(errors[at], warmer * errors[at + 3])
     cells = zip(values, errors, POPULATION.centre, POPULATION.width, strict=True)
     return [
-        None if value is None or error is None else own_words(value, error, centre, width, POPULATION.freedom)
+        None
+        if value is None or error is None
+        else own_estimate(value, error, centre, width, POPULATION.freedom)
         for value, error, centre, width in cells
     ]
 
@@ -197,7 +199,7 @@ def _of_device(own: Sequence[_Good], row: Row, study: LearntPrior | None) -> Lea
     each = [(_estimates(one.row, reference_c), _month(one.row)) for one in own]
     parts = []
     for index, known in enumerate(base):
-        past = [Past(one, when) for estimates, when in each if (one := estimates[index]) is not None]
+        past = [DatedEstimate(one, when) for estimates, when in each if (one := estimates[index]) is not None]
         steps = WALK[index], OCCASION[index]
         parts.append(along_device(past, month, known, *steps) if past else known)
     sources = tuple(Source(one.name, one.row["sha256"]) for one in own)
@@ -210,14 +212,14 @@ def _of_device(own: Sequence[_Good], row: Row, study: LearntPrior | None) -> Lea
     return LearntPrior(prior, DEVICE_PRIOR, model, study.devices, study.recordings, study.sha256, sources)
 
 
-def _at(prior: Prior, reference_c: float | None) -> list[Told]:
+def _at(prior: Prior, reference_c: float | None) -> list[Estimate]:
     """Return centres and squared widths of a prior, with its offsets at a temperature."""
-    parts = [Told(centre, width * width) for centre, width in zip(prior.centre, prior.width, strict=True)]
+    parts = [Estimate(centre, width * width) for centre, width in zip(prior.centre, prior.width, strict=True)]
     if reference_c is None or prior.reference_c is None:
         return parts
     warmer = reference_c - prior.reference_c
     moved = [
-        Told(offset.value + warmer * slope.value, offset.variance + warmer * warmer * slope.variance)
+        Estimate(offset.value + warmer * slope.value, offset.variance + warmer * warmer * slope.variance)
         for offset, slope in zip(parts[OFFSETS], parts[SLOPES], strict=True)
     ]
     return [*parts[:6], *moved, *parts[SLOPES]]

@@ -32,7 +32,7 @@ from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.system import temporary_folder
 from accelcal_cli.formats.raw import folder_layout, is_file, named_layout
-from accelcal_cli.judge.change import told
+from accelcal_cli.judge.change import change_sentence
 from accelcal_cli.judge.quality import check
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import looking_at
@@ -456,7 +456,7 @@ class Watch:
             return
         self._drifted = True
         errors = {"in_force_mg": round(last.given_mg, 4), "new_mg": round(last.unseen_mg, 4)}
-        text = told(along.change, None, followed=False)
+        text = change_sentence(along.change, None, followed=False)
         result.events.append(self._event("drifted", taken, ended) | errors | {"message": text})
 
     def _event(self, name: str, taken: int, live: LivePass) -> Event:

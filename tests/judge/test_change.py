@@ -13,7 +13,7 @@ from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Calibration, TemperatureScale
 from accelcal_cli.core.points import TimedMeans
 from accelcal_cli.core.results import Change
-from accelcal_cli.judge.change import ChangeSearch, told
+from accelcal_cli.judge.change import ChangeSearch, change_sentence
 
 GAIN = np.array([[1.02, 0.0, 0.0], [0.012, 0.985, 0.0], [-0.008, 0.006, 1.01]])
 OFFSET_G = np.array([0.03, -0.02, 0.045])
@@ -159,10 +159,10 @@ def test_blocks_without_stillness_are_passed_over() -> None:
 
 def test_the_sentence_for_people() -> None:
     found = find_change(means(step), calibration())
-    assert told(Change("none"), None, followed=False) is None
-    text = str(told(found, None, followed=False))
+    assert change_sentence(Change("none"), None, followed=False) is None
+    text = str(change_sentence(found, None, followed=False))
     assert "its offsets jump at" in text and f"up to {found.size_mg:.1f} mg; one calibration for all" in text
-    assert str(told(found, None, followed=True)).endswith(", and the calibration follows")
+    assert str(change_sentence(found, None, followed=True)).endswith(", and the calibration follows")
 
 
 @pytest.mark.parametrize(

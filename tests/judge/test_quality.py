@@ -13,15 +13,15 @@ from accelcal_cli.core.calibration import Calibration, Correction
 from accelcal_cli.core.gravity import STANDARD
 from accelcal_cli.core.points import TimedMeans
 from accelcal_cli.core.results import Change
-from accelcal_cli.judge.change import ChangeSearch, Compared
-from accelcal_cli.judge.quality import Check, Period, by_block, check, deviations_mg
+from accelcal_cli.judge.change import ChangeSearch, ComparedErrors
+from accelcal_cli.judge.quality import Period, QualityCheck, by_block, check, deviations_mg
 from tests.judge.test_change import HOUR_SAMPLES, HOURS, calibration, constant, device, drift, means, step
 from tests.judge.test_change import Course as Raw
 
 LIMIT_MG = 10.0
 
 
-def checked(course: Raw, found: Calibration, *, hours: int = HOURS, seed: int = 1) -> Check:
+def checked(course: Raw, found: Calibration, *, hours: int = HOURS, seed: int = 1) -> QualityCheck:
     observed = means(course, hours=hours, seed=seed)
     search = ChangeSearch(observed)
     change = search.find(found)
@@ -163,11 +163,11 @@ def test_at_a_sudden_change_all_stretches_together_may_be_clear() -> None:
     """Two stretches after it, with falls of 2 and 8 mg, say little by themselves."""
     falls = np.array([1.5] * 8 + [2.0, 8.0])
     number, unseen = np.arange(10), np.ones(10)
-    compared = Compared(number, number, unseen + falls, unseen)
+    compared = ComparedErrors(number, number, unseen + falls, unseen)
     before, after = check(compared, Change("step", at_block=8), 10, LIMIT_MG).periods
     assert (before.degraded, after.degraded) == (False, True) and after.fall_mg[0] < 0
     falls[:8] = 0.5
-    compared = Compared(number, number, unseen + falls, unseen)
+    compared = ComparedErrors(number, number, unseen + falls, unseen)
     before, after = check(compared, Change("step", at_block=8), 10, LIMIT_MG).periods
     assert (before.degraded, after.degraded) == (False, False)
 
@@ -176,4 +176,4 @@ def test_short_recordings_cannot_be_compared() -> None:
     search = ChangeSearch(means(step, hours=7))
     search.find(calibration())
     assert search.compared() is None
-    assert Check((Period(0, 7, 1, 1, (0, 0), degraded=False),)).degraded == ()
+    assert QualityCheck((Period(0, 7, 1, 1, (0, 0), degraded=False),)).degraded == ()

@@ -10,9 +10,9 @@ from accelcal_cli.core.calibration import Calibration, TemperatureScale
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet
 from accelcal_cli.core.results import Holdout
-from accelcal_cli.judge.errors import directions
-from accelcal_cli.judge.model_ladder import of_postures
-from accelcal_cli.judge.verdict import applied, better, difference_mg, held_out, temperatures_c
+from accelcal_cli.judge.errors import applied, difference_mg, directions, temperatures_c
+from accelcal_cli.judge.model_ladder import held_out, of_postures
+from accelcal_cli.judge.verdict import better
 from tests.optimize.oracle import points
 
 PLAIN = (ONE, ONE, ONE) + (0,) * 9

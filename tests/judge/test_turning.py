@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from accelcal_cli.core.gyroscope import Rest, Turn
-from accelcal_cli.judge.turning import BATCH_BLOCKS, BLOCK, Gravity
+from accelcal_cli.judge.turning import BATCH_BLOCKS, BLOCK, TurningGravity
 
 QUIET = Rest(0, 100, (0, 0, 256 * 100), (0, 0, 0), None)
 PLAIN = (1.0, 1.0, 1.0)
@@ -22,7 +22,7 @@ def turn_of(counts: NDArray[np.int32], period_us: float = 10_000.0, before: Rest
 
 
 def end(counts: NDArray[np.int32], start: Floats, scale: Floats | None = None) -> Floats:
-    turned = Gravity([turn_of(counts)], start[np.newaxis], PLAIN).turned(
+    turned = TurningGravity([turn_of(counts)], start[np.newaxis], PLAIN).turned(
         np.eye(3) if scale is None else scale
     )
     return turned.direction[0]
@@ -43,7 +43,7 @@ def test_a_quarter_turn(start: str, axis: str, expected: tuple[int, int, int]) -
 def test_the_bias_of_the_two_rests_is_taken_off() -> None:
     counts = np.full((100, 3), 7, np.int32)
     before, after = Rest(0, 100, (0, 0, 1), (500, 500, 500), None), Rest(0, 10, (0, 0, 1), (90,) * 3, None)
-    turned = Gravity([Turn(before, after, counts, 10_000.0)], np.eye(3)[:1], PLAIN).turned(np.eye(3))
+    turned = TurningGravity([Turn(before, after, counts, 10_000.0)], np.eye(3)[:1], PLAIN).turned(np.eye(3))
     np.testing.assert_allclose(turned.direction[0], (1, 0, 0), atol=1e-15)
 
 
@@ -91,9 +91,9 @@ def test_turns_side_by_side_and_each_with_its_own_scale() -> None:
     starts = random.normal(size=(4, 3))
     starts /= np.linalg.norm(starts, axis=1, keepdims=True)
     scales = np.eye(3)[:, :, np.newaxis] + random.normal(0, 0.02, (3, 3, 4))
-    together = Gravity(turns, starts, PLAIN).turned(scales)
+    together = TurningGravity(turns, starts, PLAIN).turned(scales)
     for index, turn in enumerate(turns):
-        alone = Gravity([turn], starts[index : index + 1], PLAIN).turned(scales[:, :, index])
+        alone = TurningGravity([turn], starts[index : index + 1], PLAIN).turned(scales[:, :, index])
         assert (alone.direction[0] == together.direction[index]).all()
         assert (alone.slope[0] == together.slope[index]).all()
 
@@ -103,7 +103,7 @@ def test_the_slope_is_that_of_small_changes() -> None:
     random = np.random.default_rng(5)
     rates = np.cumsum(random.normal(0, 12, (1500, 3)), axis=0) % 400 - 200
     counts, start = np.rint(rates).astype(np.int32), np.array([0.48, -0.6, 0.64])
-    gravity = Gravity([turn_of(counts, 2000.0)], start[np.newaxis], PLAIN)
+    gravity = TurningGravity([turn_of(counts, 2000.0)], start[np.newaxis], PLAIN)
     slope = gravity.turned(np.eye(3)).slope[0]
     assert np.abs(slope).max() > radians(20)
     for entry in range(9):

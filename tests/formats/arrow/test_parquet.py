@@ -378,7 +378,8 @@ def test_damaged_words_of_ours_make_it_no_raw_recording(calibrated: Path) -> Non
         with open_recording(calibrated, ReadOptions()) as reader:
             assert reader.recording.calibrated is not None
             assert (
-                reader.recording.calibrated.told() == "calibrated already, from a recording of unknown name"
+                reader.recording.calibrated.sentence()
+                == "calibrated already, from a recording of unknown name"
             )
 
 

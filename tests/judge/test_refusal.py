@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from accelcal_cli.core.results import Rest
-from accelcal_cli.judge.rest import picture
+from accelcal_cli.judge.refusal import odd_rest
 
 SOUND = Rest(
     windows=100,
@@ -21,7 +21,7 @@ SOUND = Rest(
 
 
 def seen(lsb_per_g: float = 256.0, *, decimal: bool = False, **changed: object) -> str | None:
-    return picture(replace(SOUND, **changed), lsb_per_g, decimal=decimal)
+    return odd_rest(replace(SOUND, **changed), lsb_per_g, decimal=decimal)
 
 
 def test_nothing_is_odd_about_a_sensor_with_large_errors() -> None:
