@@ -316,7 +316,7 @@ class Inflater:
         """Return up to `most` unpacked bytes; none if it needs input or nothing follows."""
         if self.damaged or self.complete:
             return b""
-        before = self._stream.copy()
+        before = self._stream.copy()  # after an error its state is unknown
         try:
             data = bytes(self._stream.decompress(self._waiting, most))
         except deflate.error:

@@ -231,7 +231,7 @@ class FrameIntake(Intake):
         problems: what was found while opening; reported with the first chunk.
 
     Attributes:
-        after: the first bytes behind the frames that are announced.
+        after: the first bytes after the announced frames.
     """
 
     def __init__(self, recording: Recording, file: FrameFile, problems: tuple[Problem, ...]) -> None:

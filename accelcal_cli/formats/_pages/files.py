@@ -191,7 +191,7 @@ class PagedFile(PageFile[RawBlock]):
             while not last:
                 data = source.read_exact(size)
                 last = len(data) < size
-                if not self.proved:
+                if not self.proved:  # pages without checksums may be wrong anywhere
                     source.refuse_damaged()
                 table, tail = self.table(data)
                 yield RawBlock(
@@ -238,6 +238,7 @@ class PagedFile(PageFile[RawBlock]):
                 middle = (low + high) // 2
                 source.seek(self.offset(middle))
                 page = source.read_exact(self.page_bytes)
+                # pages are written in order: the erased ones are all at the end
                 low, high = (low, middle) if is_erased(page) else (middle + 1, high)
         return low
 

@@ -100,18 +100,18 @@ class PageEvents(EventMaker):
 
     Args:
         row_bytes: bytes of a page for each of its rows.
-        held: channels that may lack values.
+        channels: names of those that may lack values.
     """
 
-    def __init__(self, row_bytes: int, held: Iterable[str]) -> None:
+    def __init__(self, row_bytes: int, channels: Iterable[str]) -> None:
         super().__init__(BAD_KINDS, DAMAGED)
         self._row_bytes = row_bytes
-        self._held = held
+        self._channels = channels
 
     def rows(self, block: PageBlock, rows_in: int) -> Iterator[Event]:
         """Report rows without usable values, and samples without a value of a channel, page by page."""
         numbers = {FAULTY_ROWS: block.count_per_page(block.faulty)}
-        for name in self._held:
+        for name in self._channels:
             numbers[missing_kind(name)] = block.count_per_page(block.channels[name] == MISSING)
         after = rows_in + np.cumsum(block.usable_rows)
         for page in np.flatnonzero(sum(numbers.values())).tolist():
@@ -218,8 +218,8 @@ class PageJoiner(Assembler[AnyBlock]):
         self._whole = whole
         self._page_bytes = scheme.file.page_bytes
         self._row_bytes = self._page_bytes // scheme.spacing.rows
-        held = [name for name, value in scheme.first_values.items() if value is not None]
-        self._events = PageEvents(self._row_bytes, held)
+        channels = [name for name, value in scheme.first_values.items() if value is not None]
+        self._events = PageEvents(self._row_bytes, channels)
         self._log = ProblemLog(scheme.problems if whole else ())
         self._channels = HeldChannels(scheme.first_values)
         self._filter = RowFilter()
@@ -247,7 +247,7 @@ class PageJoiner(Assembler[AnyBlock]):
             self._unused_end = decoded.unused_end
         if block.last and decoded.leftover is not None:
             events += self._events.ending(decoded.leftover, self._rows_in, unused=self._unused_end)
-        if not block.last and len(stretch.block):
+        if not block.last and len(stretch.block):  # the last page waits for the one that follows it
             stretch, self._last = stretch.cut(len(stretch.block) - 1)
         for event in sorted(events, key=lambda event: event.position):
             self._log.add(event)
@@ -270,6 +270,7 @@ class PageJoiner(Assembler[AnyBlock]):
     def _spread(self, pages: PageBlock, links: PageLinks, broken: bool) -> Stretch:
         """Spread each page up to the next, or at the nominal rate where no next one limits it."""
         lasted = np.diff(links.time_us)
+        # a page before a gap, or before a clock that goes back, has no next page that limits it
         free = links.broken & ((lasted > self._spacing.rows_us(pages.rows[:-1])) | (links.behind_us > 0))
         free |= lasted <= 0
         rate = self._spacing.rate

@@ -130,7 +130,7 @@ class Linker:
         fresh = (off != 0) | steps.restarted | session | (steps.forward > LONGEST_BRIDGE)
         broken = fresh | (steps.forward > 1) | block.overflow
         fresh[0] |= first
-        broken[0] &= not first
+        broken[0] &= not first  # the first row of a recording is no break
         columns = (block.position, block.sequence, block.session, row, block.rows, anchor_row, anchor_us)
         self._last = _Last(*[*(int(column[-1]) for column in columns), *source])
         return Links(

@@ -337,6 +337,7 @@ class Repeats:
             return again
         highest = np.maximum.accumulate(np.append(self._highest, block.sequence))
         known = np.append(self._marks, page_marks(block))
+        # only a page whose number does not rise can be a repeated one
         for page in np.flatnonzero(block.sequence <= highest[:-1]).tolist():
             now = len(self._marks) + page
             again[page] = bool((known[max(0, now - REMEMBERED_PAGES) : now] == known[now]).any())
@@ -360,7 +361,7 @@ class Settings:
     """Properties that all pages of a recording share.
 
     Attributes:
-        serial: as it stands in the pages.
+        serial: as in the text of the pages.
         rate: samples per second, as the pages state it.
     """
 
@@ -391,7 +392,7 @@ class TextDecoder(PageDecoder[TextPages]):
         time_us = stamps_us([head[2] for head in found.heads])
         verdict = self._verdict(found, time_us, all_digits=samples is not None)
         keep = np.flatnonzero(verdict == GOOD)
-        if samples is None or len(keep) < len(verdict):
+        if samples is None or len(keep) < len(verdict):  # decode again, without the damaged pages
             samples = unhexlify(b"".join(found.bodies[page] for page in keep.tolist()))
         block = replace(
             self._block(found, keep, samples, first_position + places[keep]), time_us=time_us[keep]

@@ -195,7 +195,7 @@ class FirstPages:
         sequence: number of the first page.
         missing: pages before it that are not in the file, by that number.
         unit_us: resolution of their times [us].
-        first_values: first measured value of each channel; None where there is none.
+        first_values: first measured value of each channel, None if there is none.
     """
 
     serial: bytes

@@ -216,6 +216,7 @@ class PacketScanner:
         size = packet_bytes(text, at) if begun else HEAD.size
         end = at + (size if size <= MOST_BYTES else HEAD.size)
         reach = end + len(PACKET_MAGIC) - 1
+        # a signature within the packet means that its numbers, or bytes of it, are lost
         follower = text.find(PACKET_MAGIC, at + 1, reach)
         if follower >= 0:
             return follower

@@ -233,6 +233,7 @@ class FrameDecoder(PageDecoder[RawBlock]):
         if not frames:
             return raw.pages, raw.tail, 0
         used = frames * self._layout.frame_bytes
+        # the end of a stream is treated as a page whose last frames are erased
         filled = raw.tail[:used].ljust(self._layout.block_bytes, b"\xff")
         last = np.frombuffer(filled, np.uint8)[None]
         return np.concatenate((raw.pages, last)), raw.tail[used:], frames
