@@ -166,7 +166,7 @@ class Result:
     report: dict[str, Any]
     _data: ReportInput = field(repr=False)
     _request: Request = field(repr=False)
-    _found: FirstPass = field(repr=False)
+    _first_pass: FirstPass = field(repr=False)
     _log: WindowLog = field(repr=False)
     _path: Path
     _before: FileStamp | None = field(repr=False)
@@ -217,14 +217,14 @@ class Result:
         """Return all still windows and what became of them, with the columns of `calibrate --windows`."""
         from accelcal_cli.output.windows import arrow
 
-        table: pd.DataFrame = arrow(self._log.table(self._data, self._found.points)).to_pandas()
+        table: pd.DataFrame = arrow(self._log.table(self._data, self._first_pass.points)).to_pandas()
         return table
 
     def quality(self) -> dict[str, Any] | None:
         """Return the recording along time (docs/quality.md); None with profile `paper`."""
         from accelcal_cli.output.quality import dumps_quality, quality_json
 
-        made = self._found.quality()
+        made = self._first_pass.quality()
         return None if made is None else json.loads(dumps_quality(quality_json(made)))
 
     def write(self, folder: AnyPath | None = None, *, force: bool = False) -> tuple[Path | None, Path]:
@@ -283,11 +283,11 @@ def calibrate(path: AnyPath, *, report_only: bool = False, **options: Any) -> Re
     )
     before, log = file_stamp(source), WindowLog()
     with open_run(Job(source, source, source), request) as run:
-        found = run.result(OwnCalibration(request.recording_settings), log)
-        data = run.count_beyond(found.data)
+        first_pass = run.result(OwnCalibration(request.recording_settings), log)
+        data = run.count_beyond(first_pass.data)
     jobs.check_unchanged(source, before)
     report = outputs.with_provenance(reports.build(data), ("accelcal_cli.calibrate",))
-    return Result(_as_written(report), data, run.request, found, log, source, before)
+    return Result(_as_written(report), data, run.request, first_pass, log, source, before)
 
 
 def _as_written(report: dict[str, Any]) -> dict[str, Any]:
@@ -393,12 +393,12 @@ def apply(
         UsageError: there is no calibration, or it needs temperatures.
         ValueError: an array has another shape.
     """
-    held = report.report if isinstance(report, Result) else report
-    if not isinstance(held, dict):
-        held = read_document(Path(held)).report
-    if held["calibration"] is None:
-        raise UsageError(f"there is nothing to apply: {held['message']}")
-    calibration = calibration_of(held["calibration"])
+    content = report.report if isinstance(report, Result) else report
+    if not isinstance(content, dict):
+        content = read_document(Path(content)).report
+    if content["calibration"] is None:
+        raise UsageError(f"there is nothing to apply: {content['message']}")
+    calibration = calibration_of(content["calibration"])
     v = np.asarray(xyz, np.float64)
     if v.ndim != 2 or v.shape[1] != 3:
         raise ValueError(f"xyz has the shape {v.shape}, not (n, 3)")

@@ -129,8 +129,8 @@ class Verified:
     @property
     def all_differing(self) -> tuple[str, ...]:
         """Keys that differ, in the report and (with `parquet.` before them) in the Parquet file."""
-        beside = () if self.parquet is None else self.parquet.differing
-        return (*self.differs, *(f"parquet.{name}" for name in beside))
+        of_parquet = () if self.parquet is None else self.parquet.differing
+        return (*self.differs, *(f"parquet.{name}" for name in of_parquet))
 
     @property
     def identical(self) -> bool:
@@ -300,7 +300,7 @@ def check_parquet(
     Raises:
         UsageError: values are to be compared, but there are none.
     """
-    path = None if written is None else _parquet_beside(document.path)
+    path = None if written is None else _parquet_of(document.path)
     if path is None or written is None:
         if values:
             raise UsageError(
@@ -329,7 +329,7 @@ def _other_schema(path: Path, columns: list[Column], document: Document) -> Iter
     yield from differing(described_now, expected)
 
 
-def _parquet_beside(report: Path) -> Path | None:
+def _parquet_of(report: Path) -> Path | None:
     stem = report.name.removesuffix(jobs.REPORT_SUFFIX)
     names = (stem + jobs.PARQUET_SUFFIX, stem + ".parquet", stem)
     paths = (report.with_name(name) for name in names if name != report.name)
@@ -403,16 +403,16 @@ def donor_of(document: Document, stated: Path | None) -> Coefficients | None:
     used = record(AppliedView, document.report["coefficients"])
     by_content = used.without_provenance
     then = Path(used.path)
-    beside = document.path.parent / then.name
+    sibling = document.path.parent / then.name
     original = document.path.parent / then if by_content else then
-    places = (stated,) if stated is not None else (original, beside)
+    places = (stated,) if stated is not None else (original, sibling)
     existing = [path for path in places if path.is_file()]
     unchanged = [
         path
         for path in existing
         if (read_document(path).content_sha256 if by_content else sha256(path)) == used.sha256
     ]
-    for path in unchanged or [path for path in existing if path is not beside]:
+    for path in unchanged or [path for path in existing if path is not sibling]:
         return read_coefficients(path, by_content=by_content)
     raise UsageError(
         f"was made with the coefficients in {stated or then}, which is missing",

@@ -11,7 +11,7 @@ import click
 from accelcal_cli.activity_effect import MeasuredEffect, as_json, check_table, effect
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, bytes_of, each_recording, refuse_both
-from accelcal_cli.cli.quality import request_beside
+from accelcal_cli.cli.quality import measuring_request
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.words import formatted
@@ -64,7 +64,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         check_table(table, force=values["force"])
 
     def work(path: Path, bars: ProgressMaker) -> MeasuredEffect:
-        request = request_beside(path, values)
+        request = measuring_request(path, values)
         with bytes_of(path) as source:
             return effect(path, request, values["epoch_s"], table, bars, source)
 

@@ -55,9 +55,9 @@ def run_safely(command: Callable[[], Any]) -> int:
     try:
         watch_signals()
         code = _code_of(command)
-        _leave_signals()
+        _end_silently_on_signals()
     except (KeyboardInterrupt, InterruptedBySignalError, click.Abort) as stop:
-        _leave_signals()
+        _end_silently_on_signals()
         more = stop.args[:1] if isinstance(stop, InterruptedBySignalError) else ()
         say("; ".join(["interrupted", "no incomplete output was left behind", *more]))
         code = INTERRUPTED
@@ -69,7 +69,7 @@ def _code_of(command: Callable[[], Any]) -> Any:
     try:
         code = command()
         sys.stdout.flush()
-        if isinstance(sys.stdout, _Lost) and sys.stdout.lines:
+        if isinstance(sys.stdout, _LostOutput) and sys.stdout.lines:
             raise OutputError(f"{sys.stdout.why}: the output was lost")
     except click.Abort:
         raise
@@ -95,10 +95,10 @@ def of_failure(error: Exception) -> int:
     if isinstance(error, BrokenPipeError):
         _silence(sys.stdout)
         return SOME_FAILED
-    return _output_failed(error) if isinstance(error, OSError) else report_bug()
+    return _code_of_failed_write(error) if isinstance(error, OSError) else report_bug()
 
 
-class _Lost(io.StringIO):
+class _LostOutput(io.StringIO):
     """Stand-in for a standard output that is closed or can take no more; the work goes on."""
 
     def __init__(self, why: str, *, lines: bool) -> None:
@@ -117,13 +117,13 @@ def _open_standard_files() -> None:
         pass
     os.close(handle)
     if sys.stdout is None:
-        sys.stdout = _Lost("standard output is closed", lines=False)
+        sys.stdout = _LostOutput("standard output is closed", lines=False)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a terminal's encoding may lack characters
 
 
-def _output_failed(error: OSError) -> int:
-    """Return True if a write failed on standard output; any other such failure is a bug."""
+def _code_of_failed_write(error: OSError) -> int:
+    """Return the exit code of a write that failed outside the outputs: on standard output, else a bug."""
     if error.errno not in (errno.ENOSPC, errno.EIO, errno.EDQUOT) or error.filename is not None:
         return report_bug()
     say(f"standard output cannot be written ({error.strerror})")
@@ -142,7 +142,7 @@ def show(text: str) -> None:
         raise
     except OSError as error:
         _silence(sys.stdout)
-        sys.stdout = _Lost(f"standard output cannot be written ({error.strerror})", lines=True)
+        sys.stdout = _LostOutput(f"standard output cannot be written ({error.strerror})", lines=True)
 
 
 def say(message: str) -> None:
@@ -215,10 +215,10 @@ def watch_signals() -> None:
     for number in _signals():
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
-    sys.unraisablehook = _again
+    sys.unraisablehook = _raise_lost_interruption
 
 
-def _leave_signals() -> None:
+def _end_silently_on_signals() -> None:
     """Let signals end the process silently from now on: there is nothing left to tidy up."""
     if hasattr(signal, "setitimer") and signal.getsignal(signal.SIGALRM) is _interrupt:
         signal.setitimer(signal.ITIMER_REAL, 0)
@@ -232,7 +232,7 @@ def _signals() -> list[int]:
     return [number for number in numbers if number is not None]
 
 
-def _again(lost: sys.UnraisableHookArgs) -> None:
+def _raise_lost_interruption(lost: sys.UnraisableHookArgs) -> None:
     """Raise an interruption again that was lost in a callback, such as one of an import."""
     if lost.exc_type is not InterruptedBySignalError:
         sys.__unraisablehook__(lost)

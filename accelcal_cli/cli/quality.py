@@ -52,7 +52,7 @@ def command(recording: Path, **values: Any) -> int:
     Prints a row for each hour, then a sentence; nothing is written. The exit code is 0 if the
     calibration holds, 1 if it has degraded, and 4 if the recording is refused or cannot tell.
     """
-    request = request_beside(recording, values)
+    request = measuring_request(recording, values)
     with bytes_of(recording) as source, progress_bars(recording.name, quiet=values["quiet"]) as bars:
         judged = quality(recording, request, bars, source)
     shown = as_json(judged)
@@ -60,7 +60,7 @@ def command(recording: Path, **values: Any) -> int:
     return CODES[judged.state]
 
 
-def request_beside(recording: Path, values: dict[str, Any]) -> Request:
+def measuring_request(recording: Path, values: dict[str, Any]) -> Request:
     """Make the request; raises UsageError for options that mean nothing."""
     path = values["coefficients"]
     if path is None and values["any_device"]:

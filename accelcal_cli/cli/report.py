@@ -67,14 +67,14 @@ def _one_page(report: Path, page: Path, force: bool, quiet: bool) -> int:
 
 def _places(reports: tuple[Path, ...], folder: Path | None) -> list[tuple[Path, Path]]:
     """Pair each report with the place of its page; raises UsageError if two would go to the same place."""
-    from accelcal_cli.pages.write import page_beside
+    from accelcal_cli.pages.write import page_of
 
     places = []
     owners: dict[Path, Path] = {}
     for report in reports:
         if report.is_dir():
             raise UsageError("is a folder", path=report, hint="give it alone, or name reports")
-        page = page_beside(report)
+        page = page_of(report)
         page = page if folder is None else folder / page.name
         if real(page) in owners:
             other = owners[real(page)]

@@ -154,7 +154,7 @@ def damaged(document: Document, what: str) -> UnreadableError:
     return UnreadableError(f"is a damaged report: {what}", path=document.path, hint=hint)
 
 
-def load(path: Path) -> dict[str, Any] | None:
+def load_our_json(path: Path) -> dict[str, Any] | None:
     """Read a JSON file that accelcal wrote; None if the file is anything else.
 
     Raises:
@@ -163,10 +163,10 @@ def load(path: Path) -> dict[str, Any] | None:
     with looking_at(path):
         if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
             return None
-        return ours(path.read_bytes())
+        return our_json(path.read_bytes())
 
 
-def ours(text: bytes) -> dict[str, Any] | None:
+def our_json(text: bytes) -> dict[str, Any] | None:
     """Return the content of a JSON file that accelcal wrote; None if it is anything else."""
     try:
         report = parsed(text.decode())
@@ -185,7 +185,7 @@ def section(report: dict[str, Any], *names: str) -> dict[str, Any]:
 
 def load_report(path: Path) -> dict[str, Any] | None:
     """Read a report of ours that says whose it is; None if the file is anything else."""
-    report, needed = load(path), ("path", "sha256", "bytes")
+    report, needed = load_our_json(path), ("path", "sha256", "bytes")
     if report is None:
         return None
     known = report_schema()["properties"]["recording"]["properties"]

@@ -174,25 +174,25 @@ def corrections_of(model: str) -> str:
 def cautions(report: ReportView) -> tuple[str, ...]:
     """Return what speaks against trusting a result without a look."""
     everywhere = report.sphere_mg is not None
-    found = [*filter(None, [unchecked_poses(report)]), *doubts(*_interval(report), everywhere=everywhere)]
+    sentences = [*filter(None, [unchecked_poses(report)]), *doubts(*_interval(report), everywhere=everywhere)]
     changed = report.change is not None and report.change.kind != "none"
     if changed and (report.calibration is None or report.calibration.course is None):
-        found.append(
+        sentences.append(
             "The sensor changed while it recorded, and the calibration does not follow it: "
             "see the error by the hour."
         )
     elif changed:
-        found.append(
+        sentences.append(
             "The sensor changed while it recorded; the calibration follows it. Have the device checked."
         )
     if any(one.found for one in report.misfits or ()):
-        found.append(
+        sentences.append(
             "The sensor does something that coefficients cannot put right (docs/misfit.md): "
             "have the device checked."
         )
     if report.coverage.saturated:
-        found.append("An axis stops measuring short of its range: have the device checked.")
-    return tuple(found)
+        sentences.append("An axis stops measuring short of its range: have the device checked.")
+    return tuple(sentences)
 
 
 def _interval(report: ReportView) -> tuple[float | None, float | None, float]:
@@ -219,15 +219,17 @@ def doubts(
     """
     if high is None:
         return []
-    found = []
+    sentences = []
     if high >= limit:
         where = "in postures that are not in the recording" if everywhere else "on average"
-        found.append(f"The error may reach {mg(high)} mg {where}: do not rely on it where a few mg matter.")
+        sentences.append(
+            f"The error may reach {mg(high)} mg {where}: do not rely on it where a few mg matter."
+        )
     if before is not None and high >= before:
-        found.append(
+        sentences.append(
             f"This may be no better than the raw values: their {mg(before)} mg lie within the interval."
         )
-    return found
+    return sentences
 
 
 def unchecked_poses(report: ReportView) -> str | None:

@@ -17,7 +17,7 @@ LEAST_MG, LARGEST_MG = 0.01, 10_000.0
 STEPS_MG = tuple(float(f"{step}e{power}") for power in range(-2, 6) for step in (1, 2, 5))
 MOST_TICKS = 10
 MANY = 1000
-"""Number of dots from which on they are drawn small."""
+"""Number of dots above which they are drawn small."""
 GRID = 2
 """Grid to which dots are rounded, in units of the figure; a dot is five units wide."""
 LARGEST_DRIFTS = 30

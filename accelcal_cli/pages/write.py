@@ -28,8 +28,8 @@ from accelcal_cli.output.files import is_page, refuse_foreign, write_text
 from accelcal_cli.output.report_reading import (
     check_sections,
     document_bytes,
-    load,
-    ours,
+    load_our_json,
+    our_json,
     read_document,
     report_schema,
 )
@@ -45,7 +45,7 @@ CHARSET = '<meta charset="utf-8">\n'
 """Line of a page that the stamp follows."""
 
 
-def page_beside(report: Path) -> Path:
+def page_of(report: Path) -> Path:
     """Return where the page of a report goes."""
     return _of_same_stem(report, PAGE_SUFFIX)
 
@@ -84,7 +84,7 @@ def write_page(report: Path, page: Path, *, only_changed: bool = False) -> bool:
         return False
     document = read_document(report)
     check_sections(document, tuple(report_schema()["properties"]))
-    text = recording.page(document.report, (ours(contents[1]) or {}) if quality.exists() else None)
+    text = recording.page(document.report, (our_json(contents[1]) or {}) if quality.exists() else None)
     write_text(page, stamped(text, stamp))
     return True
 
@@ -126,7 +126,7 @@ def write_study_pages(out: Path, *, force: bool = False) -> PagesMade:
     content = study.StudyContent(
         rows,
         links,
-        load(out / "study.json") or {},
+        load_our_json(out / "study.json") or {},
         [_device_line(one) for one in reviewed.devices],
         reviewed.records.nameless,
         reviewed.rules.drift_mg,

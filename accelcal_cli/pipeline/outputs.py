@@ -24,7 +24,7 @@ from accelcal_cli.output.files import exists, is_page, metadata_of, refuse_forei
 from accelcal_cli.output.report import dumps
 from accelcal_cli.output.report_reading import (
     fault,
-    load,
+    load_our_json,
     load_report,
     report_schema,
     schema_of_version,
@@ -61,7 +61,7 @@ def prepare(job: Job, windows: tuple[Path, ...] = (), *, force: bool) -> None:
         refuse_foreign(path, known=written_by_us(path))
     refuse_foreign_report(job.report)
     for path in (job.integers, job.quality):
-        refuse_foreign(path, known=load(path) is not None)
+        refuse_foreign(path, known=load_our_json(path) is not None)
     for path in windows:
         refuse_foreign(path, known=written_by_us(path) or is_window_table(path))
 
@@ -265,7 +265,7 @@ def remove_ours(path: Path) -> None:
     Raises:
         OutputError: it cannot be removed.
     """
-    if load(path) is not None:
+    if load_our_json(path) is not None:
         remove(path)
 
 

@@ -23,7 +23,7 @@ from accelcal_cli.formats.csv import bids_channels_path
 from accelcal_cli.formats.raw import folder_layout, named_layout
 from accelcal_cli.formats.unisens import belongs_to_another
 from accelcal_cli.output.files import stored_schema
-from accelcal_cli.output.report_reading import load
+from accelcal_cli.output.report_reading import load_our_json
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.options import fits_pattern
 from accelcal_cli.studies.records import Item, is_ledger
@@ -74,7 +74,7 @@ def _is_study_file(path: Path) -> bool:
         if path.suffix == ".csv":
             with path.open("rb") as file:
                 return file.readline(4096).startswith(",".join(FIRST).encode() + b",")
-        return "recordings" in (load(path) or {})
+        return "recordings" in (load_our_json(path) or {})
     except (OSError, OutputError, UnreadableError, ValueError):
         return False
 
