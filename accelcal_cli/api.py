@@ -74,7 +74,7 @@ class Samples:
         temperature: (n,) [degrees C], or None.
         gyroscope: (n, 3) [degrees/s], or None.
         validity: (n,) 0 measured, 1 filled by the device, 2 clipped at its range, 3 recovered from damage.
-        problems: what was found wrong while reading these rows.
+        problems: messages of the problems found in these rows.
     """
 
     first_sample: int
@@ -93,7 +93,7 @@ class Reading:
     """An open recording: iterate over it for its samples, as often as wanted; close it, or use `with`.
 
     Attributes:
-        recording: what its header says: format, device, rate, range, time zone.
+        recording: facts from its header: format, device, rate, range, time zone.
     """
 
     def __init__(self, reader: Reader, chunk_samples: int) -> None:
@@ -144,8 +144,8 @@ def read(path: AnyPath, *, chunk_samples: int = DEFAULT_CHUNK_SAMPLES, **options
     """Open a recording of any format.
 
     Args:
-        chunk_samples: rows at a time, about.
-        options: how it is read: `format`, `rate`, `unit`, `lsb_per_g`, `columns`, `timezone`, ...
+        chunk_samples: approximate number of rows in a piece.
+        options: reading options: `format`, `rate`, `unit`, `lsb_per_g`, `columns`, `timezone`, ...
 
     Raises:
         AccelcalError: it cannot be read.
@@ -244,7 +244,7 @@ class Result:
         """Plot |a| of still windows along time, before and after; needs matplotlib.
 
         Args:
-            axes: of matplotlib; new ones without.
+            axes: axes of matplotlib; None for new ones.
 
         Returns:
             the axes.
@@ -268,8 +268,8 @@ def calibrate(path: AnyPath, *, report_only: bool = False, **options: Any) -> Re
     """Calibrate a recording from its own stillness.
 
     Args:
-        report_only: leave out what only a second pass can count (`clipped_samples_after`).
-        options: those of `accelcal calibrate` that say how it is read and how it is calibrated.
+        report_only: skip the second pass, which alone counts `clipped_samples_after`.
+        options: options of `accelcal calibrate` for reading and calibrating.
 
     Raises:
         AccelcalError: it cannot be read, or the options do not go together.
@@ -381,7 +381,7 @@ def apply(
     """Calibrate raw values: a = K (v + o + s (T - Tref)).
 
     Args:
-        report: of `calibrate`, `fit` or a file, with a calibration.
+        report: a result or report with a calibration, or the path of one.
         xyz: (n, 3) raw acceleration [g].
         temperature: (n,) [degrees C], taken to the nearest thousandth; needed where the offsets depend on it.
         first_sample: number of the first row in its recording, where the calibration follows a change.
@@ -427,7 +427,7 @@ def effect(
         coefficients: a report whose coefficients are applied; None: the recording's own calibration.
         any_device: accept coefficients of any device.
         epoch: length of an epoch [s], 1 to 3600.
-        options: those of `accelcal effect` that say how it is read and how it is calibrated.
+        options: options of `accelcal effect` for reading and calibrating.
 
     Returns:
         what `accelcal effect --json` prints: `recording`, `outcome`, `message` and `effect`, whose `versions`
@@ -463,10 +463,10 @@ def study(
     """Calibrate all recordings below a folder, as `accelcal study` does; resumes an earlier run.
 
     Args:
-        output: folder of the outputs, which are written.
+        output: folder into which the outputs are written.
         report_only: write reports but no Parquet.
         jobs: workers; None for as many as CPUs and memory allow.
-        options: those of `calibrate`, for all recordings.
+        options: options of `calibrate`, for all recordings.
 
     Returns:
         the table of the study, one row a recording (docs/study.md).

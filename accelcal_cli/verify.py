@@ -90,7 +90,7 @@ class ParquetCheck:
     """The Parquet file beside a report.
 
     Attributes:
-        differs: keys of its metadata that are not the report's.
+        differs: keys of its metadata that differ from the report.
         values: None if they were not asked for.
     """
 
@@ -110,8 +110,8 @@ class Verified:
     """Result of a verification.
 
     Attributes:
-        differs: keys of the report that are not what they would be now.
-        largest_mg, mean_mg: between the two calibrations, over 162 directions at the reference
+        differs: keys of the report that differ from those made now.
+        largest_mg, mean_mg: differences of the two calibrations, over 162 directions at the reference
             temperature; None if there are not two.
         made_by: version that wrote the report.
         missing, unknown: settings that the report lacks, and that this version does not have.

@@ -170,7 +170,7 @@ def report_bug(path: Path | None = None) -> int:
     """Keep the traceback of the current exception in a file, and say where; a lack of memory is no bug.
 
     Args:
-        path: what was worked on.
+        path: the file in work when the bug appeared.
 
     Raises:
         InterruptedBySignalError: it came of a signal, which may end the wait for a lock within the code that

@@ -85,8 +85,8 @@ class Name(AnyType):
     """Option type: a name that is looked up later; a shell completes the known ones.
 
     Args:
-        known: makes the list, when a shell asks for it.
-        several: whether names may be joined by commas.
+        known: returns the known names; called when a shell asks for them.
+        several: names may be joined by commas.
     """
 
     name = "name"
@@ -169,7 +169,7 @@ def setting_option(kind: type, name: str, **words: Any) -> Callable[[Command], C
     """Return the option that sets a field of a record; its value is None if it is not given.
 
     Args:
-        words: passed to click in place of what the field's metadata say.
+        words: arguments of click.option that override those from the field's metadata.
     """
     declared, default = setting_of(kind, name), kind.__dataclass_fields__[name].default  # type: ignore[attr-defined]
     option = declared.option
@@ -300,7 +300,7 @@ def rules_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) ->
     """Read the rules of --config for the recordings in folders, else those of a study.toml in each of them.
 
     Args:
-        folders: those of a study; None for single recordings, whose patterns begin where the file lies.
+        folders: folders of a study; None for single recordings, whose patterns are relative to the file.
 
     Raises:
         UsageError: the file cannot be read, or says what is no reading option.
@@ -323,7 +323,7 @@ def request_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) 
     """Make the request from the options of `calibrate` and `study`; raises what its parts raise.
 
     Args:
-        folders: those of a study.
+        folders: folders of a study.
     """
     return Request(
         options=read_options(values),

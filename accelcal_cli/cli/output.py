@@ -65,9 +65,9 @@ def show_row(
     """Print one recording's row of a study's summary: a sentence at a terminal, else fields.
 
     Args:
-        written: its output, if there is one.
+        written: path of its output, if it has one.
         values: the option `tsv`: fields at a terminal, too; and `verbose`: the remarks on stderr then.
-        remarks: sentences to follow; None: what the row itself tells.
+        remarks: sentences to follow; None: the doubts that the row itself raises.
     """
     if remarks is None:
         remarks = [f"Caution: {one}" for one in _doubts(row)]
@@ -88,7 +88,7 @@ def say_refused(message: str, source: Path, values: dict[str, Any], *, shown: bo
     """Say why a recording was refused, unless the same terminal shows it already.
 
     Args:
-        shown: whether the recording's line was printed.
+        shown: the recording's line was printed.
     """
     if not (shown and _in_words(values) and sys.stderr is not None and sys.stderr.isatty()):
         exit_codes.say(f"{printable(source)}: refused: {message}")

@@ -59,15 +59,15 @@ class DeviceReview:
     """A device.
 
     Attributes:
-        key: what its recordings share.
-        rows: its recordings, in `Records`.
-        firmware: all that its recordings name.
-        counts: how many recordings had which usage.
-        damaged: recordings that lost bytes to damage.
+        key: serial, model and format, which its recordings share.
+        rows: rows of its recordings in `Records`.
+        firmware: all versions that its recordings name.
+        counts: number of recordings by usage.
+        damaged: number of recordings that lost bytes to damage.
         begin, end: starts of the first and the last recording that has a date.
         held_out_mg: median held-out error of its own calibrations; None if it has none.
         reference_c: temperature of its offsets; None if no recording has slopes.
-        worst_lost_percent: the most that one of its recordings lost.
+        worst_lost_percent: largest share of bytes that one of its recordings lost.
     """
 
     key: table.DeviceKey
@@ -116,10 +116,10 @@ class DeviceGroup:
     """Devices of one kind (model and format).
 
     Attributes:
-        devices: those with a held-out error.
-        held_out_mg: median of theirs; None if there are none.
+        devices: number of devices with a held-out error.
+        held_out_mg: median of their errors; None if there are none.
         spread_mg: 1.4826 times the median distance from it, which is a standard deviation of normal ones.
-        recordings, refused, damaged: of all devices of the kind.
+        recordings, refused, damaged: numbers of recordings of all devices of the kind.
     """
 
     devices: int
@@ -150,7 +150,7 @@ def reasons(device: DeviceReview, others: DeviceGroup, rules: Rules) -> tuple[Re
     """Return all reasons of a device, the certain ones first, of each rule the worst first.
 
     Args:
-        others: its kind, itself included.
+        others: the devices of its kind, itself included.
     """
     listed = [*_drifts(device, rules), *_levels(device, rules), *_outlying(device, others, rules)]
     listed += _repeated(device, others, rules)
@@ -212,10 +212,10 @@ class Review:
 
     Attributes:
         records: as in the table.
-        referred: the same with offsets at one temperature a device.
-        usage: of each recording.
-        devices: the devices, those to service first.
-        kinds: what is usual among devices of a model and format.
+        referred: the same recordings with offsets at one temperature a device.
+        usage: usage of each recording.
+        devices: all devices, those to service first.
+        kinds: usual values among devices of a model and format.
     """
 
     records: table.Records

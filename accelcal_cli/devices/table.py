@@ -65,9 +65,9 @@ class Parameter:
 
     Attributes:
         name: its kind and its axis (of K: row and column).
-        column: in a study's table; its standard error is in `se_` of that.
-        ideal: what a sensor without error has, in the table's unit.
-        factor: from the table's unit to `unit`.
+        column: its column in a study's table; `se_` and this name is that of its standard error.
+        ideal: value of a sensor without error, in the table's unit.
+        factor: factor from the table's unit to `unit`.
     """
 
     name: str
@@ -128,8 +128,8 @@ class Records:
         values, errors: (n, 12) parameters and their standard errors, in the table's units; NaN where
             the recording's model did not fit them.
         days: (n,) start of the recording [days since 1970]; NaN where it is not known.
-        nameless: recordings that name no device; they are not among the n.
-        failed: how many of these could not be read at all.
+        nameless: number of recordings that name no device; they are not among the n.
+        failed: number of these that could not be read at all.
     """
 
     devices: tuple[DeviceKey, ...]
@@ -325,8 +325,8 @@ class _Evidence:
     Attributes:
         file: the recording's hash; its row where it has none.
         values: its parameters as bytes.
-        fitted, scaled: whether any parameter was, and whether all scales were.
-        weighed: whether there are standard errors.
+        fitted, scaled: any parameter was fitted; all scales were fitted.
+        weighed: there are standard errors.
     """
 
     records: Records

@@ -42,8 +42,8 @@ class Rules:
         misalignment_percent: our choice; that data sheet gives 1 % (typical cross-axis sensitivity), but
             three ActiGraph recordings at hand, of as many devices, show 5.1 to 5.6 %.
         slope_mg_per_c: our choice, above 3.9 (19.6 mg in 5 C), the highest that van Hees et al. 2014 report.
-        drift_mg: a month; our choice: as much as a good calibration leaves on real recordings.
-        drift_percent: a month; our choice: as much as `drift_mg` at 1 g.
+        drift_mg: drift a month; our choice: as much as a good calibration leaves on real recordings.
+        drift_percent: drift a month; our choice: as much as `drift_mg` at 1 g.
         outlying: robust standard deviations above the other devices' held-out error; our choice.
         refused_percent, damaged_percent: share of a device's recordings; our choice.
         least_days: shortest span of time that gives a drift; our choice.
@@ -78,9 +78,9 @@ class Measured:
     """Values of p parameters in n recordings, by device; NaN for none.
 
     Attributes:
-        values, errors: (n, p).
-        days: (n,).
-        first: (d + 1,) where each device's recordings begin.
+        values, errors: (n, p) values and their standard errors.
+        days: (n,) starts of the recordings [days since 1970].
+        first: (d + 1,) first row of each device.
     """
 
     values: Floats
@@ -111,8 +111,8 @@ class Mean(NamedTuple):
     """The weighted mean of a parameter of a device; NaN without values.
 
     Attributes:
-        number: how many values.
-        scatter: chi^2 over freedom, NaN for a single one.
+        number: number of values.
+        scatter: chi^2 over freedom, NaN for a single value.
     """
 
     number: int
@@ -126,8 +126,8 @@ class Line(NamedTuple):
 
     Attributes:
         number: recordings with a value and a date.
-        slope, slope_error: a day.
-        value, error: of the line at the last of them.
+        slope, slope_error: change in a day and its standard error.
+        value, error: value of the line at the last of them, and its standard error.
         scatter: chi^2 over freedom.
     """
 
@@ -237,8 +237,8 @@ def at_one_temperature(records: Records, counted: Mask, temperature_c: float | N
     weighted mean slope of the device.
 
     Args:
-        counted: (n,) the recordings that decide the temperature.
-        temperature_c: for all devices; if None, the median of each device's reference temperatures.
+        counted: (n,) True for the recordings that decide the temperature.
+        temperature_c: temperature for all devices; None for the median of each one's reference temperatures.
     """
     sloped = np.isfinite(records.values[:, SLOPES]).all(axis=1) & np.isfinite(records.number["reference_c"])
     chosen, slope = _of_devices(records, sloped & counted, temperature_c)
@@ -278,8 +278,8 @@ class Drift:
     Attributes:
         per_month, error: in the parameter's unit.
         scatter: chi^2 over freedom about the line.
-        freedom: recordings less two.
-        probability: of so large a drift, or a larger one, by chance (two-sided Student's t).
+        freedom: number of recordings less two.
+        probability: probability of such a drift, or a larger one, by chance (two-sided Student's t).
         significant: the probability is below that of 3 standard errors over the device's number of drifts.
     """
 
@@ -299,7 +299,7 @@ class Trend:
         value: distance from the ideal, in the parameter's unit: where there is a drift at the last
             recording by the line, else the weighted mean.
         error: its standard error.
-        number: recordings behind it.
+        number: number of recordings behind it.
         drift: None if there are not enough recordings.
     """
 
@@ -314,7 +314,7 @@ def trends(records: Records, usage: list[Usage], rules: Rules) -> list[tuple[Tre
     """Return the trends of each device, of the parameters that were ever measured.
 
     Args:
-        records: with their offsets at one temperature a device.
+        records: recordings with their offsets at one temperature a device.
     """
     values, errors = (records.values - table.IDEAL) * table.FACTOR, records.errors * table.FACTOR
     measured = Measured(values, errors, records.days, records.first)

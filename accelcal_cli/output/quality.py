@@ -62,7 +62,7 @@ class PointErrors:
     """The n points, with their errors.
 
     Attributes:
-        points: raw, in units of local gravity.
+        points: raw points, in units of local gravity.
         before_mg, after_mg: (n,) |a| - 1 g; after: None without a calibration.
         posture: (n,) number of the posture that each belongs to.
         celsius: (n,) temperatures, or None.
@@ -81,7 +81,7 @@ class QualityInput:
 
     Attributes:
         rows: of b blocks of time; begun_us: when each of them begins, on the device's clock.
-        errors: by the number of the block, where it has still windows.
+        errors: errors by the number of the block, for blocks with still windows.
         folds: number of parts of the postures that were held out in turn; None if none were.
         convergence: error of the fitted points [mg], of the ideal sensor and after each step of the fit; None
             where the fit kept no record of its steps.

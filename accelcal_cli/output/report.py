@@ -352,7 +352,7 @@ class ReportInput(JudgedInput):
     Attributes:
         taken: sections that do not follow from the judgement: those of another report whose coefficients
             are applied, and that of the gyroscope.
-        gyroscope: the verdict on it, None where there is none.
+        gyroscope: verdict on the gyroscope, None if there is none.
     """
 
     recording: Recording

@@ -30,8 +30,8 @@ class PointsInput(reports.JudgedInput):
     """Everything that the report of a table of points is made of.
 
     Attributes:
-        rows: rows of the table.
-        implausible: rows whose length is nowhere near 1 g.
+        rows: number of rows of the table.
+        implausible: number of rows whose length is nowhere near 1 g.
         raw_error_mg, after_error_mg: mean | |a| - 1 g | over the other rows.
     """
 
@@ -84,11 +84,11 @@ class PoolInput(reports.JudgedInput):
     """Everything that the report of a pool is made of, except the provenance.
 
     Attributes:
-        left_out: recordings that contradict the others, and how.
+        left_out: recordings that contradict the others, with the reason.
         example: one of the recordings; they agree in device, counts per g and range.
-        bytes, samples: of all together.
-        copies: recordings with the content of a member.
-        notes: what the members' notes have in common.
+        bytes, samples: sums over the members.
+        copies: further recordings with the content of a member.
+        notes: notes that all members have.
     """
 
     members: Sequence[Member]
@@ -134,7 +134,7 @@ def of_member(pool: Document, report: Path, holdout: Holdout | None) -> dict[str
     """Return the sections of a member's report: those of the pool, and what the pool does to its own windows.
 
     Args:
-        report: where the member's report will be; the pool's is named by its way from there.
+        report: future path of the member's report, to which the pool's path is relative.
         holdout: errors on the member's own points, which are some of those that were fitted.
     """
     relative = Path(os.path.relpath(pool.path, report.parent)).as_posix()

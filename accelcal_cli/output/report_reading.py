@@ -66,8 +66,8 @@ class Document:
     """A report as its file has it: `sha256` of the file, and its content.
 
     Attributes:
-        report: with the names of this schema version.
-        first: what the file holds, if that is of schema version 1; else None.
+        report: content with the names of this schema version.
+        first: content as the file has it, if that is of schema version 1; else None.
     """
 
     path: Path

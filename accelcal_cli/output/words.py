@@ -67,10 +67,10 @@ class OutcomeWords:
     """Meaning of an outcome.
 
     Attributes:
-        result: on a result's line; headline: at the beginning of a page, where that differs.
+        result: words on a result's line; headline: words at the beginning of a page, if they differ.
         to_do: what to do with the recording, a sentence.
         use: what to do with the recordings of a study, in a few words.
-        usable: whether there is a calibrated recording, or one that needs no calibration.
+        usable: there is a calibrated recording, or one that needs no calibration.
     """
 
     result: str
@@ -214,8 +214,8 @@ def doubts(
     """Return what a 95 % interval says against a result [mg].
 
     Args:
-        high: its upper end; before: the error of the raw values, where there is one to compare with.
-        everywhere: it is of the whole sphere, not of the recording's own postures only.
+        high: upper end of the interval; before: error of the raw values to compare with, if there is one.
+        everywhere: the interval is that of the whole sphere, not only of the recording's own postures.
     """
     if high is None:
         return []

@@ -61,8 +61,8 @@ def page(report: Mapping[str, Any], quality: Mapping[str, Any] | None = None) ->
     """Return the page as HTML.
 
     Args:
-        report: of this version's schema, or an older one's; valid.
-        quality: what STEM.quality.json holds; None where it is missing.
+        report: valid by the schema of the version that wrote it.
+        quality: content of STEM.quality.json; None where it is missing.
     """
     view = report_view(report)
     data, note = None, NO_FILE
@@ -246,7 +246,7 @@ class KnownOrientationsPart:
     """The part of the page about known orientations.
 
     Attributes:
-        caution: that nothing was held out; None where something was.
+        caution: sentence that nothing was held out; None where something was.
     """
 
     caution: str | None

@@ -60,7 +60,7 @@ class DeviceLine:
 
     Attributes:
         verdict: `service`, `watch`, `unknown` or `good`.
-        reasons: why, the weightiest first.
+        reasons: reasons of the verdict, the weightiest first.
         first, last: dates of its first and last recording.
         offset, percent: the fastest drift of an offset [mg a month] and of scale or misalignment [% a month],
             each with its standard error and whether it is certain; None if there are too few recordings.
@@ -84,11 +84,11 @@ class StudyContent:
     """All that the page of a study is made of.
 
     Attributes:
-        rows: the study's table, a dictionary of at least WANTED for each recording.
+        rows: rows of the study's table, as dictionaries with at least the keys WANTED.
         pages: path of each recording's page, relative to this one; None where there is none.
         summary: content of `study.json`; empty if there is none.
-        devices: those to service first.
-        nameless: recordings without a serial number.
+        devices: all devices, those to service first.
+        nameless: number of recordings without a serial number.
         drift_limit_mg: drift of an offset in a month that is a reason for service.
         csv: name of the table beside the page.
     """
@@ -184,7 +184,7 @@ class _Entry:
 
     Attributes:
         href: address of its page, None if there is none; `./` keeps a name from being taken for a scheme.
-        message: without the name of the recording, which stands beside it anyway.
+        message: the row's message without the recording's name, which stands beside it anyway.
     """
 
     def __init__(self, row: dict[str, Any], address: str | None, limit_mg: float) -> None:

@@ -54,7 +54,7 @@ class LogAxis:
     """A logarithmic axis from one of 1, 2 or 5 times a power of ten to another.
 
     Attributes:
-        low_mg, high_mg: what it shows; begin, end: where these lie in the figure.
+        low_mg, high_mg: ends of the axis; begin, end: their coordinates in the figure.
     """
 
     low_mg: float
@@ -182,7 +182,7 @@ def drifts(devices: Sequence[tuple[str, Drift | None]], limit: float) -> DriftFi
     """Return the figure of the fastest drifts [mg a month]; None if no device has one.
 
     Args:
-        limit: beyond which a drift is a reason for service [mg a month].
+        limit: drift [mg a month] beyond which a device needs service.
     """
     known = [(name, drift) for name, drift in devices if drift is not None]
     if not known:

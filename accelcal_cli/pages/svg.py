@@ -50,7 +50,7 @@ class AxisScale:
     """A scale from values low..high to coordinates start..end; values beyond are drawn at the edge.
 
     Attributes:
-        powers: whether equal factors are equally long; low is then above 0.
+        powers: the scale is logarithmic; low is then above 0.
     """
 
     low: float
@@ -218,7 +218,7 @@ def figure(name: str, title: str, description: str, height: float, body: Sequenc
     """Return the whole figure, with its title and a description for those who cannot see it.
 
     Args:
-        name: makes the ids of the page; letters and hyphens.
+        name: prefix of the ids of its elements; letters and hyphens.
     """
     head = (
         f'<svg role="img" viewBox="0 0 {WIDTH} {coordinate(height)}" '

@@ -58,10 +58,10 @@ class TimeSeries:
         spans: seconds from the first sample at which each of b rows begins and ends.
         rows: columns of numbers by name, (b,).
         errors: mean and p95 of | |a| - 1 g | by `before` and `after`; off: p5, p50 and p95 of |a| - 1 g.
-        worn: (b,) None where it is not known.
+        worn: (b,) True where the device was worn; None where that is not known.
         points: columns of the p points by name, `before` and `after` in mg, `temperature` in degrees C.
         convergence: mean error after each step of the fit [mg].
-        seconds: from the first sample to the end.
+        seconds: time from the first sample to the end.
     """
 
     start: datetime | None
@@ -232,7 +232,7 @@ class _MergedRows:
     """Columns of which `together` rows each are merged into one cell.
 
     Args:
-        windows: how much each row counts in means.
+        windows: (b,) weights of the rows in means.
     """
 
     def __init__(self, windows: Sequence[float], together: int) -> None:

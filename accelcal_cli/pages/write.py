@@ -71,7 +71,7 @@ def write_page(report: Path, page: Path, *, only_changed: bool = False) -> bool:
     """Make the page of a report from the files alone; return True if it was written.
 
     Args:
-        only_changed: leave a page as it is that would come out the same.
+        only_changed: do not write a page that would come out the same.
 
     Raises:
         UnreadableError: the report, or what lies beside it, cannot be read; or the report is damaged.
@@ -94,9 +94,9 @@ class PagesMade:
     """Result of making the pages of a study.
 
     Attributes:
-        page: that of the study itself; changed: whether it was written.
+        page: path of the study's own page; changed: that page was written.
         made, kept: numbers of recordings whose page was written, and whose page was up to date.
-        faults: why pages could not be made, by recording.
+        faults: one message for each recording whose page could not be made.
     """
 
     page: Path
