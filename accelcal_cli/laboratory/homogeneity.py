@@ -474,7 +474,9 @@ def _text(found: Homogeneity, limit_mg: float | None) -> str:
     rows = []
     for one in found.recordings:
         name = one.path.name if one.serial is None else f"{one.path.name} ({one.serial})"
-        rows.append([name, *_clock(one), *_pairs(one.likeness), *_verdict(one, limit_mg)])
+        rows.append([name, *_clock(one), *_pairs(one.likeness)])
+        if limit_mg is not None:
+            rows[-1].append("yes" if _within(one, limit_mg) else "no")
     last = ["all", *["-"] * len(HEAD), *_pairs(found.together)]
     rows.append([*last, *([""] if limit_mg is not None else [])])
     before, after = (rms[NORM] for rms in found.together.rms_mg())
@@ -502,7 +504,3 @@ def _pairs(likeness: Likeness | None) -> list[str]:
     if likeness is None:
         return ["-"] * len(AXES)
     return [f"{figure(before)} > {figure(after)}" for before, after in zip(*likeness.rms_mg(), strict=True)]
-
-
-def _verdict(one: Compared, limit_mg: float | None) -> list[str]:
-    return [] if limit_mg is None else ["yes" if _within(one, limit_mg) else "no"]

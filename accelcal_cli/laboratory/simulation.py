@@ -37,7 +37,6 @@ from accelcal_cli.laboratory.descent import (
     Convergence,
     DescentNumbers,
     Objective,
-    Spread,
     convergence,
     descent,
 )
@@ -199,18 +198,13 @@ def in_gauge(nine: Real, gauge: Gauge) -> Real:
     return np.concatenate([s[ROWS, COLUMNS_OF_K], nine[6:]])
 
 
-def _slopes(nine: Real, gauge: Gauge) -> Real:
-    """Return the derivatives (9, 9) of a gauge's parameters with respect to F's, by central differences."""
-    steps = STEP * np.eye(9)
-    ends = [(in_gauge(nine + step, gauge) - in_gauge(nine - step, gauge)) / (2 * STEP) for step in steps]
-    return np.array(ends).T
-
-
 def expected_errors(still_g: Real, truth: tuple[int, ...], noise_g: float, gauge: Gauge = "lower") -> Real:
     """Return the least mean |error| (9,) of an unbiased estimate with normal errors."""
     covariance = np.linalg.inv(fisher_information(still_g, truth, noise_g))
     if gauge != "lower":
-        slopes = _slopes(np.array(truth[:9]) / ONE, gauge)
+        nine, steps = np.array(truth[:9]) / ONE, STEP * np.eye(9)
+        ends = [(in_gauge(nine + step, gauge) - in_gauge(nine - step, gauge)) / (2 * STEP) for step in steps]
+        slopes = np.array(ends).T  # of the gauge's parameters with respect to F's
         covariance = slopes @ covariance @ slopes.T
     return np.asarray(MEAN_OF_ABSOLUTE * np.sqrt(np.diag(covariance)))
 
@@ -462,7 +456,7 @@ def _notes(tables: tuple[ErrorTable, ...]) -> Iterator[str]:
 @click.option("--cases", type=click.IntRange(1), default=500, show_default=True,
               help="How many sensors to simulate.")  # fmt: skip
 @click.option("--points", type=Listed(int, 9, 8192), default="18,144,432", show_default=True,
-              metavar="N[,N...]", help="DescentNumbers of calibration points.")  # fmt: skip
+              metavar="N[,N...]", help="Numbers of calibration points.")  # fmt: skip
 @click.option("--noise-mg", type=Listed(float, 1e-3, 100), default="1,5", show_default=True,
               metavar="MG[,MG...]", help="Noise on each axis, standard deviation.")  # fmt: skip
 @click.option("--selection", type=OneOf(get_args(Selection)), default="subsets", show_default=True,
@@ -552,11 +546,8 @@ def _convergence_lines(found: Convergence) -> Iterator[str]:
             for number, row in found.left.items()
         ],
     )
-    yield from (_arrival(limit, one) for limit, one in found.within.items())
+    for limit, one in found.within.items():
+        after = " and ".join(formatted(value, ".0f") for value in (one.median, one.p90))
+        yield f"All nine stay within {limit:g} of it after {after} iterations (median, 90th percentile)."
     if found.diverged:
         yield f"It diverges in {found.diverged} more cases."
-
-
-def _arrival(limit: float, one: Spread) -> str:
-    after = " and ".join(formatted(value, ".0f") for value in (one.median, one.p90))
-    return f"All nine stay within {limit:g} of it after {after} iterations (median, 90th percentile)."

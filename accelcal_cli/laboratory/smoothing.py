@@ -165,7 +165,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         lines = [json.dumps({"recording": printable(one.path), **as_json(one)}) for one in found]
         exit_codes.show("\n".join(lines))
     elif found:
-        exit_codes.show("\n\n".join([*map(_text, found), _published()]))
+        rows = [[str(width), f"{mean:.3e}", f"{median:.3e}"] for width, (mean, median) in TABLE_1.items()]
+        exit_codes.show("\n\n".join([*map(_text, found), aligned(PUBLISHED, rows)]))
     return code
 
 
@@ -177,19 +178,10 @@ def _text(one: Smoothing) -> str:
             *(
                 cell
                 for value in (made.mean, made.median)
-                for cell in (f"{value:.3e}", _share(value, one.raw))
+                for cell in (f"{value:.3e}", f"{100 * value / one.raw:.0f} %" if one.raw else "-")
             ),
             "for this rate" if made.width == one.usual else "",
         ]
         for made in one.filtered
     ]
     return f"{head}\n{aligned(HEAD, rows)}"
-
-
-def _share(value: float, raw: float) -> str:
-    return f"{100 * value / raw:.0f} %" if raw else "-"
-
-
-def _published() -> str:
-    rows = [[str(width), f"{mean:.3e}", f"{median:.3e}"] for width, (mean, median) in TABLE_1.items()]
-    return aligned(PUBLISHED, rows)

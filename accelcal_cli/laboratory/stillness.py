@@ -192,13 +192,13 @@ def _shown(results: dict[str, list[Row]], values: dict[str, Any]) -> str:
         return "\n".join(json.dumps({"recording": path, "rules": rules}) for path, rules in results.items())
     if values["as_csv"]:
         head = ["recording", "rule", *FIGURES, *(f"on_{rule}_mg" for rule in STILLNESS)]
-        cells = [_cells(path, row) for path, rules in results.items() for row in rules]
+        cells = [
+            [path, row["rule"], *(row.get(name) for name in FIGURES), *row["on_points_of_mg"].values()]
+            for path, rules in results.items()
+            for row in rules
+        ]
         return csv_text(head, cells).rstrip("\n")
     return "\n\n".join(f"{path}\n{text(rules)}" for path, rules in results.items())
-
-
-def _cells(path: str, row: Row) -> list[Any]:
-    return [path, row["rule"], *(row.get(name) for name in FIGURES), *row["on_points_of_mg"].values()]
 
 
 def rows(comparison: Comparison) -> list[Row]:

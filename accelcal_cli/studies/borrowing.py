@@ -68,7 +68,7 @@ def copies(rows: Mapping[str, Row]) -> dict[str, str]:
 
 
 def _sensor_changed(row: Row) -> bool:
-    """Whether the sensor changed while it recorded, so that no one set of coefficients fits."""
+    """Return True if the sensor changed while it recorded, so that no one set of coefficients fits."""
     return row.get("change") not in (None, "none")
 
 

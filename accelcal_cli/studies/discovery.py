@@ -192,23 +192,17 @@ def _job(source: Path, target: Path) -> jobs.Job:
 
 def below_out(where: Where) -> list[Item]:
     """Return the files that are ignored because they lie below OUT, which is below a folder itself."""
-    items, every = [], replace(where, include=(), exclude=())
+    items: list[Item] = []
+    every = replace(where, include=(), exclude=())
     for folder, place in places(where):
         if jobs.real(folder) in jobs.real(where.out).parents and where.out.is_dir():
             out = jobs.real(where.out).relative_to(jobs.real(folder))
-            items += [
-                item
-                for item in _folder(every, folder / out, f"{place}{out.as_posix()}/", _Links([], []))
-                if _is_named(where, item.name.removeprefix(place))
-            ]
+            for item in _folder(every, folder / out, f"{place}{out.as_posix()}/", _Links([], [])):
+                below = item.name.removeprefix(place)
+                included = not where.include or fits_pattern(below, where.include)
+                if included and not fits_pattern(below, where.exclude):
+                    items.append(item)
     return items
-
-
-def _is_named(where: Where, below: str) -> bool:
-    """Whether `include` and `exclude` leave a path below its folder in the study."""
-    if fits_pattern(below, where.exclude):
-        return False
-    return not where.include or fits_pattern(below, where.include)
 
 
 def places(where: Where) -> list[tuple[Path, str]]:
@@ -254,14 +248,14 @@ def _subfolders(base: Path, names: list[str], out: Path, links: _Links) -> list[
 
 
 def _never(path: Path) -> bool:
-    """Whether a file is certainly no recording: hidden, an output, options, a layout, or part of another."""
+    """Return True for what is certainly no recording: hidden, an output, options, a layout, a part."""
     name = path.name
     written = NAMES.fullmatch(name) is not None and (path.suffix not in SUMMARY or _is_study_file(path))
     return name.startswith(".") or name.endswith(OURS) or written or belongs_to_another(path)
 
 
 def _plain(path: Path) -> bool:
-    """Whether it is a file, or a broken link, which is a recording that cannot be read."""
+    """Return True for a file, and for a broken link, which is a recording that cannot be read."""
     try:
         return stat.S_ISREG(path.stat().st_mode)
     except OSError:
@@ -286,14 +280,12 @@ def without_collisions(items: list[Item]) -> list[Item]:
     owners: dict[Path, list[Item]] = {}
     for item in items:
         owners.setdefault(item.job.report, []).append(item)
-    return [_refused(item, owners[item.job.report]) for item in items]
-
-
-def _refused(item: Item, sharing: list[Item]) -> Item:
-    others = ", ".join(other.source.name for other in sharing if other is not item)
-    if not others:
-        return item
-    return replace(item, refusal=f"would share its outputs with {others}: rename one, or use --exclude")
+    apart: list[Item] = []
+    for item in items:
+        others = ", ".join(one.source.name for one in owners[item.job.report] if one is not item)
+        refusal = f"would share its outputs with {others}: rename one, or use --exclude"
+        apart.append(replace(item, refusal=refusal) if others else item)
+    return apart
 
 
 def is_recording(item: Item, options: ReadOptions, *, asked_for: bool) -> bool:
@@ -322,7 +314,7 @@ def is_recording(item: Item, options: ReadOptions, *, asked_for: bool) -> bool:
 
 
 def _holds_acceleration(form: Format, item: Item, options: ReadOptions) -> bool:
-    """Whether a table is a recording; a damaged one may be, and must not be ignored silently."""
+    """Return True if a table is a recording; a damaged one may be, and must not be ignored silently."""
     try:
         form.open(item.source, without(options, form.unused(options))).close()
     except NoRecordingError:

@@ -66,7 +66,7 @@ def _model(row: Row) -> Model:
 
 
 def _is_good(row: Row, max_error_mg: float) -> bool:
-    """Whether others may learn from a result: the sensor did not change, and the error is certainly small."""
+    """Return True if others may learn from a result: no change of the sensor, and certainly a small error."""
     if row["outcome"] != Outcome.CALIBRATED or row.get("change") not in (None, "none"):
         return False
     high: float | None = row["sphere_high_mg"]

@@ -1,4 +1,4 @@
-"""What there is to do in a study: a `Plan` of the own results, then a `RoundPlanner` of later rounds.
+"""The work of a study: a `Plan` of the own results, then a `RoundPlanner` of later rounds.
 
 All that decides whether an earlier result is valid is here and in the ledger (`records.py`). A worker looks
 once more at the report that is there (`pipeline/outputs.py`), for a study whose ledger is lost. A `Round`
@@ -109,7 +109,7 @@ def ledger_of(study: Study) -> Ledger:
 
 @dataclass(slots=True)
 class Plan:
-    """What a study found, before it does anything.
+    """The recordings of a study by what is to be done with them, and other files that it found.
 
     Attributes:
         done: recordings whose earlier result is valid, each with its entry.
@@ -276,19 +276,16 @@ class _Planning:
         """Return the valid entry of the own result, even if a later round has replaced its outputs."""
         if item.refusal is None:
             own = self.ledger.known(item, self.asked)
-            stands = own is not None and (self.ledger.in_place(own) or self._replaced(item))
-            return own if stands and own is not None and self._has_present_names(item, own) else None
+            if own is None or not (self.ledger.in_place(own) or self._replaced(item)):
+                return None
+            outputs = {self.study.out / name for name, _ in own.outputs}
+            return own if outputs <= set(item.job.outputs) else None  # else they would get other names now
         kind = UsageError if item.source.is_file() else UnreadableError
         row = summary.failed(item, kind.exit_code, f"{printable(item.source)}: {item.refusal}")
         return Entry(item.name, item.stamps, self.asked, row, again=True)
 
-    def _has_present_names(self, item: Item, entry: Entry) -> bool:
-        """Return True if the outputs have the names that they would get now."""
-        out = self.study.out
-        return {out / name for name, _ in entry.outputs} <= set(item.job.outputs)
-
     def _replaced(self, item: Item) -> bool:
-        """Whether the outputs are those of a later round, which can be undone if the file is unchanged."""
+        """Return True for outputs of a later round, which can be undone if the file is unchanged."""
         rounds = self.study.replacing
         if rounds and item.name not in self.plan.changing:
             rounds = REPLACING
@@ -348,7 +345,7 @@ def overlooked(study: Study) -> int:
 
 
 def _left_for_later(study: Study, item: Item) -> bool:
-    """Whether a recording is too new to be started, or too old; an earlier result stays valid meanwhile.
+    """Return True if a recording is too new or too old to be started; an earlier result stays valid.
 
     One that was changed further in the future than `settle_s` has a wrong time: it would wait for years.
     """
@@ -357,5 +354,5 @@ def _left_for_later(study: Study, item: Item) -> bool:
 
 
 def _is_redone(study: Study, entry: Entry) -> bool:
-    """Whether a recording is done again although neither it nor the settings have changed."""
+    """Return True if a recording is done again although neither it nor the settings have changed."""
     return study.request.force or entry.again or (study.retry_failed and entry.failed)

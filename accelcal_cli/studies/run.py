@@ -116,8 +116,9 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         lease.confirm()
         summary.write(result, study.out, base)
         lease.confirm()
-        others = (*planned.left_out, *planned.kept, *_of_waiting(study, planned, ledger))
-        ledger.tidy([*study_run.entries(), *others])
+        ledger.tidy(
+            [*study_run.entries(), *planned.left_out, *planned.kept, *_waiting(study, planned, ledger)]
+        )
         if study.shard.whole and not (planned.waiting or study.where.include):
             remove_pools(study.out, keep=study_run.known.pools)
     return result
@@ -143,7 +144,7 @@ def _tidy(planned: Plan, lease: Lease) -> None:
         sweep_host([*outputs, *map(path.with_suffix, (".lock", ".ledger", *SUMMARY))], lost)
 
 
-def _of_waiting(study: Study, planned: Plan, ledger: Ledger) -> list[Entry]:
+def _waiting(study: Study, planned: Plan, ledger: Ledger) -> list[Entry]:
     """Return the entries of waiting recordings, on which a run with other options may build."""
     rounds = (OWN, *REPLACING)
     return [entry for item in planned.waiting for entry in ledger.latest_of(item.name, study.asked(), rounds)]
@@ -389,17 +390,13 @@ def executor_for(
     if study.dask is None or work is not calibrated:
         return ProcessPool(work, workers_of(study, recordings), study.timeout_s, PRELOAD, on_progress)
     cwd = Path.cwd()
-    calibrate, requirements = functools.partial(calibrate_in_user_folder, cwd), _requirements(study, cwd)
+    mark = cwd / study.lock  # there while the study runs, and unlike any other run's
+    folders = tuple(cwd / folder for folder in study.where.folders)
+    requirements = WorkerRequirements(__version__, code(), folders, mark, mark.read_text("utf-8"))
+    calibrate = functools.partial(calibrate_in_user_folder, cwd)
     return Cluster(
         study.dask, calibrate, requirements, study.jobs, study.timeout_s, on_progress, notify, tidy
     )
-
-
-def _requirements(study: Study, cwd: Path) -> WorkerRequirements:
-    """Return what a worker must see; the mark is the lock, whose content is unique to this run."""
-    mark = cwd / study.lock
-    folders = tuple(cwd / folder for folder in study.where.folders)
-    return WorkerRequirements(__version__, code(), folders, mark, mark.read_text("utf-8"))
 
 
 def tidy(task: Task, lost: str | None = None) -> None:

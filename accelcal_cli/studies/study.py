@@ -1,4 +1,4 @@
-"""What a study is asked to do: `Study`, and `Shard` for a part of it."""
+"""`Study`: the request for a study; `Shard`: a part of one."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ WHOLE = Shard()
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """What a study is asked to do.
+    """The request for a study.
 
     Attributes:
         jobs: number of workers; None for as many as CPUs and memory allow, or as the cluster has.

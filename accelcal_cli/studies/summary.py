@@ -294,7 +294,8 @@ def _write_parquet(rows: list[dict[str, Any]], file: IO[bytes]) -> None:
     import pyarrow as pa  # which `study --help` does not need
     import pyarrow.parquet as pq
 
-    schema = pa.schema([pa.field(column, _kind(column)) for column in COLUMNS])
+    kinds = dict.fromkeys(COLUMNS, "float64") | dict.fromkeys(TEXT, "string") | dict.fromkeys(WHOLE, "int64")
+    schema = pa.schema([pa.field(column, kind) for column, kind in kinds.items()])
     with pq.ParquetWriter(file, schema, compression="zstd") as writer:
         for first in range(0, len(rows), TOGETHER):
             writer.write_table(_table(rows[first : first + TOGETHER], schema))
@@ -309,10 +310,3 @@ def _table(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.Table:
     lines = "\n".join(json.dumps({column: row.get(column) for column in COLUMNS}) for row in rows).encode()
     one_block = pyarrow.json.ReadOptions(block_size=len(lines) + 1)
     return pyarrow.json.read_json(BytesIO(lines), one_block, pyarrow.json.ParseOptions(schema))
-
-
-def _kind(name: str) -> str:
-    """Return Arrow's type of a column."""
-    if name in TEXT:
-        return "string"
-    return "int64" if name in WHOLE else "float64"

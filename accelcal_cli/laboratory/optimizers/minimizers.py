@@ -203,7 +203,7 @@ class BfgsSettings:
 
     Attributes:
         gradient_tolerance: the solver aims at a gradient below this.
-        accepted_gradient: what is accepted where rounding stops the line search earlier.
+        accepted_gradient: gradient that is accepted if rounding stops the line search earlier.
         max_iterations: bound on the iterations.
     """
 
@@ -231,17 +231,14 @@ def fit_bfgs(points: PointSet, model: Model, settings: BfgsSettings = BFGS_DEFAU
         found = minimize(target, ideal()[free], jac=True, method="BFGS", options=options)
     if not float(np.abs(found.jac).max()) < settings.accepted_gradient:
         raise DivergedError(f"the fit has not converged after {int(found.nit)} iterations")
-    return Fit(as_integers(_all(found.x, free)), int(found.nit), "small gradient", Operations())
-
-
-def _all(x: Real, free: list[int]) -> Real:
     p = ideal()
-    p[free] = x
-    return p
+    p[free] = found.x
+    return Fit(as_integers(p), int(found.nit), "small gradient", Operations())
 
 
 def _cost_and_gradient(points: FloatPoints, free: list[int], x: Real) -> tuple[float, Real]:
-    p = _all(x, free)
+    p = ideal()
+    p[free] = x
     state = evaluate(points, p)
     return float(cost(points, state)), gradient(points, state, p)[free]
 
