@@ -34,8 +34,8 @@ from accelcal_cli.formats._tables.table import (
     Track,
     chosen_axes,
     described,
+    find_by_name,
     find_gyro,
-    find_named,
     readable,
     split_unit,
 )
@@ -246,7 +246,7 @@ class ColumnRule:
 
     def candidates(self, tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
         """Return tracks that may hold it."""
-        return find_named(tracks, accel, self.names)
+        return find_by_name(tracks, accel, self.names)
 
     def find(self, table: SensorTable, group: Group, unit: str | None = None) -> ValueColumn | str:
         """Return the channel in a track, or why it is not used; `unit` outweighs what is stated."""

@@ -194,12 +194,11 @@ def _scale(source: TableSource) -> tuple[CountScale, tuple[str, ...]]:
         notes = (f"unit: {unit} (judged by the length of gravity)",)
     dtype = np.result_type(*(item.dtype for item in source.group))
     if unit == "counts":
-        return _count_scale(source, _checked_lsb(lsb, source), dtype), notes
+        return _scale_of_counts(source, _checked_lsb(lsb, source), dtype), notes
     return physical_scale(unit, dtype), notes
 
 
 def _some_values(source: TableSource) -> NDArray[np.float64]:
-    """Return values (n, 3) from all over the table."""
     with np.errstate(over="ignore", invalid="ignore"):
         parts = [spread_rows(source.table, item).astype(np.float64) for item in source.group]
     rows = min(map(len, parts))
@@ -254,7 +253,7 @@ def _checked_lsb(lsb: float | None, source: TableSource) -> float:
     return lsb
 
 
-def _count_scale(source: TableSource, lsb: float, dtype: np.dtype[Any]) -> CountScale:
+def _scale_of_counts(source: TableSource, lsb: float, dtype: np.dtype[Any]) -> CountScale:
     """Return the scale of counts; counts with decimal fractions (averages) go to the grid of fractions."""
     if dtype.kind == "f":
         for item in source.group:
@@ -416,7 +415,6 @@ class _Stream:
         return (Problem("truncated", what, total, self._sample + rows, max(1, missing)),)
 
     def _channel_values(self, selection: RowSelection) -> Channels:
-        """Return all rows of each channel."""
         channels: Channels = {
             name: channel.values(self._channels[name], selection, self._before.get(name))
             for name, channel in self._plan.channels.items()

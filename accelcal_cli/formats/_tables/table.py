@@ -423,7 +423,7 @@ def find_gyro(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
     )
 
 
-def find_named(tracks: tuple[Track, ...], accel: Track, names: frozenset[str]) -> tuple[Group, ...]:
+def find_by_name(tracks: tuple[Track, ...], accel: Track, names: frozenset[str]) -> tuple[Group, ...]:
     """Find the nearest tracks of one of these names with one number for each row of the acceleration."""
     return _nearest(_columns(tracks, accel, lambda name: name in names), accel)
 
@@ -455,14 +455,14 @@ def _columns(tracks: tuple[Track, ...], accel: Track, fits: Callable[[str], bool
 
 def _groups(tracks: tuple[Track, ...], names: frozenset[str], prefixes: list[str]) -> list[Group]:
     """Return tracks of three columns, and triples of one column each, whose names fit."""
-    wide: list[Group] = [(item,) for item in tracks if item.width == 3 and _is_named(item, names)]
+    wide: list[Group] = [(item,) for item in tracks if item.width == 3 and _has_name(item, names)]
     parents = sorted({item.parent for item in tracks})
     return wide + [
         triple for parent in parents for prefix in prefixes if (triple := _triple(tracks, parent, prefix))
     ]
 
 
-def _is_named(track: Track, names: frozenset[str]) -> bool:
+def _has_name(track: Track, names: frozenset[str]) -> bool:
     own = split_unit(track.name)[0]
     return own in names or (own in VALUE_NAMES and normalized(basename(track.parent)) in names)
 

@@ -64,12 +64,12 @@ def leaves_of(schema: Any, rows: int) -> tuple[dict[str, Leaf], int]:
 
 
 def _leaves(field: Any, column: str, fields: tuple[str, ...], path: str, rows: int) -> Iterator[Leaf]:
-    kind = _stored(field.type)
+    kind = _value_type(field.type)
     if pa.types.is_struct(kind) and len(fields) < DEEPEST:
         for child in kind:
             yield from _leaves(child, column, (*fields, child.name), f"{path}/{_part(child.name)}", rows)
         return
-    width, number = (3, _stored(kind.value_type)) if _is_list(kind) else (1, kind)
+    width, number = (3, _value_type(kind.value_type)) if _is_list(kind) else (1, kind)
     if pa.types.is_fixed_size_list(kind) and kind.list_size != 3:
         return
     dtype = _dtype(number)
@@ -90,7 +90,7 @@ def _is_list(kind: Any) -> bool:
     return bool(types.is_fixed_size_list(kind) or types.is_list(kind) or types.is_large_list(kind))
 
 
-def _stored(kind: Any) -> Any:
+def _value_type(kind: Any) -> Any:
     """Return the type of values behind extensions and dictionaries."""
     while isinstance(kind, pa.BaseExtensionType):
         kind = kind.storage_type
@@ -134,15 +134,15 @@ def values_of(leaf: Leaf, batch: Any) -> NDArray[Any]:
     """Return the values (n, width) of a leaf in a record batch."""
     array = batch.column(batch.schema.get_field_index(leaf.column))
     for name in leaf.fields:
-        array = _plain(array)
+        array = _unwrapped(array)
         array = array.flatten()[array.type.get_field_index(name)]
-    array = _plain(array)
+    array = _unwrapped(array)
     if not _is_list(array.type):
         return _numbers(array).reshape(-1, 1)
     return _triples(array)
 
 
-def _plain(array: Any) -> Any:
+def _unwrapped(array: Any) -> Any:
     """Return the array behind extensions and dictionaries."""
     if isinstance(array.type, pa.BaseExtensionType):
         array = array.storage
@@ -151,7 +151,7 @@ def _plain(array: Any) -> Any:
 
 def _numbers(array: Any) -> NDArray[Any]:
     """Return numbers (n,), nulls as NaN or EMPTY."""
-    array = _plain(array)
+    array = _unwrapped(array)
     if pa.types.is_decimal(array.type):
         array = array.cast(pa.float64())
     dtype = _dtype(array.type)
@@ -161,13 +161,13 @@ def _numbers(array: Any) -> NDArray[Any]:
     values: NDArray[Any] = np.frombuffer(buffer, dtype, len(array), dtype.itemsize * array.offset)
     if not array.null_count:
         return values
-    empty = ~_known(array)
+    empty = ~_not_null(array)
     if dtype == np.int64:
         return np.where(empty, EMPTY, values)
     return np.where(empty, np.nan, values if dtype.kind == "f" else values.astype(np.float64))
 
 
-def _known(array: Any) -> NDArray[np.bool_]:
+def _not_null(array: Any) -> NDArray[np.bool_]:
     """Return flags (n,) of cells that are not null."""
     bits = np.frombuffer(array.buffers()[0], np.uint8)
     known = np.unpackbits(bits, bitorder="little")[array.offset : array.offset + len(array)]
@@ -176,11 +176,11 @@ def _known(array: Any) -> NDArray[np.bool_]:
 
 def _triples(array: Any) -> NDArray[Any]:
     """Return lists of three numbers as (n, 3); lists that are null, or of other lengths, as NaN."""
-    known = _known(array) if array.null_count else np.ones(len(array), np.bool_)
+    known = _not_null(array) if array.null_count else np.ones(len(array), np.bool_)
     if pa.types.is_fixed_size_list(array.type):
         inner = array.values[3 * array.offset : 3 * (array.offset + len(array))]
         values = _numbers(inner).reshape(-1, 3)
-        return values if known.all() else _without(values, known)
+        return values if known.all() else _nulls_as_nan(values, known)
     offsets = _numbers(array.offsets)[: len(array) + 1]
     known &= np.diff(offsets) == 3
     inner = _numbers(array.values)
@@ -188,10 +188,10 @@ def _triples(array: Any) -> NDArray[Any]:
     if not known.any():
         return np.full((len(array), 3), np.nan)
     values = inner[np.minimum(places, len(inner) - 1)]
-    return values if known.all() else _without(values, known)
+    return values if known.all() else _nulls_as_nan(values, known)
 
 
-def _without(values: NDArray[Any], known: NDArray[np.bool_]) -> NDArray[Any]:
+def _nulls_as_nan(values: NDArray[Any], known: NDArray[np.bool_]) -> NDArray[Any]:
     values = values if values.dtype.kind == "f" else values.astype(np.float64)
     return np.where(known[:, None], values, np.nan)
 
@@ -278,7 +278,7 @@ class PartRows:
         if here.rows == 0 or row < here.start or self._first_rows[part] > end:
             if self._ahead is not None:
                 self._ahead.result()
-            self._ahead, self._portions = None, self._all(part)
+            self._ahead, self._portions = None, self._portions_from(part)
             self._portion = Portion(0, 0, None)
         while not self._portion.start <= row < self._portion.start + self._portion.rows:
             self._portion = self._next()
@@ -291,25 +291,25 @@ class PartRows:
         assert found is not None
         return found
 
-    def _all(self, part: int) -> Iterator[Portion]:
+    def _portions_from(self, part: int) -> Iterator[Portion]:
         """Yield portions from the beginning of a part on; several small parts are read together."""
         last = len(self._first_rows) - 1
         while part < last:
             most = int(self._first_rows[part]) + BLOCK_ROWS
             end = max(part + 1, int(np.searchsorted(self._first_rows, most, "right")) - 1)
-            yield from self._run(part, min(end, last))
+            yield from self._portions_of(part, min(end, last))
             part = min(end, last)
 
-    def _run(self, part: int, end: int) -> Iterator[Portion]:
+    def _portions_of(self, part: int, end: int) -> Iterator[Portion]:
         """Yield portions of parts part..end-1; several are read at once, or each alone if one fails."""
         start, stop = int(self._first_rows[part]), int(self._first_rows[end])
         if end - part > 1:
-            values = self._together(part, end)
+            values = self._all_at_once(part, end)
             if values is not None and len(values) == stop - start:
                 yield Portion(start, stop - start, values)
                 return
             for one in range(part, end):
-                yield from self._run(one, one + 1)
+                yield from self._portions_of(one, one + 1)
             return
         row = start
         try:
@@ -323,7 +323,7 @@ class PartRows:
         for lost in range(row, stop, BLOCK_ROWS):
             yield Portion(lost, min(BLOCK_ROWS, stop - lost), None)
 
-    def _together(self, part: int, end: int) -> NDArray[Any] | None:
+    def _all_at_once(self, part: int, end: int) -> NDArray[Any] | None:
         try:
             batches = [*self._batches(part, end)]
         except ARROW_ERRORS:

@@ -94,17 +94,17 @@ def scan(path: Path) -> Messages:
     with path.open("rb") as file:
         size = path.stat().st_size
         if file.read(len(FEATHER_MAGIC)) != FEATHER_MAGIC:
-            return _one_by_one(file, size, 0)
-        offsets = _listed(file, size)
+            return _chained_messages(file, size, 0)
+        offsets = _footer_offsets(file, size)
         if offsets is None:
-            return _one_by_one(file, size, len(FEATHER_MAGIC))
-        found = [_read(file, offset) for offset in offsets]
+            return _chained_messages(file, size, len(FEATHER_MAGIC))
+        found = [_message_at(file, offset) for offset in offsets]
         batches = [one.batch if one and one.batch and one.end <= size else None for one in found]
         known = tuple(batch or Batch(0, 0, 0, False) for batch in batches)
         return Messages(known, len(FEATHER_MAGIC), 0, batches.count(None))
 
 
-def _listed(file: BinaryIO, size: int) -> list[int] | None:
+def _footer_offsets(file: BinaryIO, size: int) -> list[int] | None:
     """Return where the messages of batches begin by the footer; None without a footer."""
     tail = len(FILE_END) + 4
     file.seek(max(0, size - tail))
@@ -115,20 +115,20 @@ def _listed(file: BinaryIO, size: int) -> list[int] | None:
     file.seek(size - tail - length)
     footer = file.read(length)
     try:
-        at = _field(footer, _at("<I", footer, 0), FOOTER_BATCHES)
-        vector = at + _at("<I", footer, at)
-        places = range(vector + 4, vector + 4 + BLOCK_BYTES * _at("<I", footer, vector), BLOCK_BYTES)
-        return [_at("<q", footer, place) for place in places] if at and places.stop <= length else None
+        at = _field(footer, _number_at("<I", footer, 0), FOOTER_BATCHES)
+        vector = at + _number_at("<I", footer, at)
+        places = range(vector + 4, vector + 4 + BLOCK_BYTES * _number_at("<I", footer, vector), BLOCK_BYTES)
+        return [_number_at("<q", footer, place) for place in places] if at and places.stop <= length else None
     except (struct.error, ValueError):
         return None
 
 
-def _one_by_one(file: BinaryIO, size: int, first: int) -> Messages:
+def _chained_messages(file: BinaryIO, size: int, first: int) -> Messages:
     """Go from message to message, up to the end or to bytes that are no message."""
     batches: list[Batch] = []
     place, missing = first, -1 if first else 0
     while place < size:
-        found = _read(file, place)
+        found = _message_at(file, place)
         if found is None:
             return Messages(tuple(batches), first, -1)
         if not found.kind:
@@ -155,7 +155,7 @@ class _Message:
     batch: Batch | None = None
 
 
-def _read(file: BinaryIO, place: int) -> _Message | None:
+def _message_at(file: BinaryIO, place: int) -> _Message | None:
     """Return the message that begins at a byte; None if none does."""
     if place < 0:
         return None
@@ -166,20 +166,20 @@ def _read(file: BinaryIO, place: int) -> _Message | None:
         return None
     if not length:
         return _Message(0, place + 8)
-    return _message(file.read(length), place, place + 8 + length)
+    return _parsed_message(file.read(length), place, place + 8 + length)
 
 
-def _message(data: bytes, offset: int, body: int) -> _Message | None:
+def _parsed_message(data: bytes, offset: int, body: int) -> _Message | None:
     """Return a message whose body begins at byte `body`; None if it makes no sense."""
     try:
-        root = _at("<I", data, 0)
-        kind = _at("<B", data, _field(data, root, HEADER_TYPE))
-        body_bytes = _at("<q", data, where) if (where := _field(data, root, BODY_LENGTH)) else 0
+        root = _number_at("<I", data, 0)
+        kind = _number_at("<B", data, _field(data, root, HEADER_TYPE))
+        body_bytes = _number_at("<q", data, where) if (where := _field(data, root, BODY_LENGTH)) else 0
         batch = None
         if kind == BATCH:
             at = _field(data, root, HEADER)
-            table = at + _at("<I", data, at)
-            rows = _at("<q", data, where) if (where := _field(data, table, ROWS)) else 0
+            table = at + _number_at("<I", data, at)
+            rows = _number_at("<q", data, where) if (where := _field(data, table, ROWS)) else 0
             batch = Batch(offset, rows, body_bytes, bool(_field(data, table, COMPRESSION)))
     except (struct.error, ValueError):
         return None
@@ -189,15 +189,15 @@ def _message(data: bytes, offset: int, body: int) -> _Message | None:
 
 def _field(data: bytes, table: int, number: int) -> int:
     """Return the place of a field of a FlatBuffers table; 0 if it has its default."""
-    fields = table - _at("<i", data, table)
+    fields = table - _number_at("<i", data, table)
     place = 4 + 2 * number
-    if fields < 0 or place + 2 > _at("<H", data, fields):
+    if fields < 0 or place + 2 > _number_at("<H", data, fields):
         return 0
-    offset = _at("<H", data, fields + place)
+    offset = _number_at("<H", data, fields + place)
     return table + offset if offset else 0
 
 
-def _at(form: str, data: bytes, place: int) -> int:
+def _number_at(form: str, data: bytes, place: int) -> int:
     if place < 0:
         raise ValueError("before the beginning")
     (value,) = struct.unpack_from(form, data, place)

@@ -243,16 +243,16 @@ def year_first(block: bytes, order: str, thorough: bool) -> bytes:
             are all there are.
     """
     if thorough:
-        return DATE_BYTES.sub(lambda found: _iso(found, order), block)
+        return DATE_BYTES.sub(lambda found: _with_year_first(found, order), block)
     end = block.find(b"\n") + 1 or len(block)
     begin = block.rstrip(b"\r\n").rfind(b"\n") + 1
     ends = [found for line in (block[:end], block[begin:]) if (found := DATE_BYTES.search(line))]
-    for old, new in {found[0]: _iso(found, order) for found in ends}.items():
+    for old, new in {found[0]: _with_year_first(found, order) for found in ends}.items():
         block = block.replace(old, new)
     return block
 
 
-def _iso(found: re.Match[bytes], order: str) -> bytes:
+def _with_year_first(found: re.Match[bytes], order: str) -> bytes:
     """Return a match with the year first and an hour of two digits; unchanged where it is no date."""
     day = read_date(found[0].decode(), order)
     hour = b"" if found[6] is None else b"0" + found[6]
@@ -475,21 +475,16 @@ def find_time_format(
 def _number_format(
     values: Sequence[float], unit_us: float | None, rate_hz: float | None, path: Path
 ) -> TimeFormat:
-    step = _usual_step(values)
-    middle = sorted(values)[len(values) // 2]
-    low, high = (rate_hz / 2, rate_hz * 2) if rate_hz else PLAUSIBLE_HZ
-    units = UNITS_US if unit_us is None else (unit_us,)
-    since = [unit for unit in units if _is_epoch(middle * unit) and step * unit <= LONGEST_PERIOD_US]
-    periods = {unit: step * unit for unit in (*UNITS_US, DAY_US)}
-    fitting = [unit for unit, period in periods.items() if period > 0 and low <= 1e6 / period <= high]
+    step, middle = _usual_step(values), sorted(values)[len(values) // 2]
+    since = _units_since_1970(UNITS_US if unit_us is None else (unit_us,), step, middle)
+    fitting = _fitting_units(step, rate_hz)
     sure = [unit for unit in since if unit in fitting]
     if sure or (since and not fitting):
         return TimeFormat((sure or since)[0])
     if unit_us is not None:
         return TimeFormat(unit_us, since_1970=bool(since))
-    for epoch_day in EPOCH_DAYS:
-        if fitting == [DAY_US] and _is_epoch((middle - epoch_day) * DAY_US):
-            return TimeFormat(DAY_US, epoch_day=epoch_day)
+    if fitting == [DAY_US] and (epoch_day := _epoch_day(middle)):
+        return TimeFormat(DAY_US, epoch_day=epoch_day)
     if len(fitting) == 1 and (rate_hz or not since):
         return TimeFormat(fitting[0], since_1970=False)
     known = f"does not fit {rate_hz:g} Hz" if rate_hz else "may be seconds or milliseconds"
@@ -498,6 +493,23 @@ def _number_format(
         path=path,
         hint="give the right --rate, or --time-column none with --rate if it only counts rows",
     )
+
+
+def _fitting_units(step: float, rate_hz: float | None) -> list[float]:
+    """Return the units [us] in which numbers that rise by a step a row fit the rate, or an actigraph's."""
+    low, high = (rate_hz / 2, rate_hz * 2) if rate_hz else PLAUSIBLE_HZ
+    periods = {unit: step * unit for unit in (*UNITS_US, DAY_US)}
+    return [unit for unit, period in periods.items() if period > 0 and low <= 1e6 / period <= high]
+
+
+def _units_since_1970(units: Sequence[float], step: float, middle: float) -> list[float]:
+    """Return the units [us] in which numbers count from 1970 and rise slowly enough."""
+    return [unit for unit in units if _is_epoch(middle * unit) and step * unit <= LONGEST_PERIOD_US]
+
+
+def _epoch_day(middle: float) -> float | None:
+    """Return the number of 1970-01-01 by which a number of days is a date of our time, None if none is."""
+    return next((day for day in EPOCH_DAYS if _is_epoch((middle - day) * DAY_US)), None)
 
 
 def _is_epoch(time_us: float) -> bool:

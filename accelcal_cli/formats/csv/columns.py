@@ -350,30 +350,30 @@ def _time_columns(
     dialect: Dialect, titles: list[Title], options: ReadOptions, xyz: tuple[int, int, int], path: Path
 ) -> tuple[int | None, int | None]:
     """Return the column of the times, None without any, and that of the dates if it is another."""
-    dated = [number for number, kind in enumerate(dialect.kinds) if kind is CellKind.TIME]
-    if options.time_column == "none":
-        return None, None
+    dated = dialect.columns_of(CellKind.TIME)
     if options.time_column is not None:
         return _chosen_time(dialect, options.time_column, dated, path)
     named = [title.number for title in titles if title.number not in xyz and title.is_time]
-    both = [number for number in named if number in dated]
+    both = sorted({*named} & {*dated})
     if pair := _date_and_time(dialect, both) or _date_and_time(dialect, dated):
         return pair
-    for found in (both, named, dated):
-        if len(found) == 1:
-            return found[0], None
-        if found:
-            which = ", ".join(map(dialect.column_name, found))
-            raise UnreadableError(
-                f"several columns may be the time ({which})",
-                path=path,
-                hint="name one with --time-column, or give --time-column none and --rate",
-            )
-    return 0 if not titles and min(xyz) > 0 and _may_be_time(dialect, 0) else None, None
+    found = both or named or dated
+    if len(found) > 1:
+        raise UnreadableError(
+            f"several columns may be the time ({', '.join(map(dialect.column_name, found))})",
+            path=path,
+            hint="name one with --time-column, or give --time-column none and --rate",
+        )
+    if found:
+        return found[0], None
+    untitled = not titles and min(xyz) > 0
+    return (0, None) if untitled and _may_be_time(dialect, 0) else (None, None)
 
 
-def _chosen_time(dialect: Dialect, name: str, dated: list[int], path: Path) -> tuple[int, int | None]:
+def _chosen_time(dialect: Dialect, name: str, dated: list[int], path: Path) -> tuple[int | None, int | None]:
     """Return the column that --time-column names, and that of the dates if it is the only one that fits."""
+    if name == "none":
+        return None, None
     chosen = _chosen_column(dialect, name, "--time-column", path)
     others = [column for column in dated if column != chosen]
     pairs = [pair for column in others if (pair := _date_and_time(dialect, [chosen, column]))]

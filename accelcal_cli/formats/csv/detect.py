@@ -149,11 +149,7 @@ def detect(path: Path, options: ReadOptions) -> Detected:
         raise UnreadableError(export.doubt.message, path=path, line=1, hint=export.doubt.hint)
     dialect = find_dialect(head, export.preamble)
     if dialect is None:
-        utf_16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
-        hint = (
-            "it is written in UTF-16; save it again as UTF-8" if utf_16 else "name its format with --format"
-        )
-        raise UnreadableError("holds no rows of three or more numbers", path=path, line=1, hint=hint)
+        raise _no_rows(path, head)
     if dialect.bare_returns:
         head = _head(path, True)
     dialect = _with_names(dialect, export, path)
@@ -191,6 +187,13 @@ def _refuse_not_positive(options: ReadOptions) -> None:
 def _head(path: Path, bare_returns: bool) -> bytes:
     with LineFile(path, bare_returns) as file:
         return file.read(HEAD_BYTES).rstrip(b"\0")
+
+
+def _no_rows(path: Path, head: bytes) -> UnreadableError:
+    hint = "name its format with --format"
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        hint = "it is written in UTF-16; save it again as UTF-8"
+    return UnreadableError("holds no rows of three or more numbers", path=path, line=1, hint=hint)
 
 
 def _with_names(dialect: Dialect, export: ExportDescription, path: Path) -> Dialect:
@@ -429,10 +432,9 @@ def bids_description(path: Path) -> ExportDescription | None:
     point = next(iter(accel)) if len(accel) == 1 else None
     rates = [one.get("sampling_frequency", "") for one in channels if one.get("type") == ACCEL]
     rates.append(str(about.get("SamplingFrequency")))
-    model, serial = (about.get(key) for key in ("ManufacturersModelName", "DeviceSerialNumber"))
     return ExportDescription(
         title="Motion-BIDS",
-        device=Device(model if isinstance(model, str) else None, serial if isinstance(serial, str) else None),
+        device=Device(_text(about, "ManufacturersModelName"), _text(about, "DeviceSerialNumber")),
         names=tuple(_title(channel) for channel in channels),
         xyz=None if point is None else accel[point],
         gyro=None if point is None else gyro.get(point),
@@ -464,6 +466,11 @@ def _sidecar_object(path: Path) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
+def _text(about: dict[str, Any], key: str) -> str | None:
+    value = about.get(key)
+    return value if isinstance(value, str) else None
+
+
 def _positive(text: str) -> float | None:
     try:
         value = float(text)
@@ -473,7 +480,6 @@ def _positive(text: str) -> float | None:
 
 
 def _title(channel: dict[str, str]) -> str:
-    """Return a column's name with its unit."""
     name, unit = channel.get("name", ""), channel.get("units", "n/a")
     unit = "C" if unit in CELSIUS else unit
     return name if unit in ("", "n/a") else f"{name} [{unit}]"

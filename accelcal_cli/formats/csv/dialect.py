@@ -185,6 +185,10 @@ class Dialect:
         """The number of columns in every row."""
         return len(self.kinds)
 
+    def columns_of(self, kind: CellKind) -> list[int]:
+        """Return the numbers of the columns of a kind."""
+        return [number for number, other in enumerate(self.kinds) if other is kind]
+
     def column_name(self, column: int) -> str:
         """Return a column's number and name, for people."""
         name = self.names[column] if self.names else ""
@@ -226,7 +230,7 @@ def _dialect_of(head: bytes, preamble: int) -> Dialect | None:
     raw_lines, offset = lines[preamble:], mark + sum(map(len, lines[:preamble]))
     normalisers = _normalisers(b"".join(raw_lines))
     for tail in _tail_sizes(len(raw_lines)):
-        layouts = [_Layout.of(raw_lines, normaliser, tail) for normaliser in normalisers]
+        layouts = [_DelimiterTrial.of(raw_lines, normaliser, tail) for normaliser in normalisers]
         best = max(layouts, key=lambda layout: layout.score)
         least = 0.0 if tail >= SURE_LINES else 0.5
         if best.score > least and (dialect := best.dialect(offset)):
@@ -246,7 +250,7 @@ def _tail_sizes(lines: int) -> Iterator[int]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Layout:
+class _DelimiterTrial:
     """One delimiter, tried on the last lines of a head."""
 
     raw_lines: list[bytes]
@@ -254,11 +258,9 @@ class _Layout:
     kinds: tuple[CellKind, ...]
 
     @classmethod
-    def of(cls, raw_lines: list[bytes], normaliser: Normaliser, tail: int) -> _Layout:
+    def of(cls, raw_lines: list[bytes], normaliser: Normaliser, tail: int) -> _DelimiterTrial:
         delimiter = normaliser.delimiter
-        marks = (b" ", b"\t") if delimiter == " " else (delimiter.encode(),)
-        last = [*islice((line for line in reversed(raw_lines) if line.strip()), tail)][::-1]
-        rows = _rows(last, normaliser) if any(mark in line for line in last for mark in marks) else []
+        rows = _last_rows(raw_lines, normaliser, tail)
         width, count = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
         if width < 3 or count < 0.9 * len(rows):
             return cls(raw_lines, normaliser, ())
@@ -282,7 +284,7 @@ class _Layout:
         if first is None:
             return None
         names, units, names_line = self._names(first)
-        sample = _numbered(self.raw_lines[first : first + SAMPLE_ROWS], self.normaliser, first + 1)
+        sample = _numbered_rows(self.raw_lines[first : first + SAMPLE_ROWS], self.normaliser, first + 1)
         whole = [(line, tuple(row)) for line, row in sample if len(row) == len(self.kinds)]
         lines, rows = zip(*whole, strict=True)
         offset += sum(map(len, self.raw_lines[:first]))
@@ -337,14 +339,21 @@ class _Layout:
 
 def _rows(raw_lines: list[bytes], normaliser: Normaliser) -> list[list[str]]:
     """Return the cells of all lines that are not blank, as they are written."""
-    return [row for _, row in _numbered(raw_lines, normaliser, 1)]
+    return [row for _, row in _numbered_rows(raw_lines, normaliser, 1)]
 
 
-def _numbered(raw_lines: list[bytes], normaliser: Normaliser, first: int) -> list[tuple[int, list[str]]]:
+def _numbered_rows(raw_lines: list[bytes], normaliser: Normaliser, first: int) -> list[tuple[int, list[str]]]:
     """Return these cells, each row with its line number; `first` is that of the first."""
     plain = replace(normaliser, decimal_comma=False, slash_dates=False)
     rows = [split_line(decode(plain(line)).rstrip("\r\n"), normaliser.delimiter) for line in raw_lines]
     return [(line, row) for line, row in enumerate(rows, first) if row]
+
+
+def _last_rows(raw_lines: list[bytes], normaliser: Normaliser, number: int) -> list[list[str]]:
+    """Return the cells of the last lines that are not blank; none if no line has the delimiter."""
+    marks = (b" ", b"\t") if normaliser.delimiter == " " else (normaliser.delimiter.encode(),)
+    last = [*islice((line for line in reversed(raw_lines) if line.strip()), number)][::-1]
+    return _rows(last, normaliser) if any(mark in line for line in last for mark in marks) else []
 
 
 def _column_kinds(rows: list[list[str]], delimiter: str, share: float) -> tuple[CellKind, ...]:

@@ -219,7 +219,6 @@ class CsvReader(Reader):
             yield from stream.rows(file.blocks(dialect.offset, dialect.skipped + 1, size), self.threads)
 
     def _first_time(self) -> int | None:
-        """Return the time of the first usable row [us], None without dates."""
         assembler = CsvAssembler(self._detected)
         samples = int(HEAD_BYTES / self._detected.line_bytes)
         for rows, block in self._rows(RowStream(self._detected), samples):
@@ -466,7 +465,6 @@ class CsvAssembler:
 
 
 def _message(run: Run) -> str:
-    """Return the message on what is wrong with the rows of a run, and where."""
     size, count, line = run.event.amount_us, run.count, run.event.line
     text = run.event.text.format(
         rows="1 row" if count == 1 else f"{count} rows",
@@ -487,7 +485,6 @@ def _joined_files(lines: Sequence[int], samples: int) -> tuple[Problem, ...]:
 
 
 def _cut_short(block: Block, samples: int) -> tuple[Problem, ...]:
-    """Return the problem with what the last block leaves behind."""
     text = BROKEN_OFF
     if not block.broken:
         if not block.tail.strip() and not block.zeros:

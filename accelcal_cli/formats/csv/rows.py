@@ -92,8 +92,7 @@ def shortened(text: str) -> str:
     return text if len(text) <= SHOWN else text[:SHOWN] + "..."
 
 
-def _three(table: Any, columns: tuple[int, int, int]) -> NDArray[np.float64]:
-    """Return three columns of a parsed table, (n, 3)."""
+def _xyz(table: Any, columns: tuple[int, int, int]) -> NDArray[np.float64]:
     values = np.empty((table.num_rows, 3))
     for axis, column in enumerate(columns):
         values[:, axis] = floats(table[str(column)])
@@ -166,12 +165,12 @@ class TableParser:
         if block.lines != table.num_rows:
             rows = [number for number, text in enumerate(data.splitlines()) if text]
             line = block.line + np.array(rows, np.int64)
-        values = _three(table, self.roles.xyz)
+        values = _xyz(table, self.roles.xyz)
         stamps = None if self.time is None else self.time.microseconds(table[str(self.roles.time)])
         if stamps is not None and impossible is not None:
             stamps[impossible] = IMPOSSIBLE
         channels = {name: floats(table[str(column)]) for name, column in self.roles.channels.items()}
-        rates = None if self.roles.gyro is None else _three(table, self.roles.gyro)
+        rates = None if self.roles.gyro is None else _xyz(table, self.roles.gyro)
         return ParsedTable(line, values, stamps, channels, rates)
 
     def _table(self, data: bytes, block: Block) -> tuple[Any, bytes, NDArray[np.bool_] | None]:
@@ -204,7 +203,6 @@ class TableParser:
         return table.set_column(place, name, pa.chunked_array([times])), impossible
 
     def _bad_line(self, data: bytes, first_line: int) -> UnreadableError:
-        """Return the error that names the first line of text that cannot be parsed."""
         lines = data.splitlines(keepends=True)
         good, bad = 0, len(lines)
         while bad - good > 1:

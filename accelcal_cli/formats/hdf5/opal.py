@@ -38,7 +38,7 @@ TIME = "Time"
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class OpalLayout:
     """The paths of datasets within the group of a sensor.
 
     Attributes:
@@ -51,7 +51,7 @@ class Layout:
 
 
 LAYOUTS = {
-    OLD: Layout(
+    OLD: OpalLayout(
         "Calibrated/Accelerometers",
         "",
         {
@@ -59,7 +59,7 @@ LAYOUTS = {
             "temperature_mc": ("Calibrated/Temperature", "deg C"),
         },
     ),
-    NEW: Layout(
+    NEW: OpalLayout(
         "Accelerometer",
         "Configuration",
         {"gyro_counts": ("Gyroscope", "rad/s"), "temperature_mc": ("Temperature", "deg C")},
@@ -68,7 +68,7 @@ LAYOUTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Sensor:
+class OpalSensor:
     """One sensor of a file: its number, where it was worn, and the group that holds its data."""
 
     serial: str
@@ -102,7 +102,7 @@ def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
             return Hdf5Reader(_plan(file, path, _choose(sensors, options.sensor, path), layout, options))
 
 
-def _contents(file: Any, path: Path) -> tuple[Layout, list[Sensor]]:
+def _contents(file: Any, path: Path) -> tuple[OpalLayout, list[OpalSensor]]:
     version = _version(file)
     if version == NEW:
         return LAYOUTS[NEW], _new_sensors(file)
@@ -122,27 +122,27 @@ def _version(file: Any) -> int | None:
     return None if number is None else int(number)
 
 
-def _new_sensors(file: Any) -> list[Sensor]:
-    """Return the sensors of a version 5 file that have an accelerometer."""
+def _new_sensors(file: Any) -> list[OpalSensor]:
     sensors = []
     for serial, group in h5.members(file["Sensors"])[0]:
         if LAYOUTS[NEW].accel in group:
             path = f"Sensors/{serial}"
             label = h5.attributes_of(file, f"{path}/{LAYOUTS[NEW].settings}").text("Label 0", "Label 1")
-            sensors.append(Sensor(serial, label or "", path))
+            sensors.append(OpalSensor(serial, label or "", path))
     return sensors
 
 
-def _old_sensors(file: Any) -> list[Sensor]:
-    """Return the sensors of an older file that have an accelerometer."""
+def _old_sensors(file: Any) -> list[OpalSensor]:
     groups = h5.text_list(file.attrs["CaseIdList"])
     labels = h5.text_list(file.attrs["MonitorLabelList"]) if "MonitorLabelList" in file.attrs else []
     labels += [""] * (len(groups) - len(labels))
     found = zip(groups, labels, strict=False)
-    return [Sensor(group, label, group) for group, label in found if f"{group}/{LAYOUTS[OLD].accel}" in file]
+    return [
+        OpalSensor(group, label, group) for group, label in found if f"{group}/{LAYOUTS[OLD].accel}" in file
+    ]
 
 
-def _choose(sensors: list[Sensor], wanted: str | None, path: Path) -> Sensor:
+def _choose(sensors: list[OpalSensor], wanted: str | None, path: Path) -> OpalSensor:
     listed = ", ".join(str(item) for item in sensors)
     if not sensors:
         raise UnreadableError(
@@ -160,7 +160,7 @@ def _choose(sensors: list[Sensor], wanted: str | None, path: Path) -> Sensor:
     return found[0]
 
 
-def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOptions) -> ReadingPlan:
+def _plan(file: Any, path: Path, sensor: OpalSensor, layout: OpalLayout, options: ReadOptions) -> ReadingPlan:
     accel_track = _track(file, sensor, layout.accel, path, 3)
     settings = h5.attributes_of(file, f"{sensor.group}/{layout.settings}")
     stated_hz = options.rate_hz or settings.number("Sample Rate", "SampleRate") or None
@@ -191,7 +191,9 @@ def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOp
     return ReadingPlan(recording, accel_track.rows, accel, stamps, channels, problems, missing)
 
 
-def _track(file: Any, sensor: Sensor, name: str, path: Path, width: int, accel: Track | None = None) -> Track:
+def _track(
+    file: Any, sensor: OpalSensor, name: str, path: Path, width: int, accel: Track | None = None
+) -> Track:
     """Return a dataset of the sensor with `width` numbers a row, as long as `accel`."""
     full = f"{sensor.group}/{name}"
     node = file.get(full)
@@ -221,8 +223,9 @@ def _scale(file: Any, track: Track, options: ReadOptions, path: Path) -> CountSc
     return physical_scale(unit, track.dtype)
 
 
-def _channels(file: Any, sensor: Sensor, layout: Layout, accel: Track, path: Path) -> dict[str, Channel]:
-    """Return the channels besides the acceleration that can be read."""
+def _channels(
+    file: Any, sensor: OpalSensor, layout: OpalLayout, accel: Track, path: Path
+) -> dict[str, Channel]:
     found: dict[str, Channel] = {}
     for name, (dataset, usual_unit) in layout.channels.items():
         try:

@@ -14,7 +14,16 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.formats._tables.reader import ReadingPlan, TableReader, plan_of, source_of
 from accelcal_cli.formats._tables.table import Attributes, SensorTable, Track, track_of_shape
-from accelcal_cli.formats.hdf5 import file as h5
+from accelcal_cli.formats.hdf5.file import (
+    H5PY_ERRORS,
+    NodeAttributes,
+    attributes_of,
+    explaining,
+    h5py_guard,
+    members,
+    missing_bytes,
+    open_hdf5,
+)
 from accelcal_cli.formats.hdf5.rows import ChunkIndex, TrackRows
 
 MATLAB_EMPTY = "MATLAB_empty"
@@ -26,7 +35,7 @@ class Hdf5Table(SensorTable):
 
     Args:
         pool: unpacks ahead where it can; None if one thread does all.
-        stored: indexes of chunks by the paths of datasets.
+        indexes: indexes of chunks by the paths of datasets.
     """
 
     word = "dataset"
@@ -36,36 +45,36 @@ class Hdf5Table(SensorTable):
         file: Any,
         path: Path,
         pool: Executor | None = None,
-        stored: dict[str, ChunkIndex | None] | None = None,
+        indexes: dict[str, ChunkIndex | None] | None = None,
     ) -> None:
-        self.path, self._file, self._pool, self._stored = path, file, pool, stored
+        self.path, self._file, self._pool, self._indexes = path, file, pool, indexes
 
     def missing_bytes(self) -> int:
         """Return the number of bytes that a file that was cut short lacks at its end."""
-        return h5.missing_bytes(self._file, self.path)
+        return missing_bytes(self._file, self.path)
 
     def own(self, path: str) -> Attributes:
         """Return the attributes of a dataset alone."""
-        return h5.NodeAttributes([self._file[path]])
+        return NodeAttributes([self._file[path]])
 
     def stated(self, path: str) -> Attributes:
         """Return the attributes of a dataset, then of the groups that hold it, up to the file."""
-        return h5.attributes_of(self._file, path)
+        return attributes_of(self._file, path)
 
     def rows(self, track: Track) -> TrackRows:
         """Return the rows of a dataset."""
-        return TrackRows(self._file, track, self.path, self._pool, self._stored)
+        return TrackRows(self._file, track, self.path, self._pool, self._indexes)
 
     @contextmanager
     def guard(self, what: str) -> Iterator[None]:
         """Turn whatever h5py raises into an UnreadableError that names the part concerned."""
-        with h5.h5py_guard(self.path, what):
+        with h5py_guard(self.path, what):
             yield
 
     @contextmanager
     def explaining(self, damaged: int = 0) -> Iterator[None]:
         """Add to any error of ours that the file is cut short or damaged, if it is."""
-        with h5.explaining(self.path, self.missing_bytes(), damaged):
+        with explaining(self.path, self.missing_bytes(), damaged):
             yield
 
 
@@ -84,7 +93,7 @@ def all_tracks(file: Any) -> tuple[tuple[Track, ...], int]:
     groups = [("", file["/"])]
     while groups:
         parent, group = groups.pop()
-        nodes, lost = h5.members(group)
+        nodes, lost = members(group)
         damaged += lost
         for name, node in nodes:
             address = hash(node.id)
@@ -101,7 +110,7 @@ def all_tracks(file: Any) -> tuple[tuple[Track, ...], int]:
 def _track(path: str, dataset: Any) -> Track | None:
     try:
         return as_track(path, dataset)
-    except h5.H5PY_ERRORS:
+    except H5PY_ERRORS:
         return None
 
 
@@ -113,7 +122,7 @@ def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
             counts per g, are stated nowhere.
         UsageError: an option names no dataset.
     """
-    with h5.open_hdf5(path) as file, h5.h5py_guard(path, "list of datasets"):
+    with open_hdf5(path) as file, h5py_guard(path, "list of datasets"):
         tracks, damaged = all_tracks(file)
         table = Hdf5Table(file, path)
         with table.explaining(damaged), table.guard("description of the recording"):
@@ -127,11 +136,11 @@ class Hdf5Reader(TableReader):
 
     def __init__(self, plan: ReadingPlan) -> None:
         super().__init__(plan)
-        self._stored: dict[str, ChunkIndex | None] = {}
+        self._indexes: dict[str, ChunkIndex | None] = {}
 
     @contextmanager
     def table(self) -> Iterator[Hdf5Table]:
         """Open the file; chunks are unpacked ahead where several threads may work."""
         path = self.recording.path
-        with h5.open_hdf5(path) as file, thread_pool(self.threads, "hdf5") as pool:
-            yield Hdf5Table(file, path, pool, self._stored)
+        with open_hdf5(path) as file, thread_pool(self.threads, "hdf5") as pool:
+            yield Hdf5Table(file, path, pool, self._indexes)

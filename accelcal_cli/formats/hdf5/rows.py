@@ -129,18 +129,16 @@ def stored_chunks(dataset: Any, axis: int, columns: range) -> ChunkIndex | None:
     return ChunkIndex(found[times == len(columns)] // length, odd // length)
 
 
-def refuse_impossible(
-    dataset: Any, axis: int, columns: range, rows: range, stored: ChunkIndex | None
-) -> None:
+def refuse_impossible(dataset: Any, axis: int, columns: range, rows: range, index: ChunkIndex | None) -> None:
     """Raise OSError, as h5py does elsewhere, if the library cannot be trusted with the chunks of some rows.
 
     Args:
-        stored: the index of all chunks; None: each is asked for.
+        index: of all chunks; None: each is asked for.
     """
     length = dataset.chunks[axis]
     chunks = range(rows.start // length, -(-rows.stop // length))
-    if stored is not None:
-        first, last = np.searchsorted(stored.impossible, (chunks.start, chunks.stop))
+    if index is not None:
+        first, last = np.searchsorted(index.impossible, (chunks.start, chunks.stop))
         sound = first == last
     else:
         sizes = ChunkSizes(dataset)
@@ -335,7 +333,7 @@ class TrackRows:
 
     Args:
         pool: unpacks ahead where it can; None if one thread does all.
-        stored: indexes of chunks by the paths of datasets, kept for the next time that they are opened.
+        indexes: indexes of chunks by the paths of datasets, kept for the next time that they are opened.
 
     Raises:
         UnreadableError: the dataset's storage is of a kind that cannot be read in parts.
@@ -347,7 +345,7 @@ class TrackRows:
         track: Track,
         path: Path,
         pool: Executor | None = None,
-        stored: dict[str, ChunkIndex | None] | None = None,
+        indexes: dict[str, ChunkIndex | None] | None = None,
     ) -> None:
         self.dataset = file[track.path]
         self._track = track
@@ -368,9 +366,9 @@ class TrackRows:
             self.dataset = None
             self.dataset = keeping_chunks(file, track.path, self.kept_bytes)
         self._has_holes = self._find_holes()
-        self._known = {} if stored is None else stored
+        self._indexes = {} if indexes is None else indexes
         index = self._index() if self._has_holes else None
-        self._exist = None if index is None else index.written
+        self._written_chunks = None if index is None else index.written
         self._refuse_hardly_written()
 
     def _chunking(self) -> tuple[int, int]:
@@ -415,9 +413,9 @@ class TrackRows:
             )
 
     def _refuse_hardly_written(self) -> None:
-        if not self._has_holes or self._exist is None:
+        if not self._has_holes or self._written_chunks is None:
             return
-        written = len(self._exist) * self._chunk_rows
+        written = len(self._written_chunks) * self._chunk_rows
         if written * MOST_CLAIMED < self._track.rows:
             raise self._refusal(
                 f"claims {self._track.rows} rows, of which only {written} were ever written",
@@ -446,9 +444,9 @@ class TrackRows:
 
     def _index(self) -> ChunkIndex | None:
         """Return the index of all chunks; None if each has to be asked for."""
-        if self.path not in self._known:
-            self._known[self.path] = stored_chunks(self.dataset, self._track.axis, self._columns())
-        return self._known[self.path]
+        if self.path not in self._indexes:
+            self._indexes[self.path] = stored_chunks(self.dataset, self._track.axis, self._columns())
+        return self._indexes[self.path]
 
     @property
     def path(self) -> str:
@@ -552,12 +550,11 @@ class TrackRows:
             return np.ones(stop - start, np.bool_)
         size = self._chunk_rows
         chunks = np.arange(start // size, -(-stop // size))
-        if self._exist is None:
+        if self._written_chunks is None:
             written = np.array([self.chunk_offset(chunk * size) is not None for chunk in chunks.tolist()])
         else:
-            written = np.isin(
-                chunks, self._exist[slice(*np.searchsorted(self._exist, chunks[[0, -1]] + [0, 1]))]
-            )
+            first, end = np.searchsorted(self._written_chunks, chunks[[0, -1]] + [0, 1])
+            written = np.isin(chunks, self._written_chunks[first:end])
         return np.repeat(written, size)[start % size :][: stop - start]
 
     def chunk_offset(self, row: int) -> int | None:

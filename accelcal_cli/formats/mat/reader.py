@@ -190,7 +190,6 @@ class MatElements:
             self._element(cursor, cursor.tag(), f"{name}/{own}", depth + 1)
 
     def _letters(self, cursor: Cursor, name: str) -> None:
-        """Read a text of one line."""
         tag = cursor.tag()
         if tag.kind not in ENCODINGS or tag.size > LONGEST_TEXT:
             return

@@ -110,7 +110,6 @@ def _head(data: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
 
 
 def _scalar(head: bytes, length: int, dtype: np.dtype[Any]) -> object:
-    """Return the only number or text of an array."""
     if dtype.hasobject or not 0 < dtype.itemsize <= LONGEST_TEXT:
         raise ValueError("no plain value")
     try:
