@@ -1,8 +1,9 @@
 """Simulated wrist wear: a stream of chunks from a sensor with known errors, and the truth about it.
 
-`Sensor` turns true acceleration into raw counts (the inverse of F eq. 7-9). Wear is made of bouts of sleep,
-desk work, walking, chores, and the watch left on a table; each gives true acceleration in g and says which
-samples are motionless. Directions are of the specific force at rest: a watch lying face up reads (0, 0, 1).
+`SimulatedSensor` turns true acceleration into raw counts (the inverse of F eq. 7-9). Wear is made of bouts of
+sleep, desk work, walking, chores, and the watch left on a table; each gives true acceleration in g and says
+which samples are motionless. Directions are of the specific force at rest: a watch lying face up reads
+(0, 0, 1).
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Sensor:
+class SimulatedSensor:
     """A sensor with known errors, in the convention of the report: a = K (v + o + s (T - Tref)).
 
     Attributes:
@@ -287,7 +288,7 @@ class SimulationPlan:
     days: float
     rate_hz: float
     seed: int
-    sensor: Sensor
+    sensor: SimulatedSensor
     temperature: bool = True
     unit_samples: int = 1
     gyroscope: GyroSensor | None = None
@@ -307,7 +308,7 @@ class Truth:
     before: list[float] = field(default_factory=list)
     after: list[float] = field(default_factory=list)
 
-    def see(self, counts: NDArray[np.int16], temperature: Floats, sensor: Sensor) -> None:
+    def see(self, counts: NDArray[np.int16], temperature: Floats, sensor: SimulatedSensor) -> None:
         """Take in one motionless stretch."""
         mean = counts.mean(axis=0) / sensor.lsb_per_g
         moved = mean + sensor.offset_g + sensor.slope_g_per_c * (temperature.mean() - sensor.reference_c)

@@ -14,7 +14,7 @@ from accelcal_cli.core.clock import UniformClock, rate_fraction
 from accelcal_cli.core.recording import Chunk
 from accelcal_cli.simulate import (
     START_US,
-    Sensor,
+    SimulatedSensor,
     SimulationPlan,
     Truth,
     Wearer,
@@ -25,7 +25,7 @@ from accelcal_cli.simulate import (
 )
 
 GAIN, OFFSET = draw_gain_and_offset(11, 1.0, 1.0)
-SENSOR = Sensor(GAIN, OFFSET, np.array([0.0009, -0.0006, 0.0012]), 0.003, 1024.0, 8.0)
+SENSOR = SimulatedSensor(GAIN, OFFSET, np.array([0.0009, -0.0006, 0.0012]), 0.003, 1024.0, 8.0)
 PLAN = SimulationPlan(0.1, 25.0, 4, SENSOR)
 
 

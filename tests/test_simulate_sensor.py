@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from numpy.random import RandomState
 
-from accelcal_cli.simulate import Sensor, draw_gain_and_offset
+from accelcal_cli.simulate import SimulatedSensor, draw_gain_and_offset
 from tests.optimize.oracle import measured, random_directions
 
 GAIN = np.array([[1.04, 0, 0], [0.02, 0.95, 0], [-0.03, 0.015, 1.01]])
-SENSOR = Sensor(GAIN, np.array([0.03, -0.05, 0.02]), np.array([0.001, -0.002, 0.0015]), 0.0, 256.0, 8.0)
+SENSOR = SimulatedSensor(
+    GAIN, np.array([0.03, -0.05, 0.02]), np.array([0.001, -0.002, 0.0015]), 0.0, 256.0, 8.0
+)
 
 
 @pytest.mark.parametrize("lsb_per_g", [64.0, 256.0, 4096.0])

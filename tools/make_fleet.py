@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from accelcal_cli.pipeline.simulate import simulate
-from accelcal_cli.simulate import Sensor, SimulationPlan
+from accelcal_cli.simulate import SimulatedSensor, SimulationPlan
 
 BEGIN = datetime(2025, 3, 3, 18)
 MONTHS = 9
@@ -70,7 +70,7 @@ def _write(
     folder: Path, device: Device, month: int, gain: np.ndarray, offset: np.ndarray, number: int
 ) -> None:
     slope = np.array(device.slope_mg_per_c) / 1000
-    sensor = Sensor(gain, offset, slope, noise_g=0.003, lsb_per_g=256.0, range_g=8.0)
+    sensor = SimulatedSensor(gain, offset, slope, noise_g=0.003, lsb_per_g=256.0, range_g=8.0)
     days = SHORT_DAYS if device.short and month % 3 else DAYS
     plan = SimulationPlan(days, RATE_HZ, 100 * number + month, sensor, temperature=slope.any())
     out = folder / f"{device.serial}-{month + 1:02}"

@@ -15,7 +15,13 @@ from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.formats import named_encoder
 from accelcal_cli.pipeline.simulate import simulate
-from accelcal_cli.simulate import LARGEST_SEED, Sensor, SimulationPlan, draw_gain_and_offset, draw_gyroscope
+from accelcal_cli.simulate import (
+    LARGEST_SEED,
+    SimulatedSensor,
+    SimulationPlan,
+    draw_gain_and_offset,
+    draw_gyroscope,
+)
 
 
 @click.command("simulate")
@@ -70,7 +76,7 @@ def _plan(values: dict[str, Any]) -> SimulationPlan:
         raise UsageError("--range-g times --lsb-per-g does not fit in 16 bits", hint="reduce one of them")
     truth = values["seed"] if values["truth"] is None else values["truth"]
     gain, offset = draw_gain_and_offset(truth, values["errors"], values["misalignment"])
-    sensor = Sensor(
+    sensor = SimulatedSensor(
         gain=gain,
         offset_g=offset,
         slope_g_per_c=np.array(values["temp_slope"]) / 1000,

@@ -139,7 +139,7 @@ def iso_time(time_us: int | None, offset_s: int | None) -> str | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Steps:
+class TimeSteps:
     """Times of n rows, at least one, stored as the steps between them.
 
     The steps of a steady clock differ by less than a byte holds, an eighth of the memory of times; and clocks
@@ -167,7 +167,7 @@ class Steps:
         return np.cumsum(times, out=times)
 
 
-def steps_of(times_us: NDArray[np.int64]) -> Steps:
+def steps_of(times_us: NDArray[np.int64]) -> TimeSteps:
     """Return the steps between times (n,) of at least one row."""
     last = len(times_us) - 1
     ends = [(start, min(start + CACHED, last)) for start in range(0, last, CACHED)]
@@ -176,10 +176,10 @@ def steps_of(times_us: NDArray[np.int64]) -> Steps:
     above: NDArray[Any] = np.empty(last, _kind(least, most))
     for start, stop in ends:
         np.subtract(np.diff(times_us[start : stop + 1]), least, out=above[start:stop], casting="unsafe")
-    return Steps(int(times_us[0]), int(times_us[-1]), least, above)
+    return TimeSteps(int(times_us[0]), int(times_us[-1]), least, above)
 
 
-def joined_steps(parts: Sequence[Steps]) -> Steps:
+def joined_steps(parts: Sequence[TimeSteps]) -> TimeSteps:
     """Join the steps of rows, at least one, that follow one another."""
     if len(parts) == 1:
         return parts[0]
@@ -197,7 +197,7 @@ def joined_steps(parts: Sequence[Steps]) -> Steps:
             np.add(part.above, np.uint8(part.least_us - least), out=above[at : at + len(part.above)])
         at += len(part)
         above[at - 1 : at] = step - least  # nothing behind the last part
-    return Steps(parts[0].first_us, parts[-1].last_us, least, above)
+    return TimeSteps(parts[0].first_us, parts[-1].last_us, least, above)
 
 
 def _bounds(steps: NDArray[np.int64]) -> tuple[int, int]:
@@ -215,7 +215,7 @@ class Clock(Protocol):
     def times(self, start: int, stop: int) -> NDArray[np.int64]:
         """Return the times of rows start..stop-1 [us since 1970, device clock], (stop - start,)."""
 
-    def steps(self, start: int, stop: int) -> Steps:
+    def steps(self, start: int, stop: int) -> TimeSteps:
         """Return the same times, of at least one row, as the steps between them."""
 
     def part(self, start: int, stop: int) -> Clock:
@@ -247,7 +247,7 @@ class UniformClock:
         base = (self.first_index + start) * step + self.rate.numerator // 2
         return self.start_us + quotients(base, step, self.rate.numerator, stop - start)
 
-    def steps(self, start: int, stop: int) -> Steps:
+    def steps(self, start: int, stop: int) -> TimeSteps:
         """See `Clock`."""
         return steps_of(self.times(start, stop))
 
@@ -285,7 +285,7 @@ class StampClock:
         """See `Clock`."""
         return self.time_us[start:stop]
 
-    def steps(self, start: int, stop: int) -> Steps:
+    def steps(self, start: int, stop: int) -> TimeSteps:
         """See `Clock`."""
         return steps_of(self.times(start, stop))
 
@@ -329,7 +329,7 @@ class PageClock:
         on_each[0] -= skipped
         return self._uneven(pages, on_each, skipped)
 
-    def steps(self, start: int, stop: int) -> Steps:
+    def steps(self, start: int, stop: int) -> TimeSteps:
         """See `Clock`."""
         pages = self._pages(start, stop)
         rows = None if pages.stop - pages.start == 1 else self._rows_of_each(pages, stop)
@@ -377,7 +377,7 @@ class PageClock:
         into //= 2 * rows
         return into, which
 
-    def _even_steps(self, pages: slice, rows: int, start: int, stop: int) -> Steps | None:
+    def _even_steps(self, pages: slice, rows: int, start: int, stop: int) -> TimeSteps | None:
         """Return the steps between rows of pages that have equally many each; None if they differ too
         much."""
         into, which = self._spread(pages, rows)
@@ -394,7 +394,7 @@ class PageClock:
         first, last = start - int(self.first_row[pages.start]), stop - 1 - int(self.first_row[pages.stop - 1])
         wanted = above.reshape(-1)[first : first + stop - start - 1]
         shorter = int(wanted.min())
-        return Steps(
+        return TimeSteps(
             int(begins[0] + into[which[0], first]),
             int(begins[-1] + into[which[-1], last]),
             least + shorter,
@@ -426,7 +426,7 @@ class JoinedClock:
         after = self.second.times(max(start - self.rows, 0), max(stop - self.rows, 0))
         return np.concatenate((before, after))
 
-    def steps(self, start: int, stop: int) -> Steps:
+    def steps(self, start: int, stop: int) -> TimeSteps:
         """See `Clock`."""
         if start >= self.rows:
             return self.second.steps(start - self.rows, stop - self.rows)

@@ -27,7 +27,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import Steps
+from accelcal_cli.core.clock import TimeSteps
 from accelcal_cli.parquet import thrift
 from accelcal_cli.parquet.thrift import BINARY, I32, I64, LIST, STRUCT, Struct
 
@@ -262,7 +262,7 @@ def _one_run(of_rows: NDArray[Any]) -> NDArray[np.uint8]:
     return page
 
 
-def delta_chunk(name: str, steps: Steps) -> ColumnChunk | None:
+def delta_chunk(name: str, steps: TimeSteps) -> ColumnChunk | None:
     """Encode a column of times without missing ones; None where steps differ by more than a byte holds."""
     if steps.above.dtype != np.uint8:
         return None
@@ -274,7 +274,7 @@ def delta_chunk(name: str, steps: Steps) -> ColumnChunk | None:
     return chunk_of(name, INT64, pages, len(steps), extremes)
 
 
-def _delta_page(steps: Steps) -> NDArray[np.uint8]:
+def _delta_page(steps: TimeSteps) -> NDArray[np.uint8]:
     """Return the head, and blocks of one width, which is 0 where all steps are alike."""
     above, width = steps.above, 8 if steps.above.any() else 0
     blocks = -(-len(above) // DELTA_BLOCK)

@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import Clock, Steps, joined_steps
+from accelcal_cli.core.clock import Clock, TimeSteps, joined_steps
 from accelcal_cli.core.errors import output_error
 from accelcal_cli.core.parallel import BackgroundCalls, parallel_map
 from accelcal_cli.core.recording import Chunk
@@ -161,7 +161,7 @@ class _FilledGroup(Generic[R]):
     """
 
     def __init__(self, columns: Sequence[Column]) -> None:
-        self.rows, self.results, self.steps = 0, list[R](), list[Steps]()
+        self.rows, self.results, self.steps = 0, list[R](), list[TimeSteps]()
         self.memory: Memory = [(column, np.empty(ROW_GROUP_ROWS, column.dtype)) for column in columns]
 
 
@@ -246,7 +246,7 @@ class ParquetSink:
                 chunks[column.name] = encode(column.name, values)
         return RowGroup([chunks[column.name] for column in self._columns], group.rows), group.results
 
-    def _time_chunk(self, steps: Steps | None) -> ColumnChunk:
+    def _time_chunk(self, steps: TimeSteps | None) -> ColumnChunk:
         """Encode the times of a row group; None if there are no rows."""
         if steps is not None and (chunk := delta_chunk(self._time.name, steps)) is not None:
             return chunk

@@ -21,7 +21,7 @@ from accelcal_cli.core.clock import (
     JoinedClock,
     PageClock,
     StampClock,
-    Steps,
+    TimeSteps,
     UniformClock,
     iso_time,
     joined_steps,
@@ -198,7 +198,7 @@ NEAR = st.lists(st.integers(0, 300), min_size=1, max_size=60)
 FAR = st.lists(st.integers(-(1 << 62), 1 << 62), min_size=1, max_size=20)
 
 
-def same(steps: Steps, times: np.ndarray[Any, Any]) -> None:
+def same(steps: TimeSteps, times: np.ndarray[Any, Any]) -> None:
     """Assert that steps are those of times, in the one form that there is for them."""
     between = np.diff(times)
     least, most = (int(between.min()), int(between.max())) if len(between) else (0, 0)

@@ -15,7 +15,7 @@ from accelcal_cli.core.calibration import Transform
 from accelcal_cli.core.clock import UniformClock, rate_fraction
 from accelcal_cli.core.recording import Chunk
 from accelcal_cli.laboratory.homogeneity import HOUR_US, Shift, hours, lag_between, line_of, side_by_side
-from accelcal_cli.simulate import Sensor, Wearer, draw_gain_and_offset
+from accelcal_cli.simulate import SimulatedSensor, Wearer, draw_gain_and_offset
 from tests.cli.run import run
 from tests.recordings import LSB_PER_G, START, good_raw, still_counts, write_raw
 
@@ -43,7 +43,7 @@ def cupboard(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     true, paths = movement(samples), []
     for number, ahead_s in enumerate(AHEAD_S):
         gain, offset = draw_gain_and_offset(100 + number, 1.0, 1.0)
-        sensor = Sensor(gain, offset, np.zeros(3), 0.003, LSB_PER_G, 8.0)
+        sensor = SimulatedSensor(gain, offset, np.zeros(3), 0.003, LSB_PER_G, 8.0)
         counts = sensor.counts(true, np.zeros(samples), np.random.RandomState(number))
         path = write_raw(folder / f"device{number}.raw", counts)
         start = np.datetime64(START, "us") + np.timedelta64(round(ahead_s * 1e6), "us")

@@ -19,7 +19,7 @@ from accelcal_cli.laboratory.methods import collected, compare
 from accelcal_cli.pipeline.jobs import no_progress
 from accelcal_cli.pipeline.procedures import fitting
 from accelcal_cli.pipeline.simulate import TrueParameters, simulate, true_parameters
-from accelcal_cli.simulate import Sensor, SimulationPlan, draw_gain_and_offset
+from accelcal_cli.simulate import SimulatedSensor, SimulationPlan, draw_gain_and_offset
 from tests.cli.run import run_process
 from tests.optimize.oracle import directions
 
@@ -50,7 +50,7 @@ def not_overconfident(found: Judgement, path: Path) -> bool:
 
 @pytest.fixture(scope="module")
 def half_a_day(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    sensor = Sensor(*draw_gain_and_offset(1, 1.0, 1.0), np.zeros(3), 0.003, 256.0, 8.0)
+    sensor = SimulatedSensor(*draw_gain_and_offset(1, 1.0, 1.0), np.zeros(3), 0.003, 256.0, 8.0)
     plan = SimulationPlan(days=0.5, rate_hz=10.0, seed=1, sensor=sensor)
     path = tmp_path_factory.mktemp("paper") / "half.bin"
     return simulate(path, "flash", plan, force=False, progress=lambda _: None)[0]

@@ -10,7 +10,7 @@ import numpy as np
 
 from accelcal_cli.pipeline.jobs import no_progress
 from accelcal_cli.pipeline.simulate import simulate
-from accelcal_cli.simulate import Sensor, SimulationPlan, draw_gain_and_offset
+from accelcal_cli.simulate import SimulatedSensor, SimulationPlan, draw_gain_and_offset
 
 RATE_HZ, LSB_PER_G = 12.0, 256.0
 DAY, TWENTY_MINUTES = 1.0, 20 / 1440
@@ -28,7 +28,7 @@ def record(
 ) -> Path:
     """A raw dump of one device on one wrist; device number and serial may contradict each other."""
     gain, offset = draw_gain_and_offset(device, errors, 1.0)
-    sensor = Sensor(gain, offset, np.zeros(3), 0.003, LSB_PER_G, 8.0)
+    sensor = SimulatedSensor(gain, offset, np.zeros(3), 0.003, LSB_PER_G, 8.0)
     path.parent.mkdir(parents=True, exist_ok=True)
     plan = SimulationPlan(days, RATE_HZ, seed, sensor, temperature=False)
     made, _ = simulate(path, "raw", plan, force=True, progress=no_progress("", 0))

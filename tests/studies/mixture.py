@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from accelcal_cli.pipeline.simulate import simulate
-from accelcal_cli.simulate import Sensor, SimulationPlan, draw_gain_and_offset
+from accelcal_cli.simulate import SimulatedSensor, SimulationPlan, draw_gain_and_offset
 
 RATES = {
     "flash": 10.0,
@@ -33,7 +33,7 @@ GOOD_DAYS, HOPELESS_DAYS = 0.2, 0.02
 def simulated(path: Path, kind: str, seed: int, days: float = GOOD_DAYS) -> Path:
     """A recording of a sensor of its own; only the recording and its layout file stay."""
     gain, offset = draw_gain_and_offset(seed, 1.0, 1.0)
-    sensor = Sensor(gain, offset, np.zeros(3), noise_g=0.003, lsb_per_g=256.0, range_g=8.0)
+    sensor = SimulatedSensor(gain, offset, np.zeros(3), noise_g=0.003, lsb_per_g=256.0, range_g=8.0)
     plan = SimulationPlan(days, RATES[kind], seed, sensor, kind in THERMOMETER)
     path.parent.mkdir(parents=True, exist_ok=True)
     made, _ = simulate(path, kind, plan, force=True, progress=lambda _done: None)

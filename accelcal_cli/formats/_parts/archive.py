@@ -210,7 +210,7 @@ def _tar_members(path: Path) -> Iterator[tuple[str, Stream]]:
     with (
         _unpacking(path) as unpacked,
         nullcontext(_Counted(unpacked, path)) as source,
-        tarfile.open(fileobj=cast(BinaryIO, source), mode="r|", tarinfo=_Header) as tar,
+        tarfile.open(fileobj=cast(BinaryIO, source), mode="r|", tarinfo=_MemberHeader) as tar,
     ):
         for member in tar:
             if member.isfile() and (stream := tar.extractfile(member)) is not None:
@@ -229,7 +229,7 @@ def _unpacking(path: Path) -> Iterator[Any]:
         yield file if kind is None else kind(file)
 
 
-class _Header(tarfile.TarInfo):
+class _MemberHeader(tarfile.TarInfo):
     """Header of a member, which tarfile also uses to read what belongs to it, such as long names."""
 
     @classmethod

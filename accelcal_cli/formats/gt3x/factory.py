@@ -34,7 +34,7 @@ from accelcal_cli.core.recording import (
 )
 from accelcal_cli.formats.gt3x import records as log
 from accelcal_cli.formats.gt3x.archive import CALIBRATION, TEMPERATURE_CALIBRATION, Archive, small_part
-from accelcal_cli.formats.gt3x.records import Batch, Records
+from accelcal_cli.formats.gt3x.records import RecordBatch, Records
 
 MATRIX, LINE, IN_DEGREES = 2, 1, 0
 """Known methods: of the acceleration, of the temperature, and our own for a temperature in degrees."""
@@ -240,7 +240,9 @@ def temperature_of(calibration_file: CalibrationFile) -> FactoryTemperature | No
     return FactoryTemperature(TEMPERATURE_CALIBRATION, LINE, (low, high), (cold, warm))
 
 
-def temperatures(batch: Batch, factory: FactoryTemperature) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def temperatures(
+    batch: RecordBatch, factory: FactoryTemperature
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Return the temperatures of the accelerometer's thermometer, (k,) thousandths of a degree C, and where
     their records begin.
 
@@ -276,7 +278,9 @@ class Thermometer:
     def __init__(self, factory: FactoryTemperature, first_mc: int) -> None:
         self._factory, self._last = factory, first_mc
 
-    def temperatures_of(self, batch: Batch, records: Records, rows: NDArray[np.int64]) -> NDArray[np.int32]:
+    def temperatures_of(
+        self, batch: RecordBatch, records: Records, rows: NDArray[np.int64]
+    ) -> NDArray[np.int32]:
         """Return the temperatures of all samples of records, which have `rows` each; batches in file
         order."""
         found, places = temperatures(batch, self._factory)

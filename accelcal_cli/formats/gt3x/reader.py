@@ -53,16 +53,9 @@ from accelcal_cli.formats.gt3x.factory import (
     temperature_of,
     temperatures,
 )
-from accelcal_cli.formats.gt3x.records import Batch, Key, Span, batches
+from accelcal_cli.formats.gt3x.records import Key, RecordBatch, Span, batches
 from accelcal_cli.formats.gt3x.sensors import ActivityFile, Imu, Primary, Samples, Schema, Sensor, has_samples
-from accelcal_cli.formats.gt3x.timeline import (
-    ChunkPlace,
-    RowSpan,
-    Timeline,
-    chunk_of,
-    cut,
-    groups,
-)
+from accelcal_cli.formats.gt3x.timeline import ChunkPlace, RowSpan, Timeline, chunk_of, cut, groups
 
 IMU = "imu"
 SENSORS = ("accelerometer", IMU)
@@ -194,7 +187,7 @@ class LogBeginning:
     thermometer: FactoryTemperature | None = None
     first_mc: int | None = None
 
-    def take(self, batch: Batch) -> None:
+    def take(self, batch: RecordBatch) -> None:
         """Take in the next records."""
         self.parameters = log.parameters_in(batch) | self.parameters
         self.utc |= log.in_utc(batch)
@@ -208,7 +201,7 @@ class LogBeginning:
             found, _ = temperatures(batch, self.thermometer)
             self.first_mc = int(found[0]) if len(found) else None
 
-    def _take_samples(self, batch: Batch) -> None:
+    def _take_samples(self, batch: RecordBatch) -> None:
         records = batch.records
         holds = np.isin(records.kind, sensors.KINDS) & (records.size > sensors.DOCKED_BYTES)
         with_samples = records.select(holds)

@@ -274,7 +274,7 @@ class Damage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Batch:
+class RecordBatch:
     """Sound records of a piece of log.bin, and the damage between them.
 
     Attributes:
@@ -293,11 +293,11 @@ class _Framed:
     doubtful: list[int] = field(default_factory=list)
     damage: list[Damage] = field(default_factory=list)
 
-    def batch(self, page: Page) -> Batch:
+    def batch(self, page: Page) -> RecordBatch:
         doubtful = np.zeros(len(self.starts), np.bool_)
         doubtful[self.doubtful] = True
         records = records_at(page.buffer, np.array(self.starts, np.int64))
-        return Batch(page, records, doubtful, tuple(self.damage))
+        return RecordBatch(page, records, doubtful, tuple(self.damage))
 
 
 class Framer:
@@ -310,7 +310,7 @@ class Framer:
         self._lost: int | None = None
         self._most = FIRST_WALK
 
-    def feed(self, data: bytes, *, last: bool, end_byte: int = 0) -> Batch:
+    def feed(self, data: bytes, *, last: bool, end_byte: int = 0) -> RecordBatch:
         """Return the records for which it is clear what follows them."""
         page = Page(self._rest + data, self._base, last, self._span, end_byte)
         framed, index = _Framed(), 0
@@ -375,7 +375,7 @@ class Framer:
         return framed.starts.pop() if framed.starts else index
 
 
-def batches(stream: MemberStream, span: Span, threads: int = 1) -> Generator[Batch]:
+def batches(stream: MemberStream, span: Span, threads: int = 1) -> Generator[RecordBatch]:
     """Yield all records of log.bin, piece by piece.
 
     Args:
@@ -390,18 +390,18 @@ def batches(stream: MemberStream, span: Span, threads: int = 1) -> Generator[Bat
             yield framer.feed(piece.data, last=piece.last, end_byte=piece.end_byte)
 
 
-def payload(batch: Batch, number: int) -> bytes:
+def payload(batch: RecordBatch, number: int) -> bytes:
     """Return the bytes of a record's payload."""
     start = int(batch.records.start[number]) + HEADER_BYTES
     return batch.page.data[start : start + int(batch.records.size[number])]
 
 
-def payloads(batch: Batch, kind: int) -> list[bytes]:
+def payloads(batch: RecordBatch, kind: int) -> list[bytes]:
     """Return the payloads of all records of a kind."""
     return [payload(batch, number) for number in np.flatnonzero(batch.records.kind == kind).tolist()]
 
 
-def parameters_in(batch: Batch) -> dict[Key, int]:
+def parameters_in(batch: RecordBatch) -> dict[Key, int]:
     """Return parameters as 32-bit words; the last word of each counts."""
     values: dict[Key, int] = {}
     for data in payloads(batch, PARAMETERS):
@@ -424,7 +424,7 @@ def float_of(word: int) -> float:
     return float(fraction / (1 << 23) * 2.0**exponent)
 
 
-def in_utc(batch: Batch) -> bool:
+def in_utc(batch: RecordBatch) -> bool:
     """Return True if a metadata record says that the device's clock was set to UTC."""
     return any(_says_utc(data) for data in payloads(batch, METADATA))
 

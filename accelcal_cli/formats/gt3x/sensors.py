@@ -29,7 +29,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Channels, Chunk, Problem, Validity
 from accelcal_cli.formats.gt3x import records as log
 from accelcal_cli.formats.gt3x.archive import Archive, Fault, Member, MemberStream
-from accelcal_cli.formats.gt3x.records import Batch, Records
+from accelcal_cli.formats.gt3x.records import RecordBatch, Records
 
 USUAL_RATE = 100
 """Samples in a second if a schema says 0, as in the vendor's example code."""
@@ -93,10 +93,10 @@ class Sensor(Protocol):
     def fills(self) -> bool:
         """True if the device repeats its last sample while it sleeps."""
 
-    def holds(self, batch: Batch) -> NDArray[np.bool_]:
+    def holds(self, batch: RecordBatch) -> NDArray[np.bool_]:
         """Return which records of a batch hold its samples, (m,)."""
 
-    def decode(self, batch: Batch, records: Records) -> Samples:
+    def decode(self, batch: RecordBatch, records: Records) -> Samples:
         """Return the samples of those records of a batch for which `holds` is True."""
 
     def whole(self, records: Records) -> NDArray[np.bool_]:
@@ -117,7 +117,7 @@ def first_rows(rows: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class SchemaColumn:
     """A 16-bit value of each sample: its place, byte order, and counts in one unit."""
 
     offset: int
@@ -139,9 +139,9 @@ class Schema:
     number: int
     rate: int
     row_bytes: int
-    columns: dict[str, Column]
+    columns: dict[str, SchemaColumn]
 
-    def axes(self, label: str) -> tuple[Column, ...]:
+    def axes(self, label: str) -> tuple[SchemaColumn, ...]:
         """Return the columns of a sensor's three axes; none if one is missing."""
         axes = [self.columns.get(label + axis) for axis in _AXES]
         return tuple(column for column in axes if column) if all(axes) else ()
@@ -154,7 +154,7 @@ def parse_schema(data: bytes) -> Schema | None:
     number, column_count, samples = _HEAD.unpack_from(data)
     if column_count * _COLUMN.size != len(data) - _HEAD.size:
         return None
-    columns: dict[str, Column] = {}
+    columns: dict[str, SchemaColumn] = {}
     row_bytes = 0
     for flags, offset, bits, scale, label in _COLUMN.iter_unpack(data[_HEAD.size :]):
         row_bytes += bits // 8
@@ -162,7 +162,7 @@ def parse_schema(data: bytes) -> Schema | None:
         plain = bits == 16 and flags & _SIGNED and offset % 8 == 0
         if plain and LEAST_SCALE <= per_unit <= LARGEST_SCALE:
             order = ">i2" if flags & _BIG_ENDIAN else "<i2"
-            columns[label.decode("ascii", "replace").strip()] = Column(offset // 8, order, per_unit)
+            columns[label.decode("ascii", "replace").strip()] = SchemaColumn(offset // 8, order, per_unit)
     fitting = {name: column for name, column in columns.items() if column.offset + 2 <= row_bytes}
     return Schema(number, samples or USUAL_RATE, row_bytes, fitting) if row_bytes else None
 
@@ -184,7 +184,7 @@ class Imu:
         """Nominal samples in a second."""
         return self.schema.rate
 
-    def holds(self, batch: Batch) -> NDArray[np.bool_]:
+    def holds(self, batch: RecordBatch) -> NDArray[np.bool_]:
         """Return which records hold samples by this schema, (m,)."""
         records = batch.records
         data = (records.kind == log.SENSOR_DATA) & (records.size >= ID_BYTES + self.schema.row_bytes)
@@ -198,7 +198,7 @@ class Imu:
         exact = records.size == ID_BYTES + rows * self.schema.row_bytes
         return np.asarray(exact & (np.abs(rows - self.rate) <= UNEVEN * self.rate))
 
-    def decode(self, batch: Batch, records: Records) -> Samples:
+    def decode(self, batch: RecordBatch, records: Records) -> Samples:
         """Return the samples of records, decoding those of one size at once."""
         rows = self._rows(records)
         table = np.empty((int(rows.sum()), self.schema.row_bytes), np.uint8)
@@ -225,12 +225,12 @@ class Imu:
         return (records.size - ID_BYTES) // self.schema.row_bytes
 
 
-def vectors(table: NDArray[np.uint8], columns: tuple[Column, ...]) -> NDArray[np.int16]:
+def vectors(table: NDArray[np.uint8], columns: tuple[SchemaColumn, ...]) -> NDArray[np.int16]:
     """Return three columns of samples (n, bytes) as (n, 3)."""
     return np.stack([value_of(table, column) for column in columns], axis=1)
 
 
-def value_of(table: NDArray[np.uint8], column: Column) -> NDArray[np.int16]:
+def value_of(table: NDArray[np.uint8], column: SchemaColumn) -> NDArray[np.int16]:
     """Return a column of samples (n, bytes), (n,)."""
     data = np.ascontiguousarray(table[:, column.offset : column.offset + 2])
     return data.view(column.order)[:, 0].astype(np.int16)
@@ -279,11 +279,11 @@ class Primary:
     turned: bool = False
     fills: bool = True
 
-    def holds(self, batch: Batch) -> NDArray[np.bool_]:
+    def holds(self, batch: RecordBatch) -> NDArray[np.bool_]:
         """Return which records hold samples, (m,)."""
         return np.isin(batch.records.kind, KINDS) & (batch.records.size > DOCKED_BYTES)
 
-    def decode(self, batch: Batch, records: Records) -> Samples:
+    def decode(self, batch: RecordBatch, records: Records) -> Samples:
         """Return the samples of records, decoding those of one kind and size at once."""
         buffer = batch.page.buffer
         rows = samples_in(records)

@@ -23,7 +23,7 @@ from accelcal_cli.core.clock import MICROSECONDS, PageClock
 from accelcal_cli.core.recording import Channels, Chunk, Problem, Validity, cut_channels
 from accelcal_cli.formats._problems import Event, Kind
 from accelcal_cli.formats.gt3x.factory import Thermometer
-from accelcal_cli.formats.gt3x.records import EVENT, Batch, Damage, Records, Span, payload
+from accelcal_cli.formats.gt3x.records import EVENT, Damage, RecordBatch, Records, Span, payload
 from accelcal_cli.formats.gt3x.sensors import Samples, Sensor, first_rows
 
 FELL_ASLEEP, WOKE = b"\x08", b"\x09"
@@ -250,7 +250,7 @@ class DecodedBatch:
         joined: (k,) bool, goes on evenly from the record before it in the batch.
     """
 
-    batch: Batch
+    batch: RecordBatch
     records: Records
     samples: Samples
     number: NDArray[np.int64]
@@ -279,7 +279,7 @@ class DecodedBatch:
         return pairwise(bounds)
 
 
-def decode_batch(batch: Batch, sensor: Sensor, thermometer: Thermometer | None = None) -> DecodedBatch:
+def decode_batch(batch: RecordBatch, sensor: Sensor, thermometer: Thermometer | None = None) -> DecodedBatch:
     """Decode a batch, with the temperatures that a thermometer of its own recorded among the samples."""
     holds = sensor.holds(batch)
     records = batch.records.select(holds)
@@ -296,7 +296,7 @@ def decode_batch(batch: Batch, sensor: Sensor, thermometer: Thermometer | None =
     return DecodedBatch(batch, records, samples, np.flatnonzero(holds), whole, first, doubtful, joined)
 
 
-def log_events(batch: Batch) -> list[tuple[int, LogEvent]]:
+def log_events(batch: RecordBatch) -> list[tuple[int, LogEvent]]:
     """Return damage and events of sleep in file order, with the number of the record that each is or
     precedes."""
     events: list[tuple[int, LogEvent]] = [(damage.before, damage) for damage in batch.damage]
@@ -356,7 +356,7 @@ class Timeline:
         self._spans: list[RowSpan] = []
         self._events: list[Event] = []
 
-    def feed(self, batch: Batch) -> tuple[list[RowSpan], Samples, list[Event]]:
+    def feed(self, batch: RecordBatch) -> tuple[list[RowSpan], Samples, list[Event]]:
         """Return the rows of a batch, the samples that they refer to, and the events.
 
         Sleep is returned once it is known what follows it.
