@@ -29,8 +29,7 @@ MICROSECONDS = 1_000_000
 _DAY_S = 86_400
 
 FIRST_US, LAST_US = -62_135_596_800 * MICROSECONDS, 253_402_300_800 * MICROSECONDS - 1
-"""First and last moment [us since 1970] of the years 1 to 9999; a recording that begins outside them is
-refused."""
+"""First and last moment [us since 1970] at which a recording may begin, the years 1 to 9999."""
 
 DIVIDED = 1 << 10
 """Smallest number of terms that `quotients` divides; dividing fewer is no faster."""
@@ -102,8 +101,7 @@ def offset_at_s(zone: str, utc_us: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class StartTime:
-    """Time of the first sample [us since 1970]; `timezone` is UTC if the time was written with Z or an
-    offset."""
+    """Time of the first sample [us since 1970]; `timezone` is UTC if it was written with Z or an offset."""
 
     start_us: int
     timezone: str | None
@@ -358,16 +356,17 @@ class PageClock:
         return slice(int(low), int(last) + 1)
 
     def _rows_of_each(self, pages: slice, stop: int) -> int | None:
-        """Return the number of rows of each page, as if the last went on behind row stop-1; None if they
-        differ."""
+        """Return the number of rows of each page; None if they differ.
+
+        The last page counts as if it went on behind row stop-1.
+        """
         rows = np.diff(np.append(self.first_row[pages], stop))
         longest = int(rows.max())
         alike = (rows[:-1] == longest).all() and (self.span_rows[pages] == longest).all()
         return longest if alike else None
 
     def _spread(self, pages: slice, rows: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return how long after its page's time each of `rows` rows lies, and which line of that is each
-        page's.
+        """Return how long after its page's time each of `rows` rows lies, and the line of that for each page.
 
         Few different spans occur among the pages of a device: each is divided up once.
         """
@@ -378,8 +377,7 @@ class PageClock:
         return into, which
 
     def _even_steps(self, pages: slice, rows: int, start: int, stop: int) -> TimeSteps | None:
-        """Return the steps between rows of pages that have equally many each; None if they differ too
-        much."""
+        """Return the steps between rows of pages with equally many; None if they differ too much."""
         into, which = self._spread(pages, rows)
         begins = self.time_us[pages]
         within, across = np.diff(into), np.diff(begins) - into[which[:-1], -1]
@@ -402,8 +400,7 @@ class PageClock:
         )
 
     def _uneven(self, pages: slice, rows: NDArray[np.int64], skipped: int) -> NDArray[np.int64]:
-        """Return the times of the first `rows[j]` rows of each page j, in the first page after `skipped`
-        others."""
+        """Return the times of the first `rows[j]` rows of each page j, after `skipped` rows in all."""
         span = np.repeat(self.span_rows[pages], rows)
         first = np.repeat(np.cumsum(rows) - rows, rows)
         into = np.arange(len(first), dtype=np.int64) - first

@@ -29,8 +29,7 @@ COPY_AGAIN = "copy it again from the device"
 """Hint for a file that is damaged or incomplete."""
 
 NO_THREAD = ("can't start new thread", "Failed to launch worker thread")
-"""Messages of Python (Modules/_threadmodule.c) and Arrow (util/thread_pool.cc) when no thread can be
-started."""
+"""Messages of Python (_threadmodule.c) and Arrow (thread_pool.cc) when no thread can be started."""
 
 
 def printable(path: Path | str, *, kept: str = "") -> str:

@@ -22,8 +22,7 @@ NO_PART = re.compile(
     r"\..*|(.*\.)?poses\.csv|.*\.(log\.csv|toml|(un)?calibrated\.parquet|(calibration|quality|integers)\.json)",
     re.I,
 )
-"""Names of files among parts that are none: logs (NHANES), options, layouts, lists of poses, our own
-results."""
+"""Names that no part has: of logs (NHANES), options, layouts, lists of poses, and our own results."""
 
 HOUR = re.compile(r"([^.]+\.[^.]+)\.\d{4}(?:-\d\d){5}-\d{3}-[PM]\d{4}(\.sensor\.csv(?:\.gz)?)", re.IGNORECASE)
 HALF_HOUR = re.compile(r"(.+)_\d{10}\.avro", re.IGNORECASE)

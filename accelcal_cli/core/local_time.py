@@ -54,8 +54,7 @@ _DAY_S = 86_400
 
 
 def zone_of_times(offset_s: int | None) -> str:
-    """Return the meaning of times in the outputs, given the seconds that the device's clock is ahead of
-    UTC."""
+    """Return the meaning of times in the outputs, by the seconds that the clock is ahead of UTC."""
     return UNKNOWN if offset_s is None else UTC
 
 
@@ -195,8 +194,11 @@ class LocalStamps:
         self._before = 0
 
     def running_on(self, times: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[int]]:
-        """Return the next times (n,) [us] on a clock that runs on, and the rows before which they follow a
-        change."""
+        """Return the next times (n,) [us] on a clock that runs on.
+
+        Returns:
+            the times, and the rows before which they follow a change.
+        """
         if self._place is None or not len(times):
             return times, []
         if self._start_s is None:

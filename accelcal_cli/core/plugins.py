@@ -44,8 +44,7 @@ def _items(module: ModuleType, attribute: str) -> tuple[Any, ...]:
 
 
 def find_plugin(package: str, folder: Iterable[str], attribute: str, name: str) -> Any:
-    """Return `attribute` of the module that is called like the item, `_` for hyphens; None if there is
-    none."""
+    """Return `attribute` of the module called like the item, with `_` for hyphens; None without one."""
     module = name.replace("-", "_")
     if module.startswith("_") or module not in _modules(tuple(folder)):
         return None

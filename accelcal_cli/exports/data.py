@@ -251,8 +251,10 @@ def _sidecar(output: Path, written: ExportedData, channels: int) -> dict[str, An
 
 
 def _clock_text(values: NDArray[np.int64], unit: str) -> pa.Array:
-    """Return times since 1970 as `2024-03-04 00:00:00.040`, with all digits of the unit; faster than
-    strftime."""
+    """Return times since 1970 as `2024-03-04 00:00:00.040`, with all digits of the unit.
+
+    This is faster than strftime.
+    """
     return pa.array(values).cast(pa.timestamp(unit)).cast(pa.string())
 
 
@@ -300,8 +302,7 @@ def _with_missing_words(batch: pa.RecordBatch) -> pa.RecordBatch:
 
 
 def npz(places: Sequence[Path], _output: Path, portions: Iterator[SampleRows], written: ExportedData) -> None:
-    """Write arrays for skdh: `time` [s since 1970], `accel` (n, 3) [g], `fs` [Hz], `temperature` if there is
-    one.
+    """Write arrays for skdh: `time` [s since 1970], `accel` (n, 3) [g], `fs` [Hz], maybe `temperature`.
 
     Not compressed. While it is written, the disk holds them twice.
     """

@@ -75,8 +75,10 @@ STEPS_PER_UNIT = float(1 << 32)
 
 LAST = 1 << 62
 LEAST_RATIO, LARGEST_RATIO = 0.01, 100.0
-"""Smallest and largest ratio of output rate to input rate; beyond, an output would need thousands of
-samples."""
+"""Smallest and largest ratio of output rate to input rate.
+
+Beyond them, one output would need thousands of samples.
+"""
 
 Floats = NDArray[np.float64]
 
@@ -301,8 +303,7 @@ class _Resampler:
         self._parts.append(rows)
 
     def made(self, *, finish: bool) -> Iterator[SampleRows]:
-        """Yield the outputs that can be made now; with `finish` all, and the next sample begins a new
-        stretch."""
+        """Yield the outputs that can be made now; with `finish` all, and end the stretch."""
         if not self._parts or self._first_us is None:
             return
         rows = joined_rows(self._parts)

@@ -116,8 +116,7 @@ def read_list(path: Path) -> tuple[ListedPose, ...]:
 
 
 def _unit_of(names: Sequence[str]) -> str | None:
-    """Return the end of the names of the acceleration columns; None if the columns are not those of a
-    list."""
+    """Return the end of the acceleration columns' names; None if the columns are not those of a list."""
     for end in UNITS:
         axes = [f"{axis}{end}" for axis in AXES]
         if sorted(names) in [sorted([*place, *axes]) for place in (TIMES, (FILE,), (FILE, *TIMES))]:

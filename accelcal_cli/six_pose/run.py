@@ -56,8 +56,10 @@ from accelcal_cli.six_pose.verdict import judge_six_pose, known_json, poses_json
 OPTIMIZER = {"name": "least-squares", "arithmetic": "float", "settings": {}}
 AXES = "xyz"
 LEAST_TURN_G = 0.3
-"""Smallest standard deviation [g] of the two other axes, in any direction: half a turn gives 0.31 g, whole
-ones 0.71 g."""
+"""Smallest standard deviation [g] of the two other axes, in the direction where it is least.
+
+Half a turn gives 0.31 g, whole ones 0.71 g.
+"""
 
 MOST_LEVEL_G = 0.25
 """Largest standard deviation [g] of a level axis; no sensor is so skew."""

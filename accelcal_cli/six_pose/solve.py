@@ -149,8 +149,10 @@ def weights(poses: Sequence[Pose]) -> list[Fraction]:
 
 
 def condition_number(poses: Sequence[Pose]) -> float:
-    """Return that of the weighted matrix [a 1], a in g; infinite below rank 4, the root of 3 for six
-    faces."""
+    """Return the condition number of the weighted matrix [a 1], a in g; infinite below rank 4.
+
+    Six faces make it the root of 3.
+    """
     if len(poses) < UNKNOWNS:
         return float("inf")
     rows = design(poses) * np.sqrt(np.array(weights(poses), np.float64))[:, np.newaxis]

@@ -269,8 +269,7 @@ class _Whole:
 
 
 def _zip_members(path: Path) -> Iterator[tuple[str, Stream]]:
-    """Read by the directory at the end; a file cut short lacks it and is read by the header before each
-    member."""
+    """Yield members by the directory at the end, or by their own headers in a file cut short."""
     with path.open("rb") as file, ExitStack() as stack:
         try:
             archive = stack.enter_context(zipfile.ZipFile(ShortReads(file, LARGEST_DIRECTORY)))

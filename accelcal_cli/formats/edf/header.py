@@ -212,8 +212,7 @@ def _signals(table: dict[str, list[str]], count: int, path: Path) -> tuple[Signa
 
 
 def _start_us(date: str, time: str, recording: str) -> int | None:
-    """Return the time of `02.08.51` and `20.15.00`, with the year from EDF+ if given; None if it is no
-    time."""
+    """Return the time of `02.08.51` and `20.15.00`, with the year from EDF+ if given; None if it is none."""
     try:
         hour, minute, second = map(int, time.split("."))
         match = EDF_PLUS_DATE.match(recording)
@@ -258,8 +257,7 @@ class Axes:
         return self.step * int(FLOAT_LSB_PER_G) if self.on_grid else Fraction(1)
 
     def counts(self, digital: list[NDArray[Any]], faulty: NDArray[np.bool_] | None) -> Counts:
-        """Return digital values (n,) of the three signals as counts (n, 3), and mark rows (n,) that have
-        none."""
+        """Return digital values (n,) of the signals as counts (n, 3), and mark rows (n,) that have none."""
         if self.factors == (1, 1, 1) and self.addends == (0, 0, 0):
             return np.stack(digital, axis=1)
         grid = self._grid

@@ -1,5 +1,4 @@
-"""ActiGraph recordings (.gt3x, .agdc), zip files with info.txt and log.bin or activity.bin: how they are
-recognised.
+"""How ActiGraph recordings (.gt3x, .agdc) are recognised: zip files with log.bin or activity.bin.
 
 Sources: the vendor's format documents, github.com/actigraph/GT3X-File-Format and
 github.com/actigraph/NHANES-GT3X-File-Format; docs/gt3x-files.md says what was decided if they leave

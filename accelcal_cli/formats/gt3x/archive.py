@@ -42,8 +42,10 @@ _SCAN_BYTES = 1 << 20
 _IN_EXTRA = 0xFFFFFFFF
 _SIZES_FOLLOW = 0x08
 _LARGEST_DIRECTORY = 1 << 20
-"""Most bytes of a directory, that of about 20 000 parts (devices write about ten); zipfile takes ten times
-as much memory."""
+"""Most bytes of a directory, enough for about 20 000 parts; devices write about ten.
+
+zipfile takes ten times as much memory for them.
+"""
 
 _BROKEN = (
     zipfile.BadZipFile,

@@ -48,8 +48,10 @@ LARGEST_G = 127.0
 
 COLDEST_C, WARMEST_C = -100.0, 200.0
 READING_BYTES, ACCELEROMETER = 3, 1
-"""Length of a temperature reading (a thermometer's number, then 16 bits), and the number of the
-accelerometer's thermometer; 0 is the processor's."""
+"""Length of a temperature reading, and the number of the thermometer that is used.
+
+A reading has a thermometer's number and 16 bits; number 1 is within the accelerometer, 0 is the processor's.
+"""
 
 READ_AS_COUNTS = "--lsb-per-g, such as 256, reads the counts as they are"
 DAMAGED = "{} in the zip file is damaged: what it says of the sensor was not applied"
@@ -243,10 +245,9 @@ def temperature_of(calibration_file: CalibrationFile) -> FactoryTemperature | No
 def temperatures(
     batch: RecordBatch, factory: FactoryTemperature
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Return the temperatures of the accelerometer's thermometer, (k,) thousandths of a degree C, and where
-    their records begin.
+    """Return temperatures, (k,) thousandths of a degree C, and where their records begin.
 
-    Readings that are no temperature are left out.
+    They are those of the accelerometer's thermometer; readings that are no temperature are left out.
     """
     found: list[tuple[int, int]] = []
     for number in np.flatnonzero(batch.records.kind == log.TEMPERATURE).tolist():
@@ -281,8 +282,7 @@ class Thermometer:
     def temperatures_of(
         self, batch: RecordBatch, records: Records, rows: NDArray[np.int64]
     ) -> NDArray[np.int32]:
-        """Return the temperatures of all samples of records, which have `rows` each; batches in file
-        order."""
+        """Return the temperatures of records with `rows` samples each; batches in file order."""
         found, places = temperatures(batch, self._factory)
         known = np.concatenate((np.array([self._last], np.int32), found))
         self._last = int(known[-1])

@@ -78,8 +78,10 @@ BAD_INFO = "info.txt in the zip file is damaged and was not used"
 
 LARGEST_G = 10_000.0
 LEAST_SCALE = 10.0
-"""Smallest scale that is believed: an info.txt with "Acceleration Scale: 1" belongs to counts of a scale
-given elsewhere."""
+"""Smallest scale that is believed.
+
+An info.txt with "Acceleration Scale: 1" belongs to counts whose scale is given elsewhere.
+"""
 
 PIECES_FOR_TEMPERATURE = 16
 """Number of pieces of log.bin, hours of samples, in which a first temperature is looked for."""

@@ -208,8 +208,7 @@ class Page:
         return index + zeros if ends or ahead[zeros : zeros + 1] == SEPARATOR_BYTE else index
 
     def follow(self, index: int, most: int) -> tuple[list[int], int]:
-        """Return sound records one after the other from `index` on, up to `most`; and where the next
-        should be."""
+        """Return sound records in a row from `index` on, up to `most`; and where the next should be."""
         starts, end = walk(self.data, index, most)
         if not starts:
             return starts, index

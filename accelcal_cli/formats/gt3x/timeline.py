@@ -31,8 +31,10 @@ UNWRITTEN_S = 1
 """Seconds that may be lost when a device falls asleep; the vendor's own export fills them as well."""
 
 LONGEST_SILENCE_S = 86_400
-"""Longest silence of a sleeping device, which writes its battery's voltage every minute; after a longer
-one the clock jumped."""
+"""Longest silence [s] of a sleeping device; after a longer one its clock jumped.
+
+Asleep, devices write their battery's voltage every minute.
+"""
 
 FILLED_FREELY_S, FILLED_PER_RECORD_S = 86_400, 300
 """Seconds of sleep that are filled in any file, and further ones for each record before its end.
@@ -297,8 +299,7 @@ def decode_batch(batch: RecordBatch, sensor: Sensor, thermometer: Thermometer | 
 
 
 def log_events(batch: RecordBatch) -> list[tuple[int, LogEvent]]:
-    """Return damage and events of sleep in file order, with the number of the record that each is or
-    precedes."""
+    """Return damage and sleep in file order, with the number of the record that each is or precedes."""
     events: list[tuple[int, LogEvent]] = [(damage.before, damage) for damage in batch.damage]
     records = batch.records
     for number in np.flatnonzero((records.kind == EVENT) & (records.size == 1)).tolist():

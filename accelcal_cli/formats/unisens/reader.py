@@ -213,8 +213,10 @@ class SiblingSignal:
     frames: int
 
     def values(self, first: int, rows: int) -> NDArray[np.float64]:
-        """Return its numbers less the baseline, (rows, channels): those that held while each row was
-        measured."""
+        """Return its numbers less the baseline, (rows, channels).
+
+        Each row gets the numbers that held while it was measured.
+        """
         ratio, width = self.ratio, frame_bytes(self.signal)
         wanted = (
             first * ratio.numerator + np.arange(rows, dtype=np.int64) * ratio.numerator

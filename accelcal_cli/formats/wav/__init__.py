@@ -17,8 +17,7 @@ CHANNEL = re.compile(rb"Channel-\d+: *Accel-[XYZ]")
 
 
 def sniff(probe: Probe) -> int:
-    """Return 100 for a sound file whose comment names an axis of acceleration; no other sound is a
-    recording."""
+    """Return 100 for a sound file whose comment names an axis of acceleration; 0 for any other sound."""
     if not probe.head.startswith(MAGIC) or not probe.head.startswith(KIND, KIND_AT):
         return 0
     return 100 if CHANNEL.search(probe.head) else 0
