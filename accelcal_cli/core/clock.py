@@ -1,11 +1,10 @@
 """Clocks of devices: their offsets from UTC, and the times of samples in whole microseconds.
 
-A device's clock is set once and then runs on: it keeps the offset from UTC that its zone had when
-the recording began, whatever daylight saving does in the meantime (`core/local_time.py`).
+A device's clock is set once and then runs on: it keeps the offset from UTC that its zone had when the
+recording began, whatever daylight saving does in the meantime (`core/local_time.py`).
 
-Sample times are computed only where they are wanted: a `Clock` answers `times(start, stop)` for rows
-of one chunk. All arithmetic is integer, so that the time of a sample does not depend on where the
-chunk that holds it begins.
+Sample times are computed only when they are needed: a `Clock` answers `times(start, stop)` for rows of one
+chunk. All arithmetic is integer, so that the time of a sample does not depend on where its chunk begins.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _CYCLE_YEARS, _CYCLE_US = 400, 146_097 * _DAY_S * MICROSECONDS
 
 _FIXED = re.compile(r"(?:UTC|GMT)?\s*([+-])(\d{1,2}):?(\d{2})?")
 CACHED = 1 << 14
-"""Number of steps that are looked at together; the processor's cache holds them."""
+"""Number of steps that are processed together; the processor's cache holds them."""
 
 WIDEST = int(np.iinfo(np.uint8).max)
 """Largest difference between steps [us] that fits into one byte each."""
@@ -358,7 +357,7 @@ class PageClock:
     def _rows_of_each(self, pages: slice, stop: int) -> int | None:
         """Return the number of rows of each page; None if they differ.
 
-        The last page counts as if it went on behind row stop-1.
+        The last page may go on after row stop-1.
         """
         rows = np.diff(np.append(self.first_row[pages], stop))
         longest = int(rows.max())

@@ -88,7 +88,7 @@ def is_environment_error(error: BaseException) -> bool:
 
 
 def missing_resource(error: BaseException | None) -> str | None:
-    """Return a sentence on what this machine lacked, memory or another thread; None if neither."""
+    """Return a sentence on the missing resource, memory or another thread; None for other errors."""
     if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
         return "there was not enough memory"
     if any(words in str(error) for words in NO_THREAD):
@@ -184,7 +184,7 @@ class FixedPointOverflowError(DivergedError):
 
 
 def output_error(error: OSError, path: Path) -> OutputError:
-    """Return the error that tells a user of a failed write."""
+    """Return the error to show for a failed write."""
     hint = "check the folder and its permissions, or choose another with -d"
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         hint = "free some space or choose another disk with -d"

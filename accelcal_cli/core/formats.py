@@ -99,7 +99,7 @@ class ReadOptions:
 
     @property
     def times(self) -> Retiming:
-        """What the user states about the times."""
+        """The user's statements about the times."""
         by_user = "--timezone" if self.configured_zone is None else "--configured-zone"
         zone = self.configured_zone or self.timezone
         shift_us = round((self.shift_s or 0) * MICROSECONDS)
@@ -150,7 +150,7 @@ def noted_unused(recording: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def agreed_rate(options: ReadOptions, stated_hz: float, path: Path) -> float:
-    """Return the rate that a recording states, or the user's if it is about the same.
+    """Return the rate that a recording states, or the user's if it agrees with that.
 
     Raises:
         UsageError: the two contradict each other; the file's own times would become gaps.
@@ -292,7 +292,7 @@ def read_gzip_head(path: Path) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Companion:
-    """A text file that lies beside a recording: the end of its name, and its text."""
+    """A text file beside a recording: the end of its name, and its text."""
 
     suffix: str
     text: Callable[[Recording], str]

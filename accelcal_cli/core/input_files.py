@@ -35,7 +35,7 @@ LONGEST_LINE = 1000
 
 
 def is_no_part(path: Path) -> bool:
-    """Return True if a file among parts is none, by its name."""
+    """Return True for a file among parts that is none, by its name."""
     return NO_PART.fullmatch(path.name) is not None
 
 

@@ -1,15 +1,16 @@
-"""The meaning of a recording's local times: whose zone counts, what the user states, daylight saving.
+"""Local times of a recording: whose zone counts, what the user states, daylight saving.
 
 This is the policy of all formats (docs/time.md). A reader only says which zone a file states: a name or an
 offset for a clock that shows local time, `UTC` for times that count from 1970 or end in `Z` or an offset,
 None if it states none.
 
-A user may state when a recording began, that its clock was wrong, or where it was worn. Times then move as a
-whole, by one number of microseconds, so that no row is lost, doubled or moved against another.
+A user may state when a recording began, that its clock was wrong, or the zone in which it was worn. Times
+then
+move as a whole, by one number of microseconds, so that no row is lost, doubled or moved against another.
 
 A device's clock runs on when its zone changes its offset. A computer's clock follows the change: times in its
 tables skip an hour in spring and repeat one in autumn. `LocalStamps` makes such times run on too, so that
-everything behind a reader has one offset for a whole recording.
+all later stages see one offset for a whole recording.
 """
 
 from __future__ import annotations
@@ -107,10 +108,11 @@ class ZoneChange:
     """Change of a zone's offset from UTC during a recording.
 
     Attributes:
-        at_us: when, on a clock that had the zone's offset until then [us since 1970].
+        at_us: time of the change, on a clock that had the zone's offset until then [us since 1970].
         before_s, after_s: seconds ahead of UTC.
-        followed: whether the times did; None if they do not show it, and are taken for those of a clock
-            that runs on.
+        followed: True if the times followed it; None if they do not show it, and count as those of a clock
+        that
+            runs on.
     """
 
     zone: str
@@ -181,9 +183,8 @@ class LocalStamps:
     """Makes the times of a table's rows those of a clock that runs on.
 
     Times follow a change of the zone if they jump by as much as its clocks did, just when these did. Such a
-    jump is undone; any other stays.
-
-    They follow it where they jump by as much as its clocks did, right when these did. Any other jump stays.
+    jump
+    is undone; any other stays.
     """
 
     def __init__(self, zone: str | None) -> None:
@@ -216,7 +217,7 @@ class LocalStamps:
         return running, rows
 
     def _shift_s(self, before_us: int, after_us: int) -> int:
-        """Return the seconds that clocks were put forward between two rows, if the times were too; else 0."""
+        """Return the seconds by which clocks and times were put forward between two rows; else 0."""
         assert self._place is not None
         utc_us = before_us - self._offset_s * MICROSECONDS
         try:
@@ -232,7 +233,7 @@ class LocalStamps:
 
 
 def _like_a_change(steps: NDArray[np.int64]) -> list[int]:
-    """Return the rows whose step [us] may be that of clocks put forward or back, and a pause."""
+    """Return the rows whose step [us] may be a change of clocks and a pause."""
     far = np.flatnonzero((np.abs(steps) > SHIFT_STEP_US // 2) & (np.abs(steps) <= LARGEST_SHIFT_US))
     rows: list[int] = far[steps[far] % SHIFT_STEP_US <= PAUSE_US].tolist()
     return rows
@@ -240,14 +241,14 @@ def _like_a_change(steps: NDArray[np.int64]) -> list[int]:
 
 @dataclass(frozen=True, slots=True)
 class Retiming:
-    """What the user states about times; None or 0 where nothing is stated.
+    """What the user states about times; None or 0 for what is not stated.
 
     Attributes:
-        zone: of the device's clock, for files that state none; by_option: how it was given.
+        zone: zone of the device's clock, for files that state none; by_option: the option that gave it.
         force: that zone counts in any case.
-        start: of a recording without dates, ISO 8601.
-        shift_us: to be added to all times.
-        worn_zone: in which the device was worn, while its clock showed another.
+        start: start of a recording without dates, ISO 8601.
+        shift_us: added to all times.
+        worn_zone: zone in which the device was worn while its clock showed another.
     """
 
     zone: str | None = None
@@ -288,9 +289,9 @@ class RetimedReader(Reader):
     """Reader that moves the times of another one's chunks.
 
     Args:
-        recording: what is known of it now.
+        recording: its description, with the moved times.
         by_us: added to all times.
-        dated: it is known when it began, whatever the file says.
+        dated: the start is known, whatever the file says.
     """
 
     def __init__(self, reader: Reader, recording: Recording, by_us: int, *, dated: bool) -> None:

@@ -1,7 +1,7 @@
 """Coefficients for tools that know scales, offsets and slopes, but no misalignment.
 
 Each form is one small function with the tool's formula and its source. A calibration with misalignment is
-never cut down: exported is the result of the same points without misalignment (judge/verdict.py).
+never cut down: instead, the fit of the same points without misalignment is exported (judge/verdict.py).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ALIGNED = ("0", "3", "6", "3T", "6T")
 """Models without misalignment, which are exported as they are."""
 
 NO_RECORDING = {"pool": "a pool of recordings", "points": "a table of points"}
-"""Names of what a report may be of, by `recording.format`, for which other tools have no file."""
+"""Kinds of report, by `recording.format`, that are of no recording, so that other tools have no file."""
 
 GGIR_COLUMNS = (
     "filename", "scale.x", "scale.y", "scale.z", "offset.x", "offset.y", "offset.z",
@@ -135,7 +135,7 @@ def read_exported(path: Path) -> ExportedReport:
 
 
 def _why_none(report: dict[str, Any], whole: Calibration) -> tuple[str, str]:
-    """Return why a calibration with misalignment has no simple one, and what to do."""
+    """Return why a calibration with misalignment comes without a simple one, and what to do."""
     data = "hand on the calibrated data (--to csv), or use --to json"
     if whole.model == FULL_GAIN:
         return "was calibrated on known orientations, with no fit beside it without misalignment", data

@@ -89,10 +89,10 @@ Table = Callable[[SampleRows, ExportedData], dict[str, pa.Array]]
 
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
-    """What the user asks for.
+    """Options of an export.
 
     Attributes:
-        resample_hz: a fixed rate; None: the samples as they are.
+        resample_hz: a fixed rate; None: the original samples.
         measured_only: leave out rows that the device filled in, and those of damaged blocks.
         smooth: samples of a rolling mean; 0: the usual number for the rate; None: no mean.
         batch_rows: rows in memory at a time; the output does not depend on it.

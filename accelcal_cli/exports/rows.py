@@ -392,7 +392,7 @@ def smoothed(portions: Iterable[SampleRows], rate_hz: float, width: int) -> Iter
 
 
 class _Stretch:
-    """Averages one stretch: keeps rows whose means wait for later ones, and those before that they need."""
+    """Averages one stretch; keeps rows until the later ones for their means are there."""
 
     def __init__(self, width: int) -> None:
         self._width = width

@@ -46,7 +46,7 @@ CERTAIN = 100
 """Confidence that no other format exceeds; HDF5 gives its signature less, since Opal files have it, too."""
 
 LOOKED_AT = 8
-"""Number of members of an archive whose names are looked at."""
+"""Number of members of an archive whose names are checked."""
 
 
 @cache
@@ -87,7 +87,7 @@ def find_format(path: Path, options: ReadOptions) -> Format:
 def _most_confident(probe: Probe) -> tuple[int, Format]:
     """Return the highest confidence and its format; of equal ones the last by name.
 
-    The formats of the file's suffix are asked first, and the others only if none of those is certain.
+    The formats of the file's suffix are tried first, and the others only if none of those is certain.
     """
     # A layout that the user names makes `raw` certain, whatever the suffix.
     is_hint = probe.options.layout is None

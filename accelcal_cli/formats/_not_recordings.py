@@ -78,8 +78,10 @@ SIGNS: tuple[tuple[re.Pattern[bytes], NotRecording], ...] = (
     (re.compile(rb"\W*Condor Instruments Report"), _epochs("an ActTrust's", NO_RAW)),
     (re.compile(rb"(?s).{0,1000}?Store rate:.{0,200}?Binning mode:"), _epochs("a Daqtometer's", NO_RAW)),
 )
-"""Beginnings of files, as in the test files of github.com/wadpac/GGIRread and
-github.com/ghammad/pyActigraphy."""
+"""Beginnings of files that are no recordings.
+
+They are taken from the test files of github.com/wadpac/GGIRread and github.com/ghammad/pyActigraphy.
+"""
 
 SQLITE = b"SQLite format 3\0"
 AGD = _epochs("ActiGraph's", "give the .gt3x file of the same recording, from the device or from ActiLife")
@@ -107,8 +109,7 @@ def _recognised(probe: Probe) -> NotRecording | None:
 
 
 def _by_names(head: bytes, signed: NotRecording | None) -> NotRecording | None:
-    """Recognise a table of epochs or of still windows by its column names; else return what its beginning
-    says.
+    """Recognise a table of epochs or of still windows by its column names; else return `signed`.
 
     A table with columns of x, y and z may be raw whatever its beginning says.
     """

@@ -133,12 +133,12 @@ class Session:
 
 @dataclass(frozen=True, slots=True)
 class PoseError:
-    """Errors of one state [mg]; those held out are None if the others do not determine a fit.
+    """Errors of one state [mg]; held-out ones are None if the other orientations do not determine a fit.
 
     Attributes:
         raw, raw_norm: |v - reference| and | |v| - |reference| | of the raw mean v.
-        residual, norm: the same of the calibrated mean, by the fit of all states.
-        held_out, held_out_norm: the same by a fit of the other orientations.
+        residual, norm: like these, for the mean calibrated by the fit of all states.
+        held_out, held_out_norm: like these, for the mean calibrated by a fit of the other orientations.
         tilt_degrees: angle between the held-out estimate and the reference.
         repeat: distance from the mean of all states of this orientation; None for a single one.
     """
@@ -367,7 +367,7 @@ def find_faces(
     settings: PoseSettings,
     rolled_files: Collection[int] = (),
 ) -> Session:
-    """Return the states of a session, each on the face whose axis it shows most of.
+    """Return the states of a session, each on the face whose axis shows most of gravity.
 
     A state is a run of adjacent still windows on one face that keep within a few degrees of their mean:
     taking

@@ -93,8 +93,8 @@ def session_of(recordings: Sequence[Path], poses: Path | None = None) -> Path:
     """Return the path that stands for the recordings of a session; the list of poses may be among them.
 
     Raises:
-        UsageError: no pattern does, one of them is standard input, or the list of poses would be taken for
-            one of them.
+        UsageError: no pattern stands for them, one of them is standard input, or the list of poses would be
+            taken for one of them.
         UnreadableError: one of them is missing.
     """
     path = recordings[0]
@@ -202,7 +202,7 @@ class RollResult:
         file: number of its file.
         ends_us: times of its first and last row, on the device's clock.
         samples: number of rows measured in it.
-        before, after: figures of the raw values, and with the calibration, if there is one.
+        before, after: figures of the raw values, and of the calibrated ones, if there is a calibration.
     """
 
     axis: int

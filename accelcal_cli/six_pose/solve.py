@@ -108,7 +108,7 @@ def _require(session: Session, condition: float, settings: PoseSettings) -> None
 
 
 def _way(session: Session) -> str:
-    """Return what may be done about too few poses."""
+    """Return advice on too few poses."""
     return _MORE if any(pose.face == LISTED for pose in session.poses) else _LONGER
 
 

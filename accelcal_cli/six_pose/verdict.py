@@ -122,7 +122,7 @@ def _outcome(
 
 
 def _way(session: Session, settings: PoseSettings) -> str:
-    """Return what may be done about poses that disagree."""
+    """Return advice on poses that disagree."""
     local_g = float(settings.gravity.local_g())
     lengths = [sqrt(sum(value**2 for value in pose.reference)) / ONE for pose in session.poses]
     if any(abs(length - local_g) > 2 * LENGTH_TOLERANCE for length in lengths):
@@ -234,7 +234,7 @@ def known_json(
     """Return the `known_orientations` object; K and O are null if they were refused.
 
     Args:
-        vectors: None where nothing was held out.
+        vectors: None if nothing was held out.
     """
     refused = outcome is Outcome.REFUSED
     repeats = [error.repeat for error in fit.errors if error.repeat is not None]

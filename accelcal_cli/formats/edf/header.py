@@ -1,4 +1,4 @@
-"""The header of an EDF or BDF file, and the signals that are read by what it says of them.
+"""The header of an EDF or BDF file, and the choice of the signals that are read.
 
 The header has fields of text, first of the recording, then of all signals one by one: 256 bytes, and 256 more
 for each signal. Widths and order are those of www.edfplus.info/specs.
@@ -66,7 +66,7 @@ SIGNAL_FIELDS = (
     *(("label", 16), ("transducer", 80), ("dimension", 8), ("physical_min", 8), ("physical_max", 8)),
     *(("digital_min", 8), ("digital_max", 8), ("filter", 80), ("samples", 8), ("reserved", 32)),
 )
-"""Names and widths [bytes] of the fields; each of a signal's stands there for all signals before the next."""
+"""Names and widths [bytes] of the fields; in the second part each field has the texts of all signals."""
 
 ACCEL_NAMES = names_in(ACCELEROMETER, In.EDF)
 GYRO_NAMES = names_in(GYROSCOPE, In.EDF)

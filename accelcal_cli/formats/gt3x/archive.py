@@ -1,4 +1,4 @@
-"""The parts of a .gt3x file, which is a zip file: where they lie, and their bytes as a stream.
+"""The parts of a .gt3x file, which is a zip file: their places, and their bytes as a stream.
 
 Both survive damage: a lost directory of the zip file, and parts that break off or have a wrong checksum.
 Source: PKWARE's APPNOTE.TXT 6.3, 4.3.7 (local headers) and 4.5.3 (sizes of 64 bits).

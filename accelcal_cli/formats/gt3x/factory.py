@@ -124,7 +124,7 @@ class CalibrationFiles:
 
 @dataclass(frozen=True, slots=True)
 class AppliedCalibration:
-    """What is applied to the samples of a recording.
+    """The maker's calibration as it is applied to the samples of a recording.
 
     Attributes:
         acceleration: the calibration of counts; None if they are calibrated.
@@ -157,7 +157,7 @@ class AppliedCalibration:
 
 
 def acceleration_of(calibration_file: CalibrationFile, rate: int, path: Path) -> FactoryAcceleration | None:
-    """Return the calibration for a sampling rate; None if there is none to apply.
+    """Return the calibration for a sampling rate; None if the counts need none.
 
     Raises:
         UnreadableError: it is of an unknown method, not for this rate, or makes no sense.
@@ -197,7 +197,7 @@ def _unusable(what: str, path: Path) -> UnreadableError:
 
 
 def _number(value: Any) -> float | None:
-    """Return a number, given as JSON number or text; None for anything else."""
+    """Return a number, from a JSON number or text; None for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         return None
     try:

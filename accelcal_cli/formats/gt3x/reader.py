@@ -161,7 +161,7 @@ def _zone(text: str | None) -> str | None:
 
 
 def read_info(archive: Archive) -> tuple[Info, tuple[Problem, ...]]:
-    """Return info.txt, and what is wrong with it; a damaged one is not used at all."""
+    """Return info.txt and its problems; a damaged one is not used at all."""
     if INFO not in archive.members:
         return Info(), (Problem("damaged_header", NO_INFO, None, 0),)
     if (data := small_part(archive, INFO)) is None:
@@ -267,7 +267,7 @@ BY_SERIAL = {"NEO": SIX_G, "CLE": SIX_G, "MRA": SIX_G, "MOS": EIGHT_G, "TAS": EI
 
 @dataclass(frozen=True, slots=True)
 class SensorDescription:
-    """A sensor of the device, with what a recording states of it.
+    """A sensor of the device, as a recording describes it.
 
     Attributes:
         gyro_dps_per_lsb: degrees per second in one count of each axis, None without a gyroscope.
@@ -316,7 +316,7 @@ def scale_of(
     options: ReadOptions,
     path: Path,
 ) -> Scale:
-    """Return the main accelerometer's scale; for an uncalibrated sensor, about that of its counts.
+    """Return the main accelerometer's scale; an approximate one for uncalibrated counts.
 
     Raises:
         UnreadableError: nothing says it.

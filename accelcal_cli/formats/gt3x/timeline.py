@@ -360,7 +360,7 @@ class Timeline:
     def feed(self, batch: RecordBatch) -> tuple[list[RowSpan], Samples, list[Event]]:
         """Return the rows of a batch, the samples that they refer to, and the events.
 
-        Sleep is returned once it is known what follows it.
+        Sleep is returned with the first later record.
         """
         self._spans, self._events = [], []
         decoded, begin = decode_batch(batch, self._sensor, self._thermometer), 0

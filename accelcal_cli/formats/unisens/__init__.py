@@ -47,9 +47,9 @@ def accelerations(description: bytes) -> list[str]:
 
 
 def belongs_to_another(path: Path) -> bool:
-    """Return True for a file of a Unisens recording that goes by the name of another file.
+    """Return True for a file of a Unisens recording that is named by another file.
 
-    A folder goes by the name of its accelerations, or of its description if they are missing.
+    A folder is named by its accelerations, or by its description if they are missing.
     """
     text = sibling_description(path)
     names = [] if text is None else accelerations(text)

@@ -383,7 +383,7 @@ def frames_of(data: Path, signal: Signal) -> int:
 
 
 def axes_of(signal: Signal, xml: Path) -> tuple[int, ...]:
-    """Return which channels are x, y and z: those whose names end so, else the only three.
+    """Return the channels of x, y and z, by the last letters of their names, else the only three.
 
     Raises:
         UnreadableError: neither is the case.

@@ -287,7 +287,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
 
 
 def announced_bytes(header: Header, path: Path, size: int | None) -> tuple[int | None, str | None]:
-    """Return the length of the samples, None for up to the end of the file; and what contradicts that.
+    """Return the length of the samples, None for up to the end of the file; and a contradiction.
 
     The header of a recording of more than 4 GiB only gives the remainder.
     """
@@ -308,7 +308,7 @@ def announced_bytes(header: Header, path: Path, size: int | None) -> tuple[int |
 
 
 def first_channel_values(file: FrameFile) -> dict[str, int | None]:
-    """Return the first temperature; None if there is none among the first samples."""
+    """Return the first temperature; None if the first samples have none."""
     with closing(ByteSource(file.path)) as source:
         file.enter(source, 0)
         data = source.read_exact(FIRST_ROWS * file.frame_bytes)
