@@ -16,7 +16,7 @@ from accelcal_cli.core.recording import Chunk, joined
 from accelcal_cli.formats import all_encoders
 from accelcal_cli.pipeline.survey import open_marked
 from tests.cli.run import exit_code
-from tests.formats import make_edf, make_genea, make_parmay, make_wav
+from tests.formats import make_edf, make_genea, make_geneactiv, make_parmay, make_wav
 from tests.recordings import LSB_PER_G, directions, still_counts, write_csv
 
 STREAMED = ("ax6", "csv", "cwa", "edf", "flash", "genea", "geneactiv", "parmay", "raw", "wav")
@@ -131,6 +131,18 @@ def test_samples_beyond_those_that_a_sound_file_tells_of_are_not_lost_in_silence
         refusal = pytest.raises(UnreadableError, match="more samples follow than its header tells of")
         with refusal:
             list(reader.intake().take(path.read_bytes() + bytes(100), last=False))
+
+
+def test_a_page_is_known_again_however_far_back_it_lies(tmp_path: Path) -> None:
+    counts = np.arange(400 * 300 * 3).reshape(-1, 3) % 500
+    path = make_geneactiv.make(tmp_path, counts, 50.0, LSB_PER_G).path
+    data = path.read_bytes()
+    first, second = (data.index(b"Recorded Data", begin) for begin in (0, data.index(b"Recorded Data") + 1))
+    data += data[first:second]
+    path.write_bytes(data)
+    expected = whole(path)
+    assert "repeated_page" in {problem.code for problem in expected.problems}
+    assert same(grown(path, data, Random(2)), expected)
 
 
 def test_a_gyroscope_in_text(tmp_path: Path) -> None:
