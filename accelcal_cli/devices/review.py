@@ -265,21 +265,21 @@ def _reviewed(
     single = [row for row in rows if usage[row] is not table.Usage.COPY]
     dated = [row for row in single if np.isfinite(records.days[row])]
     starts = records.text["start_time"]
-    lost = [float(value) for value in np.nan_to_num(records.number["lost_percent"][single])]
+    lost = np.nan_to_num(records.number["lost_percent"][single])
     temperature_c = float(referred.temperature_c[index])
-    own = [float(records.number["after_mg"][row]) for row in single if usage[row] in table.OWN]
-    errors = [error for error in own if isfinite(error)]
+    errors = records.number["after_mg"][[row for row in single if usage[row] in table.OWN]]
+    known_errors: list[float] = errors[np.isfinite(errors)].tolist()
     return DeviceReview(
         records.devices[index],
         rows,
         tuple(sorted({name for row in rows if (name := records.text["device_firmware"][row])})),
         dict(Counter(usage[row] for row in rows)),
-        sum(value >= DAMAGED_FROM_PERCENT for value in lost),
+        int(np.count_nonzero(lost >= DAMAGED_FROM_PERCENT)),
         starts[dated[0]] if dated else None,
         starts[dated[-1]] if dated else None,
-        median(errors) if errors else None,
+        median(known_errors) if known_errors else None,
         temperature_c if np.isfinite(temperature_c) else None,
-        max(lost, default=0.0),
+        float(lost.max(initial=0.0)),
         of_device,
     )
 

@@ -78,6 +78,10 @@ class DeviceLine:
     offset: figures.Drift | None
     percent: figures.Drift | None
 
+    def as_printable(self) -> DeviceLine:
+        """Return the line with texts that can be shown."""
+        return replace(self, name=printable(self.name), reasons=tuple(map(printable, self.reasons)))
+
 
 @dataclass(frozen=True, slots=True)
 class StudyContent:
@@ -142,15 +146,11 @@ def page(study: StudyContent) -> str:
 
     The same content gives the same text.
     """
-    devices = [
-        replace(line, name=printable(line.name), reasons=tuple(map(printable, line.reasons)))
-        for line in study.devices
-    ]
+    devices = [line.as_printable() for line in study.devices]
     limit_mg = _limit_mg(study.summary)
     entries = [_Entry(row, href, limit_mg) for row, href in zip(study.rows, study.pages, strict=True)]
     scatter = figures.Scatter.of([entry.errors for entry in entries])
-    groups = [(kind, [entry for entry in entries if entry.problem is kind]) for kind in KINDS]
-    groups = [(kind, sorted(members, key=_Entry.order)) for kind, members in groups if members]
+    groups = _groups(entries)
     return rendered(
         "study.html",
         style="study.css",
@@ -222,6 +222,22 @@ class _Entry:
         return self.row["device_serial"] or self.row["device_model"] or "-"
 
     @property
+    def outcome_name(self) -> str:
+        """Outcome in words."""
+        return self.outcome.replace("_", " ")
+
+    @property
+    def problem_name(self) -> str:
+        """Name of the problem in the table; empty without one."""
+        return "" if self.problem is None else self.problem.short
+
+    @property
+    def change_mg(self) -> float | None:
+        """Size of the sensor's change; None if it did not change."""
+        size: float | None = self.row["change_mg"] if self.changed else None
+        return size
+
+    @property
     def hours(self) -> float | None:
         """Length of the recording [h]."""
         seconds = self.row["duration_s"]
@@ -271,6 +287,12 @@ def _limit_mg(summary: dict[str, Any]) -> float:
 
 
 Group = tuple[ProblemKind, list[_Entry]]
+
+
+def _groups(entries: Sequence[_Entry]) -> list[Group]:
+    """Return the recordings with each kind of problem, the worst first."""
+    groups = [(kind, [entry for entry in entries if entry.problem is kind]) for kind in KINDS]
+    return [(kind, sorted(members, key=_Entry.order)) for kind, members in groups if members]
 
 
 def _listed(groups: Sequence[Group]) -> list[tuple[ProblemKind, list[_Entry], int]]:
@@ -348,28 +370,32 @@ def _marked(
 
 def _recordings_table(entries: Sequence[_Entry], scatter: figures.Scatter) -> dict[str, Any]:
     """Return the table of all recordings, column by column, as the script reads it."""
-    rows = [entry.row for entry in entries]
-    pairs = [entry.errors or (None, None) for entry in entries]
-    outcomes = [entry.outcome.replace("_", " ") for entry in entries]
-    problems = [entry.problem.short if entry.problem else "" for entry in entries]
-    changes = [entry.row["change_mg"] if entry.changed else None for entry in entries]
+
+    def of(name: str) -> list[Any]:
+        return [getattr(entry, name) for entry in entries]
+
+    def of_row(name: str) -> list[Any]:
+        return [entry.row[name] for entry in entries]
+
+    pairs = [errors or (None, None) for errors in of("errors")]
+    outcomes = [outcome.replace("_", " ") for outcome in OUTCOMES]
     return {
         "what": "recording",
         "columns": [
-            column("path", "recording", "text", 19, [entry.path for entry in entries]),
-            choice_column("outcome", 8, outcomes, [outcome.replace("_", " ") for outcome in OUTCOMES]),
-            choice_column("problem", 9, problems, ["", *(kind.short for kind in KINDS)]),
+            column("path", "recording", "text", 19, of("path")),
+            choice_column("outcome", 8, of("outcome_name"), outcomes),
+            choice_column("problem", 9, of("problem_name"), ["", *(kind.short for kind in KINDS)]),
             number_column("before", "before, mg", 7.5, (pair[0] for pair in pairs), kind="mg"),
             number_column("after", "after, mg", 7, (pair[1] for pair in pairs), kind="mg"),
-            choice_column("device", 9, [entry.device for entry in entries]),
-            minutes_column("start", "start", 10, [row["start_time"] for row in rows]),
-            number_column("hours", "hours", 5.5, (entry.hours for entry in entries)),
-            choice_column("model", 5.5, [row["model"] or "" for row in rows]),
-            number_column("change", "change, mg", 8, changes, kind="mg"),
-            number_column("lost", "lost, %", 6, (row["lost_percent"] or None for row in rows)),
-            message_column("message", "what was found", 70, [entry.finding for entry in entries]),
+            choice_column("device", 9, of("device")),
+            minutes_column("start", "start", 10, of_row("start_time")),
+            number_column("hours", "hours", 5.5, of("hours")),
+            choice_column("model", 5.5, [model or "" for model in of_row("model")]),
+            number_column("change", "change, mg", 8, of("change_mg"), kind="mg"),
+            number_column("lost", "lost, %", 6, (percent or None for percent in of_row("lost_percent"))),
+            message_column("message", "what was found", 70, of("finding")),
         ],
-        "pages": [entry.link for entry in entries],
+        "pages": of("link"),
         "scatter": scatter.scale(),
     }
 
