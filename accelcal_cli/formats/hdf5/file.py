@@ -19,7 +19,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.vocabulary import normalized
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._tables.table import READ_ERRORS, Attributes, plain_value
@@ -145,19 +145,6 @@ def bounded_memory() -> Iterator[None]:
 
 
 @contextmanager
-def h5py_guard(path: Path, what: str) -> Iterator[None]:
-    """Turn whatever h5py raises into an UnreadableError that names the part concerned."""
-    try:
-        yield
-    except H5PY_ERRORS as error:
-        raise UnreadableError(
-            f"the {what} cannot be read ({_brief(error)})",
-            path=path,
-            hint="the file is damaged: copy it again from its source",
-        ) from error
-
-
-@contextmanager
 def open_hdf5(path: Path) -> Iterator[Any]:
     """Open an h5py.File, and close it afterwards; of one that was cut short, the rest can be read.
 
@@ -190,14 +177,6 @@ def _opened(path: Path, claimed: int = 0) -> Iterator[Any]:
         yield file
 
 
-def missing_bytes(file: Any, path: Path) -> int:
-    """Return the number of bytes that a file that was cut short lacks at its end."""
-    try:
-        return max(0, int(file.id.get_filesize()) - path.stat().st_size)
-    except H5PY_ERRORS:
-        return 0
-
-
 def _open_error(path: Path, error: Exception, claimed: int) -> UnreadableError:
     """Return h5py's complaint as an error for the person who has the file."""
     text, size, hint = str(error), 0, "copy it again from its source"
@@ -210,29 +189,13 @@ def _open_error(path: Path, error: Exception, claimed: int) -> UnreadableError:
         what = "was not closed by the program that wrote it"
         hint = "close that program, or mark a copy as closed with `h5clear -s`"
     else:
-        what = f"the structure of the HDF5 file is damaged ({_brief(error)})"
+        what = f"the structure of the HDF5 file is damaged ({brief(error)})"
     return UnreadableError(what, path=path, byte_offset=size, hint=hint)
 
 
-def _brief(error: Exception) -> str:
+def brief(error: Exception) -> str:
+    """Return the text of an error on one line, cut to 200 letters."""
     return (" ".join(str(error).split()) or type(error).__name__)[:200]
-
-
-@contextmanager
-def explaining(path: Path, missing: int, damaged: int = 0) -> Iterator[None]:
-    """Add to any error of ours that the file is cut short or damaged, if it is."""
-    try:
-        yield
-    except (UnreadableError, UsageError) as error:
-        if missing:
-            size = path.stat().st_size
-            what = f"is cut short to {size} of {size + missing} bytes, so that"
-            hint = "; or ".join(filter(None, (error.hint, "copy the whole file again from its source")))
-            raise type(error)(f"{what} {error.message}", path=path, byte_offset=size, hint=hint) from error
-        if damaged:
-            what = f"is damaged in {damaged} places, so that"
-            raise type(error)(f"{what} {error.message}", path=path, hint=error.hint) from error
-        raise
 
 
 def members(group: Any) -> tuple[list[tuple[str, Any]], int]:

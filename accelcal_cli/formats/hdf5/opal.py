@@ -27,9 +27,16 @@ from accelcal_cli.formats._tables.channels import (
     physical_scale,
 )
 from accelcal_cli.formats._tables.reader import ReadingPlan, header_problems
-from accelcal_cli.formats._tables.table import Track, readable
+from accelcal_cli.formats._tables.table import Attributes, Track, readable
 from accelcal_cli.formats._tables.times import StampScale, measured_stamps
-from accelcal_cli.formats.hdf5 import file as h5
+from accelcal_cli.formats.hdf5.file import (
+    H5PY_ERRORS,
+    NodeAttributes,
+    attributes_of,
+    members,
+    open_hdf5,
+    text_list,
+)
 from accelcal_cli.formats.hdf5.reader import Hdf5Reader, Hdf5Table, as_track
 
 VERSION_NAMES = ("FileFormatVersion", "File_Format_Version")
@@ -82,9 +89,9 @@ class OpalSensor:
 def is_opal(path: Path) -> bool:
     """Return True if an HDF5 file has an Opal version and sensors."""
     try:
-        with h5.open_hdf5(path) as file:
+        with open_hdf5(path) as file:
             return bool(_version(file)) and ("Sensors" in file or "CaseIdList" in file.attrs)
-    except (UnreadableError, *h5.H5PY_ERRORS):
+    except (UnreadableError, *H5PY_ERRORS):
         return False
 
 
@@ -95,11 +102,11 @@ def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
         UnreadableError: damaged, cut short, of an unsupported version, or without sensors.
         UsageError: several sensors and none chosen, or the chosen one is not there.
     """
-    with h5.open_hdf5(path) as file:
-        missing = h5.missing_bytes(file, path)
-        with h5.explaining(path, missing), h5.h5py_guard(path, "description of the recording"):
+    with open_hdf5(path) as file:
+        table = Hdf5Table(file, path)
+        with table.explaining(), table.guard("description of the recording"):
             layout, sensors = _contents(file, path)
-            return Hdf5Reader(_plan(file, path, _choose(sensors, options.sensor, path), layout, options))
+            return Hdf5Reader(_plan(table, _choose(sensors, options.sensor, path), layout, options))
 
 
 def _contents(file: Any, path: Path) -> tuple[OpalLayout, list[OpalSensor]]:
@@ -118,23 +125,23 @@ def _contents(file: Any, path: Path) -> tuple[OpalLayout, list[OpalSensor]]:
 
 
 def _version(file: Any) -> int | None:
-    number = h5.NodeAttributes([file]).number(*VERSION_NAMES)
+    number = NodeAttributes([file]).number(*VERSION_NAMES)
     return None if number is None else int(number)
 
 
 def _new_sensors(file: Any) -> list[OpalSensor]:
     sensors = []
-    for serial, group in h5.members(file["Sensors"])[0]:
+    for serial, group in members(file["Sensors"])[0]:
         if LAYOUTS[NEW].accel in group:
             path = f"Sensors/{serial}"
-            label = h5.attributes_of(file, f"{path}/{LAYOUTS[NEW].settings}").text("Label 0", "Label 1")
+            label = attributes_of(file, f"{path}/{LAYOUTS[NEW].settings}").text("Label 0", "Label 1")
             sensors.append(OpalSensor(serial, label or "", path))
     return sensors
 
 
 def _old_sensors(file: Any) -> list[OpalSensor]:
-    groups = h5.text_list(file.attrs["CaseIdList"])
-    labels = h5.text_list(file.attrs["MonitorLabelList"]) if "MonitorLabelList" in file.attrs else []
+    groups = text_list(file.attrs["CaseIdList"])
+    labels = text_list(file.attrs["MonitorLabelList"]) if "MonitorLabelList" in file.attrs else []
     labels += [""] * (len(groups) - len(labels))
     found = zip(groups, labels, strict=False)
     return [
@@ -160,25 +167,25 @@ def _choose(sensors: list[OpalSensor], wanted: str | None, path: Path) -> OpalSe
     return found[0]
 
 
-def _plan(file: Any, path: Path, sensor: OpalSensor, layout: OpalLayout, options: ReadOptions) -> ReadingPlan:
-    accel_track = _track(file, sensor, layout.accel, path, 3)
-    settings = h5.attributes_of(file, f"{sensor.group}/{layout.settings}")
+def _plan(table: Hdf5Table, sensor: OpalSensor, layout: OpalLayout, options: ReadOptions) -> ReadingPlan:
+    accel_track = _track(table, sensor, layout.accel, 3)
+    settings = table.stated(f"{sensor.group}/{layout.settings}")
     stated_hz = options.rate_hz or settings.number("Sample Rate", "SampleRate") or None
-    time_track = _track(file, sensor, TIME, path, 1, accel_track)
-    stamps, rate = measured_stamps(Hdf5Table(file, path), time_track, StampScale("us"), stated_hz)
-    accel = Axes((accel_track,), _scale(file, accel_track, options, path))
-    channels = _channels(file, sensor, layout, accel_track, path)
+    time_track = _track(table, sensor, TIME, 1, accel_track)
+    stamps, rate = measured_stamps(table, time_track, StampScale("us"), stated_hz)
+    accel = Axes((accel_track,), _scale(table, accel_track, options))
+    channels = _channels(table, sensor, layout, accel_track)
     zone = settings.text("Timezone")
     notes = [f"worn at: {sensor.label}"] * bool(sensor.label)
     notes += [f"recorded in the time zone {zone}"] * bool(zone)
     recording = Recording(
-        path=path,
+        path=table.path,
         format="opal",
         rate_hz=rate,
         lsb_per_g=accel.scale.lsb,
-        total_bytes=path.stat().st_size,
+        total_bytes=table.path.stat().st_size,
         device=Device("Opal", readable(sensor.serial), settings.text("Firmware Version", "VersionString1")),
-        range_g=_range_g(file, accel_track),
+        range_g=_range_g(table, accel_track),
         start_us=stamps.first_us,
         timezone="UTC",
         duration_s=(stamps.last_us - stamps.first_us + (stamps.step_us or 0)) / MICROSECONDS,
@@ -186,62 +193,58 @@ def _plan(file: Any, path: Path, sensor: OpalSensor, layout: OpalLayout, options
         gyro_dps_per_lsb=dps_per_lsb(channels),
         notes=(*notes, *stamps.pace.notes),
     )
-    problems = header_problems(settings)
-    missing = h5.missing_bytes(file, path)
+    problems, missing = header_problems(settings), table.missing_bytes()
     return ReadingPlan(recording, accel_track.rows, accel, stamps, channels, problems, missing)
 
 
-def _track(
-    file: Any, sensor: OpalSensor, name: str, path: Path, width: int, accel: Track | None = None
-) -> Track:
+def _track(table: Hdf5Table, sensor: OpalSensor, name: str, width: int, accel: Track | None = None) -> Track:
     """Return a dataset of the sensor with `width` numbers a row, as long as `accel`."""
     full = f"{sensor.group}/{name}"
-    node = file.get(full)
+    node = table.file.get(full)
     track = as_track(f"/{full}", node) if hasattr(node, "shape") else None
     if track is None or track.width != width or (accel is not None and track.rows != accel.rows):
         shape = counted(width, "number")
         raise UnreadableError(
             f"dataset {full} is missing or does not have one row of {shape} for each sample",
-            path=path,
+            path=table.path,
             hint="export the recording again with the vendor's software",
         )
     return track
 
 
-def _units(file: Any, track: Track, usual: str) -> str:
-    return h5.NodeAttributes([file[track.path]]).text("Units") or usual
-
-
-def _scale(file: Any, track: Track, options: ReadOptions, path: Path) -> CountScale:
-    unit = options.unit or ACCELERATION.find_in_table(_units(file, track, "m/s2"))
+def _scale(table: Hdf5Table, track: Track, options: ReadOptions) -> CountScale:
+    unit = options.unit or _accel_unit(table.own(track.path))
     if unit not in PER_G:
         raise UnreadableError(
             f"the unit of {track.path} is not known or cannot be counts",
-            path=path,
+            path=table.path,
             hint=f"give --unit {'|'.join(PER_G)}",
         )
     return physical_scale(unit, track.dtype)
 
 
-def _channels(
-    file: Any, sensor: OpalSensor, layout: OpalLayout, accel: Track, path: Path
-) -> dict[str, Channel]:
+def _accel_unit(attributes: Attributes) -> str | None:
+    return ACCELERATION.find_in_table(attributes.text("Units") or "m/s2")
+
+
+def _channels(table: Hdf5Table, sensor: OpalSensor, layout: OpalLayout, accel: Track) -> dict[str, Channel]:
     found: dict[str, Channel] = {}
     for name, (dataset, usual_unit) in layout.channels.items():
         try:
-            track = _track(file, sensor, dataset, path, CHANNELS[name].width, accel)
+            track = _track(table, sensor, dataset, CHANNELS[name].width, accel)
         except UnreadableError:
             continue
-        channel = CHANNELS[name].find(Hdf5Table(file, path), (track,), _units(file, track, usual_unit))
+        unit = table.own(track.path).text("Units") or usual_unit
+        channel = CHANNELS[name].find(table, (track,), unit)
         if not isinstance(channel, str):
             found[name] = channel
     return found
 
 
-def _range_g(file: Any, track: Track) -> float | None:
+def _range_g(table: Hdf5Table, track: Track) -> float | None:
     """Return the smaller of the two limits that the vendor gives [g]."""
-    settings = h5.NodeAttributes([file[track.path]])
+    settings = table.own(track.path)
     limits = [settings.number(name) for name in ("Upper Limit", "Lower Limit")]
-    unit = PER_G.get(ACCELERATION.find_in_table(_units(file, track, "m/s2")) or "")
+    unit = PER_G.get(_accel_unit(settings) or "")
     found = [abs(limit) for limit in limits if limit]
     return min(found) / unit if found and unit else None

@@ -10,6 +10,7 @@ from typing import Any
 
 import h5py
 
+from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.formats._tables.reader import ReadingPlan, TableReader, plan_of, source_of
@@ -18,10 +19,8 @@ from accelcal_cli.formats.hdf5.file import (
     H5PY_ERRORS,
     NodeAttributes,
     attributes_of,
-    explaining,
-    h5py_guard,
+    brief,
     members,
-    missing_bytes,
     open_hdf5,
 )
 from accelcal_cli.formats.hdf5.rows import ChunkIndex, TrackRows
@@ -32,6 +31,9 @@ MATLAB_EMPTY = "MATLAB_empty"
 
 class Hdf5Table(SensorTable):
     """An open HDF5 file.
+
+    Attributes:
+        file: the h5py.File.
 
     Args:
         pool: unpacks ahead where it can; None if one thread does all.
@@ -47,35 +49,55 @@ class Hdf5Table(SensorTable):
         pool: Executor | None = None,
         indexes: dict[str, ChunkIndex | None] | None = None,
     ) -> None:
-        self.path, self._file, self._pool, self._indexes = path, file, pool, indexes
+        self.path, self.file, self._pool, self._indexes = path, file, pool, indexes
 
     def missing_bytes(self) -> int:
         """Return the number of bytes that a file that was cut short lacks at its end."""
-        return missing_bytes(self._file, self.path)
+        try:
+            return max(0, int(self.file.id.get_filesize()) - self.path.stat().st_size)
+        except H5PY_ERRORS:
+            return 0
 
     def own(self, path: str) -> Attributes:
         """Return the attributes of a dataset alone."""
-        return NodeAttributes([self._file[path]])
+        return NodeAttributes([self.file[path]])
 
     def stated(self, path: str) -> Attributes:
         """Return the attributes of a dataset, then of the groups that hold it, up to the file."""
-        return attributes_of(self._file, path)
+        return attributes_of(self.file, path)
 
     def rows(self, track: Track) -> TrackRows:
         """Return the rows of a dataset."""
-        return TrackRows(self._file, track, self.path, self._pool, self._indexes)
+        return TrackRows(self.file, track, self.path, self._pool, self._indexes)
 
     @contextmanager
     def guard(self, what: str) -> Iterator[None]:
         """Turn whatever h5py raises into an UnreadableError that names the part concerned."""
-        with h5py_guard(self.path, what):
+        try:
             yield
+        except H5PY_ERRORS as error:
+            raise UnreadableError(
+                f"the {what} cannot be read ({brief(error)})",
+                path=self.path,
+                hint="the file is damaged: copy it again from its source",
+            ) from error
 
     @contextmanager
     def explaining(self, damaged: int = 0) -> Iterator[None]:
         """Add to any error of ours that the file is cut short or damaged, if it is."""
-        with explaining(self.path, self.missing_bytes(), damaged):
+        missing, path = self.missing_bytes(), self.path
+        try:
             yield
+        except (UnreadableError, UsageError) as error:
+            if missing:
+                size = path.stat().st_size
+                what = f"is cut short to {size} of {size + missing} bytes, so that {error.message}"
+                hint = "; or ".join(filter(None, (error.hint, "copy the whole file again from its source")))
+                raise type(error)(what, path=path, byte_offset=size, hint=hint) from error
+            if damaged:
+                what = f"is damaged in {damaged} places, so that {error.message}"
+                raise type(error)(what, path=path, hint=error.hint) from error
+            raise
 
 
 def as_track(path: str, dataset: Any) -> Track | None:
@@ -122,9 +144,10 @@ def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
             counts per g, are stated nowhere.
         UsageError: an option names no dataset.
     """
-    with open_hdf5(path) as file, h5py_guard(path, "list of datasets"):
-        tracks, damaged = all_tracks(file)
+    with open_hdf5(path) as file:
         table = Hdf5Table(file, path)
+        with table.guard("list of datasets"):
+            tracks, damaged = all_tracks(file)
         with table.explaining(damaged), table.guard("description of the recording"):
             return Hdf5Reader(plan_of(source_of(table, tracks, options, damaged), "hdf5"))
 
