@@ -250,8 +250,8 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
 
 def _refuse_other_rounds(prior: str, values: dict[str, Any]) -> None:
     """Raise UsageError for options that would use a device's other recordings a second time."""
-    for option, given in (("--pool", values["pool"]), ("--borrow", values["borrow"])):
-        if given:
+    for option, chosen in (("--pool", values["pool"]), ("--borrow", values["borrow"])):
+        if chosen:
             text = f"--prior {prior} does not go with {option}: both use a device's other recordings"
             raise UsageError(text, hint="omit one of them")
 

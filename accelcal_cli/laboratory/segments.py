@@ -186,8 +186,8 @@ def _segment(still: Stillness, start_h: float, hours: float, settings: Settings)
     rest = collected(still, ~which, settings).result()
     raw = true = None
     if judgement.calibration is not None:
-        held = held_out(rest, judgement.calibration, settings.gravity, settings.posture_degrees, REST)
-        raw, true = (None, None) if held is None else (held.before.mean, held.after.mean)
+        errors = held_out(rest, judgement.calibration, settings.gravity, settings.posture_degrees, REST)
+        raw, true = (None, None) if errors is None else (errors.before.mean, errors.after.mean)
     return claimed(judgement, hours, start_h, raw, true)
 
 
@@ -299,7 +299,7 @@ def _worn(
 def summary(found: list[Segment], limit_mg: float) -> Summary:
     """Sum up segments."""
     usable = [item for item in found if item.true_mg is not None and item.raw_mg is not None]
-    held = [item.holds for item in usable if item.holds is not None]
+    holds = [item.holds for item in usable if item.holds is not None]
     return Summary(
         segments=len(found),
         usable=len(usable),
@@ -308,7 +308,7 @@ def summary(found: list[Segment], limit_mg: float) -> Summary:
         claimed_mg=_mean([item.claimed_mg for item in usable]),
         above_limit=sum((item.true_mg or 0) >= limit_mg for item in usable),
         worse=sum((item.true_mg or 0) > (item.raw_mg or 0) for item in usable),
-        holds=sum(held) / len(held) if held else None,
+        holds=sum(holds) / len(holds) if holds else None,
         measured_mg=_mean([item.measured_mg for item in usable]),
     )
 
@@ -421,11 +421,11 @@ def _found(still: Stillness, chosen: Settings, values: dict[str, Any]) -> Iterat
 
 def _simulation(values: dict[str, Any]) -> Simulation | None:
     """Return the simulation that is asked for, if any; raises UsageError for errors without sensors."""
-    given = {name: values[name] for name in ERRORS if values[name] is not None}
+    errors = {name: values[name] for name in ERRORS if values[name] is not None}
     if values["sensors"] is not None:
-        return Simulation(values["sensors"], values["seed"], replace(USUAL, **given))
-    if given:
-        name = next(iter(given)).replace("_", "-")
+        return Simulation(values["sensors"], values["seed"], replace(USUAL, **errors))
+    if errors:
+        name = next(iter(errors)).replace("_", "-")
         raise UsageError(f"--{name} is of simulated sensors", hint="add --sensors, or omit it")
     return None
 

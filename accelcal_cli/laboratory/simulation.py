@@ -294,7 +294,7 @@ def _table_json(table: ErrorTable) -> dict[str, Any]:
         "points": table.points,
         "noise_mg": table.noise_mg,
         "published": None if published is None else _pair_json(published.mean, published.sd),
-        "bound": _named(table.bound),
+        "bound": _by_parameter(table.bound),
         "methods": [_method(table, scores) for scores in table.scores],
     }
 
@@ -310,7 +310,7 @@ def _method(table: ErrorTable, scores: Scores) -> dict[str, Any]:
         "profile": method.profile,
         "model": method.model.name,
         **_pair_json(scores.mean, scores.sd),
-        "bias": _named(scores.bias),
+        "bias": _by_parameter(scores.bias),
         "ratio_to_bound": _short(scores.ratio_to_bound),
         "largest_ratio_to_published": _short(table.worst_against_paper(scores)),
         "cases": scores.fitted,
@@ -325,10 +325,10 @@ def _method(table: ErrorTable, scores: Scores) -> dict[str, Any]:
 
 
 def _pair_json(mean: Sequence[float | None], sd: Sequence[float | None]) -> dict[str, Any]:
-    return {"mean_abs_error": _named(mean), "sd_abs_error": _named(sd)}
+    return {"mean_abs_error": _by_parameter(mean), "sd_abs_error": _by_parameter(sd)}
 
 
-def _named(values: Sequence[float | None]) -> dict[str, float | None]:
+def _by_parameter(values: Sequence[float | None]) -> dict[str, float | None]:
     return dict(zip(NINE, map(_short, values), strict=True))
 
 

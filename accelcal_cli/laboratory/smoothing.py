@@ -98,7 +98,7 @@ def samples_at(
     reader: Reader, first: NDArray[np.int64], length: int, chunk_samples: int
 ) -> NDArray[np.int64]:
     """Return counts (n, length, 3) of n windows, whose first samples have ascending numbers (n,)."""
-    held = np.zeros((len(first), length, 3), np.int64)
+    samples = np.zeros((len(first), length, 3), np.int64)
     for chunk in reader.chunks(chunk_samples):
         begin, end = chunk.first_sample, chunk.first_sample + len(chunk)
         low, high = np.searchsorted(first, (begin - length + 1, end))
@@ -106,23 +106,23 @@ def samples_at(
             start = int(first[place])
             part = slice(max(start, begin), min(start + length, end))
             rows = chunk.counts[part.start - begin : part.stop - begin]
-            held[place, part.start - start : part.stop - start] = rows
-    return held
+            samples[place, part.start - start : part.stop - start] = rows
+    return samples
 
 
-def variances(held: Floats, width: int) -> Variances:
+def variances(samples: Floats, width: int) -> Variances:
     """Return the variances of (n, length, 3) samples after filters that do not leave their window."""
     means, medians = [], []
-    for window in held:
+    for window in samples:
         views = np.lib.stride_tricks.sliding_window_view(window, width, axis=0)
         means.append(views.mean(axis=-1))
         medians.append(np.median(views, axis=-1))
     return Variances(width, _spread(np.array(means)), _spread(np.array(medians)))
 
 
-def _spread(held: Floats) -> float:
+def _spread(samples: Floats) -> float:
     """Return the mean over windows and axes of the variance within a window."""
-    return float(held.var(axis=1, ddof=1).mean())
+    return float(samples.var(axis=1, ddof=1).mean())
 
 
 def as_json(found: Smoothing) -> dict[str, Any]:

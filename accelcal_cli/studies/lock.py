@@ -29,8 +29,7 @@ BEAT_S = 10.0
 LOOK_S = 5.0
 """Interval [s] at which a run looks at the lock of another host that it waits for."""
 LEAST_SILENCE_S = 120.0
-"""Shortest silence [s] that may count as an end: twelve beats, and twice as long as NFS keeps attributes by
-default (`acregmax` in nfs(5))."""
+"""Shortest silence [s] that may count as an end: twelve beats, twice NFS's `acregmax` by default (nfs(5))."""
 BLIND_S = 60.0
 """Time [s] after which a run that cannot read its lock writes nothing more: it may have been taken over."""
 SIGNS = 2

@@ -252,7 +252,8 @@ def _end(workers: list[_Worker]) -> None:
 def _started(work: TaskFunction, preload: str) -> _Worker:
     """Start a process that has nothing of this one's state but the pipe."""
     hold_to_one_thread()
-    ours, theirs = multiprocessing.Pipe()
+    pipe: tuple[Any, Any] = multiprocessing.Pipe()  # connections are of another class on Windows
+    ours, theirs = pipe
     process = _process(theirs, work, preload)
     try:
         with forkserver_folder():

@@ -78,7 +78,7 @@ def rounds(study: Study) -> tuple[Round, ...]:
     if not study.shard.whole:
         return ()
     wanted = ((POOLING, study.pool), (APPLY_POOLS, study.pool), (BORROWING, study.borrow))
-    return tuple(one for one, given in (*wanted, (LEARNING, study.prior is not None)) if given)
+    return tuple(one for one, asked in (*wanted, (LEARNING, study.prior is not None)) if asked)
 
 
 def run(study: Study, observer: StudyObserver) -> Summary:

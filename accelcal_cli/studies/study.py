@@ -134,7 +134,7 @@ class Study:
     def replacing(self) -> tuple[str, ...]:
         """Names of the asked rounds whose results may replace a recording's own."""
         wanted = ((POOLED, self.pool), (BORROW, self.borrow), (PRIOR, self.prior is not None))
-        return tuple(name for name, given in wanted if given)
+        return tuple(name for name, asked in wanted if asked)
 
     def asked(self) -> str:
         """Return a hash of settings and version, with which alone an earlier entry is valid."""
