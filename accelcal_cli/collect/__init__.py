@@ -1,1 +1,1 @@
-"""Collecting calibration points from still windows."""
+"""Calibration points from still windows."""

@@ -14,7 +14,7 @@ All sums are integers: adding windows in batches of any size, or merging collect
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -235,7 +235,7 @@ class CellCollector:
             corrected, scale = self._corrected(correction), scale * scale.denominator * ONE
             cells = {key: corrected[key] for key in cells}
         sums = {key: _sums(value) for key, value in cells.items()}
-        return points_of(sums, width, _shared, scale, temperature=self.temperature)[1]
+        return points_of(sums, width, shared_weights, scale, temperature=self.temperature)[1]
 
     def _corrected(self, correction: Correction) -> dict[Key, Value]:
         """Return the cells with corrected sums, in whole parts of a count."""
@@ -347,10 +347,6 @@ def _step(spreads: dict[int, int]) -> int:
     if len(ordered) < 2:
         return 0
     return min(b - a for a, b in pairwise(ordered) if (b - a) * 64 >= ordered[1])
-
-
-def _shared(ordered: Sequence[tuple[Key, CellSums]]) -> list[int]:
-    return shared_weights([group_of(key) for key, _ in ordered], [sums.windows for _, sums in ordered])
 
 
 def _sums(value: Value) -> CellSums:

@@ -37,13 +37,13 @@ Value = list[int]
 Vector = tuple[int, int, int]
 
 MAX_POINTS = 4096
-"""Points that a fit is given at most, unless even the widest cells are more."""
+"""Most points of a fit, unless even the widest cells are more."""
 
 FEW_DEGREES, ALL_DEGREES = 8, 1 << 12
-"""Widest cells [degrees C] as long as there is another way, and where there is none."""
+"""Widest cells in temperature [degrees C] while they may also widen in space, and if that is not enough."""
 
 HARMLESS_SPACE, MOST_SPACE = 2, 12
-"""Doublings of a cell's sides up to which moved-out means are as good as unjoined ones, and the most."""
+"""Doublings of a cell's sides that do no harm to a mean that is moved out, and the most doublings."""
 
 COS_SQUARED = (956, 1024)
 """Squared cosine of 15 degrees, as a fraction: windows within this angle belong to one posture."""
@@ -222,9 +222,9 @@ def _total(vectors: Sequence[Vector]) -> Vector:
 def _moved_out(points: PointSet, parts: Sequence[Sequence[CellSums]], scale: Fraction) -> PointSet:
     """Lengthen means of wide cells until their squares are the mean squares of their parts."""
     one, lsb, places = ONE * scale.denominator, scale.numerator, []
-    for mean, held in zip(points.xyz.tolist(), parts, strict=True):
-        squares = sum(part.samples * _square(_mean(part.xyz, part.samples, one, lsb)) for part in held)
-        own = _square(mean) * sum(part.samples for part in held)
+    for mean, joined in zip(points.xyz.tolist(), parts, strict=True):
+        squares = sum(part.samples * _square(_mean(part.xyz, part.samples, one, lsb)) for part in joined)
+        own = _square(mean) * sum(part.samples for part in joined)
         longer = isqrt((squares << 2 * FRACTION_BITS) // own) if own else ONE
         places.append([rounded_quotient(axis * longer, ONE) for axis in mean])
     return replace(points, xyz=np.array(places, np.int64))
@@ -248,18 +248,20 @@ def to_points(
     windows = np.array([item.windows for item in sums], np.int64)
     shares = np.array(weights, np.int64)
     places = _rows([_mean(item.xyz, item.samples, one, lsb) for item in sums])
-    held = PointSet(places, shares, windows, previous=_previous(sums, one, lsb))
+    points = PointSet(places, shares, windows, previous=_previous(sums, one, lsb))
     if not temperature or not sums:
-        return held
+        return points
     means = [rounded_quotient(item.temperature_mc, item.samples) for item in sums]
     reference = rounded_quotient(sum(w * t for w, t in zip(weights, means, strict=True)), sum(weights))
-    span = _span_c(max(abs(mean - reference) for mean in means))
+    largest_mc, span = max(abs(mean - reference) for mean in means), 1
+    while largest_mc >= 2000 * span:
+        span *= 2
     tau = [
         rounded_quotient((item.temperature_mc - reference * item.samples) * ONE, item.samples * 1000 * span)
         for item in sums
     ]
     temperatures = TemperatureScale(reference, float(span))
-    return replace(held, tau=np.array(tau, np.int64), temperature=temperatures)
+    return replace(points, tau=np.array(tau, np.int64), temperature=temperatures)
 
 
 def _previous(sums: Sequence[CellSums], one: int, lsb: int) -> NDArray[np.int64] | None:
@@ -272,24 +274,21 @@ def _rows(vectors: Sequence[Sequence[int]]) -> NDArray[np.int64]:
     return np.array(vectors, np.int64).reshape(-1, 3)
 
 
-def shared_weights(groups: Sequence[tuple[int, ...]], windows: Sequence[int]) -> list[int]:
-    """Return weights of cells: each group counts as one point, shared by the cells' numbers of windows."""
-    totals: dict[tuple[int, ...], int] = defaultdict(int)
-    for group, number in zip(groups, windows, strict=True):
+def shared_weights(cells: Sequence[tuple[Key, CellSums]]) -> list[int]:
+    """Return weights by which each 2 x 2 x 2 group counts as one point, shared by its cells' windows.
+
+    Args:
+        cells: the last four numbers of a key are the place; groups that differ in the others stay apart.
+    """
+    pairs = [((*key[:-4], *(part >> 1 for part in key[-4:-1])), sums.windows) for key, sums in cells]
+    totals: dict[Key, int] = defaultdict(int)
+    for group, number in pairs:
         totals[group] += number
-    pairs = zip(groups, windows, strict=True)
     return [max(1, rounded_quotient(number * WEIGHT_ONE, totals[group])) for group, number in pairs]
 
 
-def _span_c(largest_mc: int) -> int:
-    span = 1
-    while largest_mc >= 2000 * span:
-        span *= 2
-    return span
-
-
 class PreviousPosture:
-    """Finds the posture before that of each still window, for sensors that remember where they were.
+    """Finds the posture before that of each still window, for sensors whose values depend on it.
 
     A posture lasts while windows lie within 15 degrees of its first one.
     """
@@ -310,8 +309,8 @@ class PreviousPosture:
             cell: (m, c) whole numbers, the same for windows that measure the same direction.
         """
         means = windows.sums // windows.samples[:, np.newaxis]
-        held = cell[:1] - 1 if self._last_cell is None else [self._last_cell]
-        fresh = (np.diff(cell, axis=0, prepend=held) != 0).any(axis=1)
+        last = cell[:1] - 1 if self._last_cell is None else [self._last_cell]
+        fresh = (np.diff(cell, axis=0, prepend=last) != 0).any(axis=1)
         starts = np.flatnonzero(np.append(True, fresh[1:]))
         ends = np.append(starts[1:], len(windows))
         self._last_cell = tuple(cell[-1].tolist())

@@ -60,17 +60,17 @@ class Repetitions:
 
     def once(self, batches: Iterable[Windows]) -> Iterator[Windows]:
         """Yield windows, in the order of time, without repetitions; undecided ones are held back."""
-        held: Windows | None = None
+        waiting: Windows | None = None
         for batch in batches:
-            if held is not None and (held.temperature_sums is None) != (batch.temperature_sums is None):
-                yield held
-                held = None
-            windows = batch if held is None else joined_windows((held, batch))
+            if waiting is not None and (waiting.temperature_sums is None) != (batch.temperature_sums is None):
+                yield waiting
+                waiting = None
+            windows = batch if waiting is None else joined_windows((waiting, batch))
             kept, until = self._decided(windows, len(windows) - len(batch))
             yield windows.select(np.flatnonzero(kept[:until]))
-            held = windows.select(np.arange(until, len(windows))) if until < len(windows) else None
-        if held is not None:
-            yield held
+            waiting = windows.select(np.arange(until, len(windows))) if until < len(windows) else None
+        if waiting is not None:
+            yield waiting
 
     def _decided(self, windows: Windows, known: int) -> tuple[NDArray[np.bool_], int]:
         """Return a mask of the windows to keep, and up to where it is decided.
@@ -81,7 +81,10 @@ class Repetitions:
         kept, begun = np.ones(len(windows), np.bool_), 0
         changing = np.flatnonzero(windows.spread[known:].max(axis=1, initial=0) > 0) + known
         first, next_one = len(self._keys), 0
-        before = self._remembered(_keys(windows)[changing], windows.first_sample[changing])
+        keys = _keys(windows)[changing]
+        before = self._places.seen(keys, first)
+        self._keys.frombytes(keys.tobytes())
+        self._samples.frombytes(windows.first_sample[changing].astype(np.int64).tobytes())
         for number in np.flatnonzero(before != NEVER).tolist():
             if number > next_one:
                 self._run = 0
@@ -96,13 +99,6 @@ class Repetitions:
             self._run = 0
         self.windows += int((~kept).sum())
         return kept, begun if self._run else len(windows)
-
-    def _remembered(self, keys: NDArray[np.uint64], samples: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return where the key of each further window was seen last; NEVER for nearly all of them."""
-        before = self._places.seen(keys, len(self._keys))
-        self._keys.frombytes(keys.tobytes())
-        self._samples.frombytes(samples.astype(np.int64).tobytes())
-        return before
 
     def _take(self, place: int, before: int) -> None:
         """Continue the present repetition with the window at a place, or begin one.
@@ -125,8 +121,8 @@ class _LastPlaces:
     """
 
     def __init__(self) -> None:
+        # sorted keys, and their places
         self._parts: list[tuple[NDArray[np.uint64], NDArray[np.int64]]] = []
-        """Keys in their order, equal ones in that of their places, and these."""
 
     def seen(self, keys: NDArray[np.uint64], first: int) -> NDArray[np.int64]:
         """Return the last place of each key before its own, (m,), or NEVER.
@@ -135,15 +131,15 @@ class _LastPlaces:
             keys: (m,) those at the places from `first` on.
         """
         order = np.argsort(keys, kind="stable")
-        held, places = keys[order], first + order
+        ordered, places = keys[order], first + order
         before = np.full(len(keys), NEVER, np.int64)
         for earlier, where in self._parts:
-            at = np.searchsorted(earlier, held, side="right") - 1
-            found = (at >= 0) & (earlier[at] == held)
+            at = np.searchsorted(earlier, ordered, side="right") - 1
+            found = (at >= 0) & (earlier[at] == ordered)
             before[order[found]] = where[at[found]]
-        again = np.flatnonzero(held[1:] == held[:-1]) + 1
+        again = np.flatnonzero(ordered[1:] == ordered[:-1]) + 1
         before[order[again]] = places[again - 1]
-        self._add(held, places)
+        self._add(ordered, places)
         return before
 
     def _add(self, keys: NDArray[np.uint64], places: NDArray[np.int64]) -> None:

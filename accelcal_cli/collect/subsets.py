@@ -27,7 +27,7 @@ INTERVALS_G = (
 AXES = "xyz"
 LEVELS = "n0p"
 POINTS_PER_SUBSET = 2
-"""Points of a subset in F."""
+"""Number of points in each of F's subsets."""
 
 Mean = tuple[int, tuple[int, int, int]]
 """A window's number of samples and the sums of its counts."""
@@ -171,8 +171,8 @@ class PaperCollector:
     def _place(self, mean: Mean) -> tuple[Role, list[CellSums] | None]:
         """Return the role of a mean, and the subset of the first or else the second set that takes it."""
         for most in self._limits:
-            for role, held in ((Role.FIT, self.fit), (Role.CONTROL, self.control)):
-                if (subset := held.place(*mean, most)) is not None:
+            for role, collector in ((Role.FIT, self.fit), (Role.CONTROL, self.control)):
+                if (subset := collector.place(*mean, most)) is not None:
                     return role, subset
         return Role.NOT_TAKEN, None
 

@@ -105,8 +105,8 @@ class PointTable:
 
     def select(self, which: NDArray[np.bool_]) -> PointTable:
         """Return the rows of a mask."""
-        held: dict[str, Any] = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        rows: dict[str, Any] = {n: part[which] for n, part in held.items() if isinstance(part, np.ndarray)}
+        fields: dict[str, Any] = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        rows: dict[str, Any] = {n: part[which] for n, part in fields.items() if isinstance(part, np.ndarray)}
         return replace(self, **rows)
 
 
@@ -181,10 +181,10 @@ def _frame(path: Path) -> pd.DataFrame:
             warnings.simplefilter("error", pd.errors.ParserWarning)  # a line that would be cut off
             mark = _delimiter(path)
             options |= {"sep": r"\s+"} if mark == " " else {"sep": mark}
-            held = pd.read_csv(path, index_col=False, encoding="utf-8-sig", **options)
+            frame = pd.read_csv(path, index_col=False, encoding="utf-8-sig", **options)
         if mark != ",":
-            held = held.map(_with_point)
-        return held.set_index(held.index + 2)
+            frame = frame.map(_with_point)
+        return frame.set_index(frame.index + 2)
     except pd.errors.ParserWarning as error:
         raise UnreadableError(
             "a line has more fields than the header line", path=path, hint="give each column a name"
@@ -210,11 +210,11 @@ def _parquet(path: Path) -> pd.DataFrame:
     wanted = {alias for aliases in ALIASES.values() for alias in aliases}
     columns = [name for name in names if name.strip().lower() in wanted]
     with pq.ParquetFile(path, pre_buffer=False) as file:
-        held = file.read(columns, use_threads=False).to_pandas(use_threads=False)
-    held = held.dropna(axis=1, how="all").reset_index(drop=True)
-    texts = [name for name in held if name.strip().lower() in ALIASES["posture"]]
-    held[texts] = held[texts].astype(object).where(held[texts].notna(), "").astype(str)
-    return held.set_index(held.index + 1)
+        frame = file.read(columns, use_threads=False).to_pandas(use_threads=False)
+    frame = frame.dropna(axis=1, how="all").reset_index(drop=True)
+    texts = [name for name in frame if name.strip().lower() in ALIASES["posture"]]
+    frame[texts] = frame[texts].astype(object).where(frame[texts].notna(), "").astype(str)
+    return frame.set_index(frame.index + 1)
 
 
 def _delimiter(path: Path) -> str:
@@ -320,7 +320,7 @@ def _kept_apart(
 ) -> tuple[PointSet, NDArray[np.int64] | None]:
     """Return a point for each cell of a posture, and the postures; cells widen if there are too many."""
     keys = _keys(table, lsb_per_g, settings.cells_per_g, temperature=temperature)
-    weigh = _group_weights if table.weight is None else _table_weights
+    weigh = shared_weights if table.weight is None else _table_weights
     cells = _cells(table, _shares(table), keys)
     if (width := width_for(cells)).space > HARMLESS_SPACE:
         raise UnreadableError(
@@ -376,12 +376,6 @@ def _table_weights(ordered: Sequence[tuple[Key, CellSums]]) -> list[int]:
     """Return weights in the table's proportions; a point of mean weight counts as one."""
     total = sum(sums.samples for _, sums in ordered)
     return [max(1, rounded_quotient(s.samples * len(ordered) * WEIGHT_ONE, total)) for _, s in ordered]
-
-
-def _group_weights(ordered: Sequence[tuple[Key, CellSums]]) -> list[int]:
-    """Return weights by which each 2 x 2 x 2 group of cells of one posture counts as one point."""
-    groups = [(key[0], *(part >> 1 for part in key[1:4])) for key, _ in ordered]
-    return shared_weights(groups, [sums.windows for _, sums in ordered])
 
 
 def _rows(table: PointTable, lsb_per_g: float, points: PointSet) -> PointSet:

@@ -153,7 +153,10 @@ class TurnCollector:
             if kind[low] < 0:
                 self._break()
             elif kind[low]:
-                self._add_rest(rows[low:high], counts)
+                if self._now is None:
+                    self._now = _Resting(rows[low:high], counts)
+                else:
+                    self._now.go_on(rows[low:high], counts)
             else:
                 self._add_movement(counts)
 
@@ -168,12 +171,6 @@ class TurnCollector:
         """End rest and turn, since the next window does not continue them."""
         self._end_rest()
         self._before, self._now, self._path = None, None, []
-
-    def _add_rest(self, rows: NDArray[np.int64], counts: Counts) -> None:
-        if self._now is None:
-            self._now = _Resting(rows, counts)
-        else:
-            self._now.go_on(rows, counts)
 
     def _add_movement(self, counts: Counts) -> None:
         self._end_rest()
@@ -200,7 +197,9 @@ class TurnCollector:
         start, end = before.tail[0], after.head[0]
         period_us = int(end[_TIME] - start[_TIME]) / int(end[_SAMPLE] - start[_SAMPLE])
         turn = Turn(_rest(before.tail, self._length), _rest(after.head, self._length), counts, period_us)
-        if period_us > 0 and _turned(turn) and not _saturated(counts) and self._is_unambiguous(turn):
+        limits = np.iinfo(np.int16)  # devices use them up to their range
+        saturated = counts.dtype == np.int16 and (counts.min() == limits.min or counts.max() == limits.max)
+        if period_us > 0 and _turned(turn) and not saturated and self._is_unambiguous(turn):
             self._kept.add(turn)
 
     def _is_unambiguous(self, turn: Turn) -> bool:
@@ -216,12 +215,6 @@ def _turned(turn: Turn) -> bool:
     across = sum(a * b for a, b in zip(u, v, strict=True))
     lengths = sqrt(sum(a * a for a in u)) * sqrt(sum(b * b for b in v))
     return across < cos(radians(ROUGH_TURN_DEG)) * lengths
-
-
-def _saturated(counts: Counts) -> bool:
-    """Return True if a rate reaches the limits of 16 bits, which devices use up to their range."""
-    limits = np.iinfo(np.int16)
-    return counts.dtype == np.int16 and bool(counts.min() == limits.min or counts.max() == limits.max)
 
 
 class _KeptTurns:
@@ -297,6 +290,6 @@ class _RatesAtRest:
 
     def result(self) -> RestRates:
         """Return the blocks with rest; without temperature if one of them lacks it."""
-        held = self._sums[self._sums[:, 0] > 0]
-        warm = bool(len(held)) and bool((held[:, 0] == held[:, 5]).all())
-        return RestRates(held[:, 0], held[:, 1:4], held[:, 4] if warm else None)
+        blocks = self._sums[self._sums[:, 0] > 0]
+        warm = bool(len(blocks)) and bool((blocks[:, 0] == blocks[:, 5]).all())
+        return RestRates(blocks[:, 0], blocks[:, 1:4], blocks[:, 4] if warm else None)

@@ -50,7 +50,7 @@ Axes = list[NDArray[np.float32]]
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """Raw values of a sensor that changed while it recorded, put right: r v + d takes the place of v.
+    """Corrects raw values of a sensor that changed while it recorded: r v + d replaces v.
 
     Between knots, r and d are constant or interpolated linearly; after the last knot they are constant.
 
@@ -352,7 +352,7 @@ class Transform:
 
 @dataclass(frozen=True, slots=True)
 class _GainRow:
-    """One row of K, and what it makes of offsets and temperature.
+    """One row of K, with the constant and the temperature term that belong to it.
 
     Attributes:
         exact: True if products of the gain, in fixed point, and counts of 16 bits are exact, and their sums,

@@ -1,4 +1,4 @@
-"""What flows from the segmenter to the judge: still windows as integer sums, calibration points, fits.
+"""Records that flow from the segmenter to the judge: still windows as integer sums, points, and fits.
 
 The cost of a fit on small processors is predicted from counted additions and multiplications alone, as in
 Farago, Maczak, Gingl 2024, Table 1: 0.70 s for 90 150 of each on an ATmega328. Loads, stores, narrowing and
@@ -141,7 +141,7 @@ class Quietest:
 
 
 class Role(IntEnum):
-    """What became of a still window."""
+    """Use that was made of a still window."""
 
     FIT = 0
     """It is part of a point that is fitted."""
@@ -171,7 +171,7 @@ Saturated = tuple[tuple[int, float], ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fates:
-    """What became of m still windows.
+    """Uses that were made of m still windows.
 
     Attributes:
         role: (m,) `Role` of each.

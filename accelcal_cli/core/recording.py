@@ -1,4 +1,4 @@
-"""The records that flow from a reader to the rest: Recording, Chunk, Problem."""
+"""The records that flow from a reader to the rest, and the contracts of readers."""
 
 from __future__ import annotations
 

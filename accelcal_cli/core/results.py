@@ -339,7 +339,7 @@ class SampleCounts:
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """What still windows measure before calibration, near 1 g or not, in units of local gravity.
+    """Figures of still windows before calibration, near 1 g or not, in units of local gravity.
 
     Attributes:
         windows: their number; without any, only the last attribute has a meaning.

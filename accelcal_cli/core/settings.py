@@ -314,7 +314,7 @@ class Settings:
 
     @property
     def gravity(self) -> Gravity:
-        """What rest measures."""
+        """The place of recording, which determines what rest measures."""
         return Gravity(self.latitude, self.altitude_m)
 
     def as_json(self) -> dict[str, Any]:
@@ -390,7 +390,7 @@ class PoseSettings:
 
     @property
     def gravity(self) -> Gravity:
-        """What rest measures."""
+        """The place of recording, which determines what rest measures."""
         return Gravity(self.latitude, self.altitude_m)
 
     @property
@@ -416,8 +416,8 @@ class PoseSettings:
     def as_json(self) -> dict[str, Any]:
         """The report's `settings` object."""
         fixed = {"profile": self.profile, "optimizer": "least-squares", "model": "12", "temperature": False}
-        held = {name: value for name, value in asdict(self).items() if value or name not in POSES_IF_ASKED}
-        return {**fixed, "stillness": self.stillness.stillness, **held}
+        fields = {name: value for name, value in asdict(self).items() if value or name not in POSES_IF_ASKED}
+        return {**fixed, "stillness": self.stillness.stillness, **fields}
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,1 +1,1 @@
-"""Judging a calibration by data that the fit did not see."""
+"""The judgement of a calibration by data that its fit did not see."""

@@ -51,7 +51,7 @@ KNOT_BITS = 17
 """Fraction bits of a correction's knots, few enough that the last bits of linear algebra do not matter."""
 
 KNOTS_H = (24, 12, 6)
-"""Distances [h] between the knots from one to the next of which offsets may wander."""
+"""Distances [h] between knots, from one to the next of which offsets change linearly."""
 
 MG = 1e-3
 WIDTHS = {"offset": 30 * MG, "scale": 0.03, "misalignment": 0.01, "knot": 10 * MG}
@@ -137,7 +137,8 @@ class ChangeSearch:
     def find(self, found: Calibration) -> Change:
         """Look for a change about a calibration."""
         means = self._means
-        stretch = means.block // _stretch_blocks(means)
+        hours = min(means.hours() / MOST_STRETCHES, LONGEST_STRETCH_H)
+        stretch = means.block // max(1, ceil(hours / means.block_h))
         if means.hours() < 2 * LEAST_H:
             return Change("none", "the recording is too short to show a change")
         if means.blocks() == 1:
@@ -177,16 +178,12 @@ class ChangeSearch:
         assert self._fit is not None and change.correction is not None
         means = self._means.corrected(change.correction)
         design = Design(means, replace(found, correction=None), means.block)
-        rest = design.fit(_at_its_moment(self._fit))
+        hypothesis, moment = self._fit.hypothesis, slice(self._fit.moment, self._fit.moment + 1)
+        only = replace(hypothesis, functions=hypothesis.functions[moment], moments=hypothesis.moments[moment])
+        rest = design.fit(only)
         more = _correction(means, rest)
         assert more is not None
         return _measured(replace(change, correction=_combined(change.correction, more)), rest)
-
-
-def _at_its_moment(fit: ChangeFit) -> ChangeHypothesis:
-    """Return the hypothesis without all other moments."""
-    hypothesis, moment = fit.hypothesis, slice(fit.moment, fit.moment + 1)
-    return replace(hypothesis, functions=hypothesis.functions[moment], moments=hypothesis.moments[moment])
 
 
 def _correction(means: TimedMeans, fit: ChangeFit) -> Correction | None:
@@ -250,8 +247,8 @@ def change_sentence(change: Change, offset_s: int | None, *, followed: bool) -> 
         offset_s: seconds that the device's clock is ahead of UTC; None if unknown.
         followed: True if the calibration follows the change.
     """
-    held = change.holdout
-    if held is None or change.size_mg is None:
+    holdout = change.holdout
+    if holdout is None or change.size_mg is None:
         return None
     when = (iso_time(change.at_us, offset_s) or "").partition(".")[0]
     what = {
@@ -265,13 +262,8 @@ def change_sentence(change: Change, offset_s: int | None, *, followed: bool) -> 
     text = f"the sensor changes while it records: {what}, by up to {change.size_mg:.1f} mg"
     if followed:
         return f"{text}, and the calibration follows"
-    worse = f"one calibration for all of it leaves {held.constant_mg:.1f} mg"
-    return f"{text}; {worse}, one that follows would leave {held.changing_mg:.1f} mg"
-
-
-def _stretch_blocks(means: TimedMeans) -> int:
-    hours = min(means.hours() / MOST_STRETCHES, LONGEST_STRETCH_H)
-    return max(1, ceil(hours / means.block_h))
+    worse = f"one calibration for all of it leaves {holdout.constant_mg:.1f} mg"
+    return f"{text}; {worse}, one that follows would leave {holdout.changing_mg:.1f} mg"
 
 
 def _falls(before: list[float], after: list[float]) -> bool:

@@ -96,10 +96,12 @@ def _judged(pairs: _Pairs, found: Turns, bias: Bias) -> Gyroscope:
         errors = fit.standard_errors()
     except ValueError:
         return _refused("the turns do not determine the scale", len(pairs.turns), found, bias)
-    held = _holdout(fit, gravity, pairs.after, raw)
-    known = replace(_refused("", len(pairs.turns), found, bias), holdout=held, standard_errors=_rows(errors))
-    if held.after > LARGEST_DEG:
-        text = f"on turns that it has not seen gravity is still {held.after:.2g} degrees off"
+    holdout = _holdout(fit, gravity, pairs.after, raw)
+    known = replace(
+        _refused("", len(pairs.turns), found, bias), holdout=holdout, standard_errors=_rows(errors)
+    )
+    if holdout.after > LARGEST_DEG:
+        text = f"on turns that it has not seen gravity is still {holdout.after:.2g} degrees off"
         return replace(known, message=f"{text}; units, axes or times of the gyroscope may be wrong")
     factor = mean([abs(fit.scale[axis, axis]) for axis in range(3)])
     if not 1 / OTHER_UNIT < factor < OTHER_UNIT:
@@ -112,12 +114,12 @@ def _judged(pairs: _Pairs, found: Turns, bias: Bias) -> Gyroscope:
         axis = "xyz"[int(errors.max(axis=0).argmax())]
         text = f"too little turning about {axis}: an entry of its scale is known to {worst:.2g} only"
         return replace(known, message=text)
-    if held.mean_after > held.mean_before:
+    if holdout.mean_after > holdout.mean_before:
         text = "a scale matrix makes it no better on turns that it has not seen"
-        return replace(known, message=f"{text} ({held.mean_before:.2g} degrees before)")
+        return replace(known, message=f"{text} ({holdout.mean_before:.2g} degrees before)")
     text = (
         f"scale found from {counted(len(pairs.turns), 'turn')} between rests; on turns that it has not seen "
-        f"gravity is {held.after:.2g} degrees off, {held.before:.2g} before"
+        f"gravity is {holdout.after:.2g} degrees off, {holdout.before:.2g} before"
     )
     scale = _rows(np.rint(fit.scale * GRID) / GRID)
     if np.abs(fit.scale - np.eye(3)).max() > UNUSUAL:
@@ -256,7 +258,10 @@ def _fitted(gravity: TurningGravity, after: Floats, raw: Turned) -> _Fit:
         step = fit.step()
         scale = scale + step
         turned = gravity.turned(scale)
-        weights = _huber_weights(_distances(turned.direction, after))
+        distances = _distances(turned.direction, after)
+        # the median distance in a plane is 1.18 standard deviations of a coordinate
+        limit = HUBER * quantile(sorted(distances.tolist()), 0.5) / 1.1774
+        weights = np.minimum(1.0, limit / np.maximum(distances, 1e-12)) if limit else np.ones(len(distances))
         if np.abs(step).max() < STOP:
             break
     return _linearised(scale, turned, after, weights)
@@ -275,12 +280,6 @@ def _distances(one: Floats, other: Floats) -> Floats:
     return np.sqrt(apart[:, 0] ** 2 + apart[:, 1] ** 2 + apart[:, 2] ** 2)
 
 
-def _huber_weights(distances: Floats) -> Floats:
-    # the median distance in a plane is 1.18 standard deviations of a coordinate
-    limit = HUBER * quantile(sorted(distances.tolist()), 0.5) / 1.1774
-    return np.minimum(1.0, limit / np.maximum(distances, 1e-12)) if limit else np.ones(len(distances))
-
-
 def _holdout(fit: _Fit, gravity: TurningGravity, after: Floats, raw: Turned) -> TurnHoldout:
     """Return errors on fifths of the turns, in the order of time, by fits without them.
 
@@ -292,7 +291,10 @@ def _holdout(fit: _Fit, gravity: TurningGravity, after: Floats, raw: Turned) -> 
     scales = np.empty((3, 3, number))
     for one in range(FOLDS):
         scales[:, :, fold == one] = (fit.scale + fit.step(fold != one))[:, :, np.newaxis]
-    before, angles = (_angles(turned.direction, after) for turned in (raw, gravity.turned(scales)))
+    before, angles = (
+        [2 * degrees(asin(min(1.0, apart / 2))) for apart in _distances(turned.direction, after).tolist()]
+        for turned in (raw, gravity.turned(scales))
+    )
     half = student_t_975(number - 1) * sqrt(number) / 2
     low, high = (max(0.0, min(1.0, (number / 2 + one) / number)) for one in (-half, half))
     ordered = sorted(angles)
@@ -309,11 +311,6 @@ def _holdout(fit: _Fit, gravity: TurningGravity, after: Floats, raw: Turned) -> 
 
 def _root_mean_square(values: list[float]) -> float:
     return sqrt(mean([value * value for value in values]))
-
-
-def _angles(one: Floats, other: Floats) -> list[float]:
-    """Return angles between unit vectors [degrees]."""
-    return [2 * degrees(asin(min(1.0, apart / 2))) for apart in _distances(one, other).tolist()]
 
 
 def bias_at_rest(

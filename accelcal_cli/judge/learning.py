@@ -54,7 +54,7 @@ UNDATED_MONTHS = 24.0
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A parameter as one recording, or device, estimates it by itself."""
+    """A parameter and its variance, as estimated from one recording or device alone."""
 
     value: float
     variance: float

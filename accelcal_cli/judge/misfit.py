@@ -171,8 +171,8 @@ class MisfitSearch:
             moved, _ = self._fit(hypothesis, ~out, self._known.noise_g)
             left[out] = self._error[out] - full[out] @ moved
         errors = np.bincount(self._label, 500 * np.abs(left) * self._weights)
-        held: list[float] = (errors / np.bincount(self._label, self._weights)).tolist()
-        return held
+        by_posture: list[float] = (errors / np.bincount(self._label, self._weights)).tolist()
+        return by_posture
 
     def _fit(
         self, hypothesis: MisfitHypothesis | None, which: NDArray[np.bool_], noise_g: float
@@ -183,15 +183,12 @@ class MisfitSearch:
         strength = penalty / (1 << PENALTY_BITS) * (noise_g / known.noise_g) ** 2
         if hypothesis is not None:
             full = np.column_stack([full, hypothesis.columns])
-            own = self._unit(noise_g) / (hypothesis.width * hypothesis.width)
+            unit = 4 * noise_g * noise_g / self._postures * float(self._weights.sum())
+            own = unit / (hypothesis.width * hypothesis.width)
             strength, centre = np.append(strength, [own] * 3), np.append(centre, [0.0] * 3)
         weighted = full[which] * self._weights[which, np.newaxis]
         around = weighted.T @ full[which] + np.diag(strength)
         return np.linalg.solve(around, weighted.T @ self._error[which] + strength * centre), around
-
-    def _unit(self, noise_g: float) -> float:
-        """Return what a prior of width 1 adds to the curvature of the weighted sum."""
-        return 4 * noise_g * noise_g / self._postures * float(self._weights.sum())
 
 
 def _bent(kind: MisfitKind, together: Posterior, c: Floats) -> Posterior:

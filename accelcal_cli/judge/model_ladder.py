@@ -196,7 +196,7 @@ def of_postures(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What the models of the ladder are tried on.
+    """The data on which the models of the ladder are tried.
 
     Attributes:
         sample: the recording's points, their postures and blocks.

@@ -231,15 +231,10 @@ def _penalty(
     for value, centre, width in zip(parameters, scaled.centre, scaled.widths, strict=True):
         away = (value - centre) / ONE / width
         weight = (freedom + 1) / (freedom + away * away)
-        strength.append(_leading_bits(unit * weight / (width * width)))
+        whole = round(unit * weight / (width * width) * (1 << PENALTY_BITS))
+        drop = max(0, whole.bit_length() - PENALTY_DIGITS)
+        strength.append(max(1, whole >> drop << drop))
     return Penalty(scaled.centre, tuple(strength))
-
-
-def _leading_bits(value: float) -> int:
-    """Return PENALTY_DIGITS leading bits of a value in units of 2**-PENALTY_BITS; at least 1."""
-    whole = round(value * (1 << PENALTY_BITS))
-    drop = max(0, whole.bit_length() - PENALTY_DIGITS)
-    return max(1, whole >> drop << drop)
 
 
 def _inverse(points: PointSet, found: PenalizedFit, penalty: Penalty) -> list[list[float]]:

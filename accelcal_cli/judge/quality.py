@@ -1,4 +1,4 @@
-"""Errors of a calibration along a recording, and if it has degraded.
+"""Errors of a calibration along a recording, and the test for degradation.
 
 The check is that of Grammenos et al. (2018): the deviation of |a| from g on still windows is examined every
 hour, and a sensor whose deviation has grown is calibrated anew. Here a calibration is compared with fits to
@@ -75,19 +75,18 @@ def by_block(
         windows: (n,) number of windows behind each observation.
         block: (n,) number of its block.
     """
-    held: dict[int, list[tuple[float, int]]] = defaultdict(list)
+    of_block: dict[int, list[tuple[float, int]]] = defaultdict(list)
     columns = (deviations.tolist(), windows.tolist(), block.tolist())
     for deviation, number, one in zip(*columns, strict=True):
-        held[one].append((deviation, number))
-    return {one: _spread(held[one]) for one in sorted(held)}
-
-
-def _spread(deviations: list[tuple[float, int]]) -> ErrorSpread:
-    """Summarise pairs of a deviation and its weight."""
-    signed, errors = sorted(deviations), sorted((abs(value), number) for value, number in deviations)
-    average = fsum(error * number for error, number in errors) / sum(number for _, number in errors)
-    low, middle, high = (weighted_percentile(signed, percent) for percent in (5, 50, 95))
-    return ErrorSpread(average, weighted_percentile(errors, 95), (low, middle, high))
+        of_block[one].append((deviation, number))
+    spreads = {}
+    for one in sorted(of_block):
+        signed = sorted(of_block[one])
+        errors = sorted((abs(value), number) for value, number in signed)
+        average = fsum(error * number for error, number in errors) / sum(number for _, number in errors)
+        low, middle, high = (weighted_percentile(signed, percent) for percent in (5, 50, 95))
+        spreads[one] = ErrorSpread(average, weighted_percentile(errors, 95), (low, middle, high))
+    return spreads
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +135,7 @@ def check(compared: ComparedErrors, change: Change, blocks: int, limit_mg: float
         blocks: number of blocks of time in the recording.
         limit_mg: error that no usable calibration reaches.
     """
-    whole = _clear(_falls(compared, 0, blocks))
+    whole = _fall_interval(_falls(compared, 0, blocks))[0] > 0
     rise = None if change.at_block is not None else _rise(compared)
     moment = change.at_block if rise is None else rise
     edges = [0, blocks]
@@ -175,8 +174,9 @@ def _period(compared: ComparedErrors, first: int, end: int, limit_mg: float, *, 
     if not pairs:
         return None
     given, unseen = mean([one for one, _ in pairs]), mean([other for _, other in pairs])
-    pays = given - unseen >= LEAST_MG and (clear or _clear(pairs))
-    return Period(first, end, given, unseen, _interval(pairs), pays or given >= limit_mg)
+    interval = _fall_interval(pairs)
+    better = given - unseen >= LEAST_MG and (clear or interval[0] > 0)
+    return Period(first, end, given, unseen, interval, better or given >= limit_mg)
 
 
 def _falls(compared: ComparedErrors, first: int, end: int) -> list[tuple[float, float]]:
@@ -189,11 +189,7 @@ def _falls(compared: ComparedErrors, first: int, end: int) -> list[tuple[float, 
     ]
 
 
-def _clear(pairs: list[tuple[float, float]]) -> bool:
-    return _interval(pairs)[0] > 0
-
-
-def _interval(pairs: list[tuple[float, float]]) -> tuple[float, float]:
+def _fall_interval(pairs: list[tuple[float, float]]) -> tuple[float, float]:
     """Return the 95 % interval of the mean fall over stretches."""
     return interval95([given - unseen for given, unseen in pairs])
 

@@ -111,24 +111,24 @@ def raw_steps(turn: Turn, dps_per_lsb: Triple) -> Floats:
 
 
 def _batches(turns: Sequence[Turn], dps_per_lsb: Triple) -> Iterator[_TurnBatch]:
-    first, held, total = 0, list[Floats](), 0
+    first, steps_of_turns, total = 0, list[Floats](), 0
     for number, turn in enumerate(turns):
         steps = raw_steps(turn, dps_per_lsb)
         blocks = -(-len(steps) // BLOCK)
-        if held and total + blocks > BATCH_BLOCKS:
-            yield _batch(first, held)
-            first, held, total = number, [], 0
+        if steps_of_turns and total + blocks > BATCH_BLOCKS:
+            yield _batch(first, steps_of_turns)
+            first, steps_of_turns, total = number, [], 0
         padded = np.zeros((blocks * BLOCK, 3))
         padded[: len(steps)] = steps
-        held.append(padded.reshape(blocks, BLOCK, 3))
+        steps_of_turns.append(padded.reshape(blocks, BLOCK, 3))
         total += blocks
-    if held:
-        yield _batch(first, held)
+    if steps_of_turns:
+        yield _batch(first, steps_of_turns)
 
 
-def _batch(first: int, held: list[Floats]) -> _TurnBatch:
-    blocks = np.array([len(one) for one in held], np.int64)
-    steps = np.ascontiguousarray(np.concatenate(held).transpose(1, 2, 0))
+def _batch(first: int, steps_of_turns: list[Floats]) -> _TurnBatch:
+    blocks = np.array([len(one) for one in steps_of_turns], np.int64)
+    steps = np.ascontiguousarray(np.concatenate(steps_of_turns).transpose(1, 2, 0))
     return _TurnBatch(first, steps, np.cumsum(blocks) - blocks, blocks)
 
 

@@ -126,7 +126,8 @@ def _most_probable(
     fitted = known.found.fit
     search = MisfitSearch(points, label, known, settings.folds)
     misfits = search.misfits()
-    judged, truth = (fitted.parameters, IDENTITY), search.truth(misfits)
+    truth = search.truth(misfits)
+    judged = (fitted.parameters, IDENTITY)
     sphere, before = sphere_errors(points, label, truth, judged, coverage.saturated)
     verdict = Judgement(
         Outcome.REFUSED,
@@ -150,10 +151,14 @@ def _most_probable(
     if outcome is Outcome.REFUSED:
         return verdict
     completed = _complete(verdict, name, fitted, points, label, settings.gravity)
-    errors = _in_standard_g(known.standard_errors(), settings.gravity)
-    worst = replace(completed.coverage, worst_direction_mg=known.worst_direction_mg())
-    completed = replace(completed, standard_errors=errors, coverage=worst, penalty=known.penalty)
-    return with_simpler(completed, sample, how, truth)
+    return with_simpler(_with_posterior(completed, known, settings.gravity), sample, how, truth)
+
+
+def _with_posterior(verdict: Judgement, known: Posterior, gravity: Gravity) -> Judgement:
+    """Replace the errors of least squares by those of the posterior, and add its penalty."""
+    errors = _in_standard_g(known.standard_errors(), gravity)
+    coverage = replace(verdict.coverage, worst_direction_mg=known.worst_direction_mg())
+    return replace(verdict, standard_errors=errors, coverage=coverage, penalty=known.penalty)
 
 
 def judge_calibrated(points: PointSet, how: Fitting, origin: str) -> Judgement:
@@ -250,8 +255,8 @@ def judge_paper(
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, ())
     known = uncertainty(fit_points, fitted.parameters, MODELS[name])
     unsure = model_ladder.doubt(known, settings.max_error_mg)
-    held = None if unsure else model_ladder.control(control_points, fitted.parameters)
-    trial = Trial(name, held, unsure, fitted)
+    holdout = None if unsure else model_ladder.control(control_points, fitted.parameters)
+    trial = Trial(name, holdout, unsure, fitted)
     verdict = _verdict_of_paper(trial, _with_precision(coverage, known), settings)
     if verdict.outcome is Outcome.REFUSED:
         return verdict

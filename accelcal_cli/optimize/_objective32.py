@@ -35,7 +35,7 @@ COLUMNS = [0, 1, 2, 0, 0, 1]
 """Row and column of each entry of K, in the order of the parameters."""
 
 RISE_TOLERANCE_BITS = 12
-"""A rise of the cost below one part in 2 to this many can be rounding."""
+"""Bits of the cost above which a rise is not rounding: one part in 4096."""
 
 LEAST_SCALE = ONE // 4
 """Smallest scale of any accelerometer: below it, the points do not determine the scale."""

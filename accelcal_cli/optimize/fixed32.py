@@ -37,7 +37,7 @@ RATES_OF_F = {"scale": 0.3, "misalignment": 0.8, "offset": 0.2, "slope": 0.2}
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class DescentSettings:
     """Numbers of the descent.
 
     Attributes:
@@ -55,11 +55,11 @@ class Settings:
     keep_history: bool = False
 
 
-PAPER = Settings(max_iterations=50, converge=False, forward_step=round(1e-5 * ONE))
-DEFAULT = Settings(max_iterations=20_000, converge=True, forward_step=0)
+PAPER = DescentSettings(max_iterations=50, converge=False, forward_step=round(1e-5 * ONE))
+DEFAULT = DescentSettings(max_iterations=20_000, converge=True, forward_step=0)
 
 
-def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
+def fit(points: PointSet, model: Model, settings: DescentSettings = DEFAULT) -> Fit:
     """Fit the free parameters of a model.
 
     Raises:
@@ -70,7 +70,7 @@ def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
     return fit_each((points,), model, settings)[0]
 
 
-def fit_each(sets: Sequence[PointSet], model: Model, settings: Settings = DEFAULT) -> list[Fit]:
+def fit_each(sets: Sequence[PointSet], model: Model, settings: DescentSettings = DEFAULT) -> list[Fit]:
     """Fit several sets of points, all with temperatures or none, with the same bits as one by one.
 
     The sets descend together: each step is a few operations on arrays, whose cost hardly depends on the
@@ -90,17 +90,17 @@ def fit_each(sets: Sequence[PointSet], model: Model, settings: Settings = DEFAUL
     return [next(fits) if model.free and len(points) else nothing for points in sets]
 
 
-def _rates(settings: Settings) -> list[int]:
+def _rates(settings: DescentSettings) -> list[int]:
     groups = ("scale", "misalignment", "offset", "slope")
     return [round(settings.rates[name] * (1 << RATE_BITS)) for name in groups for _ in range(3)]
 
 
-def _forward(sets: Sequence[PointSet], model: Model, settings: Settings) -> list[Fit]:
+def _forward(sets: Sequence[PointSet], model: Model, settings: DescentSettings) -> list[Fit]:
     """Run F's iteration to the letter, set by set: forward differences, fixed rates and iterations."""
     return [_forward_of_one(stacked((points,)), model, settings) for points in sets]
 
 
-def _forward_of_one(stack: Stack, model: Model, settings: Settings) -> Fit:
+def _forward_of_one(stack: Stack, model: Model, settings: DescentSettings) -> Fit:
     """Fit one set.
 
     The update is counted as F does, an addition and a multiplication for each group of three
@@ -134,7 +134,7 @@ class _Descent:
         points: number of points.
         free: indices of the parameters that may change.
         rates: twelve learning rates.
-        keep_history: see `Settings`.
+        keep_history: see `DescentSettings`.
         here, before: parameters now and a step ago.
         best, lowest: parameters of the lowest cost so far, and that cost.
         age: steps since the momentum was dropped.
@@ -182,7 +182,9 @@ class _Descent:
         self.quiet = 0 if self.age else self.quiet + 1
         if self.lowest is None or cost < self.lowest:
             self.lowest, self.best, self.quiet = cost, ahead, 0
-        after = self._after(ahead, slope)
+        after = list(ahead)
+        for index in self.free:
+            after[index] -= rounded_quotient(slope[index] * self.rates[index], 1 << RATE_BITS)
         if self.keep_history:
             self.history.append(tuple(after))
         if after == ahead and not self.age:
@@ -205,19 +207,13 @@ class _Descent:
         self.stop = "steps of one bit in a circle"
         return self.best
 
-    def _after(self, ahead: list[int], slope: list[int]) -> list[int]:
-        after = list(ahead)
-        for index in self.free:
-            after[index] -= rounded_quotient(slope[index] * self.rates[index], 1 << RATE_BITS)
-        return after
-
     def result(self, parameters: list[int], iterations: int) -> Fit:
         """Return the fit with these parameters."""
         operations = operations_of(self.points, self.costs, self.gradients)
         return Fit(tuple(parameters), iterations, self.stop, operations, tuple(self.history))
 
 
-def _accelerated(sets: Sequence[PointSet], model: Model, settings: Settings) -> list[Fit]:
+def _accelerated(sets: Sequence[PointSet], model: Model, settings: DescentSettings) -> list[Fit]:
     """Fit all sets together, each until its step vanishes."""
     if not sets:
         return []

@@ -37,7 +37,7 @@ ENTRIES = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class GaussNewtonSettings:
     """Numbers of the iteration.
 
     Attributes:
@@ -53,7 +53,7 @@ class Settings:
     max_iterations: int = 100
 
 
-DEFAULT = Settings()
+DEFAULT = GaussNewtonSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +114,7 @@ def as_integers(p: Real) -> tuple[int, ...]:
     return tuple(round(float(value) * ONE) for value in p)
 
 
-def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
+def fit(points: PointSet, model: Model, settings: GaussNewtonSettings = DEFAULT) -> Fit:
     """Fit the free parameters of a model.
 
     Raises:
@@ -146,7 +146,7 @@ def _unit(index: int) -> Real:
     return np.asarray(np.eye(15)[index])
 
 
-def _iterate(points: FloatPoints, model: Model, settings: Settings) -> Fit:
+def _iterate(points: FloatPoints, model: Model, settings: GaussNewtonSettings) -> Fit:
     basis = _basis(model, settings.form)
     now = np.concatenate([np.eye(3).ravel(), np.zeros(6)])
     for iteration in range(1, settings.max_iterations + 1):
@@ -187,5 +187,5 @@ OPTIMIZER = Optimizer(
     name="gauss-newton",
     title="damped Gauss-Newton (Grammenos, Mascolo, Crowcroft 2018)",
     fit=fit,
-    settings={"default": DEFAULT, "symmetric": Settings(form="symmetric")},
+    settings={"default": DEFAULT, "symmetric": GaussNewtonSettings(form="symmetric")},
 )

@@ -179,7 +179,12 @@ class Segmenter:
             self._run_number += 1
             self._pending = None
         first = self._run_number
-        for index in self._long_enough(np.diff(edges)).tolist():
+        rows = np.diff(edges)
+        # runs that may make a window: damaged files have many more
+        whole = rows >= self.length
+        whole[0] |= self._pending is not None
+        whole[-1] = True
+        for index in np.flatnonzero(whole & (rows > 0)).tolist():
             if index:
                 self._run_number = first + index
                 self._pending = None
@@ -233,13 +238,6 @@ class Segmenter:
         self._window, self._window_us = window, so_far_us + step_us
         self.gone_over += 1
         return True
-
-    def _long_enough(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return which runs of a chunk, given their numbers of rows, may make a window."""
-        whole = rows >= self.length
-        whole[0] |= self._pending is not None
-        whole[-1] = True
-        return np.flatnonzero(whole & (rows > 0))
 
     def _run(self, rows: Chunk) -> Iterator[Windows]:
         """Yield the still windows of rows within one run."""

@@ -54,7 +54,7 @@ def any_points(draw: st.DrawFn) -> PointSet:
 
 @given(any_points(), st.sampled_from(["3", "6", "9", "9T"]), st.sampled_from([SHORT, PAPER]))
 def test_a_fit_is_an_error_or_what_unlimited_integers_give(
-    held: PointSet, model: str, numbers: fixed32.Settings
+    held: PointSet, model: str, numbers: fixed32.DescentSettings
 ) -> None:
     found = outcome(lambda: fixed32.fit(held, MODELS[model], numbers))
     assert found == outcome(lambda: fixed32.fit(unbounded(held), MODELS[model], numbers))
@@ -65,7 +65,7 @@ def test_a_fit_is_an_error_or_what_unlimited_integers_give(
 
 @pytest.mark.parametrize("place", [1.5, 1.99, 2.0, 3.0, 100.0, 4000.0])
 @pytest.mark.parametrize("numbers", [SHORT, PAPER], ids=["default", "paper"])
-def test_points_far_from_one_g_are_refused(place: float, numbers: fixed32.Settings) -> None:
+def test_points_far_from_one_g_are_refused(place: float, numbers: fixed32.DescentSettings) -> None:
     v = directions(20)
     v[7] *= place
     with pytest.raises(FixedPointOverflowError, match="32-bit fixed-point range"):
@@ -132,7 +132,7 @@ def test_more_points_than_there_is_head_room_for_are_refused() -> None:
     st.sampled_from([SHORT, PAPER]),
 )
 def test_sets_side_by_side_are_fitted_as_each_alone(
-    sets: list[PointSet], warm: bool, model: str, numbers: fixed32.Settings
+    sets: list[PointSet], warm: bool, model: str, numbers: fixed32.DescentSettings
 ) -> None:
     taus = [np.full(len(held), ONE // 3) if held.tau is None else held.tau for held in sets]
     alike = [replace(held, tau=tau if warm else None) for held, tau in zip(sets, taus, strict=True)]
