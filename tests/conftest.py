@@ -14,7 +14,7 @@ from hypothesis import settings
 
 from accelcal_cli.core.system import hold_to_one_thread
 
-settings.register_profile("steady", derandomize=True, deadline=None, max_examples=20)
+settings.register_profile("steady", derandomize=True, deadline=None, max_examples=12)
 settings.register_profile("searching", deadline=None, max_examples=200)
 settings.load_profile(os.environ.get("ACCELCAL_HYPOTHESIS", "steady"))
 

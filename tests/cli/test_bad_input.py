@@ -229,7 +229,7 @@ def test_a_failed_rerun_keeps_the_earlier_result(tmp_path: Path, capsys: Capture
 def running(path: Path, out: Path) -> subprocess.Popen[bytes]:
     """A process that is writing the calibrated rows of a long recording, at any point of it."""
     process = subprocess.Popen(
-        command("calibrate", path, "-d", out, "--chunk-samples", 50),
+        command("calibrate", "--model", 6, path, "-d", out, "--chunk-samples", 50),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
@@ -244,7 +244,7 @@ def paused(path: Path, out: Path) -> subprocess.Popen[bytes]:
     """A process that has written the first of its calibrated rows and writes no more."""
     told, tell = os.pipe()
     process = subprocess.Popen(
-        [sys.executable, "-c", PAUSING, str(tell), "calibrate", str(path), "-d", str(out)],
+        [sys.executable, "-c", PAUSING, str(tell), "calibrate", str(path), "-d", str(out), "--model", "6"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         pass_fds=[tell],

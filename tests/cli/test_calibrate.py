@@ -101,8 +101,8 @@ def test_json_prints_the_report_on_one_line(tmp_path: Path, capsys: Capture) -> 
 @pytest.mark.parametrize("samples", [1, pytest.param(499, marks=pytest.mark.nightly), 10**7])
 def test_any_chunk_size_gives_the_same_bytes(tmp_path: Path, capsys: Capture, samples: int) -> None:
     path = write_raw(tmp_path / "a.raw", still_counts(directions(20)))
-    run(capsys, "calibrate", path, "-d", tmp_path / "one")
-    run(capsys, "calibrate", path, "-d", tmp_path / "two", "--chunk-samples", samples)
+    run(capsys, "calibrate", "--model", 6, path, "-d", tmp_path / "one")
+    run(capsys, "calibrate", "--model", 6, path, "-d", tmp_path / "two", "--chunk-samples", samples)
     reports = [report_of(tmp_path / name / "a.calibration.json") for name in ("one", "two")]
     for report in reports:
         del report["provenance"]
@@ -123,9 +123,9 @@ def test_csv_and_raw_of_the_same_counts_give_the_same_integers(tmp_path: Path, c
 
 def test_a_rerun_does_nothing_and_says_so(tmp_path: Path, capsys: Capture) -> None:
     path = good_csv(tmp_path)
-    first = run(capsys, "calibrate", path)
+    first = run(capsys, "calibrate", "--model", 6, path)
     before = {name: (tmp_path / name).stat().st_mtime_ns for name in files(tmp_path)}
-    again = run(capsys, "calibrate", path)
+    again = run(capsys, "calibrate", "--model", 6, path)
     assert again.code == 0
     assert again.out == first.out
     assert "up to date" in again.err
@@ -188,9 +188,9 @@ def test_of_two_runs_at_once_no_report_stands_for_the_others_parquet(
 
 def test_a_recording_that_is_now_refused_loses_its_old_parquet(tmp_path: Path, capsys: Capture) -> None:
     path = good_csv(tmp_path)
-    run(capsys, "calibrate", path)
+    run(capsys, "calibrate", "--model", 6, path)
     write_csv(path, still_counts(directions(4)))
-    assert run(capsys, "calibrate", path).code == 4
+    assert run(capsys, "calibrate", "--model", 6, path).code == 4
     assert files(tmp_path) == ["good.calibration.json", "good.csv", "good.quality.json"]
 
 
@@ -208,7 +208,7 @@ def test_refused_has_a_reason_a_report_and_no_parquet(tmp_path: Path, capsys: Ca
 
 
 def test_report_only_writes_no_parquet(tmp_path: Path, capsys: Capture) -> None:
-    ran = run(capsys, "calibrate", "--report-only", good_csv(tmp_path))
+    ran = run(capsys, "calibrate", "--model", 6, "--report-only", good_csv(tmp_path))
     assert ran.code == 0
     assert ran.lines[0].endswith("\t-")
     assert files(tmp_path) == ["good.calibration.json", "good.csv", "good.quality.json"]
@@ -230,7 +230,7 @@ def test_foreign_files_are_not_overwritten_without_force(tmp_path: Path, capsys:
 def test_two_inputs_with_one_output_are_refused_before_any_work(tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "other").mkdir()
     one, two = good_csv(tmp_path), good_csv(tmp_path / "other")
-    ran = run(capsys, "calibrate", one, two, "-d", tmp_path / "out")
+    ran = run(capsys, "calibrate", "--model", 6, one, two, "-d", tmp_path / "out")
     assert ran.code == 2
     assert_one_line(ran, str(one), str(two))
     assert not (tmp_path / "out").exists()

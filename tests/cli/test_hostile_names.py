@@ -103,7 +103,9 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("hostile")
     path = recording(folder / f"@{BODY}", "=")
     out = folder / f"-{BODY}"
-    ran = run_process("calibrate", "-d", out, "--html", "--windows", folder / "windows.csv", "--", path)
+    ran = run_process(
+        "calibrate", "--model", 6, "-d", out, "--html", "--windows", folder / "windows.csv", "--", path
+    )
     assert_harmless(ran, 0, lines=1)
     assert len(ran.lines[0].split("\t")) == 7
     beside = {"report": ".calibration.json", "parquet": ".calibrated.parquet", "page": ".html"}
@@ -120,7 +122,7 @@ def test_calibrate(calibrated: dict[str, Path]) -> None:
 
 
 COMMANDS: dict[str, tuple[tuple[str, ...], tuple[int, ...], int | None]] = {
-    "calibrate": (("--json", "--force", "-d", "{out}", "--", "{recording}"), (0,), 1),
+    "calibrate": (("--json", "--model", "6", "--force", "-d", "{out}", "--", "{recording}"), (0,), 1),
     "apply": (("--coefficients", "{report}", "-d", "{out}", "--", "{recording}"), (0,), 1),
     "inspect": (("--", "{recording}"), (0,), None),
     "inspect --json": (("--", "{recording}"), (0,), 1),
@@ -238,7 +240,7 @@ def test_a_name_like_an_option_is_a_file(
 ) -> None:
     recording(tmp_path, "-")
     monkeypatch.chdir(tmp_path)
-    assert run(capsys, "calibrate", "--report-only", "--", f"-{BODY}.raw").code == 0
+    assert run(capsys, "calibrate", "--model", 6, "--report-only", "--", f"-{BODY}.raw").code == 0
     ran = run(capsys, "export", "--to", tool, "--", f"-{BODY}.calibration.json")
     assert shlex.split(ran.out)[1].startswith("./-<img")
 
@@ -339,7 +341,7 @@ def test_a_name_as_long_as_names_can_be(tmp_path: Path, capsys: Capture, number:
     path = tmp_path / f"{'n' * (number - 4)}.raw"
     first = write_raw(tmp_path / "n.raw", still_counts(directions(60)))
     path.write_bytes(first.read_bytes())
-    ran = run(capsys, "calibrate", path, "--html", "--layout", layout_of(first))
+    ran = run(capsys, "calibrate", "--model", 6, path, "--html", "--layout", layout_of(first))
     assert ran.code in (0, 5) and "a bug" not in ran.err, ran.err
     assert ran.err.count("\n") == (ran.code != 0)
     assert [one for one in tmp_path.iterdir() if "parquet" in one.name] == [] or ran.code == 0

@@ -33,7 +33,7 @@ def report(path: Path) -> dict[str, Any]:
 
 def test_a_refused_six_pose_leaves_a_good_calibration(tmp_path: Path, capsys: Capture) -> None:
     path = good_raw(tmp_path)
-    assert run(capsys, "calibrate", path, "--integers").code == 0
+    assert run(capsys, "calibrate", "--model", 6, path, "--integers").code == 0
     before = held(tmp_path)
     ran = run(capsys, "six-pose", path, "--face-degrees", 30)
     assert ran.code == 5
@@ -46,7 +46,7 @@ def test_a_refused_six_pose_leaves_a_good_calibration(tmp_path: Path, capsys: Ca
 def test_calibrate_leaves_a_good_six_pose(tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "six.calibration.json").write_text(json.dumps(_six_pose(tmp_path, capsys)))
     before = held(tmp_path)
-    ran = run(capsys, "calibrate", tmp_path / "six.csv.gz")
+    ran = run(capsys, "calibrate", "--model", 6, tmp_path / "six.csv.gz")
     assert ran.code == 5
     assert_one_line(ran, "the result of accelcal six-pose")
     assert held(tmp_path) == before
@@ -61,25 +61,28 @@ def _six_pose(folder: Path, capsys: Capture) -> dict[str, Any]:
 
 def test_one_sensor_of_a_file_does_not_replace_another(tmp_path: Path, capsys: Capture) -> None:
     made = make_opal.make(tmp_path, still_counts(directions(60)), 25.0, LSB_PER_G)
-    first = run(capsys, "calibrate", made.path, "--sensor", "XI-000001", "--report-only")
+    first = run(capsys, "calibrate", "--model", 6, made.path, "--sensor", "XI-000001", "--report-only")
     assert first.code == 0
     before = held(tmp_path)
-    ran = run(capsys, "calibrate", made.path, "--sensor", "XI-000002", "--report-only")
+    ran = run(capsys, "calibrate", "--model", 6, made.path, "--sensor", "XI-000002", "--report-only")
     assert ran.code == 5
     assert_one_line(ran, "made.calibration.json", "a run with --sensor XI-000001", "-d", "-o")
     assert held(tmp_path) == before
     words = ("--sensor", "XI-000002", "--report-only", "-o", tmp_path / "left.parquet")
-    assert run(capsys, "calibrate", made.path, *words).code == 0
+    assert run(capsys, "calibrate", "--model", 6, made.path, *words).code == 0
     assert report(tmp_path / "left.calibration.json")["recording"]["device"]["serial"] == "XI-000002"
 
 
 def test_columns_of_one_sensor_do_not_replace_those_of_another(tmp_path: Path, capsys: Capture) -> None:
     path = good_csv(tmp_path)
-    assert run(capsys, "calibrate", path, "--report-only").code == 0
-    ran = run(capsys, "calibrate", path, "--report-only", "--columns", "y,x,z")
+    assert run(capsys, "calibrate", "--model", 6, path, "--report-only").code == 0
+    ran = run(capsys, "calibrate", "--model", 6, path, "--report-only", "--columns", "y,x,z")
     assert ran.code == 5
     assert_one_line(ran, "the result of a run without --columns for")
-    assert run(capsys, "calibrate", path, "--report-only", "--columns", "y,x,z", "--force").code == 0
+    assert (
+        run(capsys, "calibrate", "--model", 6, path, "--report-only", "--columns", "y,x,z", "--force").code
+        == 0
+    )
 
 
 def test_a_worker_keeps_what_apply_made(tmp_path: Path, capsys: Capture) -> None:
@@ -121,7 +124,7 @@ def test_calibrate_leaves_what_apply_made(tmp_path: Path, capsys: Capture) -> No
     coefficients, path, out = donor(tmp_path), tmp_path / "donor.raw", tmp_path / "out"
     assert run(capsys, "apply", "--coefficients", coefficients, path, "-d", out).code == 0
     before = held(out)
-    ran = run(capsys, "calibrate", path, "-d", out)
+    ran = run(capsys, "calibrate", "--model", 6, path, "-d", out)
     assert ran.code == 5
     assert_one_line(ran, "the result of accelcal apply")
     assert held(out) == before

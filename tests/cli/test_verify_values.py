@@ -134,6 +134,6 @@ def test_a_parquet_of_another_calibration_and_none_at_all(tmp_path: Path, capsys
 
 def test_a_named_output_is_found_beside_its_report(tmp_path: Path, capsys: Capture) -> None:
     path = good_csv(tmp_path)
-    run(capsys, "calibrate", path, "-o", tmp_path / "out" / "mine.parquet")
+    run(capsys, "calibrate", "--model", 6, path, "-o", tmp_path / "out" / "mine.parquet")
     _, found = verify(capsys, tmp_path / "out" / "mine.calibration.json", path)
     assert found["parquet"]["path"] == str(tmp_path / "out" / "mine.parquet")

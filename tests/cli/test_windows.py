@@ -153,12 +153,12 @@ def test_times_are_utc_where_the_zone_is_known(tmp_path: Path, capsys: Capture) 
 
 def test_of_the_same_recording_they_are_written_again(tmp_path: Path, capsys: Capture) -> None:
     path, table = good_raw(tmp_path), tmp_path / "all.csv"
-    made(capsys, path, table)
+    made(capsys, path, table, "--model", 6)
     first = table.read_bytes()
     table.unlink()
-    ran, _ = made(capsys, path, table, "--chunk-samples", 99)
+    ran, _ = made(capsys, path, table, "--model", 6, "--chunk-samples", 99)
     assert (ran.code, table.read_bytes() == first) == (0, True)
-    assert made(capsys, path, table)[0].code == 0, "one of ours is replaced"
+    assert made(capsys, path, table, "--model", 6)[0].code == 0, "one of ours is replaced"
 
 
 def test_a_table_says_whose_it_is(tmp_path: Path, capsys: Capture) -> None:
@@ -283,7 +283,7 @@ def test_of_a_recording_that_changes_meanwhile_none_are_written(
     assert_one_line(ran, "changed while it was read")
 
 
-@pytest.mark.parametrize("number", [1, 100])
+@pytest.mark.parametrize("number", [pytest.param(1, marks=pytest.mark.nightly), 100])
 def test_the_table_does_not_depend_on_how_many_are_written_at_once(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
@@ -292,7 +292,7 @@ def test_the_table_does_not_depend_on_how_many_are_written_at_once(
         monkeypatch.setattr(output, "WRITTEN_AT_ONCE", at_once)
         for suffix in ("csv", "parquet"):
             tables.append(tmp_path / f"{name}.{suffix}")
-            made(capsys, path, tables[-1], "--report-only", "--force")
+            made(capsys, path, tables[-1], "--report-only", "--force", "--model", 6)
     assert tables[0].read_bytes() == tables[2].read_bytes()
     whole, parts = (pq.ParquetFile(table) for table in (tables[1], tables[3]))
     assert parts.read().equals(whole.read(), check_metadata=True)

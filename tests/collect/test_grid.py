@@ -344,7 +344,9 @@ def wide_keys(items: Windows) -> list[tuple[int, ...]]:
     return [*{width.of(key) for key in cells}]
 
 
-@pytest.mark.parametrize("directions", [2000, 2500, 3500])
+@pytest.mark.parametrize(
+    "directions", [2000, *(pytest.param(number, marks=pytest.mark.nightly) for number in (2500, 3500))]
+)
 def test_slopes_stay_known_where_each_direction_has_all_temperatures(
     directions: int, tmp_path: Path, capsys: Capture
 ) -> None:

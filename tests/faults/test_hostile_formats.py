@@ -50,11 +50,11 @@ def texts(data: bytes) -> Iterator[bytes]:
 
 
 def some(mutants: Iterator[bytes], number: int) -> list[bytes]:
-    """So many of them, spread over all."""
+    """A number of them, spread over all."""
     found = list(mutants)
     if len(found) <= number:
         return found
-    return [found[index * (len(found) - 1) // (number - 1)] for index in range(number)]
+    return [found[(2 * index + 1) * len(found) // (2 * number)] for index in range(number)]
 
 
 def assert_harmless(struck: Struck, here: Path, shim: Path) -> None:
@@ -71,7 +71,7 @@ def assert_harmless(struck: Struck, here: Path, shim: Path) -> None:
             assert "<b>" not in path.read_text(), ran
 
 
-@pytest.mark.parametrize("number", [2, pytest.param(200, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("number", [1, pytest.param(200, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("change", [sizes, texts], ids=lambda one: one.__name__)
 @pytest.mark.parametrize("item", all_formats(), ids=lambda item: item.name)
 def test_a_header_that_claims_much(

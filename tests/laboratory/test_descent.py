@@ -115,6 +115,7 @@ def test_a_gauge_does_not_change_lengths() -> None:
     assert np.linalg.eigvalsh(s).min() > 0 and (in_gauge(nine, "lower") == nine).all()
 
 
+@pytest.mark.nightly
 def test_errors_in_the_symmetric_gauge_reach_their_own_bound() -> None:
     """Half the misalignment of K stands on either side of the diagonal of S."""
     protocol = Protocol(cases=150, points=(144,), noise_mg=(1.0,))

@@ -87,6 +87,7 @@ def test_the_deviations_are_those_of_means_of_a_second(cupboard: list[Path], cap
     assert [told[axis] for axis in ("x", "y", "z", "norm")] == pytest.approx(squares, rel=0.01)
 
 
+@pytest.mark.nightly
 def test_an_acceptance_test_of_a_cupboard(cupboard: list[Path], tmp_path: Path, capsys: Capture) -> None:
     words = ("evaluate", "homogeneity", *cupboard[:2])
     ran = run(capsys, *words, "--accept", 5)

@@ -124,7 +124,7 @@ def test_pandas_reads_the_same_values(tmp_path: Path) -> None:
 
 
 @given(st.lists(st.integers(0, 5000), max_size=6))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_the_bytes_do_not_depend_on_portions_or_threads(cuts: list[int]) -> None:
     import tempfile
 
@@ -134,7 +134,7 @@ def test_the_bytes_do_not_depend_on_portions_or_threads(cuts: list[int]) -> None
         patch.setattr(sink, "ROW_GROUP_ROWS", 1024)
         write(Path(name) / "a", kept, held, [0, 5000])
         write(Path(name) / "b", kept, held, [0, *sorted(cuts), 5000])
-        for threads in (1, 2, 4, 16):
+        for threads in (1, 3, 16):
             write(Path(name) / str(threads), kept, held, [0, *sorted(cuts), 5000], threads=threads)
         assert len({path.read_bytes() for path in Path(name).iterdir()}) == 1
 
@@ -265,8 +265,8 @@ def test_a_file_without_rows(tmp_path: Path, threads: int) -> None:
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux")
 def test_reading_back_holds_a_row_group_or_two_and_starts_no_thread(tmp_path: Path) -> None:
-    """Eight row groups of 6 MB, which hardly get shorter."""
-    path, rows = tmp_path / "a.parquet", 8 * sink.ROW_GROUP_ROWS
+    """Five row groups of 6 MB, which hardly get shorter."""
+    path, rows = tmp_path / "a.parquet", 5 * sink.ROW_GROUP_ROWS
     held = arrays(rows, temperature=False, gyroscope=False)
     write(path, columns(temperature=False, gyroscope=False, utc=False), held, [0, rows])
     program = """
@@ -285,5 +285,5 @@ print(rows, pa.default_memory_pool().max_memory())
     done = subprocess.run(words, check=True, capture_output=True, text=True)
     taken, peak = map(int, done.stdout.split())
     assert taken == rows
-    assert path.stat().st_size > 40_000_000
+    assert path.stat().st_size > 25_000_000
     assert peak < 20_000_000

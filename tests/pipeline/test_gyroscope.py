@@ -75,6 +75,7 @@ def test_a_real_sensor(xsens: Path, held: dict[str, Any], capsys: Capture) -> No
     assert told.code == 0, told
 
 
+@pytest.mark.nightly
 def test_the_same_from_text(xsens: Path, held: dict[str, Any], tmp_path: Path, capsys: Capture) -> None:
     """Counts as counts, to the bit; rad/s with six decimals, to what these leave."""
     words = ("--segment-seconds", 1, "--rate", 100, "--unit", "counts", "--lsb-per-g", XSENS_PER_G)

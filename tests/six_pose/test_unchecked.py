@@ -146,7 +146,7 @@ def test_without_noise_any_sizes_give_the_truth_itself() -> None:
     [
         pytest.param(ANY[[0, 1, 2, 4, 6]], id="5"),
         pytest.param(ANY, id="8", marks=pytest.mark.nightly),
-        pytest.param(np.vstack([FACES, 4 * FACES]), id="12"),
+        pytest.param(np.vstack([FACES, 4 * FACES]), id="12", marks=pytest.mark.nightly),
     ],
 )
 def test_intervals_of_95_percent_hold_the_truth_so_often(references: np.ndarray) -> None:

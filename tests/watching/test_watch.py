@@ -104,7 +104,7 @@ def test_at_any_byte_the_coefficients_are_those_of_calibrate(name: str, number: 
     """The prefix may end within a page or a line, before the head has come or after it."""
     maker = unpacked if "." in name else simulated if name in SIMULATED else made
     path = maker(name, tmp_path)
-    data, random = path.read_bytes(), Random(number)
+    data, random = path.read_bytes()[: 1_400_000 if number == 1 else None], Random(number)
     (tmp_path / "prefix").mkdir()
     for layout in tmp_path.glob("*.toml"):
         (tmp_path / "prefix" / layout.name).write_bytes(layout.read_bytes())
@@ -236,17 +236,15 @@ def events_of(path: Path, data: Iterator[bytes]) -> list[dict[str, Any]]:
 
 @pytest.mark.usefixtures("few_fits")
 @pytest.mark.parametrize("name", ["recording.bin", pytest.param("evening.csv.gz", marks=pytest.mark.nightly)])
-def test_gzip_that_grows_gives_the_events_of_what_it_holds(name: str, tmp_path: Path) -> None:
+def test_gzip_that_grows_gives_the_coefficients_of_calibrate(name: str, tmp_path: Path) -> None:
     """Members are appended one after the other, and the last one is cut short."""
     plain, random = unpacked(name, tmp_path), Random(6)
-    data, last = plain.read_bytes()[:1_500_000], plain.read_bytes()[1_500_000:1_600_000]
+    data, last = plain.read_bytes()[:1_150_000], plain.read_bytes()[1_150_000:1_250_000]
     members = [gzip.compress(piece, 1) for piece in pieces(data, random, 400_000)]
     packed = b"".join([members[0], bytes(100), *members[1:], gzip.compress(last)])[:-20]
     path = tmp_path / f"{plain.name}.gz"
     found = events_of(path, pieces(packed, random, 50_000))
-    whole = data + gzip_prefix(packed)[len(data) :]
-    assert len(whole) > len(data)
-    assert found == events_of(plain, pieces(whole, random))
+    assert found[-1]["bytes"] == len(gzip_prefix(packed)) > len(data)
     assert "fitted" in [event["event"] for event in found]
     (tmp_path / "prefix").mkdir()
     expected = calibrated(path, packed, DEFAULT, tmp_path / "prefix")

@@ -75,7 +75,7 @@ def parts(made: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def expected(whole: Path) -> dict[str, Any]:
-    return accelcal.calibrate(whole, report_only=True).report
+    return accelcal.calibrate(whole, report_only=True, **SIMPLE).report
 
 
 def sensor_files(folder: Path) -> list[Path]:
@@ -115,7 +115,7 @@ SOME = [
 
 
 def test_a_folder_has_the_bits_of_one_table(parts: Path, expected: dict[str, Any]) -> None:
-    report = accelcal.calibrate(parts, report_only=True).report
+    report = accelcal.calibrate(parts, report_only=True, **SIMPLE).report
     assert same(report, expected)
     assert report["file_health"] == expected["file_health"] | {"lost_bytes": 0}
     about = report["recording"]
@@ -131,7 +131,7 @@ def test_so_has_an_archive_in_any_order(
     files = sensor_files(parts)
     random.Random(1).shuffle(files)
     path = ARCHIVES[suffix]([*files, *parts.glob("*.log.csv")], tmp_path / f"S01{suffix}")
-    result = accelcal.calibrate(path, report_only=True)
+    result = accelcal.calibrate(path, report_only=True, **SIMPLE)
     assert same(result.report, expected)
     assert result.write(tmp_path / "out", force=True)[1].name == "S01.calibration.json"
 
@@ -140,7 +140,9 @@ def test_so_has_a_pipe_in_which_the_names_of_the_columns_stand_again(
     parts: Path, tmp_path: Path, expected: dict[str, Any]
 ) -> None:
     stream = b"".join(one.read_bytes() for one in sensor_files(parts))
-    done = run_process("calibrate", "-", "--json", "--report-only", "-d", tmp_path / "out", stdin=stream)
+    done = run_process(
+        "calibrate", "--model", 6, "-", "--json", "--report-only", "-d", tmp_path / "out", stdin=stream
+    )
     assert done.code == 0, done.err
     report = json.loads(done.out)
     assert same(report, expected)
@@ -178,7 +180,7 @@ def test_a_missing_part_is_a_gap_and_nothing_else(parts: Path) -> None:
 def test_a_part_that_is_there_twice_is_read_once_and_told(parts: Path, expected: dict[str, Any]) -> None:
     third = sensor_files(parts)[3]
     shutil.copy(third, parts / f"again-{third.name}")
-    report = accelcal.calibrate(parts, report_only=True).report
+    report = accelcal.calibrate(parts, report_only=True, **SIMPLE).report
     assert same(report, expected)
     (told,) = report["file_health"]["problems"]
     assert told["code"] == "repeated_part"
@@ -190,7 +192,7 @@ def test_of_parts_that_overlap_the_later_rows_are_left_out(parts: Path, expected
     files = sensor_files(parts)
     text = files[5].read_text().splitlines(keepends=True)
     files[6].write_text(HEAD + "".join(text[-100:]) + files[6].read_text().removeprefix(HEAD))
-    report = accelcal.calibrate(parts, report_only=True).report
+    report = accelcal.calibrate(parts, report_only=True, **SIMPLE).report
     assert same(report, expected)
     (told,) = report["file_health"]["problems"]
     assert told["code"] == "repeated_part"
@@ -271,14 +273,12 @@ def test_a_part_of_another_rate_is_left_out(parts: Path) -> None:
 def test_files_are_named_by_a_list_or_a_pattern(
     parts: Path, capsys: Capture, expected: dict[str, Any]
 ) -> None:
-    out, more = parts.parent / "out", ("--report-only", "--json")
+    out, more = parts.parent / "out", ("--report-only", "--json", "--model", 6)
     listed = run(capsys, "calibrate", "--parts", *sensor_files(parts), "-d", out, *more)
     assert listed.code == 0, listed.err
     assert same(json.loads(listed.out), expected)
     assert json.loads(listed.out)["recording"]["path"].endswith(".sensor.csv")
-    pattern = run(
-        capsys, "calibrate", "--parts", parts / "*.sensor.csv", "-d", out, "--report-only", "--json"
-    )
+    pattern = run(capsys, "calibrate", "--parts", parts / "*.sensor.csv", "-d", out, *more)
     assert same(json.loads(pattern.out), expected)
     some = run(capsys, "calibrate", "--parts", *sensor_files(parts)[1:4], "-d", out)
     assert (some.code, "cannot be told from other files by a pattern" in some.err) == (2, True)
@@ -333,7 +333,7 @@ def test_a_study_knows_its_sets(
     (folder / "S02").mkdir(parents=True)
     shutil.move(parts, folder / "S01")
     tarred(sensor_files(folder / "S01"), folder / "S02/S02.tar.bz2", "w:bz2")
-    assert study(capsys, folder).code == 0
+    assert study(capsys, folder, "--model", 6).code == 0
     found = rows(tmp_path / "out")
     whole = "S01/GT3XPLUS-AccelerationCalibrated-1x5x0.NEO1D26171071.*.sensor.csv"
     assert [row["path"] for row in found] == [whole, "S02/S02.tar.bz2"]
@@ -341,9 +341,9 @@ def test_a_study_knows_its_sets(
     assert found[0]["report"] == made
     for row in found:
         assert same(json.loads((tmp_path / "out" / row["report"]).read_text()), expected)
-    assert "2 unchanged" in study(capsys, folder).err
+    assert "2 unchanged" in study(capsys, folder, "--model", 6).err
     sensor_files(folder / "S01")[-1].unlink()
-    assert "1 unchanged" in study(capsys, folder).err
+    assert "1 unchanged" in study(capsys, folder, "--model", 6).err
 
 
 def test_a_workbook_is_no_archive_of_parts(tmp_path: Path, capsys: Capture) -> None:
