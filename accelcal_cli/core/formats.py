@@ -144,8 +144,8 @@ def noted_unused(recording: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the fields of `ReadOptions` that the notes of a report's `recording` call unused."""
     notes = recording.get("notes")
     found = [UNUSED.fullmatch(str(note)) for note in (notes if isinstance(notes, list) else [])]
-    named = " ".join(note[1] for note in found if note and note[2] == recording.get("format"))
-    words = re.findall("--[a-z-]+", named)
+    phrases = " ".join(note[1] for note in found if note and note[2] == recording.get("format"))
+    words = re.findall("--[a-z-]+", phrases)
     return tuple(name for name in ReadOptions.__dataclass_fields__ if option_name(name) in words)
 
 

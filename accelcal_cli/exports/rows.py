@@ -226,18 +226,18 @@ def _described(path: Path) -> CalibratedFile:
     rate_hz, range_g = recording.get("sample_rate_hz"), recording.get("range_g")
     if schema is None or not isinstance(rate_hz, int | float) or not 0 < rate_hz < 1e6:
         raise UnreadableError("is no calibrated recording of accelcal", path=path, hint=NAME_ONE)
-    held = described(schema)
-    if not {*NAMES, "validity"} <= held["columns"].keys():
+    file_columns = described(schema)
+    if not {*NAMES, "validity"} <= file_columns["columns"].keys():
         raise UnreadableError("lacks columns of a calibrated recording", path=path, hint=NAME_ONE)
     return CalibratedFile(
         path,
         float(rate_hz),
         float(range_g) if isinstance(range_g, int | float) else None,
-        held["time_zone"] == UTC,
+        file_columns["time_zone"] == UTC,
         _clock_ahead_s(recording.get("start_time")),
-        "temperature" in held["columns"],
+        "temperature" in file_columns["columns"],
         recording,
-        tuple(name for name in held["columns"] if name not in (*NAMES, "temperature", "validity")),
+        tuple(name for name in file_columns["columns"] if name not in (*NAMES, "temperature", "validity")),
         section(metadata, "smoothed").get("samples"),
         metadata,
     )
@@ -397,22 +397,22 @@ class _Stretch:
     def __init__(self, width: int) -> None:
         self._width = width
         self._before, self._after = reach(width)
-        self._held: SampleRows | None = None
+        self._waiting: SampleRows | None = None
         self._done = 0
 
     def take(self, rows: SampleRows | None) -> Iterator[SampleRows]:
         """Yield the rows whose means are known; None ends the stretch."""
-        held = [one for one in (self._held, rows) if one is not None]
-        if not held:
+        parts = [one for one in (self._waiting, rows) if one is not None]
+        if not parts:
             return
-        all_rows = joined_rows(held)
+        all_rows = joined_rows(parts)
         stop = len(all_rows) - (0 if rows is None else self._after)
         if stop > self._done:
             means = rolling_means(all_rows.xyz, self._width, self._done, stop)
             yield replace(all_rows.part(self._done, stop), xyz=means)
             self._done = stop
         kept = max(0, self._done - self._before)
-        self._held = None if rows is None else all_rows.part(kept, len(all_rows))
+        self._waiting = None if rows is None else all_rows.part(kept, len(all_rows))
         self._done = 0 if rows is None else self._done - kept
 
 

@@ -303,9 +303,9 @@ def primary_of(
     turned = (info.device.serial or "").startswith("MOS") and info.device.firmware == "1.6.0"
     notes = [TURNED] if turned else []
     notes += [HAS_IMU] if beginning.imu or beginning.parameters.get(log.SENSOR_CONFIGURATION) else []
-    named = info.rate_hz or beginning.parameters.get(log.SAMPLE_RATE)
-    if named not in (None, beginning.rate):
-        notes.append(f"the header says {named} Hz, the records hold {beginning.rate} samples a second")
+    stated_hz = info.rate_hz or beginning.parameters.get(log.SAMPLE_RATE)
+    if stated_hz not in (None, beginning.rate):
+        notes.append(f"the header says {stated_hz} Hz, the records hold {beginning.rate} samples a second")
     return SensorDescription(Primary(beginning.rate, turned), scale, tuple(notes))
 
 

@@ -298,20 +298,19 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
             missing or hold no sample, or their rate, scale, unit or axes are unknown.
         UsageError: the user's rate contradicts the description.
     """
-    named = path.name == DESCRIPTION or path.suffix.lower() == ".xml"
-    xml = path if named else path.with_name(DESCRIPTION)
+    is_description = path.name == DESCRIPTION or path.suffix.lower() == ".xml"
+    xml = path if is_description else path.with_name(DESCRIPTION)
     description = load_description(xml)
-    signal = signal_of(description, xml, None if named else path.name)
+    signal = signal_of(description, xml, None if is_description else path.name)
     data = path.with_name(signal.name)
     rows = frames_of(data, signal)
-    gyro = sibling_signal(description.of_kind(*GYRO), signal, data)
-    fits = gyro is not None and gyro.ratio == 1 and gyro.frames >= rows and is_rotation(gyro.signal)
+    gyro, notes = gyroscope_of(description, signal, data, rows)
     scale, is_float = lsb_per_g_of(signal, options, xml), np.dtype(signal.number).kind == "f"
     decoder = Decoder(
         signal,
         axes_of(signal, xml),
         FLOAT_LSB_PER_G / scale if is_float else None,
-        gyro if fits else None,
+        gyro,
         sibling_signal(description.of_kind(*TEMPERATURES), signal, data),
     )
     start_us = description.start_us
@@ -330,9 +329,9 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         has_offsets=description.is_utc,
         duration_s=rows / signal.rate_hz,
         has_temperature=first.get("temperature_mc") is not None,
-        gyro_dps_per_lsb=(gyro.signal.lsb,) * 3 if gyro is not None and fits else None,
-        companion=data if named else xml,
-        notes=() if gyro is None or fits else (OTHER_GYRO.format(name=gyro.signal.name, acc=signal.name),),
+        gyro_dps_per_lsb=None if gyro is None else (gyro.signal.lsb,) * 3,
+        companion=data if is_description else xml,
+        notes=notes,
     )
     problems = () if start_us is not None else (Problem("no_start_time", NO_START, None, 0),)
     return FrameReader(recording, file, problems)
@@ -428,6 +427,16 @@ def sibling_signal(other: Signal | None, signal: Signal, data: Path) -> SiblingS
     frames = path.stat().st_size // frame_bytes(other) if path.is_file() else 0
     ratio = rate_fraction(other.rate_hz) / rate_fraction(signal.rate_hz)
     return SiblingSignal(path, other, ratio, frames) if frames and 0 < ratio < MOST_RATIO else None
+
+
+def gyroscope_of(
+    description: Description, signal: Signal, data: Path, rows: int
+) -> tuple[SiblingSignal | None, tuple[str, ...]]:
+    """Return rotation rates with the rows of the accelerations, or None; and a note on others."""
+    gyro = sibling_signal(description.of_kind(*GYRO), signal, data)
+    if gyro is None or (gyro.ratio == 1 and gyro.frames >= rows and is_rotation(gyro.signal)):
+        return gyro, ()
+    return None, (OTHER_GYRO.format(name=gyro.signal.name, acc=signal.name),)
 
 
 def is_rotation(signal: Signal) -> bool:
