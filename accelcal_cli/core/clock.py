@@ -51,7 +51,7 @@ def utc_offset_s(zone: str | None, start_us: int, *, fold: int = 0) -> int | Non
         zone: an IANA name of a region and place, such as Europe/Berlin; `UTC`; or a fixed offset
             such as +01:00.
         start_us: local time of the first sample, microseconds since 1970.
-        fold: of a local time that occurs twice, as in `datetime`: 0 for the first.
+        fold: which of two equal local times is meant: 0 for the first, as in `datetime`.
 
     Raises:
         UsageError: the zone does not exist.

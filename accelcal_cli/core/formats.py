@@ -303,7 +303,7 @@ class Sampling:
     """How the device of a format samples.
 
     Attributes:
-        rate_hz: instead of the requested one: for 66.7 Hz a GENEActiv takes 200 samples in 3 s.
+        rate_hz: the device's rate for a requested one: for 66.7 Hz a GENEActiv takes 200 samples in 3 s.
         unit_samples: a recording's number of samples is a multiple of this, such as a page.
     """
 
@@ -328,7 +328,7 @@ class Encoder:
             recording stands alone.
         sampling: how a requested recording is sampled. Raises UsageError if no device of the
             format has such a rate, scale or range.
-        gyroscope: whether it writes that of recordings that have one.
+        gyroscope: True if it writes the gyroscope of recordings that have one.
     """
 
     name: str

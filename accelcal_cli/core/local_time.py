@@ -67,7 +67,7 @@ def in_its_zone(
     Args:
         wanted: the user's zone, for files that state none.
         force: the user's zone counts in any case.
-        option: by which the user gave it.
+        option: the option that gave it.
 
     Raises:
         UsageError: the zone that the file states is not the user's; or the user's is to replace offsets

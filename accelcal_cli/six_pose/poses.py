@@ -158,9 +158,9 @@ class Uncertainty:
     """Standard errors.
 
     Attributes:
-        k, o: of K and O in z = K a + O.
-        parameters: of k_xx .. oz, three slopes (0) and k_xy, k_xz, k_yz.
-        worst_direction_mg: of |a|, in the worst of 26 directions (faces, edges, corners of a cube).
+        k, o: those of K and O in z = K a + O.
+        parameters: those of k_xx .. oz, three slopes (0) and k_xy, k_xz, k_yz.
+        worst_direction_mg: that of |a|, in the worst of 26 directions (faces, edges, corners of a cube).
     """
 
     k: Matrix3

@@ -78,7 +78,7 @@ def six_pose(
 
     Args:
         request: its settings are `PoseSettings`, and it is `report_only`.
-        source: where the recording's bytes are, if not at the job's source.
+        source: file with the recording's bytes, if it is not the job's source.
 
     Raises:
         DivergedError: the poses do not determine the parameters; nothing is written.
@@ -176,7 +176,7 @@ class RollFigures:
     """Figures of a roll [g].
 
     Attributes:
-        mean_g, sd_g: of the level axis.
+        mean_g, sd_g: mean and standard deviation of the level axis.
         length_g: root of the mean square of |a|; 1 if the device rolls evenly.
         turn_g: see LEAST_TURN_G.
     """

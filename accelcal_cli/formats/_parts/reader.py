@@ -56,7 +56,7 @@ class RecordingPart:
     Attributes:
         recording: what its header says.
         start_us: time of its first sample.
-        size: bytes.
+        size: length [bytes].
     """
 
     path: Path
@@ -122,7 +122,7 @@ class PartFiles:
 
     Attributes:
         damage: what is wrong with the archive that held them.
-        folder: a temporary one, to be removed.
+        folder: temporary folder, to be removed.
         aside: names of files that are no recordings.
         problems: one for each file that cannot be read.
     """
@@ -139,7 +139,7 @@ class FilesReader(Reader):
     """Reads a recording of several files, one at a time.
 
     Args:
-        found: the files.
+        part_files: the files.
         open_part: opens one.
     """
 
@@ -169,7 +169,7 @@ class PartsReader(FilesReader):
     """Reads parts in the order of their times.
 
     Attributes:
-        parts: in this order.
+        parts: the parts, in this order.
     """
 
     def __init__(self, path: Path, part_files: PartFiles, open_part: Open) -> None:

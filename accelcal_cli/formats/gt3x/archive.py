@@ -239,7 +239,7 @@ class MemberStream(Closing):
     """Reads a part from its beginning.
 
     Attributes:
-        size: uncompressed bytes so far.
+        size: number of uncompressed bytes read so far.
         fault: known after the last byte.
     """
 

@@ -273,7 +273,7 @@ class Thermometer:
     """Gives samples the last temperature recorded before them.
 
     Args:
-        first_mc: of samples before any.
+        first_mc: temperature of samples before the first reading.
     """
 
     def __init__(self, factory: FactoryTemperature, first_mc: int) -> None:

@@ -152,7 +152,7 @@ class Page:
     """A piece of log.bin.
 
     Attributes:
-        base: where it begins.
+        base: its offset in log.bin.
         last: nothing follows.
         end_byte: how far the file on the disk has been read with it.
     """

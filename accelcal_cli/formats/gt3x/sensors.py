@@ -69,7 +69,7 @@ class Samples:
     Attributes:
         rows: (k,) int64, samples of each record.
         counts: (n, 3) int16.
-        channels: of n rows each.
+        channels: n rows each.
     """
 
     rows: NDArray[np.int64]
