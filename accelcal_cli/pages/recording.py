@@ -322,6 +322,7 @@ def _gyroscope_coefficients(gyroscope: GyroscopeView) -> PageTable | None:
     errors, bias = gyroscope.standard_errors, gyroscope.bias_dps
     if gyroscope.scale is None or bias is None:
         return None
+    unknown = ((None,) * 3,) * 3
     rows: Rows = [
         [
             f"s_{row}{column}",
@@ -329,7 +330,7 @@ def _gyroscope_coefficients(gyroscope: GyroscopeView) -> PageTable | None:
             millionths(value),
             millionths(error),
         ]
-        for row, values, of_row in zip("xyz", gyroscope.scale, errors.scale or (), strict=True)
+        for row, values, of_row in zip("xyz", gyroscope.scale, errors.scale or unknown, strict=True)
         for column, value, error in zip("xyz", values, of_row, strict=True)
     ]
     for axis, value, error in zip("xyz", bias, errors.bias_dps or (None,) * 3, strict=True):

@@ -61,6 +61,14 @@ def test_the_page_of_a_refused_one_says_why(report: dict[str, Any]) -> None:
     assert "Coefficients of w" not in text
 
 
+def test_coefficients_may_have_no_errors(report: dict[str, Any]) -> None:
+    """No calibration of ours leaves them out, but the schema allows it."""
+    other = copy.deepcopy(report)
+    other["gyroscope"]["standard_errors"] = {"scale": None, "bias_dps": None}
+    assert fault(other, report_schema()) is None
+    assert f"{other['gyroscope']['scale'][0][0]:.6f}" in page(other)
+
+
 def test_a_page_without_a_gyroscope_says_nothing_of_one(report: dict[str, Any]) -> None:
     without = {name: value for name, value in report.items() if name != "gyroscope"}
     assert "gyroscope" not in page(without).replace("Gyroscope", "gyroscope")
