@@ -82,6 +82,9 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
     scope = "all of it" if inspection.whole else f"{inspection.facts.samples} samples in pieces"
     measured = _known(" (measured {:.3f})", inspection.facts.rate_hz)
     reach, samples = _known(", range +-{:g} g", about["range_g"]), _known(", {} samples", about["samples"])
+    scale = f"{about['lsb_per_g']:.10g} counts per g"
+    if about["lsb_per_g"] >= FLOAT_LSB_PER_G:
+        scale = "decimal values, in steps of 2^-24 g"
     hours = None if about["duration_s"] is None else f"{about['duration_s'] / 3600:.2f} h"
     problems = [f"{one['code']}: {one['message']}" for one in shown["file_health"]["problems"][:5]]
     lines = [
@@ -89,7 +92,7 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
         f"  format       {about['format']}, {about['bytes']} bytes",
         f"  device       {device}",
         f"  rate         {about['sample_rate_hz']:g} Hz{measured}",
-        f"  scale        {_scale(about['lsb_per_g'])}{reach}",
+        f"  scale        {scale}{reach}",
         f"  start        {about['start_time'] or 'unknown'}{zone}",
         f"  duration     {hours or 'unknown'}{samples}",
         f"  also holds   {extras}",
@@ -119,11 +122,6 @@ def _values(values: dict[str, Any] | None) -> list[str]:
             f"  at rest      |a| {low:.3f} to {high:.3f} g in nine windows of ten, median {middle:.3f} g"
         ]
     return lines
-
-
-def _scale(lsb_per_g: float) -> str:
-    decimal = lsb_per_g >= FLOAT_LSB_PER_G
-    return "decimal values, in steps of 2^-24 g" if decimal else f"{lsb_per_g:.10g} counts per g"
 
 
 def _known(text: str, value: float | None) -> str:

@@ -131,7 +131,7 @@ class DeviceGroup:
 
 
 def device_group(devices: Iterable[DeviceReview]) -> DeviceGroup:
-    """Return what is usual among devices."""
+    """Return the usual held-out error among devices, and its spread."""
     devices = list(devices)
     errors = [device.held_out_mg for device in devices if device.held_out_mg is not None]
     centre = median(errors) if errors else None
@@ -285,7 +285,7 @@ def _reviewed(
 
 
 def as_json(review: Review, devices: tuple[DeviceReview, ...]) -> dict[str, Any]:
-    """Return everything that is known of some devices; null for what is not."""
+    """Return the review of some devices as JSON; null for unknown values."""
     kinds = [
         {"model": model or None, "format": name or None, **asdict(known)}
         for (model, name), known in review.kinds.items()

@@ -184,7 +184,7 @@ def section(report: dict[str, Any], *names: str) -> dict[str, Any]:
 
 
 def load_report(path: Path) -> dict[str, Any] | None:
-    """Read a report of ours that says whose it is; None if the file is anything else."""
+    """Read a report of ours that names its recording's path, hash and size; None for any other file."""
     report, needed = load_our_json(path), ("path", "sha256", "bytes")
     if report is None:
         return None

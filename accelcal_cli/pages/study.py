@@ -1,4 +1,4 @@
-"""The page of a study: what became of its recordings, and which of them and of its devices to look at first.
+"""The page of a study: outcomes of its recordings, and which of them and of its devices to look at first.
 
 Everything that it shows is in the study's table and in the review of its devices. All texts are taken for
 hostile: names are made printable here, the template escapes what it is given, and the data for the script are

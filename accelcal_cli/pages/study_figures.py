@@ -25,7 +25,7 @@ ROW = 18
 NAMES = 150
 """Width of the names in the figure of drifts."""
 BAR = 1000
-"""Width of a bar that stands for all."""
+"""Width of a bar of 100 %."""
 LONGEST_NAME = 20
 
 
