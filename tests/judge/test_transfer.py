@@ -12,7 +12,7 @@ from accelcal_cli.core.points import WEIGHT_ONE, PointSet
 from accelcal_cli.core.results import Holdout
 from accelcal_cli.judge.errors import applied, difference_mg, directions, temperatures_c
 from accelcal_cli.judge.model_ladder import held_out, of_postures
-from accelcal_cli.judge.verdict import better
+from accelcal_cli.judge.verdict import SEEN, better, worse
 from tests.optimize.oracle import points
 
 PLAIN = (ONE, ONE, ONE) + (0,) * 9
@@ -103,3 +103,23 @@ def test_one_bit_of_a_parameter_shows() -> None:
     other = Calibration("9", (ONE + 1, *PLAIN[1:]))
     largest, mean = difference_mg(Calibration("9", PLAIN), other, directions())
     assert 0 < mean < largest <= 1000 / ONE
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "why"),
+    [
+        (5.0, 3.9, None),
+        (3.0, 3.9, None),
+        (3.0, 4.1, "1.00 mg are usual in the pool"),
+        (5.0, 4.1, None),
+        (30.0, 9.9, None),
+        (30.0, 10.0, "10 mg is the limit"),
+    ],
+)
+def test_larger_than_before_and_than_three_times_the_usual_and_a_mg_or_beyond_the_limit(
+    before: float, after: float, why: str | None
+) -> None:
+    held = of_postures(SEEN, 4, ((before, after), (before, after)))
+    found = worse(held, usual_mg=1.0, limit_mg=10.0)
+    changed = f"{before:.1f} mg become {after:.2f} mg on 2 postures of its own"
+    assert found == (None if why is None else f"{changed}, {why}")
