@@ -31,7 +31,6 @@ from accelcal_cli.collect.grid import (
     Key,
     PreviousPosture,
     Value,
-    Width,
     add_sums,
     group_of,
     numbers_of,
@@ -230,7 +229,7 @@ class CellCollector:
                 block of time.
         """
         cells, scale = self._fitted(), Fraction(self.lsb_per_g)
-        width = self._width(cells)
+        width = width_for(cells, self._cells.grid.degrees)
         if correction is not None:
             corrected, scale = self._corrected(correction), scale * scale.denominator * ONE
             cells = {key: corrected[key] for key in cells}
@@ -283,7 +282,7 @@ class CellCollector:
         keys = self._keys(windows.select(near_1_g), constant)[:, :CONSTANT]
         _, left_out = self._settled()
         fitted = self._fitted()
-        number = numbers_of(fitted, self._width(fitted))
+        number = numbers_of(fitted, width_for(fitted, self._cells.grid.degrees))
         unbelieved = (constant & (not self._constants_are_real())).tolist()
         for place, key, never_changed in zip(near_1_g.tolist(), keys.tolist(), unbelieved, strict=True):
             if never_changed:
@@ -298,10 +297,6 @@ class CellCollector:
         """Return the cells that make points."""
         cells, left_out = self._settled()
         return {key: value for key, value in cells.items() if key not in left_out}
-
-    def _width(self, cells: dict[Key, Value]) -> Width:
-        """Return how wide cells have to be."""
-        return width_for(cells, self._cells.grid.degrees)
 
     def _settled(self) -> tuple[dict[Key, Value], dict[Key, Role]]:
         """Return the cells of windows that are used, and the role of those cells that make no points."""

@@ -254,19 +254,17 @@ def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> str | 
     range_c = temperature_range_c(evidence.sample.points)
     if model.has_temperature and range_c < settings.min_temperature_range_c:
         return f"temperature varies by less than {settings.min_temperature_range_c:g} C"
-    if model.has_temperature and not _slopes_known(evidence.sample, settings.folds):
-        return "too few postures differ in temperature"
+    if model.has_temperature:
+        left_out = _left_out(evidence.sample.label, settings.folds)
+        parts = (evidence.sample.points.select(~out) for out in left_out)
+        # every fit, with any fold left out, has to tell slopes from offsets on all axes
+        if any(errors.slope_information(part) < LEAST_INFORMATION for part in parts):
+            return "too few postures differ in temperature"
     if settings.model == "auto" and model.free:
         missing = _uncovered(evidence.coverage, settings.coverage_g, model)
         if missing:
             return f"no stillness with {', '.join(missing)}"
     return None
-
-
-def _slopes_known(sample: Sample, number: int) -> bool:
-    """Return True if all fits, with any fold left out, can tell slopes from offsets on all axes."""
-    parts = (sample.points.select(~out) for out in _left_out(sample.label, number))
-    return all(errors.slope_information(part) >= LEAST_INFORMATION for part in parts)
 
 
 def _uncovered(coverage: Coverage, reach_g: float, model: Model) -> list[str]:

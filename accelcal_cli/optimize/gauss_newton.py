@@ -129,17 +129,14 @@ def fit(points: PointSet, model: Model, settings: GaussNewtonSettings = DEFAULT)
 
 def _basis(model: Model, form: Form) -> Real:
     """Return the directions in which S (nine entries by rows), o and s may move, (15, number)."""
-    columns = [_entries(form, index) for index in model.free if index < 6]
+    columns = []
+    for row, column in (ENTRIES[index] for index in model.free if index < 6):
+        unit = _unit(3 * row + column)
+        columns.append(np.maximum(unit, _unit(3 * column + row)) if form == "symmetric" else unit)
     if form == "full" and 3 in model.free:
         columns += [_unit(3 * column + row) for row, column in ENTRIES[3:]]
     columns += [_unit(index + 3) for index in model.free if index >= 6]
     return np.stack(columns, axis=1)
-
-
-def _entries(form: Form, index: int) -> Real:
-    row, column = ENTRIES[index]
-    unit = _unit(3 * row + column)
-    return np.maximum(unit, _unit(3 * column + row)) if form == "symmetric" else unit
 
 
 def _unit(index: int) -> Real:
