@@ -82,6 +82,8 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy --platform win32
+	$(BIN)/mypy --platform darwin
 
 # the pages in a real Chromium; screenshots are in build/browser/screenshots
 BROWSER := build/browser

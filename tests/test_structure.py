@@ -170,6 +170,16 @@ def test_only_the_command_layer_imports_click_or_tqdm() -> None:
     assert {module.split(".")[1] for module in users} == {"cli", "laboratory"}
 
 
+def test_what_some_systems_lack_is_behind_one_door() -> None:
+    """The provenance names the system, and `multiprocessing` has its own ways."""
+    door, named = PACKAGE / "core" / "system.py", PACKAGE / "pipeline" / "outputs.py"
+    lacking = (
+        r"sys\.platform|/proc/|(has|get)attr\((os|signal|ctypes)|os\.(fork|sched_|fdatasync|kill)|SIGALRM"
+    )
+    found = {path for path in MODULES if re.search(lacking, path.read_text("utf-8"))}
+    assert found <= {door, named} and door in found
+
+
 @pytest.mark.parametrize("folder", ["formats", "optimize", "formats/csv/vendors", "laboratory/optimizers"])
 def test_plugins_do_not_import_each_other(folder: str) -> None:
     package = ".".join(("accelcal_cli", *folder.split("/")))

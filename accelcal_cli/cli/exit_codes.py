@@ -19,6 +19,7 @@ from typing import Any
 import click
 
 from accelcal_cli.core.errors import AccelcalError, OutputError, cause_of_kind, missing_resource, printable
+from accelcal_cli.core.system import clear_alarm, ending_signals, set_alarm
 
 OK = 0
 SOME_FAILED = 1
@@ -212,7 +213,7 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
 
 def watch_signals() -> None:
     """Let signals that end the command raise InterruptedBySignalError from now on."""
-    for number in _signals():
+    for number in ending_signals():
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
     sys.unraisablehook = _raise_lost_interruption
@@ -220,25 +221,18 @@ def watch_signals() -> None:
 
 def _end_silently_on_signals() -> None:
     """Let signals end the process silently from now on: there is nothing left to tidy up."""
-    if hasattr(signal, "setitimer") and signal.getsignal(signal.SIGALRM) is _interrupt:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-    for number in _signals():
+    clear_alarm(_interrupt)
+    for number in ending_signals():
         if signal.getsignal(number) is _interrupt:
             signal.signal(number, signal.SIG_DFL)
-
-
-def _signals() -> list[int]:
-    numbers = (getattr(signal, name, None) for name in ("SIGINT", "SIGTERM", "SIGHUP"))
-    return [number for number in numbers if number is not None]
 
 
 def _raise_lost_interruption(lost: sys.UnraisableHookArgs) -> None:
     """Raise an interruption again that was lost in a callback, such as one of an import."""
     if lost.exc_type is not InterruptedBySignalError:
         sys.__unraisablehook__(lost)
-    elif hasattr(signal, "setitimer"):
-        signal.signal(signal.SIGALRM, _interrupt)
-        signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+    else:
+        set_alarm(_interrupt, AGAIN_S)
 
 
 def _silence(stream: Any) -> None:

@@ -18,6 +18,7 @@ from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.core.calibration import Transform
 from accelcal_cli.core.errors import UnreadableError, UsageError, output_error, printable
 from accelcal_cli.core.recording import Recording
+from accelcal_cli.core.system import ending_signals
 from accelcal_cli.output.files import exists
 from accelcal_cli.pipeline.jobs import STDIN, Request
 from accelcal_cli.pipeline.options import chosen_settings, read_options
@@ -72,9 +73,9 @@ class _Signals:
         self._came = self._waiting = False
 
     def __enter__(self) -> _Signals:
-        for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+        for number in ending_signals():
             if signal.getsignal(number) is not signal.SIG_IGN:
-                self._handlers.setdefault(number, signal.signal(number, self._note))
+                self._handlers[number] = signal.signal(number, self._note)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_failure: object) -> None:

@@ -1,7 +1,7 @@
-"""The machine under this process: CPUs, memory, processes, temporary folders, C library and linear algebra.
+"""The system under this process: CPUs and memory, processes and signals, files, temporary folders, C library.
 
-CPUs and memory are those that this process was given, not the machine's; the number of workers follows
-from them.
+Whatever Linux, macOS and Windows do not have in common stands here, and nowhere else. CPUs and memory are
+those that this process was given, not the machine's; the number of workers follows from them.
 """
 
 from __future__ import annotations
@@ -10,104 +10,109 @@ import ctypes
 import gc
 import os
 import platform
+import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from math import ceil
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import IO, TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from multiprocessing import connection  # takes long to load
+
+    if sys.platform == "win32":
+        PipeEnd = connection.PipeConnection[Any, Any]
+    else:
+        PipeEnd = connection.Connection[Any, Any]
 
 WORKER_BYTES = 330_000_000
-"""What one worker needs at most: it peaks at 306 MB for two days with a gyroscope, at 217 MB where it has
-but one thread."""
+"""Most memory [bytes] that a worker needs: it peaks at 306 MB for two days with a gyroscope, at 217 MB with
+one thread."""
 
 CGROUPS = Path("/sys/fs/cgroup")
 PROCESS = Path("/proc/self/cgroup")
 MEMORY = Path("/proc/meminfo")
+STATUS = Path("/proc/self/statm")
+"""Sizes of this process's memory [pages] (proc(5))."""
 
 FIRST_NUMBERS = "pid:[4026531836]"
 """The namespace of process numbers that a Linux host begins with (pid_namespaces(7), linux/proc_ns.h)."""
 
+STATE, START_TIME = 0, 19
+"""Places of fields of /proc/PID/stat behind the name of the program (proc(5))."""
+
+PROCESS_QUERY_LIMITED_INFORMATION, ERROR_INVALID_PARAMETER, STILL_ACTIVE = 0x1000, 87, 259
+"""On Windows: the right to query a process, the error if there is none, the exit code of a living one."""
+
+PLAIN_FILE = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+"""Flags of `os.open` with which links are not followed, and pipes not waited for."""
+
 TRIM_THRESHOLD, MMAP_THRESHOLD, ARENA_MAX = -1, -3, -8
 """Numbers of mallopt(3)'s parameters, from glibc's malloc.h."""
 
-PROCESS_QUERY_LIMITED_INFORMATION, ERROR_INVALID_PARAMETER, STILL_ACTIVE = 0x1000, 87, 259
-"""Of Windows: what is asked of a process, the error if there is none, and the exit code of one that lives."""
-
-KEPT_BYTES = 1 << 27
-LARGEST_KEPT_BYTES = 1 << 25
-"""glibc takes no larger one on 64-bit machines (mallopt(3))."""
+KEPT_BYTES, LARGEST_KEPT_BYTES = 1 << 27, 1 << 25
+"""Freed memory that is kept, and the largest piece of it; glibc takes no larger one (mallopt(3))."""
 
 COLLECTED_AFTER = 20_000
-"""New objects, instead of some hundreds."""
+"""New objects after which Python looks for garbage, instead of some hundreds."""
+
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Variables in which OpenMP, OpenBLAS and MKL look for their number of threads."""
+
+ALLOCATOR = "JE_ARROW_MALLOC_CONF", "background_thread:false"
+"""The variable of Arrow's jemalloc (jemalloc(3)), and the value with which it starts no thread."""
 
 _OURS: list[bool] = []
 
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""What OpenMP, OpenBLAS and MKL ask for, in this process and those it starts."""
 
-ALLOCATOR = "JE_ARROW_MALLOC_CONF", "background_thread:false"
-"""What Arrow's jemalloc asks for (jemalloc(3)), and that it should start no thread."""
+# --- CPUs and memory
 
 
 def workers(recordings: int) -> int:
-    """Workers for so many recordings: at least one, at most what CPUs and memory allow."""
+    """Return how many workers CPUs and memory allow for so many recordings; at least one."""
     memory = available_bytes()
     fitting = cpus() if memory is None else min(cpus(), memory // WORKER_BYTES)
     return max(1, min(fitting, recordings))
 
 
 def threads(workers: int) -> int:
-    """Threads for each of so many workers, so that all of them together fit the CPUs; at least one."""
+    """Return the threads of each of so many workers, so that all fit the CPUs; at least one."""
     return max(1, cpus() // workers)
 
 
 def cpus() -> int:
-    """CPUs this process may use: the least of affinity, cgroup quota (v2) and what Slurm allows."""
+    """Return how many CPUs this process may use, by affinity, cgroup quota (v2) and Slurm's limit."""
+    affine = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    limits = [affine]
+    for folder in cgroups():
+        words = _text(folder / "cpu.max").split()  # quota (or `max`) and period [us]
+        if len(words) == 2 and words[0].isdecimal() and int(words[1]) > 0:
+            limits.append(ceil(int(words[0]) / int(words[1])))
     slurm = os.environ.get("SLURM_CPUS_PER_TASK", "")
-    limits = [_affinity(), *_quotas()]
     if slurm.isdecimal():
         limits.append(int(slurm))
     return max(1, min(limits))
 
 
-def _affinity() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def _quotas() -> Iterator[int]:
-    """`cpu.max` holds a quota and a period, both in microseconds, or `max` for none."""
-    for folder in cgroups():
-        words = _text(folder / "cpu.max").split()
-        if len(words) == 2 and words[0].isdecimal() and int(words[1]) > 0:
-            yield ceil(int(words[0]) / int(words[1]))
-
-
 def available_bytes() -> int | None:
-    """Memory that is left to this process: the machine's and its cgroup's (v2); None if neither is known."""
-    limits = [*_machine_bytes(), *_cgroup_bytes()]
-    return max(0, min(limits)) if limits else None
-
-
-def _machine_bytes() -> Iterator[int]:
+    """Return the memory left to this process by the machine and its cgroup (v2); None if neither is known."""
+    limits = []
     for line in _text(MEMORY).splitlines():
         words = line.split()
         if words[:1] == ["MemAvailable:"]:
-            yield int(words[1]) * 1024
-
-
-def _cgroup_bytes() -> Iterator[int]:
+            limits.append(int(words[1]) * 1024)
     for folder in cgroups():
         limit, used = _text(folder / "memory.max").strip(), _text(folder / "memory.current").strip()
         if limit.isdecimal() and used.isdecimal():
-            yield int(limit) - int(used)
+            limits.append(int(limit) - int(used))
+    return max(0, min(limits)) if limits else None
 
 
 def cgroups() -> list[Path]:
-    """This process's cgroup (v2) and those around it: each can limit it."""
+    """Return this process's cgroup (v2) and those around it: each can limit it."""
     for line in _text(PROCESS).splitlines():
         if line.startswith("0::"):
             own = CGROUPS / line[3:].strip().lstrip("/")
@@ -122,9 +127,30 @@ def _text(path: Path) -> str:
         return ""
 
 
+@contextmanager
+def bounded_memory(spare_bytes: int) -> Iterator[None]:
+    """Let larger allocations in the block fail, on systems that can say how much memory is in use."""
+    if sys.platform == "win32" or not STATUS.exists():
+        yield
+        return
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(STATUS.read_text().split()[0]) * resource.getpagesize()
+    limits = [bound for bound in (soft, used + spare_bytes) if bound != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+# --- processes
+
+
 @cache
 def host() -> str:
-    """This host's name; of a container that counts its processes from 1, with its namespace.
+    """Return this host's name; of a container that counts its processes from 1, with its namespace.
 
     Two containers may have one name and not see each other's processes.
     """
@@ -137,7 +163,7 @@ def host() -> str:
 
 
 def lives(process: int) -> bool:
-    """Whether a process of this host lives; True if that cannot be found out.
+    """Return True if a process of this host lives, or if that cannot be found out.
 
     One that has ended but has not been waited for is dead (state Z in proc(5)).
     """
@@ -149,24 +175,11 @@ def lives(process: int) -> bool:
         return False
     except PermissionError:
         return True
-    return _state(process) != "Z"
-
-
-def process_start(process: int) -> str | None:
-    """Return when a process of this host began, so that a number given again is told apart; None if unknown.
-
-    The boot, and the 22nd field of `/proc/PID/stat` (proc(5)), counted from the last parenthesis.
-    """
-    try:
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-        fields = Path(f"/proc/{process}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
-        return f"{boot} {fields[19]}"
-    except (OSError, IndexError):
-        return None
+    return _process_fields(process)[STATE : STATE + 1] != ["Z"]
 
 
 def lives_on_windows(process: int, kernel: Any) -> bool:
-    """The same on Windows, where a signal 0 would end the process (OpenProcess and GetExitCodeProcess).
+    """Do the same on Windows, where a signal 0 would end the process (OpenProcess and GetExitCodeProcess).
 
     Args:
         kernel: kernel32, with the last error kept.
@@ -185,16 +198,87 @@ def lives_on_windows(process: int, kernel: Any) -> bool:
     return not known or code.value == STILL_ACTIVE
 
 
-def _state(process: int) -> str:
+def process_start(process: int) -> str | None:
+    """Return the boot and the time within it at which a process of this host began; None if unknown.
+
+    A number that was given to another process is told apart by it.
+    """
+    boot, fields = _text(Path("/proc/sys/kernel/random/boot_id")).strip(), _process_fields(process)
+    return f"{boot} {fields[START_TIME]}" if boot and len(fields) > START_TIME else None
+
+
+def _process_fields(process: int) -> list[str]:
+    return _text(Path(f"/proc/{process}/stat")).rpartition(")")[2].split()
+
+
+def take_over_process() -> None:
+    """Say that this process is accelcal's alone, and no program's that uses it: it handles signals itself."""
+    _OURS.append(True)
+
+
+def process_is_ours() -> bool:
+    """Return True if `take_over_process` was called."""
+    return bool(_OURS)
+
+
+def has_fork_server() -> bool:
+    """Return True if worker processes are forked from a server; libraries of macOS may end forked ones."""
+    return sys.platform == "linux"
+
+
+# --- signals
+
+
+def ending_signals() -> list[int]:
+    """Return the signals that end a command, as far as the system has them."""
+    return [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+def set_alarm(handler: Callable[[int, FrameType | None], None], seconds: float) -> None:
+    """Call `handler` after `seconds`, if the system has timers."""
+    if sys.platform != "win32" and hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, handler)
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+def clear_alarm(handler: Callable[[int, FrameType | None], None]) -> None:
+    """Stop an alarm of `set_alarm` with this handler."""
+    if sys.platform != "win32" and hasattr(signal, "setitimer"):
+        if signal.getsignal(signal.SIGALRM) is handler:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+@contextmanager
+def interruptions_blocked() -> Iterator[None]:
+    """Keep Ctrl-C from this thread, and from processes that it starts, to the end of the block."""
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        return Path(f"/proc/{process}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[0]
-    except (OSError, IndexError):
-        return ""
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+# --- files and temporary folders
+
+
+def open_file_name(file: IO[bytes]) -> str | None:
+    """Return a name in ASCII by which an open file can be opened again; None if the system has none."""
+    name = f"/proc/self/fd/{file.fileno()}"
+    return name if Path(name).exists() else None
+
+
+def flush_data(file: int) -> None:
+    """Bring what was written to the disk, on systems that need not flush the file's description as well."""
+    if hasattr(os, "fdatasync"):
+        os.fdatasync(file)
 
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """A new folder, removed at the end; raises OSError if none can be made."""
+    """Make a new folder, and remove it at the end; raises OSError if none can be made."""
     folder = new_folder()
     try:
         yield folder
@@ -203,7 +287,7 @@ def temporary_folder() -> Iterator[Path]:
 
 
 def new_folder() -> Path:
-    """A new folder for temporary files; raises OSError if none can be made."""
+    """Make a new folder for temporary files; raises OSError if none can be made."""
     import tempfile  # few runs need one
 
     return Path(tempfile.mkdtemp(prefix="accelcal-"))
@@ -217,6 +301,9 @@ def remove_folder(folder: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+# --- interpreter and libraries
+
+
 def keep_freed_memory() -> bool:
     """Let this process use the memory of one chunk again for the next, as far as its C library can.
 
@@ -224,41 +311,30 @@ def keep_freed_memory() -> bool:
     page of which must be cleared and mapped anew: a third of the time of reading a recording.
 
     Returns:
-        whether the C library took it.
+        True if the C library took it.
     """
-    mallopt = _of_glibc("mallopt")
+    mallopt = _glibc_function("mallopt")
     wanted = ((MMAP_THRESHOLD, LARGEST_KEPT_BYTES), (TRIM_THRESHOLD, KEPT_BYTES), (ARENA_MAX, 1))
     return mallopt is not None and all(mallopt(name, value) for name, value in wanted)
 
 
 def give_back_freed_memory() -> bool:
-    """Return to the system what is kept: what comes next needs arrays of other sizes.
+    """Return kept memory to the system, because what comes next needs arrays of other sizes.
 
     Returns:
-        whether there was something that could be returned.
+        True if there was something to return.
     """
-    trim = _of_glibc("malloc_trim")
+    trim = _glibc_function("malloc_trim")
     return trim is not None and bool(trim(0))
+
+
+def _glibc_function(name: str) -> Any:
+    return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None
 
 
 def collect_seldom() -> None:
     """Let Python look less often for objects that hold each other: a run leaves few, and is 1 % faster."""
     gc.set_threshold(COLLECTED_AFTER)
-
-
-def _of_glibc(name: str) -> Any:
-    """A function that only glibc has, or None."""
-    return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None
-
-
-def take_over_process() -> None:
-    """Say that this process is accelcal's alone, and no program's that uses it: it handles signals itself."""
-    _OURS.append(True)
-
-
-def process_is_ours() -> bool:
-    """Whether `take_over_process` was called."""
-    return bool(_OURS)
 
 
 def hold_to_one_thread() -> None:

@@ -22,7 +22,7 @@ from typing import IO, TYPE_CHECKING, Any, NoReturn
 
 from accelcal_cli.core.errors import AccelcalError, OutputError, output_error, printable, spreadsheet_cell
 from accelcal_cli.core.recording import METADATA_KEY
-from accelcal_cli.core.system import host, lives
+from accelcal_cli.core.system import PLAIN_FILE, host, lives
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -42,7 +42,6 @@ OBEYED = re.compile("[\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 _LISTED: dict[Path, tuple[list[str], float]] = {}
 """Folders with what was found in them, and until when that will do."""
 _MODES = {"rb": os.O_RDONLY, "r+b": os.O_RDWR, "a": os.O_WRONLY | os.O_APPEND | os.O_CREAT}
-_PLAIN = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 @contextlib.contextmanager
@@ -99,7 +98,7 @@ def open_plain(path: Path, mode: str) -> IO[Any]:
         OSError: it is not there or cannot be opened.
     """
     try:
-        handle = os.open(path, _MODES[mode] | _PLAIN, 0o666)
+        handle = os.open(path, _MODES[mode] | PLAIN_FILE, 0o666)
     except OSError as error:
         if error.errno in (errno.ELOOP, errno.ENXIO, errno.EISDIR):
             raise _not_plain(path) from error

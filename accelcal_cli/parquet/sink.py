@@ -7,7 +7,6 @@ the file do not either.
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from accelcal_cli.core.clock import Clock, TimeSteps, joined_steps
 from accelcal_cli.core.errors import output_error
 from accelcal_cli.core.parallel import BackgroundCalls, parallel_map
 from accelcal_cli.core.recording import Chunk
+from accelcal_cli.core.system import flush_data
 from accelcal_cli.parquet.pages import (
     LEVEL,
     MAGIC,
@@ -267,10 +267,10 @@ class ParquetSink:
             self._footer.add(group, self._file.tell())
             self._file.writelines(group.parts)
             at = self._file.tell()
-            if self._threads > 1 and at - self._flushed >= FLUSHED_BYTES and hasattr(os, "fdatasync"):
+            if self._threads > 1 and at - self._flushed >= FLUSHED_BYTES:
                 self._flushed = at
                 self._flushes.wait(1)
-                self._flushes.submit(os.fdatasync, self._file.fileno())
+                self._flushes.submit(flush_data, self._file.fileno())
         except OSError as error:
             raise output_error(error, self.shown) from error
 

@@ -12,7 +12,6 @@ import hashlib
 import multiprocessing
 import os
 import signal
-import sys
 import tempfile
 import threading
 import time
@@ -20,15 +19,25 @@ from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 from functools import cache
 from multiprocessing import connection, forkserver, resource_tracker
-from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from multiprocessing.util import Finalize
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from accelcal_cli.core.errors import OutputError
-from accelcal_cli.core.system import collect_seldom, hold_to_one_thread, host, lives, remove_folder
+from accelcal_cli.core.system import (
+    collect_seldom,
+    has_fork_server,
+    hold_to_one_thread,
+    host,
+    interruptions_blocked,
+    lives,
+    remove_folder,
+)
 from accelcal_cli.studies.records import Finished, ProgressDelta, TaskFunction
+
+if TYPE_CHECKING:
+    from accelcal_cli.core.system import PipeEnd
 
 LONGEST_PATH = 40
 """Bytes of a path that leave room for the rest of a socket's name, 108 in all on Linux (unix(7))."""
@@ -104,7 +113,7 @@ def _fits(path: str) -> bool:
 @dataclass(slots=True)
 class _Worker:
     process: BaseProcess
-    pipe: Connection
+    pipe: PipeEnd
     task: Any = None
     began: float = 0.0
     fraction: float = 0.0
@@ -267,28 +276,24 @@ def _started(work: TaskFunction, preload: str) -> _Worker:
     return _Worker(process, ours)
 
 
-def _process(pipe: Connection, work: TaskFunction, preload: str) -> BaseProcess:
+def _process(pipe: PipeEnd, work: TaskFunction, preload: str) -> BaseProcess:
     """Return a process, on Linux from a server that has imported everything once."""
-    if sys.platform != "linux":
-        return multiprocessing.get_context("spawn").Process(target=_serve, args=(pipe, work), daemon=True)
-    context = multiprocessing.get_context("forkserver")
+    context: Any = multiprocessing.get_context("forkserver" if has_fork_server() else "spawn")
     context.set_forkserver_preload([preload])
-    return context.Process(target=_serve, args=(pipe, work), daemon=True)
+    process: BaseProcess = context.Process(target=_serve, args=(pipe, work), daemon=True)
+    return process
 
 
 def _start_server() -> None:
     """Start the server so that it ignores Ctrl-C, at which it would print a traceback."""
-    if sys.platform != "linux":
+    if not has_fork_server():
         return
     resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
+    with interruptions_blocked():
         forkserver.ensure_running()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _serve(pipe: Connection, work: TaskFunction) -> None:
+def _serve(pipe: PipeEnd, work: TaskFunction) -> None:
     """Do one task after another until None is received: the loop of a worker process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _terminate)

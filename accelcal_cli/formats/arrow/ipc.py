@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
+from accelcal_cli.core.system import open_file_name
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._tables.reader import TableReader, plan_of, source_of
 from accelcal_cli.formats._tables.table import BLOCK_ROWS, Attributes, SensorTable, Track
@@ -366,7 +367,7 @@ def opened(path: Path, pool: Executor | None = None) -> Iterator[IpcTable]:
     _refuse_others(path)
     with ExitStack() as stack:
         plain = stack.enter_context(path.open("rb"))
-        name = f"/proc/self/fd/{plain.fileno()}" if Path("/proc/self/fd").exists() else str(path)
+        name = open_file_name(plain) or str(path)
         try:
             messages = scan(path)
 

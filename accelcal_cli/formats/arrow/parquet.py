@@ -19,6 +19,7 @@ from accelcal_cli.core.errors import NoRecordingError, UnreadableError, printabl
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.core.recording import METADATA_KEY, Calibrated, Chunk, Reader
+from accelcal_cli.core.system import open_file_name
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._tables.channels import Marks
 from accelcal_cli.formats._tables.reader import ReadingPlan, TableReader, plan_of, source_of
@@ -205,11 +206,11 @@ def opened(path: Path, pool: Executor | None = None) -> Iterator[ParquetTable]:
     _refuse_ends(path)
     with path.open("rb") as plain:
         # pyarrow takes names as UTF-8 alone, and reads through Python only one thread at a time.
-        name = f"/proc/self/fd/{plain.fileno()}"
+        name = open_file_name(plain)
         files: list[Any] = []
 
         def again(buffer_bytes: int = 0, metadata: Any = None) -> Any:
-            source = pa.OSFile(name) if Path(name).exists() else pa.PythonFile(path.open("rb"), "r")
+            source = pa.OSFile(name) if name is not None else pa.PythonFile(path.open("rb"), "r")
             files.append(source)
             return pq.ParquetFile(
                 source,

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import re
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from math import prod
@@ -20,6 +19,7 @@ import h5py
 import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.system import bounded_memory
 from accelcal_cli.core.vocabulary import normalized
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._tables.table import READ_ERRORS, Attributes, plain_value
@@ -31,13 +31,14 @@ LARGEST_HEAP_READ = 1 << 20
 
 LARGEST_ATTRIBUTE = 1 << 16
 SPARE_BYTES = 256 << 20
-"""Memory that the HDF5 library may ask for to read a text."""
+"""Memory that the HDF5 library may ask for to read a text.
+
+A text whose length is damaged makes it (1.14 and 2.0) ask for up to 4 GB before it checks that the text is
+there.
+"""
 
 LONGEST_TEXT = 1 << 16
 MATLAB_CLASS = "MATLAB_class"
-STATUS = Path("/proc/self/statm")
-"""Tells how much memory the process uses."""
-
 H5PY_ERRORS = READ_ERRORS
 """h5py maps the failures of the HDF5 library to almost any of Python's own kinds."""
 
@@ -120,28 +121,6 @@ def _heap_is_sound(heap: bytes) -> bool:
         # Object 0 is the free space, whose length includes its header.
         place += length if number == 0 else OBJECT_HEADER + -(-length // 8) * 8
     return place <= size
-
-
-@contextmanager
-def bounded_memory() -> Iterator[None]:
-    """Let larger allocations in the block fail, on systems that can say how much memory is in use.
-
-    A text whose length is damaged makes the HDF5 library (1.14 and 2.0) ask for up to 4 GB before it
-    checks that the text is there.
-    """
-    if sys.platform == "win32" or not STATUS.exists():
-        yield
-        return
-    import resource
-
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    used = int(STATUS.read_text().split()[0]) * resource.getpagesize()
-    limits = [bound for bound in (soft, used + SPARE_BYTES) if bound != resource.RLIM_INFINITY]
-    resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 @contextmanager
@@ -260,7 +239,7 @@ class NodeAttributes(Attributes):
 
     def _attribute(self, node: Any, name: str) -> str | float | None:
         try:
-            with bounded_memory():
+            with bounded_memory(SPARE_BYTES):
                 return plain_value(node.attrs[name]) if _is_plain(node, name) else None
         except H5PY_ERRORS:
             self.damaged.append(name)
@@ -290,7 +269,7 @@ def _is_letters(node: Any) -> bool:
 
 def _scalar(dataset: Any) -> str | float | None:
     try:
-        with bounded_memory():
+        with bounded_memory(SPARE_BYTES):
             values = dataset[()]
             if _is_letters(dataset):
                 # MATLAB keeps a row of letters as a column of UTF-16.
