@@ -183,7 +183,14 @@ def test_where_links_work_nothing_depends_on_exclusive_creation(tmp_path: Path, 
             created.append(Path(path).name)
         return real(path, flags & ~os.O_EXCL, *more, **named)
 
+    plain = Path.open
+
+    def noted(self: Path, mode: str = "r", *more: Any, **named: Any) -> Any:
+        created.extend([self.name] * ("x" in mode))
+        return plain(self, mode, *more, **named)
+
     monkeypatch.setattr(files.os, "open", not_exclusive)
+    monkeypatch.setattr(Path, "open", noted)
     with locked(tmp_path / "study.lock"), pytest.raises(LockedError), locked(tmp_path / "study.lock"):
         pass
     assert created
