@@ -300,7 +300,11 @@ class CellCollector:
 
     def _settled(self) -> tuple[dict[Key, Value], dict[Key, Role]]:
         """Return the cells of windows that are used, and the role of those cells that make no points."""
-        cells = self._believed()
+        real = self._constants_are_real()
+        cells: dict[Key, Value] = {}
+        for key, value in self._cells.items():
+            if real or not key[CONSTANT]:
+                add_sums(cells, key[:CONSTANT], value)
         far = _far_off(cells) if self.temperature else set()
         saturated = _near_saturation(cells, self.saturated(), self.lsb_per_g)
         return cells, dict.fromkeys(far, Role.TEMPERATURE) | dict.fromkeys(saturated, Role.SATURATED)
@@ -323,14 +327,6 @@ class CellCollector:
         limit = step * 3 // 2
         nearly = sum(number for spread, number in spreads.items() if 0 < spread <= limit)
         return step > 0 and nearly * NEARLY_CONSTANT_SHARE >= spreads.get(0, 0)
-
-    def _believed(self) -> dict[Key, Value]:
-        real = self._constants_are_real()
-        merged: dict[Key, Value] = {}
-        for key, value in self._cells.items():
-            if real or not key[CONSTANT]:
-                add_sums(merged, key[:CONSTANT], value)
-        return merged
 
 
 def _step(spreads: dict[int, int]) -> int:

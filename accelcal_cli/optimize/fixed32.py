@@ -82,8 +82,10 @@ def fit_each(sets: Sequence[PointSet], model: Model, settings: DescentSettings =
     filled = [points for points in sets if model.free and len(points)]
     if not all(points.weights.any() for points in filled):
         raise DivergedError("no point has any weight")
-    descent = _forward if settings.forward_step else _accelerated
-    found = descent(filled, model, settings)
+    if settings.forward_step:
+        found = [_forward(stacked((points,)), model, settings) for points in filled]
+    else:
+        found = _accelerated(filled, model, settings)
     if any(min(one.parameters[:3]) < LEAST_SCALE for one in found):
         raise DivergedError("an axis collapsed: the points do not determine its scale")
     fits, nothing = iter(found), Fit(IDENTITY, 0, "nothing to fit", Operations())
@@ -95,13 +97,8 @@ def _rates(settings: DescentSettings) -> list[int]:
     return [round(settings.rates[name] * (1 << RATE_BITS)) for name in groups for _ in range(3)]
 
 
-def _forward(sets: Sequence[PointSet], model: Model, settings: DescentSettings) -> list[Fit]:
-    """Run F's iteration to the letter, set by set: forward differences, fixed rates and iterations."""
-    return [_forward_of_one(stacked((points,)), model, settings) for points in sets]
-
-
-def _forward_of_one(stack: Stack, model: Model, settings: DescentSettings) -> Fit:
-    """Fit one set.
+def _forward(stack: Stack, model: Model, settings: DescentSettings) -> Fit:
+    """Fit one set by F's iteration to the letter: forward differences, fixed rates and iterations.
 
     The update is counted as F does, an addition and a multiplication for each group of three
     parameters with one learning rate: M (100 N + 3) in all for nine parameters.

@@ -271,8 +271,11 @@ class AdaptiveRule:
     def take(self, blocks: Blocks) -> list[Windows]:
         """Take further windows and return the states that are decided by now."""
         new = candidates(blocks, self._spreads(blocks))
-        new = new[blocks.usable & passing(new, self.numbers)]
-        return self._states.add(self._decided(new))
+        self._waiting.append(new[blocks.usable & passing(new, self.numbers)])
+        wait = self.numbers.held_windows
+        # they are decided a quarter of the waiting ones at a time, which saves copying
+        enough = 4 * (sum(map(len, self._waiting)) - wait) > wait
+        return self._states.add(self._all_decided() if enough else new[:0])
 
     def rest(self) -> list[Windows]:
         """Return the last states; waiting candidates are decided by the minima of the whole recording."""
@@ -281,16 +284,6 @@ class AdaptiveRule:
         last = waiting[passing(waiting, self.numbers)]
         self._waiting = [waiting[:0]]
         return [*self._states.add(np.concatenate([followed, last])), *self._states.rest()]
-
-    def _decided(self, new: Candidates) -> Candidates:
-        """Return still windows among the candidates that have waited long enough.
-
-        They are decided a quarter of the waiting ones at a time, which saves copying.
-        """
-        self._waiting.append(new)
-        wait = self.numbers.held_windows
-        enough = 4 * (sum(map(len, self._waiting)) - wait) > wait
-        return self._all_decided() if enough else new[:0]
 
     def _all_decided(self) -> Candidates:
         """Return still windows among all candidates that have waited long enough; the others stay waiting."""
