@@ -1,20 +1,21 @@
 """The units, and the names of sensors and times, that recordings use: one home for all formats.
 
 Each name stands with the kinds of files in which it is understood (`In`). They differ, because a name that is
-new to a kind of file could change what such a file means. A unit of acceleration is one entry of
-`ACCELERATION_UNITS`: --unit, all formats, lists of poses and the advice in messages follow from it.
+new to a kind of file could change what such a file means. A reader takes the `Vocabulary` of its files. A
+unit of acceleration is one entry of `ACCELERATION_UNITS`: --unit, all formats, lists of poses and the advice
+in messages follow from it.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Flag, auto
 from fractions import Fraction
 from functools import lru_cache
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 from accelcal_cli.core.gravity import STANDARD_GRAVITY
 
@@ -44,38 +45,6 @@ Names = Mapping[In, tuple[str, ...]]
 def normalized(name: str) -> str:
     """Return a name in lower case without punctuation: `Sample_Rate [Hz]` gives `sampleratehz`."""
     return "".join(letter for letter in name.lower() if letter.isalnum())
-
-
-def names_in(names: Names, files: In) -> frozenset[str]:
-    """Return the names that any of some kinds of files understands."""
-    return frozenset(name for known, some in names.items() if known & files for name in some)
-
-
-class UnitNames(Generic[Unit]):
-    """Finds a unit by one of its names.
-
-    Args:
-        names: of each unit.
-    """
-
-    def __init__(self, names: Mapping[Unit, Names]) -> None:
-        self._units: dict[In, dict[str, Unit]] = {
-            files: {name: unit for unit, known in names.items() for name in names_in(known, files)}
-            for files in In
-        }
-        self._units[In.TABLES] = {normalized(name): unit for name, unit in self._units[In.TABLES].items()}
-
-    def names(self, files: In) -> Iterable[str]:
-        """Return all names that one kind of files understands."""
-        return self._units[files]
-
-    def find(self, name: str, files: In) -> Unit | None:
-        """Return the unit of a name in lower case, None if it is not known there."""
-        return self._units[files].get(name)
-
-    def find_in_table(self, name: str) -> Unit | None:
-        """Return the unit of a name in a table, which may have any case and punctuation."""
-        return self._units[In.TABLES].get(normalized(name))
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,69 +129,61 @@ PHYSICAL_UNITS = f"{', '.join([*ACCELERATION_UNITS][:-1])} or {[*ACCELERATION_UN
 GIVE_UNIT = f"give --unit {PHYSICAL_UNITS}, or --unit counts with --lsb-per-g"
 """Advice where the unit of a file is not known."""
 
-ACCELERATION = UnitNames(
-    {name: unit.names for name, unit in ACCELERATION_UNITS.items()}
-    | {
-        COUNTS: {
-            In.CSV | In.TABLES: ("counts", "count", "lsb", "raw", "adc", "digits"),
-            In.TABLES: ("lsbs", "adccounts", "adu", "digit", "bits", "rawcounts"),
-        }
-    }
-)
-"""Finds units of acceleration, and `counts`."""
+ACCELERATIONS: Mapping[str, Names] = {
+    **{name: unit.names for name, unit in ACCELERATION_UNITS.items()},
+    COUNTS: {
+        In.CSV | In.TABLES: ("counts", "count", "lsb", "raw", "adc", "digits"),
+        In.TABLES: ("lsbs", "adccounts", "adu", "digit", "bits", "rawcounts"),
+    },
+}
+"""Names of units of acceleration, and of counts."""
 
-ROTATION = UnitNames[float](
-    {
-        1.0: {
-            In.ALL: ("deg/s", "dps", "°/s"),
-            In.CSV | In.TABLES | In.EDF: ("deg/sec",),
-            In.EDF: ("degree/s",),
-            In.TABLES: ("degps", "degpersec", "degreespersecond", "degreess", "degs1", "degpersecond"),
-        },
-        1000.0: {In.TABLES: ("mdps", "mdegs", "mdegsec", "millidegs")},
-        math.pi / 180: {
-            In.CSV | In.TABLES: ("rad/s",),
-            In.TABLES: ("radsec", "rps", "radps", "radianspersecond", "radianss", "rads1", "radpersec"),
-        },
-    }
-)
-"""Finds how much of a unit of rotation rate is 1 deg/s."""
+ROTATIONS: Mapping[float, Names] = {
+    1.0: {
+        In.ALL: ("deg/s", "dps", "°/s"),
+        In.CSV | In.TABLES | In.EDF: ("deg/sec",),
+        In.EDF: ("degree/s",),
+        In.TABLES: ("degps", "degpersec", "degreespersecond", "degreess", "degs1", "degpersecond"),
+    },
+    1000.0: {In.TABLES: ("mdps", "mdegs", "mdegsec", "millidegs")},
+    math.pi / 180: {
+        In.CSV | In.TABLES: ("rad/s",),
+        In.TABLES: ("radsec", "rps", "radps", "radianspersecond", "radianss", "rads1", "radpersec"),
+    },
+}
+"""Names of units of rotation rate, by how much of them is 1 deg/s."""
 
-TEMPERATURE = UnitNames[float](
-    {
-        1.0: {
-            In.CSV | In.TABLES | In.EDF: ("c", "degc", "°c", "celsius"),
-            In.TABLES | In.EDF: ("deg c",),
-            In.TABLES: ("degreescelsius", "degreesc", "degreec", "degreecelsius"),
-        },
-        1000.0: {
-            In.TABLES: (
-                *("mc", "mdegc", "millidegc", "millicelsius"),
-                *("millidegreescelsius", "millidegreecelsius"),
-            )
-        },
-    }
-)
-"""Finds how much of a unit of temperature is 1 degree Celsius."""
+TEMPERATURES: Mapping[float, Names] = {
+    1.0: {
+        In.CSV | In.TABLES | In.EDF: ("c", "degc", "°c", "celsius"),
+        In.TABLES | In.EDF: ("deg c",),
+        In.TABLES: ("degreescelsius", "degreesc", "degreec", "degreecelsius"),
+    },
+    1000.0: {
+        In.TABLES: (
+            *("mc", "mdegc", "millidegc", "millicelsius"),
+            *("millidegreescelsius", "millidegreecelsius"),
+        )
+    },
+}
+"""Names of units of temperature, by how much of them is 1 degree Celsius."""
 
 PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 """How many of each unit of time are one second."""
 
-TIME = UnitNames(
-    {
-        "s": {In.CSV | In.TABLES: ("s", "sec", "secs", "second", "seconds")},
-        "ms": {
-            In.CSV | In.TABLES: ("ms", "msec", "millisecond", "milliseconds"),
-            In.CSV: ("millis", "millisec"),
-        },
-        "us": {
-            In.CSV | In.TABLES: ("us", "usec", "microsecond", "microseconds", "µs", "μs"),
-            In.CSV: ("micros",),
-        },
-        "ns": {In.CSV | In.TABLES: ("ns", "nsec", "nanosecond", "nanoseconds"), In.CSV: ("nanos",)},
-    }
-)
-"""Finds units of time."""
+DURATIONS: Mapping[str, Names] = {
+    "s": {In.CSV | In.TABLES: ("s", "sec", "secs", "second", "seconds")},
+    "ms": {
+        In.CSV | In.TABLES: ("ms", "msec", "millisecond", "milliseconds"),
+        In.CSV: ("millis", "millisec"),
+    },
+    "us": {
+        In.CSV | In.TABLES: ("us", "usec", "microsecond", "microseconds", "µs", "μs"),
+        In.CSV: ("micros",),
+    },
+    "ns": {In.CSV | In.TABLES: ("ns", "nsec", "nanosecond", "nanoseconds"), In.CSV: ("nanos",)},
+}
+"""Names of units of time."""
 
 UNIT_AT_END = re.compile(
     r"(.*[a-z0-9\])]?)[\s_\[(./:-]+("
@@ -272,3 +233,62 @@ TIMES: Names = {
 
 NOT_RAW = frozenset({"gravity", "linear", "lin"})
 """Words of an acceleration that was computed from the measured one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Vocabulary:
+    """The names that one kind of files understands, in lower case; in TABLES, normalized.
+
+    Attributes:
+        accelerometer, gyroscope, thermometer, times: names of their columns.
+        accelerations: unit of acceleration, or `counts`, by its names.
+        rotations, temperatures: how much of a unit is 1 deg/s or 1 degree Celsius, by the unit's names.
+        durations: unit of time by its names.
+    """
+
+    accelerometer: frozenset[str]
+    gyroscope: frozenset[str]
+    thermometer: frozenset[str]
+    times: frozenset[str]
+    accelerations: Mapping[str, str]
+    rotations: Mapping[str, float]
+    temperatures: Mapping[str, float]
+    durations: Mapping[str, str]
+
+
+def _vocabulary(files: In) -> Vocabulary:
+    return Vocabulary(
+        accelerometer=frozenset(_names(ACCELEROMETER, files)),
+        gyroscope=frozenset(_names(GYROSCOPE, files)),
+        thermometer=frozenset(_names(THERMOMETER, files)),
+        times=frozenset(_names(TIMES, files)),
+        accelerations=_by_name(ACCELERATIONS, files),
+        rotations=_by_name(ROTATIONS, files),
+        temperatures=_by_name(TEMPERATURES, files),
+        durations=_by_name(DURATIONS, files),
+    )
+
+
+def _names(names: Names, files: In) -> list[str]:
+    return [name for known, some in names.items() if known & files for name in some]
+
+
+def _by_name(units: Mapping[Unit, Names], files: In) -> dict[str, Unit]:
+    found = {name: unit for unit, names in units.items() for name in _names(names, files)}
+    return {normalized(name): unit for name, unit in found.items()} if files is In.TABLES else found
+
+
+CSV = _vocabulary(In.CSV)
+"""Text files understand these names."""
+
+TABLES = _vocabulary(In.TABLES)
+"""HDF5, Parquet, Feather, NumPy and MATLAB files understand these names."""
+
+AXES = _vocabulary(In.AXES)
+"""Columns of one axis in tables have these names before or behind x, y or z."""
+
+EDF = _vocabulary(In.EDF)
+"""EDF files understand these names."""
+
+UNISENS = _vocabulary(In.UNISENS)
+"""Descriptions of Unisens recordings understand these names."""

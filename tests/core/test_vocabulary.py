@@ -7,16 +7,17 @@ from fractions import Fraction
 import pytest
 
 from accelcal_cli.core.vocabulary import (
-    ACCELERATION,
     ACCELERATION_UNITS,
-    ACCELEROMETER,
+    AXES,
+    CSV,
+    EDF,
     GIVE_UNIT,
     PER_G,
-    ROTATION,
+    TABLES,
+    UNISENS,
     UNIT_AT_END,
     UNIT_CHOICES,
-    In,
-    names_in,
+    Vocabulary,
     normalized,
 )
 
@@ -28,26 +29,25 @@ def test_units_of_acceleration() -> None:
     assert GIVE_UNIT == "give --unit g, mg or m/s2, or --unit counts with --lsb-per-g"
 
 
-@pytest.mark.parametrize("files", list(In))
+@pytest.mark.parametrize("files", [CSV, TABLES, EDF, UNISENS], ids=["csv", "tables", "edf", "unisens"])
 @pytest.mark.parametrize(("name", "unit"), [("g", "g"), ("mg", "mg"), ("m/s^2", "m/s2"), ("m/s²", "m/s2")])
-def test_all_files_understand_the_usual_names(name: str, unit: str, files: In) -> None:
-    found = ACCELERATION.find_in_table(name) if files is In.TABLES else ACCELERATION.find(name, files)
-    assert found == unit
+def test_all_files_understand_the_usual_names(name: str, unit: str, files: Vocabulary) -> None:
+    assert files.accelerations[normalized(name) if files is TABLES else name] == unit
 
 
 def test_files_differ_in_what_they_understand() -> None:
-    assert ACCELERATION.find("counts", In.CSV) == "counts"
-    assert ACCELERATION.find("counts", In.EDF) is None
-    assert ACCELERATION.find("m/sec^2", In.EDF) == "m/s2"
-    assert ACCELERATION.find("m/sec^2", In.CSV) is None
-    assert names_in(ACCELEROMETER, In.UNISENS) == {"acc"}
-    assert names_in(ACCELEROMETER, In.AXES) == {"", "a", "acc", "accel", "acceleration", "accelerometer"}
+    assert CSV.accelerations["counts"] == "counts"
+    assert "counts" not in EDF.accelerations
+    assert EDF.accelerations["m/sec^2"] == "m/s2"
+    assert "m/sec^2" not in CSV.accelerations
+    assert UNISENS.accelerometer == {"acc"}
+    assert AXES.accelerometer == {"", "a", "acc", "accel", "acceleration", "accelerometer"}
 
 
 def test_names_in_tables_have_any_case_and_punctuation() -> None:
     assert normalized("Sample_Rate [Hz]") == "sampleratehz"
-    assert ACCELERATION.find_in_table("Meters per Second squared") == "m/s2"
-    assert ROTATION.find_in_table("mdeg/s") == 1000.0
+    assert TABLES.accelerations[normalized("Meters per Second squared")] == "m/s2"
+    assert TABLES.rotations[normalized("mdeg/s")] == 1000.0
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ number for each row is one more `ColumnRule` there, and an entry of `opal.LAYOUT
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,15 +16,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, NOT_CALIBRATED, Counts, Validity
-from accelcal_cli.core.vocabulary import (
-    PER_G,
-    ROTATION,
-    TEMPERATURE,
-    THERMOMETER,
-    In,
-    UnitNames,
-    names_in,
-)
+from accelcal_cli.core.vocabulary import PER_G, TABLES, normalized
 from accelcal_cli.formats._tables.table import (
     BLOCK_ROWS,
     READ_ERRORS,
@@ -152,7 +145,7 @@ def physical_scale(unit: str, dtype: np.dtype[Any]) -> CountScale:
 
 def turn_scale(unit: str) -> CountScale | None:
     """Return the scale of rotation rates in a unit, written as decimal fractions; None if it is not known."""
-    factor = ROTATION.find_in_table(unit)
+    factor = TABLES.rotations.get(normalized(unit))
     return None if factor is None else CountScale(GYRO_LSB_PER_DPS, factor, LARGEST_DPS)
 
 
@@ -228,7 +221,7 @@ class ColumnRule:
     Attributes:
         noun: the channel in messages; `unit`: the unit of its limits in messages.
         names: of its track, normalized.
-        units: find how much of a unit is one unit of the limits.
+        units: how much of a unit is one unit of the limits, by the normalized names of the unit.
         endings: of names that state the unit; decimal fractions that state nothing have it too.
         low, high: values beyond these are not believed.
         steps: of the channel in one unit.
@@ -237,7 +230,7 @@ class ColumnRule:
     noun: str
     unit: str
     names: frozenset[str]
-    units: UnitNames[float]
+    units: Mapping[str, float]
     endings: tuple[str, ...]
     low: float
     high: float
@@ -250,7 +243,7 @@ class ColumnRule:
 
     def find(self, table: SensorTable, group: Group, unit: str | None = None) -> ValueColumn | str:
         """Return the channel in a track, or why it is not used; `unit` outweighs what is stated."""
-        factor = self.units.find_in_table(unit) if unit else self._stated_factor(table, group[0])
+        factor = self.units.get(normalized(unit)) if unit else self._stated_factor(table, group[0])
         if factor is None:
             return f"its unit is not {self.unit}"
         try:
@@ -262,7 +255,7 @@ class ColumnRule:
     def _stated_factor(self, table: SensorTable, track: Track) -> float | None:
         unit = table.own(track.path).text("units", "unit")
         if unit is not None:
-            return self.units.find_in_table(unit)
+            return self.units.get(normalized(unit))
         return 1.0 if track.name.lower().endswith(self.endings) or track.dtype.kind == "f" else None
 
     def _first(self, source: RowSource, rows: int, factor: float) -> int | None:
@@ -339,8 +332,8 @@ CHANNELS: dict[str, TurnRule | ColumnRule] = {
     "temperature_mc": ColumnRule(
         noun="temperature",
         unit="degrees Celsius",
-        names=names_in(THERMOMETER, In.TABLES),
-        units=TEMPERATURE,
+        names=TABLES.thermometer,
+        units=TABLES.temperatures,
         endings=("_c", "_degc"),
         low=-273.15,
         high=1000.0,

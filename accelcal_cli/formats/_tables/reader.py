@@ -21,7 +21,7 @@ from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.local_time import FOLLOWED
 from accelcal_cli.core.recording import Channels, Chunk, Device, Problem, Reader, Recording
-from accelcal_cli.core.vocabulary import ACCELERATION, PER_G
+from accelcal_cli.core.vocabulary import PER_G, TABLES, normalized
 from accelcal_cli.formats._gravity import guess_unit, likely_counts, usual_length
 from accelcal_cli.formats._problems import ProblemLog, Run
 from accelcal_cli.formats._stamps import GAP_PERIODS
@@ -217,7 +217,7 @@ def _unit_and_lsb(source: TableSource) -> tuple[str | None, float | None]:
         return "counts", lsb
     if file_unit is None:
         return "counts" if whole else None, lsb
-    if (unit := ACCELERATION.find_in_table(file_unit)) is not None:
+    if (unit := TABLES.accelerations.get(normalized(file_unit))) is not None:
         return unit, lsb
     raise UnreadableError(
         f"the unit {file_unit!r} of {readable(source.accel.path)} is not known",

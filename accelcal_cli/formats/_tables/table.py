@@ -19,15 +19,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import NoRecordingError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.vocabulary import (
-    ACCELEROMETER,
-    GYROSCOPE,
-    TIMES,
-    UNIT_AT_END,
-    In,
-    names_in,
-    normalized,
-)
+from accelcal_cli.core.vocabulary import AXES, TABLES, UNIT_AT_END, normalized
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog
 
 BLOCK_ROWS = 65_536
@@ -42,11 +34,6 @@ READ_ERRORS = (
 )  # fmt: skip
 """Errors to which libraries that read files map their failures: almost any of Python's own kinds."""
 
-ACCEL_NAMES = names_in(ACCELEROMETER, In.TABLES)
-GYRO_NAMES = names_in(GYROSCOPE, In.TABLES)
-TIME_NAMES = names_in(TIMES, In.TABLES)
-ACCEL_PREFIXES = sorted(names_in(ACCELEROMETER, In.AXES))
-GYRO_PREFIXES = sorted(names_in(GYROSCOPE, In.AXES))
 VALUE_NAMES = frozenset({"data", "values", "value", "samples", "xyz"})
 """Names of a track that say nothing; the group around it then tells what it holds."""
 
@@ -378,7 +365,7 @@ def find_accel(tracks: tuple[Track, ...], table: SensorTable, sensor: str | None
     """
     found = [
         group
-        for group in _groups(tracks, ACCEL_NAMES, ACCEL_PREFIXES)
+        for group in _groups(tracks, TABLES.accelerometer, sorted(AXES.accelerometer))
         if not any(normalized(part).startswith(OTHER_SENSORS) for part in group[0].path.split("/"))
         and (sensor is None or sensor.strip("/").lower() in group[0].path.lower().split("/")[:-1])
     ]
@@ -413,8 +400,8 @@ def find_accel(tracks: tuple[Track, ...], table: SensorTable, sensor: str | None
 
 def find_gyro(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
     """Find the nearest gyroscope tracks of the same length."""
-    groups = _groups(tracks, GYRO_NAMES, GYRO_PREFIXES)
-    own = sorted({item.parent for item in tracks if normalized(basename(item.parent)) in GYRO_NAMES})
+    groups = _groups(tracks, TABLES.gyroscope, sorted(AXES.gyroscope))
+    own = sorted({item.parent for item in tracks if normalized(basename(item.parent)) in TABLES.gyroscope})
     groups += [triple for parent in own if (triple := _triple(tracks, parent, ""))]
     groups = [group for group in groups if group[0].rows == accel.rows]
     places = (accel.parent, dirname(accel.parent))
@@ -430,7 +417,7 @@ def find_by_name(tracks: tuple[Track, ...], accel: Track, names: frozenset[str])
 
 def find_time(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
     """Find the nearest tracks of times of the same length."""
-    return _nearest(_columns(tracks, accel, lambda name: split_time_name(name)[0] in TIME_NAMES), accel)
+    return _nearest(_columns(tracks, accel, lambda name: split_time_name(name)[0] in TABLES.times), accel)
 
 
 def split_unit(name: str) -> tuple[str, str | None]:
@@ -443,7 +430,7 @@ def split_time_name(name: str) -> tuple[str, str | None]:
     """Return a name without its unit, and the unit: `timestamp_us` gives timestamp and us."""
     plain = normalized(name)
     for unit in ("us", "ms", "ns", "s"):
-        if plain not in TIME_NAMES and plain.removesuffix(unit) in TIME_NAMES:
+        if plain not in TABLES.times and plain.removesuffix(unit) in TABLES.times:
             return plain.removesuffix(unit), unit
     return plain, None
 

@@ -19,7 +19,7 @@ from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.local_time import FOLLOWED, LocalStamps
 from accelcal_cli.core.recording import Problem
-from accelcal_cli.core.vocabulary import PER_SECOND, TIME, In
+from accelcal_cli.core.vocabulary import PER_SECOND, TABLES
 from accelcal_cli.formats._stamps import (
     EPOCH_DAYS,
     LOST,
@@ -361,7 +361,7 @@ def _stated_unit(table: SensorTable, track: Track, stated: str | None) -> str | 
     """Return the unit of an attribute such as `seconds since 2024-03-04`, or of a name such as `time_ms`."""
     if stated is None:
         return split_time_name(track.name)[1]
-    unit = TIME.find(next(iter(stated.lower().split()), ""), In.TABLES)
+    unit = TABLES.durations.get(next(iter(stated.lower().split()), ""))
     if unit is None:
         raise UnreadableError(
             f"the unit {stated!r} of the times in {readable(track.path)} is not known",

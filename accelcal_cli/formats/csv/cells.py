@@ -22,17 +22,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import FIRST_US, LAST_US, MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.vocabulary import (
-    ACCELERATION,
-    COUNTS,
-    GIVE_UNIT,
-    PER_G,
-    PER_SECOND,
-    ROTATION,
-    TEMPERATURE,
-    TIME,
-    In,
-)
+from accelcal_cli.core.vocabulary import COUNTS, CSV, GIVE_UNIT, PER_G, PER_SECOND
 from accelcal_cli.formats._gravity import usual_length
 from accelcal_cli.formats._stamps import EPOCH_DAYS, IMPOSSIBLE, NO_TIME, PLAUSIBLE_HZ
 
@@ -141,12 +131,12 @@ def number_of(cell: str) -> float | None:
 
 def acceleration_unit(text: str) -> str | None:
     """Return g, mg, m/s2 or counts for a word such as `m/s^2`; None for any other word."""
-    return ACCELERATION.find(text.strip().lower(), In.CSV)
+    return CSV.accelerations.get(text.strip().lower())
 
 
 def microseconds_in(text: str) -> float | None:
     """Return the microseconds in a unit of time such as `ms`; None for any other word."""
-    unit = TIME.find(text.strip().lower(), In.CSV)
+    unit = CSV.durations.get(text.strip().lower())
     return None if unit is None else MICROSECONDS / PER_SECOND[unit]
 
 
@@ -154,8 +144,7 @@ def is_unit_cell(text: str) -> bool:
     """Return True if a cell below a column's name can be its unit."""
     text = text.strip().strip("[]()").lower()
     known = acceleration_unit(text) is not None or microseconds_in(text) is not None
-    others = (*OTHER_UNITS, *ROTATION.names(In.CSV), *TEMPERATURE.names(In.CSV))
-    return known or text in others
+    return known or text in OTHER_UNITS or text in CSV.rotations or text in CSV.temperatures
 
 
 def name_and_hint(name: str) -> tuple[str, str | None]:

@@ -18,17 +18,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.vocabulary import (
-    ACCELEROMETER,
-    GYROSCOPE,
-    NOT_RAW,
-    ROTATION,
-    TEMPERATURE,
-    THERMOMETER,
-    TIMES,
-    In,
-    names_in,
-)
+from accelcal_cli.core.vocabulary import CSV, NOT_RAW
 from accelcal_cli.formats._tables.channels import NOT_READ, CountScale, turn_scale
 from accelcal_cli.formats.csv.cells import (
     DATE_ALONE,
@@ -43,9 +33,6 @@ from accelcal_cli.formats.csv.cells import (
 from accelcal_cli.formats.csv.dialect import Dialect
 from accelcal_cli.formats.csv.vendors import ExportDescription
 
-ACCEL_NAMES = names_in(ACCELEROMETER, In.CSV)
-GYRO_NAMES = names_in(GYROSCOPE, In.CSV)
-TIME_NAMES = names_in(TIMES, In.CSV)
 BARE_TIME_NAMES = frozenset({"t", "s", "ms", "us", "seconds", "millis", "milliseconds", "elapsed"})
 """Names of a column of times that consist of this word alone."""
 
@@ -58,7 +45,7 @@ GYRO_WORDS = (("angular", "velocity"), ("angular", "rate"), ("rotation", "rate")
 NOT_MEASURED_TURNS = frozenset({"bias", "drift", "unbiased", "mag", "magnetometer", "temp", "temperature"})
 """Words in names of a gyroscope's columns that do not hold what it measures."""
 
-OTHER_SENSORS = frozenset({*GYRO_NAMES, *NOT_RAW, "mag", "magnetometer", "user"})
+OTHER_SENSORS = frozenset({*CSV.gyroscope, *NOT_RAW, "mag", "magnetometer", "user"})
 NEUTRAL = frozenset({"axis", "raw", "value", "cal", "calibrated", "uncalibrated", "uncal"})
 """Words that say nothing about the sensor."""
 
@@ -102,9 +89,7 @@ class ChannelRule:
 
 
 CHANNELS = {
-    "temperature_mc": ChannelRule(
-        names_in(THERMOMETER, In.CSV), frozenset({"", "deg", *TEMPERATURE.names(In.CSV)}), 1000, 1000.0
-    )
+    "temperature_mc": ChannelRule(CSV.thermometer, frozenset({"", "deg", *CSV.temperatures}), 1000, 1000.0)
 }
 """Channels that a text file may have, by their name in Chunk; nothing else is particular to one."""
 
@@ -170,7 +155,7 @@ class Title:
     def is_time(self) -> bool:
         """True if it names a column of times."""
         bare = len(self.words) == 1 and self.words[0] in BARE_TIME_NAMES
-        return bare or bool(TIME_NAMES & set(self.words))
+        return bare or bool(CSV.times & set(self.words))
 
     @property
     def is_gyroscope(self) -> bool:
@@ -179,21 +164,21 @@ class Title:
         if NOT_MEASURED_TURNS & stem:
             return False
         short = len(self.stem) == 1 and self.stem[0] in SHORT_GYRO_NAMES
-        return bool(GYRO_NAMES & stem) or short or any(pair in GYRO_WORDS for pair in pairwise(self.stem))
+        return bool(CSV.gyroscope & stem) or short or any(pair in GYRO_WORDS for pair in pairwise(self.stem))
 
     @property
     def place(self) -> tuple[str, ...]:
         """Its words without axis and sensor, such as a side of the body."""
         words = (word for pair in GYRO_WORDS for word in pair)
-        sensor = {*ACCEL_NAMES, *GYRO_NAMES, *SHORT_GYRO_NAMES, *words}
+        sensor = {*CSV.accelerometer, *CSV.gyroscope, *SHORT_GYRO_NAMES, *words}
         return tuple(word for word in self.stem if word not in sensor)
 
 
 def _axis_apart(word: str) -> tuple[str, ...]:
     """Return `accx`, `xacc`, `gyrox` or `gx` as two words."""
-    if word[:-1] in ACCEL_NAMES | GYRO_NAMES | SHORT_GYRO_NAMES and word[-1] in AXES:
+    if word[:-1] in CSV.accelerometer | CSV.gyroscope | SHORT_GYRO_NAMES and word[-1] in AXES:
         return word[:-1], word[-1]
-    if word[1:] in ACCEL_NAMES | GYRO_NAMES and word[:1] in AXES:
+    if word[1:] in CSV.accelerometer | CSV.gyroscope and word[:1] in AXES:
         return word[1:], word[0]
     return (word,)
 
@@ -205,7 +190,7 @@ def _is_unit(word: str) -> bool:
 
 def _is_turn_unit(word: str) -> bool:
     """Return True for a unit of rotation rates: `dps`, or `rads` of `gyro_x_rad_s`."""
-    return ROTATION.find_in_table(word) is not None
+    return turn_scale(word) is not None
 
 
 def titles_of(dialect: Dialect) -> list[Title]:
@@ -297,7 +282,7 @@ def _named_axes(titles: list[Title], path: Path) -> tuple[int, int, int] | None:
         if title.axis and not OTHER_SENSORS & set(title.stem):
             groups.setdefault(title.stem, {}).setdefault(title.axis, title.number)
     full = {stem: group for stem, group in groups.items() if len(group) == 3}
-    named = [group for stem, group in full.items() if ACCEL_NAMES & set(stem)]
+    named = [group for stem, group in full.items() if CSV.accelerometer & set(stem)]
     found = named or [group for stem, group in full.items() if not stem]
     if len(found) > 1:
         raise UnreadableError(

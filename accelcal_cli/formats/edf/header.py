@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Container
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from fractions import Fraction
@@ -26,20 +27,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, LARGEST_LSB_PER_G, Counts, Device
-from accelcal_cli.core.vocabulary import (
-    ACCELERATION,
-    ACCELERATION_UNITS,
-    ACCELEROMETER,
-    GIVE_UNIT,
-    GYROSCOPE,
-    NOT_RAW,
-    ROTATION,
-    TEMPERATURE,
-    THERMOMETER,
-    In,
-    UnitNames,
-    names_in,
-)
+from accelcal_cli.core.vocabulary import ACCELERATION_UNITS, EDF, GIVE_UNIT, NOT_RAW
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats.edf import BDF_MAGIC
 
@@ -68,9 +56,7 @@ SIGNAL_FIELDS = (
 )
 """Names and widths [bytes] of the fields; in the second part each field has the texts of all signals."""
 
-ACCEL_NAMES = names_in(ACCELEROMETER, In.EDF)
-GYRO_NAMES = names_in(GYROSCOPE, In.EDF)
-GLUED = re.compile(rf"({'|'.join(sorted(ACCEL_NAMES | GYRO_NAMES))})([xyz])")
+GLUED = re.compile(rf"({'|'.join(sorted(EDF.accelerometer | EDF.gyroscope))})([xyz])")
 MOST_COUNTS = (1 << 31) - 1
 
 
@@ -344,14 +330,14 @@ def _labels(header: Header) -> str:
     return ", ".join(shown) + ", ..." * (len(header.signals) > len(shown))
 
 
-def _groups(header: Header, names: frozenset[str], units: UnitNames[Any]) -> dict[str, Signals3]:
+def _groups(header: Header, names: frozenset[str], units: Container[str]) -> dict[str, Signals3]:
     """Return the sensors of a kind that have one signal for each axis, by the other words of their labels."""
     found: dict[str, dict[str, list[Signal]]] = {}
     for signal in header.signals:
         parts = label_words(signal.label)
         axes = [part for part in parts if part in ("x", "y", "z")]
-        known = names & set(parts) or units.find(signal.dimension.lower(), In.EDF) is not None
-        other = ((ACCEL_NAMES | GYRO_NAMES) - names) & set(parts)
+        known = names & set(parts) or signal.dimension.lower() in units
+        other = ((EDF.accelerometer | EDF.gyroscope) - names) & set(parts)
         if len(axes) == 1 and known and not other and not NOT_RAW & set(parts):
             rest = " ".join(part for part in parts if part not in (*axes, *names, "axis"))
             found.setdefault(rest, {}).setdefault(axes[0], []).append(signal)
@@ -364,14 +350,16 @@ def _groups(header: Header, names: frozenset[str], units: UnitNames[Any]) -> dic
 
 
 def _signals_by_label(header: Header, options: ReadOptions, path: Path) -> Signals3:
-    groups = _groups(header, ACCEL_NAMES, ACCELERATION)
+    groups = _groups(header, EDF.accelerometer, EDF.accelerations)
     if options.sensor is not None:
         wanted = " ".join(label_words(options.sensor))
         groups = {name: group for name, group in groups.items() if name == wanted}
     if len(groups) == 1:
         return next(iter(groups.values()))
     if groups or options.sensor is not None:
-        names = ", ".join(name or "(no name)" for name in _groups(header, ACCEL_NAMES, ACCELERATION))
+        names = ", ".join(
+            name or "(no name)" for name in _groups(header, EDF.accelerometer, EDF.accelerations)
+        )
         what = (
             f"no sensor is called {options.sensor!r}" if options.sensor else "it has several accelerometers"
         )
@@ -418,7 +406,7 @@ def _acceleration_axes(signals: Signals3, options: ReadOptions, path: Path) -> A
             )
         step = 1 / Fraction(options.lsb_per_g)
         return Axes(signals, (1, 1, 1), (0, 0, 0), step, ())
-    units = {options.unit or ACCELERATION.find(signal.dimension.lower(), In.EDF) for signal in signals}
+    units = {options.unit or EDF.accelerations.get(signal.dimension.lower()) for signal in signals}
     unit = units.pop()
     if units or unit is None:
         written = ", ".join(repr(signal.dimension) for signal in signals)
@@ -459,14 +447,11 @@ def _axes(signals: Signals3, per_unit: Fraction, path: Path) -> Axes:
 
 def _gyro(header: Header, accel: Signals3, path: Path) -> Axes | None:
     """Return the one gyroscope of the same rate in deg/s; None if there is none with a usable scale."""
-    groups = _groups(header, GYRO_NAMES, ROTATION)
+    groups = _groups(header, EDF.gyroscope, EDF.rotations)
     fitting = [
         group
         for group in groups.values()
-        if all(
-            ROTATION.find(one.dimension.lower(), In.EDF) is not None and one.samples == accel[0].samples
-            for one in group
-        )
+        if all(one.dimension.lower() in EDF.rotations and one.samples == accel[0].samples for one in group)
     ]
     if len(fitting) != 1:
         return None
@@ -481,8 +466,8 @@ def _temperature(header: Header, path: Path) -> tuple[Signal, float, float] | No
     found = [
         signal
         for signal in header.signals
-        if names_in(THERMOMETER, In.EDF) & set(label_words(signal.label))
-        and TEMPERATURE.find(signal.dimension.lower(), In.EDF) is not None
+        if EDF.thermometer & set(label_words(signal.label))
+        and signal.dimension.lower() in EDF.temperatures
         and signal.samples
     ]
     if len(found) != 1:

@@ -17,7 +17,7 @@ from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError, counted
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Recording
-from accelcal_cli.core.vocabulary import ACCELERATION, PER_G
+from accelcal_cli.core.vocabulary import PER_G, TABLES, normalized
 from accelcal_cli.formats._tables.channels import (
     CHANNELS,
     Axes,
@@ -224,7 +224,7 @@ def _scale(table: Hdf5Table, track: Track, options: ReadOptions) -> CountScale:
 
 
 def _accel_unit(attributes: Attributes) -> str | None:
-    return ACCELERATION.find_in_table(attributes.text("Units") or "m/s2")
+    return TABLES.accelerations.get(normalized(attributes.text("Units") or "m/s2"))
 
 
 def _channels(table: Hdf5Table, sensor: OpalSensor, layout: OpalLayout, accel: Track) -> dict[str, Channel]:

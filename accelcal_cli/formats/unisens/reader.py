@@ -31,22 +31,12 @@ from accelcal_cli.core.recording import (
     Reader,
     Recording,
 )
-from accelcal_cli.core.vocabulary import (
-    ACCELERATION,
-    ACCELEROMETER,
-    GYROSCOPE,
-    PER_G,
-    ROTATION,
-    THERMOMETER,
-    In,
-    names_in,
-)
+from accelcal_cli.core.vocabulary import PER_G, UNISENS
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._frames import FrameFile, FrameReader, Frames
 from accelcal_cli.formats._rows import MISSING, first_values
 from accelcal_cli.formats.unisens import DESCRIPTION, MOST_BYTES
 
-ACC, GYRO, TEMPERATURES = (names_in(names, In.UNISENS) for names in (ACCELEROMETER, GYROSCOPE, THERMOMETER))
 AXES = "xyz"
 LARGEST_G = 100.0
 WARMEST_MC = 200_000
@@ -311,7 +301,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         axes_of(signal, xml),
         FLOAT_LSB_PER_G / scale if is_float else None,
         gyro,
-        sibling_signal(description.of_kind(*TEMPERATURES), signal, data),
+        sibling_signal(description.of_kind(*UNISENS.thermometer), signal, data),
     )
     start_us = description.start_us
     first = first_values(decoder.channels(0, min(rows, MOST_FIRST_ROWS)))
@@ -343,7 +333,9 @@ def signal_of(description: Description, xml: Path, name: str | None) -> Signal:
     Raises:
         UnreadableError: there are none in a binary file, this is not there, or their rate is impossible.
     """
-    found = [one for one in description.signals if one.kind in ACC and name in (None, one.name)]
+    found = [
+        one for one in description.signals if one.kind in UNISENS.accelerometer and name in (None, one.name)
+    ]
     signal = next((one for one in found if one.number is not None), None)
     if signal is None and found:
         hint = f"if it is a table, read it alone: --format csv --rate {found[0].rate_hz:g} --unit g"
@@ -404,7 +396,7 @@ def lsb_per_g_of(signal: Signal, options: ReadOptions, xml: Path) -> float:
     """
     if options.lsb_per_g is not None:
         return options.lsb_per_g
-    unit = ACCELERATION.find((options.unit or signal.unit).lower(), In.UNISENS)
+    unit = UNISENS.accelerations.get((options.unit or signal.unit).lower())
     if unit is None:
         what = f"gives {signal.name} the unit {signal.unit!r}, which is none of acceleration"
         raise UnreadableError(what, path=xml, hint="give --unit or --lsb-per-g")
@@ -433,7 +425,7 @@ def gyroscope_of(
     description: Description, signal: Signal, data: Path, rows: int
 ) -> tuple[SiblingSignal | None, tuple[str, ...]]:
     """Return rotation rates with the rows of the accelerations, or None; and a note on others."""
-    gyro = sibling_signal(description.of_kind(*GYRO), signal, data)
+    gyro = sibling_signal(description.of_kind(*UNISENS.gyroscope), signal, data)
     if gyro is None or (gyro.ratio == 1 and gyro.frames >= rows and is_rotation(gyro.signal)):
         return gyro, ()
     return None, (OTHER_GYRO.format(name=gyro.signal.name, acc=signal.name),)
@@ -445,6 +437,6 @@ def is_rotation(signal: Signal) -> bool:
     return (
         whole
         and len(signal.channels) == len(AXES)
-        and ROTATION.find(signal.unit.lower(), In.UNISENS) is not None
+        and signal.unit.lower() in UNISENS.rotations
         and signal.lsb > 0
     )
