@@ -19,10 +19,10 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 DEPTH = 2
-"""Items or portions in flight; each holds memory."""
+"""Items that `prefetch` takes ahead; each holds memory."""
 
 MOST_THREADS = 4
-"""Threads of `parallel_map`: the one that takes the items keeps no more of them busy; each holds memory."""
+"""Most threads of `parallel_map`: the one that takes the items keeps no more of them busy."""
 
 QUEUED = 2
 """Items that wait for a thread of `parallel_map`, so that no thread waits for an item."""
@@ -31,12 +31,12 @@ _END = object()
 
 
 def thread_pool(threads: int, name: str) -> AbstractContextManager[Executor | None]:
-    """A pool of named threads; None if only one thread may work."""
+    """Return a pool of named threads; None if only one thread may work."""
     return nullcontext() if threads < 2 else ThreadPoolExecutor(threads, thread_name_prefix=name)
 
 
 def prefetch(items: Iterator[T], threads: int, depth: int = DEPTH) -> Generator[T]:
-    """The items of an iterator, in order, up to `depth` of them taken ahead on another thread.
+    """Yield the items of an iterator, in order, with up to `depth` of them taken ahead on another thread.
 
     What the iterator raises is raised here, in its place. Closing this closes the iterator.
 
@@ -73,7 +73,7 @@ class _Guarded:
         self._closed = False
 
     def next(self) -> object:
-        """The next item, _END if there is none."""
+        """Return the next item, _END if there is none."""
         with self._lock:
             return _END if self._closed else next(self._items, _END)
 
@@ -89,7 +89,7 @@ class _Guarded:
 def parallel_map(
     work: Callable[[T], R], items: Iterable[T], threads: int, most: int = MOST_THREADS + QUEUED
 ) -> Generator[R]:
-    """The work's results, in the order of the items; items are taken ahead while work is done.
+    """Yield the work's results, in the order of the items, which are taken ahead while work is done.
 
     What taking an item or working on it raises is raised here, in its place. Items are taken on the
     caller's thread.

@@ -117,7 +117,7 @@ def numbers_of_axes(transform: Transform, has_temperature: bool) -> dict[str, Nu
         name: Numbers(
             partial(_counts, axis),
             partial(_of_counts, transform, axis),
-            beside=TEMPERATURE if warm[axis] else None,
+            paired_with=TEMPERATURE if warm[axis] else None,
         )
         for axis, name in enumerate("xyz")
         if transform.depends_on_one_axis(axis)

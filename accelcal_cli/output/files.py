@@ -28,19 +28,19 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 LONG_NAME = 160
-"""Bytes; most disks take names of 255."""
+"""Length [bytes] beyond which a name is replaced by its hash; most disks take 255."""
 
 DEEPEST = 32
-"""Lists and objects in each other; in what we write there are fewer than ten."""
+"""Most lists and objects in each other; what we write has fewer than ten."""
 
 WIDEST = 64
-"""Bits of a whole number, and its sign."""
+"""Most bits of a whole number besides its sign."""
 
 OBEYED = re.compile("[\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 """Control characters and marks of direction that JSON texts may hold as they are."""
 
 _LISTED: dict[Path, tuple[list[str], float]] = {}
-"""Folders with what was found in them, and until when that will do."""
+"""Names of temporaries in each folder, and the time up to which they need not be listed again."""
 _MODES = {"rb": os.O_RDONLY, "r+b": os.O_RDWR, "a": os.O_WRONLY | os.O_APPEND | os.O_CREAT}
 
 
@@ -55,7 +55,7 @@ def disk_errors(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its place when the block ends without error.
+    """Yield a temporary path beside `path` that takes its place when the block ends without error.
 
     The content is flushed to the disk before the rename. On any error, interruption included,
     the temporary is removed and `path` stays as it was.
@@ -65,7 +65,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     if exists(path) and not path.is_file():  # a rename would replace a device, a pipe or a folder
         raise OutputError("is not a regular file and is not replaced", path=path, hint="give another name")
-    temporary = _name_beside(path)
+    temporary = _temporary_name(path)
     try:
         _create(temporary)
         yield temporary
@@ -83,7 +83,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def discard(temporary: Path) -> None:
-    """Remove a temporary as far as the disk allows it: what went wrong before is what is said."""
+    """Remove a temporary as far as the disk allows it; an earlier error is the one to report."""
     with contextlib.suppress(OSError):
         temporary.unlink(missing_ok=True)
 
@@ -116,7 +116,7 @@ def _not_plain(path: Path) -> OutputError:
 
 
 def exists(path: Path) -> bool:
-    """Whether an output is there already.
+    """Return True if an output is there already.
 
     Raises:
         OutputError: its name cannot be one.
@@ -127,12 +127,12 @@ def exists(path: Path) -> bool:
         raise output_error(error, path) from error
 
 
-def beside(path: Path) -> Path:
-    """An empty temporary file beside `path`, named by host and process; raises OutputError.
+def temporary_beside(path: Path) -> Path:
+    """Make an empty temporary file beside `path`, named by host and process; raises OutputError.
 
     Those that killed processes of this host left for `path` are removed.
     """
-    temporary = _name_beside(path)
+    temporary = _temporary_name(path)
     try:
         _create(temporary)
     except OSError as error:
@@ -141,8 +141,8 @@ def beside(path: Path) -> Path:
     return temporary
 
 
-def _name_beside(path: Path) -> Path:
-    """A name for it that no other file has; the file is not made yet."""
+def _temporary_name(path: Path) -> Path:
+    """Return a name for a temporary that no other file has."""
     try:
         sweep(path)
     except OSError as error:
@@ -151,12 +151,12 @@ def _name_beside(path: Path) -> Path:
 
 
 def owner() -> str:
-    """Whose the temporaries of this process are: `HOST.PROCESS`."""
+    """Return the owner in the names of this process's temporaries: `HOST.PROCESS`."""
     return f"{host()}.{os.getpid()}"
 
 
 def _start(path: Path, whose: str) -> str:
-    """How someone's temporaries of a file begin; a long name would leave no room for the rest."""
+    """Return how an owner's temporaries of a file begin; a long name would leave no room for the rest."""
     name, encoded = path.name, os.fsencode(path.name)
     short = name if len(encoded) <= LONG_NAME else hashlib.sha256(encoded).hexdigest()[:32]
     return f".{short}.{whose}."
@@ -176,7 +176,7 @@ def sweep(path: Path) -> None:
 
 
 def sweep_of(path: Path, lost: str) -> None:
-    """Remove the temporaries of this file that an owner left, who is known to be gone; raises OSError."""
+    """Remove the temporaries of this file of an owner that is known to be gone; raises OSError."""
     start = _start(path, lost)
     for left in path.parent.iterdir():
         if left.name.startswith(start) and left.suffix == ".tmp":
@@ -184,7 +184,7 @@ def sweep_of(path: Path, lost: str) -> None:
 
 
 def sweep_host(paths: Iterable[Path], lost: str) -> None:
-    """Remove temporaries of these files that processes of another host left, which are known to be gone."""
+    """Remove the temporaries of these files of processes on another host that are known to be gone."""
     below: dict[Path, list[str]] = {}
     for path in paths:
         below.setdefault(path.parent, []).append(_start(path, lost))
@@ -196,7 +196,7 @@ def sweep_host(paths: Iterable[Path], lost: str) -> None:
 
 
 def _temporaries(folder: Path) -> list[str]:
-    """Names of what may be temporaries of ours.
+    """Return names that may be those of our temporaries.
 
     A folder is not listed again before a hundred times as long as it took: in one with ten thousand
     recordings that would be most of the work.
@@ -231,7 +231,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def json_text(value: Any, **form: Any) -> str:
-    """Our JSON, for people too: a character that a terminal or an editor would obey stands as its escape.
+    """Return JSON for programs and people: control characters and marks of direction are escaped.
 
     Args:
         form: `indent` and `separators` of `json.dumps`.
@@ -241,7 +241,7 @@ def json_text(value: Any, **form: Any) -> str:
 
 
 def parsed(text: str | bytes) -> Any:
-    """A JSON text of ours, which may have been damaged or made by others.
+    """Return the value of a JSON text of ours, which may have been damaged or made by others.
 
     Raises:
         ValueError: it is not valid JSON, or holds what we never write: endless or huge numbers, halves of
@@ -264,7 +264,7 @@ def _refuse_constant(name: str) -> NoReturn:
 
 
 def _parts(value: Any) -> Iterable[Any]:
-    """What is in a list or an object; raises ValueError for a value that cannot be ours."""
+    """Return the members of a list or an object; raises ValueError for a value that we never write."""
     if isinstance(value, dict):
         return (*value, *value.values())
     if isinstance(value, list):
@@ -279,14 +279,14 @@ def _parts(value: Any) -> Iterable[Any]:
 
 
 def csv_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """CSV with a header line for spreadsheets; None is an empty cell, and no text acts."""
+    """Return CSV with a header line; None is an empty cell, and no text is a formula to a spreadsheet."""
     text = io.StringIO()
     _put_csv(text, head, rows)
     return text.getvalue()
 
 
 def write_csv(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """The same as a file that appears complete or not at all, whose text is never in memory as a whole.
+    """Write CSV atomically, without all of its text in memory; see `csv_text`.
 
     Raises:
         OutputError: the file cannot be written.
@@ -307,7 +307,7 @@ def _cell(value: object) -> object:
 
 @contextlib.contextmanager
 def looking_at(path: Path, failure: type[AccelcalError] = OutputError) -> Iterator[None]:
-    """Find out whose a file is: what the system does not let us read is not taken for somebody else's.
+    """Turn an OSError of reading a file into one of our errors: it is then not taken for somebody else's.
 
     Raises:
         AccelcalError: of the kind `failure`.
@@ -320,7 +320,7 @@ def looking_at(path: Path, failure: type[AccelcalError] = OutputError) -> Iterat
 
 
 def metadata_of(path: Path, failure: type[AccelcalError] = OutputError) -> dict[str, Any]:
-    """What a Parquet file of ours says of itself; empty for any other file, or none.
+    """Return the metadata of a Parquet file of ours; empty for any other file, or none.
 
     Raises:
         AccelcalError: of the kind `failure`, if it is there and cannot be read.
@@ -348,16 +348,16 @@ def stored_schema(path: Path, failure: type[AccelcalError] = OutputError) -> pa.
 
 
 def written_by_us(path: Path) -> bool:
-    """Whether a Parquet file carries our metadata; raises OutputError if it cannot be read."""
+    """Return True if a Parquet file carries our metadata; raises OutputError if it cannot be read."""
     return bool(metadata_of(path))
 
 
 PAGE_MARK, PAGE_HEAD = b'<meta name="generator" content="accelcal ', 256
-"""What a page of ours has among its first bytes."""
+"""Text that pages of ours have, and the number of first bytes in which it stands."""
 
 
 def is_page(path: Path) -> bool:
-    """Whether a file is a page that accelcal made; raises OutputError if it cannot be read."""
+    """Return True if a file is a page that accelcal made; raises OutputError if it cannot be read."""
     with looking_at(path):
         if not path.is_file() or path.is_symlink():
             return False

@@ -1,4 +1,4 @@
-"""Every still window of a recording and what became of it, as a table (docs/outputs.md).
+"""The table of a recording's still windows, with what became of each (docs/outputs.md).
 
 `collect.table` reads it back into the same windows: means and spreads are those of the raw counts, and with
 `samples` and `counts_per_g` their sums come out as the integers that they were.
@@ -31,7 +31,7 @@ ROLE_NAMES = [role.name.lower().replace("_", " ") for role in Role]
 TEXT = ("role",)
 TIME = "time"
 NUMBERS = ("first_sample", "samples", "point", "posture", "fold")
-"""Whole numbers; a negative one is none."""
+"""Columns of whole numbers; a negative one stands for none."""
 
 COLUMNS = (
     TIME, "first_sample", "samples", "x", "y", "z", "spread_x", "spread_y", "spread_z", "temperature_c",
@@ -40,14 +40,14 @@ COLUMNS = (
 AXES = "xyz"
 
 WRITTEN_AT_ONCE = 1 << 16
-"""Windows; as columns and as text they take up to a kB each."""
+"""Windows that are written at a time; as columns and as text they take up to a kB each."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowTable:
-    """What is told of m still windows.
+    """The content of the table of m still windows.
 
     Attributes:
         windows: with their times.
@@ -67,7 +67,7 @@ class WindowTable:
     utc_offset_s: int | None
 
     def parts(self, number: int) -> Iterator[WindowTable]:
-        """The same, so many windows at a time; an empty one if there are none."""
+        """Yield parts of at most `number` windows; an empty one if there are none."""
         for start in range(0, max(1, len(self.windows)), number):
             here = slice(start, start + number)
             yield replace(
@@ -79,7 +79,7 @@ class WindowTable:
             )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """All columns, (m,) each, by name; NaN, and a negative whole number, stand for none."""
+        """Return all columns, (m,) each, by name; NaN and negative whole numbers stand for none."""
         windows = self.windows
         assert windows.start_us is not None
         mean_g = windows.sums / (windows.samples[:, np.newaxis] * self.lsb_per_g)
@@ -122,7 +122,7 @@ def _lengths(g: Floats) -> Floats:
 
 
 def is_window_table(path: Path) -> bool:
-    """Whether a file begins with the header line of such a table; raises OutputError for a link or a pipe."""
+    """Return True if a file begins with the table's header line; raises OutputError for links and pipes."""
     head = ",".join(COLUMNS).encode() + b"\n"
     try:
         with open_plain(path, "rb") as file:
@@ -178,7 +178,7 @@ def _write_parquet(parts: Iterator[WindowTable], path: Path, metadata: dict[str,
 
 
 def arrow(table: WindowTable) -> pa.Table:
-    """The table as Arrow, null where there is nothing."""
+    """Return the table as Arrow, null where there is nothing."""
     import pyarrow as pa
 
     def array(name: str, values: NDArray[Any]) -> pa.Array:

@@ -76,16 +76,16 @@ class Numbers:
 
     Attributes:
         of: returns the number of each row.
-        values: returns the value of each number, given also those of `beside`.
+        values: returns the value of each number, given also those of `paired_with`.
         dtype: type of the numbers.
-        beside: another column that is stored as numbers, if the values follow from these too.
+        paired_with: another column that is stored as numbers, if the values follow from these too.
         calibrated: the numbers are made of calibrated values, not of what a chunk holds.
     """
 
     of: ColumnValues
     values: Callable[..., NDArray[Any]]
     dtype: Any = np.int32
-    beside: str | None = None
+    paired_with: str | None = None
     calibrated: bool = False
 
 
@@ -303,11 +303,11 @@ def _dictionary_chunks(
     """Encode the columns of a row group that are stored as numbers, where these are few enough, by name."""
     numbers = {column.name: column.numbers for column in columns if column.numbers is not None}
     found: dict[str, Places | None] = {
-        name: places(arrays[name]) for name, one in numbers.items() if one.beside is None
+        name: places(arrays[name]) for name, one in numbers.items() if one.paired_with is None
     }
     for name, one in numbers.items():
-        if one.beside is not None:
-            slow = found[one.beside]
+        if one.paired_with is not None:
+            slow = found[one.paired_with]
             found[name] = None if slow is None else paired(arrays[name], slow)
     return {
         name: dictionary_chunk(name, where.of_rows, numbers[name].values(*where.present))
@@ -321,4 +321,4 @@ def _values_of_stored(column: Column, arrays: Mapping[str, NDArray[Any]]) -> NDA
     array, numbers = arrays[column.name], column.numbers
     if numbers is None:
         return array
-    return numbers.values(array, *([] if numbers.beside is None else [arrays[numbers.beside]]))
+    return numbers.values(array, *([] if numbers.paired_with is None else [arrays[numbers.paired_with]]))

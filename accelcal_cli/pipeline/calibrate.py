@@ -43,8 +43,8 @@ from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, R
 from accelcal_cli.pipeline.windows import WindowLog
 
 SURVEYED_AT_ONCE, CALIBRATED_AT_ONCE = 4, 2
-"""Chunks of the first pass, and of the second, which holds row groups, are so many times as long as is asked
-for: threads that each take Python's lock for longer wait less for each other."""
+"""Factors on the length of chunks in the first pass, and in the second, which holds row groups. Threads that
+each take Python's lock for longer wait less for each other."""
 
 HASHED_IN_BACKGROUND = 1 << 24
 """Size [bytes] from which a recording is hashed by a thread of its own."""
@@ -102,7 +102,7 @@ def calibrate_with(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Survey:
-    """What the first pass over a recording found.
+    """The findings of the first pass over a recording.
 
     Attributes:
         method: with all still windows taken in.
@@ -121,7 +121,7 @@ class Survey:
 def surveyed(
     recording: Recording, facts: Facts, method: procedures.Method, settings: Settings | PoseSettings
 ) -> tuple[Survey, NDArray[np.int64]]:
-    """What a first pass that is over has found, and the number of the posture of each point."""
+    """Return the findings of a first pass that is over, and the number of each point's posture."""
     points = method.procedure.result()
     posture = postures(points, settings.posture_degrees)
     covered = coverage(points, posture)
@@ -131,7 +131,7 @@ def surveyed(
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a judge says.
+    """The decision of a judge.
 
     Attributes:
         sections: of the report, instead of those that follow from the judgement, or besides them.
@@ -154,15 +154,15 @@ class Judge:
     settings: Settings
 
     def method(self, recording: Recording) -> procedures.Method:
-        """What the first pass is to find, before it begins."""
+        """Return the method of the first pass."""
         return procedures.make_method(recording, self.settings)
 
     def optimizer(self) -> dict[str, Any]:
-        """The report's `optimizer`; raises UsageError for an unknown one."""
+        """Return the report's `optimizer`; raises UsageError for an unknown one."""
         return procedures.optimizer_json(self.settings)
 
     def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
-        """Judge what the first pass found."""
+        """Judge the findings of the first pass."""
         raise NotImplementedError
 
 
@@ -243,11 +243,11 @@ def open_run(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FirstPass:
-    """What comes of the first pass.
+    """The result of the first pass.
 
     Attributes:
         data: all that the report says but what the second pass counts.
-        points: the recording's points, put right where its sensor changed and the calibration follows.
+        points: the recording's points, corrected where its sensor changed.
         raw: the points before that; posture: (n,) number of the posture of each.
         method: with all still windows taken in.
         timeline: what was counted along time; None for a procedure without blocks of time.
@@ -261,7 +261,7 @@ class FirstPass:
     timeline: Timeline | None
 
     def quality(self) -> QualityInput | None:
-        """The recording along time; None without blocks of time."""
+        """Return the recording along time; None without blocks of time."""
         if self.timeline is None:
             return None
         return along_time(self.data, self.raw, self.posture, self.method, self.timeline)
@@ -284,7 +284,7 @@ class RecordingRun:
     before: FileStamp | None = None
 
     def complete(self, judge: Judge) -> Result:
-        """The existing result if it still holds, else that of both passes.
+        """Return the existing result if it still holds, else that of both passes.
 
         Raises:
             AccelcalError: see `result` and `write`; or the outputs are those of another recording, or files
@@ -309,7 +309,7 @@ class RecordingRun:
         return () if self.request.windows is None else (self.request.windows,)
 
     def result(self, judge: Judge, log: WindowLog | None = None) -> FirstPass:
-        """First pass: survey the recording and judge it; nothing is written.
+        """Do the first pass: survey the recording and judge it; nothing is written.
 
         Args:
             log: takes in all still windows.
@@ -348,7 +348,7 @@ class RecordingRun:
         return FirstPass(data, points, raw, posture, method, timeline)
 
     def survey(self, method: procedures.Method, *others: survey.Observer) -> Facts:
-        """Facts of the recording, and its still windows into the method and other observers."""
+        """Show the recording to the method and other observers, and return its facts."""
         recording, request = self.reader.recording, self.request
         facts = FactsObserver(recording, method.rest_lsb, method.segmenter.gaps)
         observers = (facts, method.procedure, *others)
@@ -359,7 +359,7 @@ class RecordingRun:
         return method.completed(facts.result())
 
     def write(self, found: FirstPass, integers: dict[str, Any] | None = None) -> Result:
-        """Parquet first, the report last: it is the commit mark.
+        """Write Parquet first, and the report last: it is the commit mark.
 
         The report of an earlier result is removed only when the new Parquet is complete, or none is due.
 
@@ -396,7 +396,7 @@ class RecordingRun:
         return Result(self.job, report, kept=kept)
 
     def _write_parquet(self, data: ReportInput, path: Path, effect: EffectMeter | None) -> int:
-        """Second pass; returns how many of the samples written lie beyond the sensor's range."""
+        """Do the second pass; return how many of the samples written lie beyond the sensor's range."""
         # Not every run writes Parquet, and pyarrow takes as long to load as all of accelcal.
         from accelcal_cli.output.columns import schema_of
         from accelcal_cli.parquet import ParquetSink
@@ -416,7 +416,7 @@ class RecordingRun:
             return over
 
     def count_beyond(self, data: ReportInput) -> ReportInput:
-        """Second pass without writing: what writing would have found."""
+        """Do the second pass without writing, and return the result with what writing would have found."""
         range_g, effect = data.recording.range_g, self._effect(data)
         over = 0 if writes_parquet(data) else None
         counting = over is not None and range_g is not None
@@ -430,19 +430,19 @@ class RecordingRun:
         return _with_effect(replace(data, clipped_after=over), effect)
 
     def _effect(self, data: ReportInput) -> EffectMeter | None:
-        """What measures activity along the second pass, if it is asked for and there is a calibration."""
+        """Return the meter of activity for the second pass, if it is asked for and there is a calibration."""
         if not self.request.effect or data.judgement.calibration is None:
             return None
         return EffectMeter(versions_of(data), data.recording, EPOCH_S)
 
     def _chunks(self, effect: EffectMeter | None) -> Iterator[Chunk]:
-        """The chunks of the second pass."""
+        """Yield the chunks of the second pass."""
         chunks = self.reader.chunks(CALIBRATED_AT_ONCE * self.request.chunk_samples)
         return chunks if effect is None else effect.watch(chunks)
 
 
 def _with_effect(data: ReportInput, effect: EffectMeter | None) -> ReportInput:
-    """The result with what was measured, after the second pass."""
+    """Return the result with what was measured in the second pass."""
     if effect is None:
         return data
     effect.finish()
@@ -450,5 +450,5 @@ def _with_effect(data: ReportInput, effect: EffectMeter | None) -> ReportInput:
 
 
 def writes_parquet(data: ReportInput) -> bool:
-    """Whether calibrated data belong to a result."""
+    """Return True if calibrated data belong to a result."""
     return data.judgement.calibration is not None and not data.settings.report_only

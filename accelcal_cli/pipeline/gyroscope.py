@@ -27,10 +27,10 @@ from accelcal_cli.segment import MOST_SQUARES, still_rule
 from accelcal_cli.segment.segmenter import Blocks, Segmenter, centred_squares, exact_sums
 
 WINDOW_S = 1.0
-"""G 4.4: at least a second."""
+"""Length [s] of a window; at least a second (G 4.4)."""
 
 QUIET_DPS = 1.0
-"""Standard deviation of each axis of a gyroscope at rest stays below [deg/s]. Measured at rest: 0.02 to 0.3,
+"""Standard deviation [deg/s] of each axis below which a gyroscope is at rest. Measured at rest: 0.02 to 0.3,
 of sensors from an AX6 to an Xsens MTi; a wrist that moves slowly has several."""
 
 
@@ -51,23 +51,23 @@ class Turning(Observer):
             pass
 
     def result(self) -> Turns:
-        """What was found."""
+        """Return the turns."""
         return self._collector.result()
 
 
 def turning(recording: Recording) -> Turning | None:
-    """What a first pass needs besides; None without a gyroscope."""
+    """Return the observer of a recording's gyroscope; None without one."""
     return None if recording.gyro_dps_per_lsb is None else Turning(recording)
 
 
 def gyroscope_of(turns: Turning, judgement: Judgement, settings: Settings) -> Gyroscope:
-    """The verdict, by the calibration that the recording has in the end, its own or another's."""
+    """Return the verdict, by the calibration that the recording has in the end, its own or another's."""
     least_range_c = settings.min_temperature_range_c if settings.temperature else None
     return judge_gyroscope(turns.result(), judgement.calibration, least_range_c)
 
 
 class _Resting:
-    """Sees all windows, as a `Rule` does, and hands them on; none is kept here."""
+    """A `Rule` that hands all windows on to a collector and keeps none."""
 
     def __init__(
         self, collector: TurnCollector, dps_per_lsb: tuple[float, float, float], lsb_per_g: float
@@ -106,11 +106,11 @@ class _Resting:
         return []
 
     def rest(self) -> list[Windows]:
-        """Nothing is held back."""
+        """Return nothing: no window is held back."""
         return []
 
     def _quiet(self, columns: NDArray[Any]) -> NDArray[np.bool_]:
-        """Which of (3, m, n) gyroscope counts vary so little, by exact variances."""
+        """Return which of (3, m, n) gyroscope counts vary little, by exact variances."""
         _, number, length = columns.shape
         quiet = np.ones(number, np.bool_)
         for axis, limit in enumerate(self._limits):
@@ -129,14 +129,14 @@ class _Resting:
 
 
 def _variance_limit(dps_per_lsb: float) -> int:
-    """Counts squared; 0, so that nothing is at rest, of a scale that says nothing."""
+    """Return the limit in counts squared; 0, so that nothing is at rest, for a scale that says nothing."""
     if not isfinite(dps_per_lsb) or not dps_per_lsb:
         return 0
     return ceil((Fraction(QUIET_DPS) / Fraction(dps_per_lsb)) ** 2)
 
 
 def _measured(blocks: Blocks) -> NDArray[np.bool_]:
-    """Windows in which both sensors measured, at the accelerometer's range or not."""
+    """Return which windows both sensors measured, at the accelerometer's range or not."""
     validity, number = blocks.rows.validity, len(blocks)
     if validity is None:
         return np.ones(number, np.bool_)

@@ -40,7 +40,7 @@ PARQUET, JSON = ".parquet", ".json"
 DEFAULT_CHUNK_SAMPLES = 1 << 18
 
 HASHED_BYTES = 1 << 22
-"""Of a file are hashed at a time: for each portion Python's lock is waited for, beside a thread that fits."""
+"""Part [bytes] of a file that is hashed at a time; between parts a thread may wait for Python's lock."""
 
 FileStamp = tuple[int, int]
 """Size [bytes] and time of the last change [ns since 1970] of a file."""
@@ -53,13 +53,13 @@ ProgressMaker = Callable[[str, int], Progress]
 
 
 def no_progress(_stage: str, _total: int) -> Progress:
-    """Shows nothing."""
+    """Return a Progress that shows nothing."""
     return lambda _end_byte: None
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One recording and where its results go."""
+    """One recording, and the paths of its results."""
 
     source: Path
     parquet: Path
@@ -67,37 +67,37 @@ class Job:
 
     @property
     def integers(self) -> Path:
-        """Where the fit's integers go, if they are asked for."""
-        return self._beside(INTEGERS_SUFFIX)
+        """Path of the fit's integers, if they are asked for."""
+        return self._sibling(INTEGERS_SUFFIX)
 
     @property
     def uncalibrated(self) -> Path:
-        """Where the raw values of a refused recording go, if they are asked for."""
-        return self._beside(UNCALIBRATED_SUFFIX)
+        """Path of the raw values of a refused recording, if they are asked for."""
+        return self._sibling(UNCALIBRATED_SUFFIX)
 
     @property
     def quality(self) -> Path:
-        """Where the recording's quality along time goes, if it has blocks of time."""
-        return self._beside(QUALITY_SUFFIX)
+        """Path of the recording's quality along time, if it has blocks of time."""
+        return self._sibling(QUALITY_SUFFIX)
 
     @property
     def page(self) -> Path:
-        """Where the recording's page goes, if it is asked for."""
-        return self._beside(PAGE_SUFFIX)
+        """Path of the recording's page, if it is asked for."""
+        return self._sibling(PAGE_SUFFIX)
 
     @property
     def outputs(self) -> tuple[Path, ...]:
         """All files that may be written."""
         return (self.parquet, self.report, self.integers, self.quality, self.uncalibrated)
 
-    def _beside(self, suffix: str) -> Path:
+    def _sibling(self, suffix: str) -> Path:
         return self.report.with_name(self.report.name.removesuffix(REPORT_SUFFIX) + suffix)
 
 
 def real(path: Path) -> Path:
-    """The absolute path without links.
+    """Return the absolute path without links.
 
-    A loop of links, a path in a working folder that is gone, and a name that no file can have stay.
+    A loop of links, a path in a working folder that is gone, and a name that no file can have are kept.
     """
     try:
         return Path(os.path.realpath(path))
@@ -106,7 +106,7 @@ def real(path: Path) -> Path:
 
 
 def stem(path: Path) -> str:
-    """File name without `.gz` and its format suffix; of a pattern what it names, or its folder's name."""
+    """Return the file name without `.gz` and its format suffix, or what a pattern names, or its folder."""
     if ANY in path.name and is_pattern(path):
         plain = re.sub(r"[._-]*\*", "", _without_suffix(path.name)).strip("._-")
         return plain or path.parent.name or "parts"
@@ -124,7 +124,7 @@ def _without_suffix(name: str) -> str:
 
 
 def plan(sources: list[Path], output_dir: Path | None, output: Path | None) -> list[Job]:
-    """Jobs in the order of the sources.
+    """Return the jobs in the order of the sources.
 
     Raises:
         UsageError: `output` with several recordings, a standard input named twice, or two
@@ -139,7 +139,7 @@ def plan(sources: list[Path], output_dir: Path | None, output: Path | None) -> l
 
 
 def plan_report(source: Path, output_dir: Path | None, report: Path | None, *inputs: Path) -> Job:
-    """The job of a command that writes a report and no Parquet.
+    """Return the job of a command that writes a report and no Parquet.
 
     Args:
         report: name of the report, if not the usual one.
@@ -218,7 +218,7 @@ def _refuse_collisions(jobs: list[Job]) -> None:
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal; of several, that of the lines `SHA-256  NAME` of all, by name.
+    """Return the SHA-256 of a file, hexadecimal; of parts, that of their lines `SHA-256  NAME`, by name.
 
     Raises:
         UnreadableError: one cannot be read.
@@ -237,7 +237,7 @@ def sha256(path: Path) -> str:
 
 
 def file_stamp(path: Path) -> FileStamp | None:
-    """The stamp of a file, or of all parts together; None if one cannot be looked at."""
+    """Return the stamp of a file, or of all parts together; None if one cannot be looked at."""
     try:
         status = path.stat()
         if not stat.S_ISDIR(status.st_mode):
@@ -264,7 +264,7 @@ def check_unchanged(path: Path, before: FileStamp | None) -> None:
 
 @contextlib.contextmanager
 def spooled(stream: BinaryIO) -> Iterator[Path]:
-    """A temporary file with all of a stream, for the two passes; removed at the end.
+    """Copy a stream to a temporary file, for the two passes; remove it at the end.
 
     Raises:
         OutputError: there is no room for it.
@@ -287,7 +287,7 @@ def spooled(stream: BinaryIO) -> Iterator[Path]:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """How to calibrate.
+    """The options of a run.
 
     Attributes:
         settings: those of a session with known orientations, or of any other recording.
@@ -330,16 +330,15 @@ class Request:
     as_given: bool = False
 
     def options_of(self, path: Path) -> ReadOptions:
-        """How a recording is read: as was given, and as files beside it state; raises UsageError for
-        contradictions."""
+        """Return how a recording is read, by options and files beside it; raises UsageError on conflict."""
         return with_stated(self.options, self.choices_of(path), path)
 
     def choices_of(self, path: Path) -> dict[str, StatedOption]:
-        """What files beside a recording state, which may contradict what is given; raises UsageError."""
+        """Return what files beside a recording state; raises UsageError if it contradicts the options."""
         return {} if self.as_given else stated_options(path, self.rules, self.options.layout)
 
     def for_recording(self, path: Path) -> Request:
-        """The request as it is for one recording: with what files beside it state, and without options that
+        """Return the request for one recording: with what files beside it state, and without options that
         are meant for others of several recordings.
 
         Raises:
@@ -357,7 +356,7 @@ class Request:
         return replace(self, options=without(options, unused), unused=unused or self.unused, as_given=True)
 
     def for_jobs(self, planned: Sequence[Job]) -> Request:
-        """The request for so many recordings; raises UsageError if an option means nothing for any."""
+        """Return the request for several recordings; raises UsageError for options without any meaning."""
         if len(planned) < 2:
             return self
         if all(job.source != STDIN for job in planned):
@@ -366,11 +365,11 @@ class Request:
 
     @property
     def recording_settings(self) -> Settings:
-        """The settings by which stillness is found and judged; of a session those that it has."""
+        """The settings by which stillness is found and judged."""
         return self.settings.stillness if isinstance(self.settings, PoseSettings) else self.settings
 
     def effective_settings(self, companion: Path | None) -> EffectiveSettings:
-        """All that decides the result besides the recording.
+        """Return all that decides the result besides the recording.
 
         Args:
             companion: the file that says how to read the recording; its content counts.
@@ -381,7 +380,7 @@ class Request:
 
 
 def input_settings(options: ReadOptions, companion: Path | None) -> dict[str, Any]:
-    """The `input` object of a report's settings: what the user said of the recording."""
+    """Return the `input` object of a report's settings: what the user said of the recording."""
     stated = asdict(options)
     used = {name: value for name, value in stated.items() if name not in IF_GIVEN or value is not None}
     used["layout"] = None if companion is None else printable(companion.name)
@@ -417,12 +416,12 @@ class Result:
 
     @property
     def has_parquet(self) -> bool:
-        """Whether the calibrated recording was written too."""
+        """True if the calibrated recording was written too."""
         return self.report["calibration"] is not None and not self.report["settings"]["report_only"]
 
     @property
     def parquet(self) -> Path | None:
-        """The Parquet file that was written; None for none."""
+        """The Parquet file that was written; None if none was."""
         if self.kept:
             return self.job.uncalibrated
         return self.job.parquet if self.has_parquet else None

@@ -38,7 +38,7 @@ PACKAGES = ("numpy", "pyarrow", "h5py", "click")
 """Packages whose versions the provenance names."""
 
 CALIBRATE, APPLY = "calibrate", "apply"
-"""With SIX_POSE, the commands whose results keep their place from each other; a study is like `calibrate`."""
+"""Commands that, like SIX_POSE, do not replace each other's results; a study counts as `calibrate`."""
 
 PARTS = ("sensor", "columns")
 """Reading options that choose one of several recordings in a file."""
@@ -89,11 +89,11 @@ def refuse_report_of_another(path: Path, source: Path) -> None:
 
 
 LACKING = "unreadable_part"
-"""A problem that may be gone: what kept a part from being read may have been the disk."""
+"""Code of a problem that may be gone the next time: the disk may have kept a part from being read."""
 
 
 def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -> Result | None:
-    """The existing result if it stands for this input, these settings and this version.
+    """Return the existing result if it was made of this input, with these settings and this version.
 
     Raises:
         OutputError: the outputs are those of another recording, or a good result of another command.
@@ -117,12 +117,12 @@ def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -
 
 
 def keeps(calibrated: bool, request: Request) -> bool:
-    """Whether the raw values of a recording are asked for, if it is not calibrated."""
+    """Return True if raw values are asked for and the recording is not calibrated."""
     return request.keep_refused and not request.report_only and not calibrated
 
 
 def _matches(report: dict[str, Any], recording: Recording, request: Request) -> bool:
-    """Whether a report is whole, of this version, these settings and these coefficients."""
+    """Return True if a report is whole, of this version, these settings and these coefficients."""
     if report.get("accelcal_version") != __version__ or fault(report, report_schema()) is not None:
         return False
     if "pool" in report or _unused(report) != request.unused:
@@ -134,7 +134,7 @@ def _matches(report: dict[str, Any], recording: Recording, request: Request) -> 
 
 
 def _are_a_pair(report: dict[str, Any], metadata: dict[str, Any]) -> bool:
-    """Whether a Parquet file is of a report's recording and calibration; runs side by side may mix them."""
+    """Return True if a Parquet file has a report's recording and calibration; parallel runs may mix them."""
     return all(report[name] == metadata.get(name) for name in ("recording", "calibration"))
 
 
@@ -160,7 +160,7 @@ def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:
 
 
 def _is_of(report: dict[str, Any], source: Path) -> bool:
-    """Whether a report is of these very bytes."""
+    """Return True if a report is of these very bytes."""
     recorded = report["recording"]
     return bool(recorded["bytes"] == size_of(source) and recorded["sha256"] == sha256(source))
 
@@ -196,7 +196,7 @@ def _words(report: dict[str, Any], name: str) -> str:
 
 
 def _made_by(report: dict[str, Any]) -> str:
-    """The command whose result a report is."""
+    """Return the command that wrote a report."""
     if section(report, "settings").get("profile") == SIX_POSE:
         return SIX_POSE
     used = section(report, "coefficients")
@@ -210,7 +210,7 @@ def _asked_by(request: Request) -> str:
 
 
 def applied_by_hand(job: Job, source: Path) -> Result | None:
-    """The whole result of `apply` that lies in a job's place, if it is of the recording as it is."""
+    """Return the whole result of `apply` at a job's paths, if it is of the recording as it is now."""
     held = load_report(job.report) if exists(job.report) else None
     if (
         held is None
@@ -226,7 +226,7 @@ def applied_by_hand(job: Job, source: Path) -> Result | None:
 
 
 def json_round_trip(value: Any) -> Any:
-    """A value as it comes back from JSON."""
+    """Return a value as it comes back from JSON."""
     return json.loads(json.dumps(value))
 
 
@@ -292,7 +292,7 @@ def remove(path: Path) -> None:
 
 
 def provenance(command: list[str]) -> dict[str, Any]:
-    """The `provenance` object of a report."""
+    """Return the `provenance` object of a report."""
     return {
         "command": [printable(word) for word in command],
         "versions": dict(_versions()),
@@ -314,7 +314,7 @@ def _versions() -> tuple[tuple[str, str], ...]:
 
 
 def with_provenance(report: dict[str, Any], command: tuple[str, ...]) -> dict[str, Any]:
-    """The report, and who made it when."""
+    """Return the report with its provenance."""
     return {**report, "provenance": provenance(list(command))}
 
 

@@ -28,7 +28,7 @@ from typing import Any
 
 from accelcal_cli.core import version
 from accelcal_cli.core.errors import AccelcalError, ClusterError, OutputError, UsageError, printable
-from accelcal_cli.output.files import beside, owner
+from accelcal_cli.output.files import owner, temporary_beside
 from accelcal_cli.studies.records import Finished, ProgressCallback, ProgressDelta, TaskFunction
 from accelcal_cli.studies.task import CalibrationTask, TaskResult, calibrated
 
@@ -109,7 +109,7 @@ def _missing(requirements: WorkerRequirements) -> Path | None:
 
 def _unwritable(mark: Path, here: str) -> AccelcalError | None:
     try:
-        beside(mark).unlink(missing_ok=True)
+        temporary_beside(mark).unlink(missing_ok=True)
     except OutputError as error:
         return OutputError(
             f"{here}: {error.message}", path=mark.parent, hint="give its user permission to write there"

@@ -22,7 +22,7 @@ from typing import Any
 
 from accelcal_cli.core.errors import LockedError, OutputError, printable
 from accelcal_cli.core.system import host, lives, process_start
-from accelcal_cli.output.files import beside, discard, disk_errors, open_plain, parsed
+from accelcal_cli.output.files import discard, disk_errors, open_plain, parsed, temporary_beside
 
 BEAT_S = 10.0
 """Interval [s] at which a run touches its lock."""
@@ -173,7 +173,7 @@ def remove(path: Path, text: str) -> bool:
     """Remove the lock of this content; False if there is none, or it is another run's, which keeps it."""
     if not _is_ours(path, text):
         return False
-    aside = beside(path)
+    aside = temporary_beside(path)
     try:
         path.replace(aside)
         if _is_ours(aside, text):
@@ -189,7 +189,7 @@ def remove(path: Path, text: str) -> bool:
 
 def _create(path: Path, text: str) -> bool:
     """Make a lock with its content at once; False if there is one already."""
-    temporary = beside(path)
+    temporary = temporary_beside(path)
     try:
         temporary.write_bytes(text.encode())
         try:

@@ -150,8 +150,10 @@ def test_rows_without_temperature_or_rates_have_none(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("spread", [1, 200, 2000, 70_000, 1 << 30], ids=str)
-@pytest.mark.parametrize("beside", [None, "temperature"])
-def test_numbers_are_written_whatever_their_range(tmp_path: Path, spread: int, beside: str | None) -> None:
+@pytest.mark.parametrize("paired_with", [None, "temperature"])
+def test_numbers_are_written_whatever_their_range(
+    tmp_path: Path, spread: int, paired_with: str | None
+) -> None:
     random, rows = np.random.default_rng(spread), 100_001
     warm = np.repeat(random.integers(20_000, 23_000, rows // 100 + 1), 100)[:rows].astype(np.int32)
     numbers = random.integers(-spread, spread, rows).astype(np.int32)
@@ -160,11 +162,11 @@ def test_numbers_are_written_whatever_their_range(tmp_path: Path, spread: int, b
         return (counts / 256 + mc / 1000).astype(np.float32)
 
     kept = columns(temperature=True, gyroscope=False, utc=False)
-    kept[1] = Column("x", "g", pa.float32(), never, Numbers(never, values, beside=beside))
+    kept[1] = Column("x", "g", pa.float32(), never, Numbers(never, values, paired_with=paired_with))
     held = arrays(rows, gyroscope=False)
     held[1], held[4] = numbers, warm
     write(tmp_path / "a", kept, held, [0, rows])
-    expected = values(numbers) if beside is None else values(numbers, warm)
+    expected = values(numbers) if paired_with is None else values(numbers, warm)
     assert (pq.read_table(tmp_path / "a")["x"].to_numpy() == expected).all()
 
 

@@ -49,7 +49,7 @@ def test_values_of_the_numbers_have_the_bits_of_the_calibrated_ones(
     held = np.full(ROWS, NO_TEMPERATURE_MC, np.int32) if warm is None else warm
     for name, numbers in found.items():
         whole = numbers.of(chunk, xyz).astype(numbers.dtype)
-        values = numbers.values(*((whole, held) if numbers.beside else (whole,)))
+        values = numbers.values(*((whole, held) if numbers.paired_with else (whole,)))
         expected = xyz["xyz".index(name)]
         assert (values.view(np.uint32) == expected.view(np.uint32)).all()
     if applied.steps_per_g == 2.0:
@@ -73,6 +73,6 @@ def test_values_of_a_text_are_too_fine_for_a_table() -> None:
 
 def test_the_temperature_is_looked_at_only_where_it_counts() -> None:
     found = numbers_of_axes(transform(np.eye(3), SLOPE), has_temperature=True)
-    assert [numbers.beside for numbers in found.values()] == ["temperature", None, "temperature"]
+    assert [numbers.paired_with for numbers in found.values()] == ["temperature", None, "temperature"]
     found = numbers_of_axes(transform(np.eye(3), SLOPE), has_temperature=False)
-    assert [numbers.beside for numbers in found.values()] == [None] * 3
+    assert [numbers.paired_with for numbers in found.values()] == [None] * 3
