@@ -55,7 +55,7 @@ OLDEST := bench_data/oldest
 oldest: oldest-ready
 	$(OLDEST)/bin/python -m pytest -n auto -m 'not nightly' tests/optimize/test_contract.py \
 	  tests/formats/test_contract.py tests/cli/test_calibrate.py tests/cli/test_simulate.py tests/pages/test_recording_page.py \
-	  tests/output tests/exports tests/collect --deselect tests/output/test_row_groups.py
+	  tests/output tests/parquet tests/exports tests/collect --deselect tests/parquet/test_row_groups.py
 
 oldest-ready: $(OLDEST)/.ready
 
