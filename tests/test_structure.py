@@ -138,6 +138,18 @@ def test_no_circle_of_imports() -> None:
     assert not left, f"these import each other: {sorted(left)}"
 
 
+def test_a_class_name_stands_in_few_modules() -> None:
+    """A name that many modules use for different things explains none of them."""
+    homes: dict[str, set[str]] = {}
+    for module, path in NAMES.items():
+        inside_a_format = module.startswith("accelcal_cli.formats.") and module.count(".") > 2
+        if not inside_a_format or module.split(".")[2].startswith("_"):
+            for node in ast.walk(tree_of(path)):
+                if isinstance(node, ast.ClassDef):
+                    homes.setdefault(node.name.lstrip("_"), set()).add(module)
+    assert {name: sorted(modules) for name, modules in homes.items() if len(modules) > 2} == {}
+
+
 def reaches_inside(own: list[str], parts: list[str]) -> bool:
     """Whether a module imports another that only its format, or only the formats, may know."""
     if parts[:2] != ["accelcal_cli", "formats"] or len(parts) < 3:
