@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from tests.faults.checks import Tried
-from tests.faults.growing import staged
+from tests.faults.growing import trial_folder
 from tests.faults.scenarios import SCENARIOS, Scenario
 from tests.faults.shim import Runner, running
 from tests.faults.table import COLUMNS, put, read
@@ -38,7 +38,7 @@ def main() -> None:
 def _try(tried: Tried, scenario: Scenario, folder: Path, runner: Runner, most: int | None) -> None:
     """Try the faults of one command, and say how many there were."""
     start, runs, struck, wrong = time.monotonic(), tried.runs, tried.struck, len(tried.wrong)
-    tried.each(staged(scenario, folder, runner), most)
+    tried.each(trial_folder(scenario, folder, runner), most)
     found = tried.wrong[wrong:]
     sys.stdout.write("".join(f"{line}\n" for line in found))
     sys.stdout.write(

@@ -81,7 +81,7 @@ class Tried:
     struck: int = 0
     wrong: list[str] = field(default_factory=list)
 
-    def each(self, stage: Stage, most: int | None) -> None:
+    def each(self, stage: TrialFolder, most: int | None) -> None:
         """Let calls of each operation of a command fail, at most so many of each; note what comes of it."""
         scenario = stage.scenario
         most = min((one for one in (most, scenario.most) if one is not None), default=None)
@@ -121,7 +121,7 @@ def contents(folder: Path) -> Contents:
 
 
 @dataclass
-class Stage:
+class TrialFolder:
     """A folder in which one command is run again and again, each time as if for the first time."""
 
     scenario: Scenario

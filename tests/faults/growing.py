@@ -13,17 +13,17 @@ from typing import Any
 
 import pyarrow as pa
 
-from tests.faults.checks import NOT_REMOVED, Contents, Stage, contents
+from tests.faults.checks import NOT_REMOVED, Contents, TrialFolder, contents
 from tests.faults.scenarios import Scenario
 from tests.faults.shim import Fault, Runner, Struck
 
 
-def staged(scenario: Scenario, folder: Path, runner: Runner) -> Stage:
-    """The stage on which a command is tried."""
-    return (GrowingStage if scenario.rows else Stage)(scenario, folder, runner)
+def trial_folder(scenario: Scenario, folder: Path, runner: Runner) -> TrialFolder:
+    """The folder in which a command is tried."""
+    return (WatchTrialFolder if scenario.rows else TrialFolder)(scenario, folder, runner)
 
 
-class GrowingStage(Stage):
+class WatchTrialFolder(TrialFolder):
     """A folder in which a watch fails, and another one follows."""
 
     def _wrong_ending(self, struck: Struck) -> Iterator[str]:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.faults.checks import ERRORS, Stage, Tried
-from tests.faults.growing import staged
+from tests.faults.checks import ERRORS, TrialFolder, Tried
+from tests.faults.growing import trial_folder
 from tests.faults.scenarios import SCENARIOS, Scenario
 from tests.faults.shim import SHORT, Fault, Runner
 from tests.faults.table import COLUMNS, read, rows, written
@@ -35,7 +35,7 @@ def test_what_fails_costs_nothing_but_the_run(
     request: pytest.FixtureRequest, tmp_path: Path, name: str
 ) -> None:
     scenario = next(one for one in SCENARIOS if one.name == name)
-    stage, cells = _staged(scenario, tmp_path, request), read()
+    stage, cells = _trial_folder(scenario, tmp_path, request), read()
     for fault in SOME[name]:
         struck = stage.strike(fault)
         assert struck.failed, fault
@@ -46,7 +46,7 @@ def test_what_fails_costs_nothing_but_the_run(
 def test_reading_the_table_of_a_study_starts_no_thread(runner: Runner, tmp_path: Path) -> None:
     """A thread of Arrow that is still starting when a short command ends aborts it."""
     scenario = next(one for one in SCENARIOS if one.name == "devices")
-    assert not staged(scenario, tmp_path / "stage", runner).calls["thread"]
+    assert not trial_folder(scenario, tmp_path / "stage", runner).calls["thread"]
 
 
 @pytest.mark.nightly
@@ -56,16 +56,16 @@ def test_each_call_of_each_operation(
 ) -> None:
     """What the table says to be never called is not."""
     tried = Tried()
-    tried.each(_staged(scenario, tmp_path, request), None)
+    tried.each(_trial_folder(scenario, tmp_path, request), None)
     assert not tried.wrong, "\n".join(tried.wrong)
     known = read()
     assert all(known[place] for place in tried.cells)
 
 
-def _staged(scenario: Scenario, folder: Path, request: pytest.FixtureRequest) -> Stage:
+def _trial_folder(scenario: Scenario, folder: Path, request: pytest.FixtureRequest) -> TrialFolder:
     """The command, with the runner that its workers are forked by."""
     runner = request.getfixturevalue("quick_runner" if scenario.quick else "runner")
-    return staged(scenario, folder / "stage", runner)
+    return trial_folder(scenario, folder / "stage", runner)
 
 
 def test_the_table_has_no_empty_cell_and_lacks_nothing() -> None:
