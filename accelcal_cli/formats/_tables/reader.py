@@ -68,6 +68,9 @@ SINGLE = 100
 PIECE_BYTES = 16 << 20
 """Bytes of values that are read at a time, however many samples are wanted: wide numbers take memory."""
 
+PLACES, PLACE_ROWS = 5, 1024
+"""Places of a file that are looked at for its unit, and rows at each."""
+
 AHEAD = ("clock_gap", "jumps forward of the times")
 BACK = ("clock_back", "jumps back of the times")
 
@@ -264,12 +267,12 @@ def _scale_of_counts(source: TableSource, lsb: float, dtype: np.dtype[Any]) -> C
     return count_scale(lsb, dtype)
 
 
-def spread_rows(table: SensorTable, track: Track, places: int = 5, each: int = 1024) -> NDArray[Any]:
+def spread_rows(table: SensorTable, track: Track) -> NDArray[Any]:
     """Return some rows from the beginning, the end and between, without lost ones."""
     rows = table.rows(track)
-    last = max(0, track.rows - each)
-    starts = sorted({place * last // (places - 1) for place in range(places)})
-    return np.concatenate([good_rows(rows, start, min(start + each, track.rows)) for start in starts])
+    last = max(0, track.rows - PLACE_ROWS)
+    starts = sorted({place * last // (PLACES - 1) for place in range(PLACES)})
+    return np.concatenate([good_rows(rows, start, min(start + PLACE_ROWS, track.rows)) for start in starts])
 
 
 def known_zone(name: str | None) -> str | None:
