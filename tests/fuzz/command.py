@@ -52,7 +52,7 @@ def run(arguments: Sequence[object]) -> Ran:
         caught_output() as (shown, said),
         patch.object(exit_codes, "keep_trace", lambda text: traces.append(text) or "a file"),
         patch.object(exit_codes, "watch_signals", lambda: None),
-        patch.object(exit_codes, "_leave_signals", lambda: None),
+        patch.object(exit_codes, "_end_silently_on_signals", lambda: None),
     ):
         try:
             code: object = exit_codes.run_safely(
