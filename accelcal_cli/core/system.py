@@ -313,23 +313,9 @@ def keep_freed_memory() -> bool:
     Returns:
         True if the C library took it.
     """
-    mallopt = _glibc_function("mallopt")
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     wanted = ((MMAP_THRESHOLD, LARGEST_KEPT_BYTES), (TRIM_THRESHOLD, KEPT_BYTES), (ARENA_MAX, 1))
     return mallopt is not None and all(mallopt(name, value) for name, value in wanted)
-
-
-def give_back_freed_memory() -> bool:
-    """Return kept memory to the system, because what comes next needs arrays of other sizes.
-
-    Returns:
-        True if there was something to return.
-    """
-    trim = _glibc_function("malloc_trim")
-    return trim is not None and bool(trim(0))
-
-
-def _glibc_function(name: str) -> Any:
-    return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None
 
 
 def collect_seldom() -> None:

@@ -135,12 +135,12 @@ class Column:
 
     @property
     def stored(self) -> ColumnValues:
-        """What a sink takes: the numbers, or else the values."""
+        """Returns what the file stores: the numbers if there are any, else the values."""
         return self.values if self.numbers is None else self.numbers.of
 
     @property
     def dtype(self) -> Any:
-        """The type of what a sink takes."""
+        """The type of what the file stores."""
         return self.type.to_pandas_dtype() if self.numbers is None else self.numbers.dtype
 
 

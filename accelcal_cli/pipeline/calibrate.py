@@ -25,7 +25,6 @@ from accelcal_cli.core.prior import LearntPrior
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.results import Coverage, Facts, Judgement, Outcome
 from accelcal_cli.core.settings import NO_PRIOR, PoseSettings, Settings
-from accelcal_cli.core.system import give_back_freed_memory
 from accelcal_cli.judge.change import change_sentence
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import postures
@@ -355,7 +354,6 @@ class RecordingRun:
         shown = self.progress("reading", recording.total_bytes)
         chunks = self.reader.chunks(SURVEYED_AT_ONCE * request.chunk_samples)
         survey.survey(chunks, method.segmenter, observers, shown, request.threads)
-        give_back_freed_memory()
         return method.completed(facts.result())
 
     def write(self, found: FirstPass, integers: dict[str, Any] | None = None) -> Result:

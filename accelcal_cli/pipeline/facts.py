@@ -1,4 +1,4 @@
-"""What the first pass counts besides stillness: facts of the whole recording, and of each block of time.
+"""Counts of the first pass besides stillness: facts of the whole recording, and of each block of time.
 
 A block of time is an hour of samples; where there are more than MAX_BLOCKS of them, blocks are twice as long,
 and so on, so that memory is bounded. All counts are integers: the length of the chunks makes no difference.

@@ -33,27 +33,3 @@ def faults(how: str) -> int:
 def test_pages_are_mapped_once() -> None:
     assert faults("kept") < 100
     assert faults("usual") > 4096
-
-
-GIVEN_BACK = """
-import numpy as np
-from accelcal_cli.core.system import give_back_freed_memory, keep_freed_memory
-def pages():
-    return int(open("/proc/self/statm").read().split()[1])
-keep_freed_memory()
-held = [np.ones(1 << 18) for _ in range(16)]
-full = pages()
-del held
-kept = pages()
-assert give_back_freed_memory()
-print(full - kept, full - pages())
-"""
-
-
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc can be told")
-def test_what_is_kept_can_be_given_back() -> None:
-    command = [sys.executable, "-c", GIVEN_BACK]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    without, given = map(int, done.stdout.split())
-    assert without < 512
-    assert given > 7680
