@@ -251,16 +251,16 @@ def fit_settings(values: dict[str, Any], chosen: Settings = DEFAULT, *, in_study
     return replace(changed, temperature=temperature, prior=prior, recalibrate=recalibrate)
 
 
-def _recalibrate(chosen: Settings, given: str | None) -> str:
+def _recalibrate(chosen: Settings, wanted: str | None) -> str:
     """Return whether to follow a sensor that changes; profile `paper` keeps no windows along time."""
     if chosen.profile == DEFAULT.profile:
         return chosen.recalibrate
-    if given not in (None, NEVER):
-        raise UsageError(f"--recalibrate {given} does not go with --profile paper", hint="omit one of them")
+    if wanted not in (None, NEVER):
+        raise UsageError(f"--recalibrate {wanted} does not go with --profile paper", hint="omit one of them")
     return NEVER
 
 
-def _prior(chosen: Settings, given: str | None) -> str:
+def _prior(chosen: Settings, wanted: str | None) -> str:
     """Return the prior: the given one, else the default where there can be one."""
     why = None
     if chosen.profile != DEFAULT.profile:
@@ -269,13 +269,13 @@ def _prior(chosen: Settings, given: str | None) -> str:
         why = f"--optimizer {chosen.optimizer}"
     elif chosen.model != "auto":
         why = f"--model {chosen.model}"
-    if given is None:
+    if wanted is None:
         return chosen.prior if why is None else NO_PRIOR
-    if given != NO_PRIOR and why is not None:
+    if wanted != NO_PRIOR and why is not None:
         raise UsageError(
-            f"--prior {given} does not go with {why}", hint="omit one of them, or use --prior none"
+            f"--prior {wanted} does not go with {why}", hint="omit one of them, or use --prior none"
         )
-    return given
+    return wanted
 
 
 def with_values(chosen: AnySettings, values: dict[str, Any]) -> AnySettings:
@@ -412,8 +412,8 @@ def sidecar_path(path: Path) -> Path | None:
     """Return where the options of one recording may lie: `NAME.toml` beside `NAME.csv` or `NAME.csv.gz`."""
     if not path.name:
         return None
-    beside = path.with_name(named_layout(path).name.removesuffix(SUFFIX) + ".toml")
-    return None if beside.name in (STUDY_FILE, FOLDER_NAME) else beside
+    own_file = path.with_name(named_layout(path).name.removesuffix(SUFFIX) + ".toml")
+    return None if own_file.name in (STUDY_FILE, FOLDER_NAME) else own_file
 
 
 def stated_options(
@@ -427,16 +427,18 @@ def stated_options(
     Raises:
         UsageError: its `NAME.toml` cannot be read, or holds something that is no reading option.
     """
-    said = [choice for one in rules for choice in one.choices(path)]
-    beside = sidecar_path(path)
+    stated = [choice for one in rules for choice in one.choices(path)]
+    own_file = sidecar_path(path)
     if (
-        beside is not None
-        and is_file(beside)
-        and not (layout and is_file(layout) and layout.samefile(beside))
+        own_file is not None
+        and is_file(own_file)
+        and not (layout and is_file(layout) and layout.samefile(own_file))
     ):
-        table = read_toml(beside, beside.name, LARGEST_FILE)
-        said += [StatedOption(name, value, beside.name) for name, value in _values(table, beside).items()]
-    return {choice.field: choice for choice in said}
+        table = read_toml(own_file, own_file.name, LARGEST_FILE)
+        stated += [
+            StatedOption(name, value, own_file.name) for name, value in _values(table, own_file).items()
+        ]
+    return {choice.field: choice for choice in stated}
 
 
 def with_stated(options: ReadOptions, choices: Mapping[str, StatedOption], path: Path) -> ReadOptions:
@@ -471,12 +473,12 @@ def recording_options(path: Path, options: ReadOptions, rules: Sequence[FolderRu
 
 def stated_stamp(choices: Mapping[str, StatedOption]) -> tuple[int, int]:
     """Return the number of stated options, and a hash of them; a layout counts with size and last change."""
-    said = {name: json_value(choice.value) for name, choice in sorted(choices.items())}
+    values = {name: json_value(choice.value) for name, choice in sorted(choices.items())}
     layout = choices.get("layout")
     if layout is not None and is_file(layout.value):
         status = layout.value.stat()
-        said["layout"] = [said["layout"], status.st_size, status.st_mtime_ns]
-    digest = hashlib.sha256(json.dumps(said).encode()).digest()
+        values["layout"] = [values["layout"], status.st_size, status.st_mtime_ns]
+    digest = hashlib.sha256(json.dumps(values).encode()).digest()
     return len(choices), int.from_bytes(digest[:7], "big")
 
 
