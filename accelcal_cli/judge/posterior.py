@@ -115,7 +115,10 @@ class Posterior:
         """Return a function that fits parts of the points, with the same noise and prior."""
 
         def fits(sets: Sequence[PointSet], model: Model) -> list[Fit]:
-            return [penalized(points, model, self.penalty, IDENTITY).fit for points in sets]
+            found = []
+            for points in sets:
+                found.append(penalized(points, model, self.penalty, IDENTITY).fit)
+            return found
 
         return fits
 

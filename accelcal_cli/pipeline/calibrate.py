@@ -37,7 +37,7 @@ from accelcal_cli.output.report import ReportInput, gyroscope_json, integers_jso
 from accelcal_cli.pipeline import export, jobs, outputs, procedures, survey
 from accelcal_cli.pipeline.activity import EPOCH_S, EffectMeter, versions_of
 from accelcal_cli.pipeline.facts import FactsObserver, Timeline, along_time, timeline_of
-from accelcal_cli.pipeline.gyroscope import gyroscope_of, turning
+from accelcal_cli.pipeline.gyroscope import Turning, gyroscope_of
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.windows import WindowLog
 
@@ -320,7 +320,7 @@ class RecordingRun:
         method = judge.method(recording)
         method = method if log is None else log.watch(method, recording.rate_hz)
         timeline = timeline_of(method, recording)
-        turns = turning(recording)
+        turns = None if recording.gyro_dps_per_lsb is None else Turning(recording)
         others = [one for one in (log, timeline, turns) if one is not None]
         facts = self.survey(method, *others)
         long = recording.total_bytes >= HASHED_IN_BACKGROUND

@@ -55,11 +55,6 @@ class Turning(Observer):
         return self._collector.result()
 
 
-def turning(recording: Recording) -> Turning | None:
-    """Return the observer of a recording's gyroscope; None without one."""
-    return None if recording.gyro_dps_per_lsb is None else Turning(recording)
-
-
 def gyroscope_of(turns: Turning, judgement: Judgement, settings: Settings) -> Gyroscope:
     """Return the verdict, by the calibration that the recording has in the end, its own or another's."""
     least_range_c = settings.min_temperature_range_c if settings.temperature else None

@@ -18,7 +18,7 @@ from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.gyroscope import Turns
 from accelcal_cli.judge.gyroscope import judge_gyroscope
-from accelcal_cli.pipeline.gyroscope import turning
+from accelcal_cli.pipeline.gyroscope import Turning
 from accelcal_cli.pipeline.survey import open_marked
 from tests.cli.run import exit_code, run
 from tests.formats.make_hdf5 import write
@@ -144,7 +144,7 @@ def test_a_refused_gyroscope_stays_raw(xsens: Path, tmp_path: Path, capsys: Capt
 
 def seen(path: Path, chunk_samples: int) -> Turns:
     with open_marked(path, ReadOptions()) as reader:
-        observer = turning(reader.recording)
+        observer = Turning(reader.recording)
         assert observer is not None
         for chunk in reader.chunks(chunk_samples):
             observer.see(chunk)
