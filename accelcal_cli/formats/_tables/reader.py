@@ -342,7 +342,9 @@ class TableReader(Reader):
     def _pieces(self, start: int, stop: int, chunk_samples: int) -> Generator[Chunk, None, None]:
         with self.table() as table:
             with table.explaining(), table.guard(f"{table.word}s"):
-                stream = _Stream(table, self._plan, start)
+                # the zone that counts is known after the file was opened, and is not the plan's
+                zone = self.recording.timezone if self.recording.stamped else None
+                stream = _Stream(table, self._plan, start, zone)
                 self._refuse_unbounded(stream.kept_bytes, table.word)
             step = max(1, min(chunk_samples, PIECE_BYTES // stream.row_bytes))
             for row in range(start, stop, step):
@@ -365,9 +367,8 @@ def _message(run: Run) -> str:
 class _Stream:
     """One run through the rows, with what is carried from one chunk to the next."""
 
-    def __init__(self, table: SensorTable, plan: ReadingPlan, start: int) -> None:
+    def __init__(self, table: SensorTable, plan: ReadingPlan, start: int, zone: str | None) -> None:
         self._plan = plan
-        zone = plan.recording.timezone if plan.recording.stamped else None
         self._rate = rate_fraction(plan.recording.rate_hz)
         self._accel = [*map(table.rows, plan.accel.tracks)]
         self._channels = {name: [*map(table.rows, channel.tracks)] for name, channel in plan.channels.items()}
