@@ -75,35 +75,43 @@ def judge(
         saturated: axes that measure nothing beyond a value; the verdict names them.
     """
     label = postures(points, how.settings.posture_degrees) if label is None else label
-    verdict = _judged(points, how, why_none, label, replace(coverage_of(points, label), saturated=saturated))
+    coverage = replace(coverage_of(points, label), saturated=saturated)
+    verdict = _too_few(points, how, why_none, coverage)
+    if verdict is None:
+        blocks = model_ladder.temperature_blocks(points, label, how.settings.temperature_block_c)
+        sample, truth = Sample(points, label, blocks), None
+        trials = model_ladder.try_models(Evidence(sample, coverage, how.models), how.settings, how.fit)
+        if how.penalized is None:
+            verdict = _best_held_out(sample, trials, coverage, how)
+        else:
+            verdict, truth = _most_probable(sample, trials, coverage, how, how.penalized)
+        verdict = with_simpler(verdict, sample, how, truth)
     beyond = [f"{'xyz'[axis]} measures nothing beyond {at:.2f} g" for axis, at in saturated]
     misfits = [misfit_sentence(one) for one in verdict.misfits or () if one.found]
     return replace(verdict, message="; ".join([verdict.message, *beyond, *misfits]))
 
 
-def _judged(
-    points: PointSet, how: Fitting, why_none: str, label: NDArray[np.int64], coverage: Coverage
-) -> Judgement:
-    settings = how.settings
+def _too_few(points: PointSet, how: Fitting, why_none: str, coverage: Coverage) -> Judgement | None:
+    """Refuse points in too few postures; None if there are enough."""
     if not len(points):
         return Judgement(Outcome.REFUSED, why_none, coverage, ())
     number = coverage.distinct_orientations
-    needed = settings.min_postures if how.penalized is None else FEWEST_POSTURES
-    if number < needed:
-        text = f"stillness in only {counted(number, 'posture')}, at least {needed} are needed"
-        return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", coverage, ())
-    blocks = model_ladder.temperature_blocks(points, label, settings.temperature_block_c)
-    sample = Sample(points, label, blocks)
-    trials = model_ladder.try_models(Evidence(sample, coverage, how.models), settings, how.fit)
-    if how.penalized is not None:
-        return _most_probable(sample, trials, coverage, how, how.penalized)
+    needed = how.settings.min_postures if how.penalized is None else FEWEST_POSTURES
+    if number >= needed:
+        return None
+    text = f"stillness in only {counted(number, 'posture')}, at least {needed} are needed"
+    return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", coverage, ())
+
+
+def _best_held_out(sample: Sample, trials: tuple[Trial, ...], coverage: Coverage, how: Fitting) -> Judgement:
+    """Judge the model that the ladder chooses."""
+    settings = how.settings
     chosen = _chosen(trials, settings)
     outcome, message = _outcome(chosen, trials, coverage, settings)
     verdict = Judgement(outcome, message, coverage, trials, holdout=chosen.holdout)
     if outcome is Outcome.REFUSED or chosen.fit is None:
         return verdict
-    completed = _complete(verdict, chosen.model, chosen.fit, points, label, settings.gravity)
-    return with_simpler(completed, sample, how)
+    return _complete(verdict, chosen.model, chosen.fit, sample.points, sample.label, settings.gravity)
 
 
 def _most_probable(
@@ -112,8 +120,12 @@ def _most_probable(
     coverage: Coverage,
     how: Fitting,
     penalized: PenalizedFitter,
-) -> Judgement:
-    """Judge the fit with a prior by its error over the whole sphere."""
+) -> tuple[Judgement, Posterior | None]:
+    """Judge the fit with a prior by its error over the whole sphere.
+
+    Returns:
+        the verdict, and the posterior of the sensor with its misfits, None where the fit diverged.
+    """
     points, label, settings = sample.points, sample.label, how.settings
     slopes = model_ladder.temperature_range_c(points) >= settings.min_temperature_range_c
     name = "9T" if slopes else "9"
@@ -122,7 +134,7 @@ def _most_probable(
         unlike = how.prior is not POPULATION and _contradicts_prior(known, sample, coverage, how, penalized)
         holdout, _ = blocked(sample, MODELS[name], known.fitter(penalized), settings.folds)
     except DivergedError:
-        return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, trials)
+        return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, trials), None
     fitted = known.found.fit
     search = MisfitSearch(points, label, known, settings.folds)
     misfits = search.misfits()
@@ -147,11 +159,11 @@ def _most_probable(
         raw = trials[0]
         assert raw.fit is not None
         kept = replace(verdict, holdout=raw.holdout, sphere=before)
-        return _complete(kept, raw.model, raw.fit, points, label, settings.gravity)
+        return _complete(kept, raw.model, raw.fit, points, label, settings.gravity), truth
     if outcome is Outcome.REFUSED:
-        return verdict
+        return verdict, truth
     completed = _complete(verdict, name, fitted, points, label, settings.gravity)
-    return with_simpler(_with_posterior(completed, known, settings.gravity), sample, how, truth)
+    return _with_posterior(completed, known, settings.gravity), truth
 
 
 def _with_posterior(verdict: Judgement, known: Posterior, gravity: Gravity) -> Judgement:
