@@ -142,7 +142,7 @@ def test_axes_that_are_alike_in_every_window() -> None:
 @pytest.mark.parametrize("cut", [1, SAMPLE_STEP, 1000])
 def test_samples_are_taken_at_the_same_places_in_any_chunks(cut: int) -> None:
     counts = np.zeros((2 * SAMPLE_STEP + 1, 3), np.int16)
-    counts[[0, SAMPLE_STEP, 2 * SAMPLE_STEP], 0] = 100, 3000, 2000
+    counts[[0, SAMPLE_STEP, 2 * SAMPLE_STEP], 0] = 4000, 3000, 2000  # the first is filled: no median of three
     validity = np.zeros(len(counts), np.uint8)
     validity[0] = Validity.FILLED
     sums = RestSums(1000.0)

@@ -67,6 +67,16 @@ def written(numbers: np.ndarray[Any, Any]) -> bytes:
     return counted(dictionary_chunk("v", found.of_rows, kept), len(numbers))
 
 
+@pytest.mark.parametrize("values", [255, 256, 257])
+@pytest.mark.parametrize("runs", [1, 8])
+def test_places_beyond_one_byte_take_two(values: int, runs: int) -> None:
+    numbers = np.repeat(np.random.RandomState(1).permutation(values), runs).astype(np.int32)
+    found = places(numbers)
+    assert found is not None
+    assert found.of_rows.dtype == (np.uint8 if values <= 256 else np.uint16)
+    assert (found.present[0][found.of_rows] == numbers).all()
+
+
 @given(
     st.lists(st.integers(-(1 << 19), (1 << 19) - 1), min_size=1, max_size=300),
     st.integers(1, 12),
