@@ -16,6 +16,7 @@ from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.output.coefficients import without_misalignment
 from accelcal_cli.output.files import csv_text, open_plain, refuse_foreign, replacing
+from accelcal_cli.output.words import explained
 from accelcal_cli.pipeline.activity import (
     DIGITS,
     MG,
@@ -93,7 +94,9 @@ def effect(
                 shown(chunk.end_byte)
             write(observer.finish())
     judgement = found.data.judgement
-    return MeasuredEffect(path, str(judgement.outcome), judgement.message, observer.result())
+    return MeasuredEffect(
+        path, str(judgement.outcome), explained(judgement.reason, judgement.notes), observer.result()
+    )
 
 
 def _versions(path: Path, run: RecordingRun, found: FirstPass) -> list[Version]:

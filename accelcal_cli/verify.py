@@ -7,7 +7,7 @@ calibrated Parquet file beside a report is compared with the report, and on dema
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import noted_unused
+from accelcal_cli.core.reasons import significant
 from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import difference_mg, directions
 from accelcal_cli.output.coefficients import Coefficients, calibration_of, learnt_prior_of, read_coefficients
 from accelcal_cli.output.columns import described, schema_of, values_of
 from accelcal_cli.output.files import metadata_of, stored_schema
-from accelcal_cli.output.report import ReportInput, build, result_json, significant
+from accelcal_cli.output.report import ReportInput, build, result_json
 from accelcal_cli.output.report_reading import (
     LATER,
     Document,
@@ -48,6 +49,12 @@ from accelcal_cli.six_pose.run import known_orientations
 
 NOT_COMPARED = ("provenance", "accelcal_version")
 """Keys that are not compared: the provenance differs from run to run, versions are shown apart."""
+
+PROSE = ("message", "note")
+"""Keys of sentences, wherever they stand, which no program compares; so are the notes on the recording."""
+
+EARLIER_PROSE = (("change", "unchecked"), ("models_tried", "reason"), ("pool", "left_out"))
+"""Keys that hold sentences in reports of earlier schema versions, and codes now."""
 
 SAYS_TIME_ZONE = "0.2.0"
 """Version from which on Parquet files say in which zone their times are."""
@@ -221,6 +228,8 @@ def _verified(
     _keep_paths(now, then)
     _leave_out_later(now, then)
     _leave_out_hours(now, then)
+    if document.first is not None:
+        _leave_out_earlier(now, then)
     elsewhere = unknown if then["accelcal_version"] != __version__ else ()
     passed = tuple(f"settings.{name}" for name in elsewhere)
     keys = tuple(
@@ -259,8 +268,31 @@ def _leave_out_hours(now: dict[str, Any], then: dict[str, Any]) -> None:
         counted["subsets_full_after_h"] = before.get("subsets_full_after_h")
 
 
-def _compared(report: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in report.items() if name not in NOT_COMPARED}
+def _leave_out_earlier(*pair: dict[str, Any]) -> None:
+    """Take out of two reports what an earlier schema version had, and sentences that are codes now."""
+    for report in pair:
+        for of in (report, section(report, "without_misalignment")):
+            of.pop("sphere_mg", None)
+        for outer, name in EARLIER_PROSE:
+            parts = report.get(outer)
+            for part in parts if isinstance(parts, list) else [parts]:
+                if isinstance(part, dict):
+                    part.pop(name, None)
+                    part.pop("values", None)
+
+
+def _compared(report: dict[str, Any], left_out: Sequence[str] = NOT_COMPARED) -> dict[str, Any]:
+    kept = {name: value for name, value in report.items() if name not in left_out}
+    recording = {name: value for name, value in section(kept, "recording").items() if name != "notes"}
+    compared: dict[str, Any] = _without_prose(kept | {"recording": recording})
+    return compared
+
+
+def _without_prose(value: Any) -> Any:
+    """Return a JSON value without the sentences in it."""
+    if isinstance(value, dict):
+        return {name: _without_prose(one) for name, one in value.items() if name not in PROSE}
+    return [_without_prose(one) for one in value] if isinstance(value, list) else value
 
 
 def _difference(then: Any, now: Any) -> tuple[float | None, float | None]:
@@ -314,7 +346,10 @@ def check_parquet(
     expected = {name: document.report.get(name) for name in names}
     if "result" in metadata:  # not before 0.3
         expected |= {"result": result_json(document.report)}
-    keys = (*differing(metadata, expected), *_other_schema(path, columns_of(written[1]), document))
+    keys = (
+        *differing(_compared(metadata, ()), _compared(expected, ())),
+        *_other_schema(path, columns_of(written[1]), document),
+    )
     return ParquetCheck(path, keys, compare_values(*written, path) if values else None)
 
 

@@ -11,11 +11,16 @@ from typing import Any, TypeVar
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output import words
-from accelcal_cli.output.report_view import ReportView, sphere_columns
+from accelcal_cli.output.advice import advice, cautions, doubts
+from accelcal_cli.output.report_view import ReportView, error_columns
 from accelcal_cli.output.words import formatted, mg, outcome_words, parameters_of
 from accelcal_cli.pipeline.jobs import STDIN, Job, Progress, ProgressMaker, Result, no_progress, spooled
+
+ALWAYS_SAID = ("nothing_checks_poses", "roll_alone_checks_poses", "worse_here", "much_left")
+"""Codes of cautions that even a quiet run prints."""
 
 
 def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -43,16 +48,15 @@ def show_result(report: ReportView, source: Path, written: Path | None, values: 
         low, high = holdout.ci95_mg
         row |= {"after_mg": holdout.after_mg.mean, "ci95_low_mg": low, "ci95_high_mg": high}
         row["improvement_percent"] = holdout.improvement_percent
-    row |= sphere_columns(report.sphere_mg if calibrated else None)
+    row |= error_columns(report.error_everywhere if calibrated else None)
     show_row(row, source, written, values, () if values.get("quiet", False) else _remarks(report))
 
 
 def _remarks(report: ReportView) -> tuple[str, ...]:
     """Return what to be aware of in a result, and what to do about a refusal."""
     if report.outcome == Outcome.REFUSED:
-        return tuple(f"What to do: {one}" for one in words.ways_on(report))
-    remarks = (*words.cautions(report), *filter(None, (words.unchecked(report),)))
-    return tuple(f"Caution: {one}" for one in remarks)
+        return tuple(f"What to do: {words.sentence(one)}" for one in advice(report))
+    return tuple(f"Caution: {words.sentence(one)}" for one in cautions(report))
 
 
 def show_row(
@@ -70,7 +74,7 @@ def show_row(
         remarks: sentences to follow; None: the doubts that the row itself raises.
     """
     if remarks is None:
-        remarks = [f"Caution: {one}" for one in _doubts(row)]
+        remarks = [f"Caution: {words.sentence(one)}" for one in _doubts(row)]
     if _in_words(values):
         exit_codes.show("\n".join([_sentence(row, source, written), *(f"  {one}" for one in remarks)]))
         return
@@ -91,7 +95,7 @@ def say_refused(message: str, source: Path, values: dict[str, Any], *, shown: bo
         shown: the recording's line was printed.
     """
     if not (shown and _in_words(values) and sys.stderr is not None and sys.stderr.isatty()):
-        exit_codes.say(f"{printable(source)}: refused: {message}")
+        exit_codes.say(f"{printable(source)}: refused: {words.begun_small(message)}")
 
 
 def _fields(row: dict[str, Any], source: Path, written: Path | None) -> str:
@@ -116,7 +120,7 @@ def _sentence(row: dict[str, Any], source: Path, written: Path | None) -> str:
         parameters = parameters_of(row["model"])
         start += f" ({parameters})" if outcome == Outcome.BORROWED else f" with {parameters}"
     if outcome == Outcome.REFUSED and row.get("message"):
-        parts.append(row["message"])
+        parts.append(words.begun_small(row["message"]).removesuffix("."))
     elif after is not None:
         parts += _errors(row)
     elif before is not None:
@@ -128,24 +132,28 @@ def _sentence(row: dict[str, Any], source: Path, written: Path | None) -> str:
 
 def _errors(row: dict[str, Any]) -> list[str]:
     """Say the errors before and after [mg], and the interval of the one to quote."""
-    before, after, sphere = row["before_mg"], row.get("after_mg"), row.get("sphere_mg")
+    before, after, everywhere = row["before_mg"], row.get("after_mg"), row.get("calibration_error_mg")
     held_out = "on its own still windows" if row["outcome"] == Outcome.BORROWED else "held out"
     change = f"{mg(after)} mg" if after == before else f"{mg(before)} -> {mg(after)} mg"
-    if sphere is None:
+    if everywhere is None:
         return [f"{change} {held_out}, 95 % {mg(row['ci95_low_mg'])}-{mg(row['ci95_high_mg'])}"]
-    interval = f"95 % {mg(row['sphere_low_mg'])}-{mg(row['sphere_high_mg'])}"
-    return [f"{change} {held_out}", f"{mg(sphere)} mg over the whole sphere, {interval}"]
+    low, high = mg(row["calibration_error_low_mg"]), mg(row["calibration_error_high_mg"])
+    raw = row.get("calibration_error_before_mg")
+    return [
+        f"error over all orientations {mg(raw)} -> {mg(everywhere)} mg (95 % interval {low} to {high})",
+        f"{change} {held_out}",
+    ]
 
 
-def _doubts(row: dict[str, Any]) -> list[str]:
+def _doubts(row: dict[str, Any]) -> list[Reason]:
     """Return what the interval of a row says against it."""
     if row["outcome"] == Outcome.REFUSED:
         return []
-    sphere = row.get("sphere_mg") is not None
-    high = row.get("sphere_high_mg" if sphere else "ci95_high_mg")
+    everywhere = row.get("calibration_error_mg") is not None
+    high = row.get("calibration_error_high_mg" if everywhere else "ci95_high_mg")
     good = row["outcome"] == Outcome.ALREADY_GOOD
-    before = None if good else row.get("sphere_before_mg" if sphere else "before_mg")
-    return words.doubts(high, before, everywhere=sphere)
+    before = None if good else row.get("calibration_error_before_mg" if everywhere else "before_mg")
+    return doubts(high, before, everywhere=everywhere)
 
 
 @contextlib.contextmanager
@@ -256,18 +264,20 @@ def bytes_of(recording: Path) -> Iterator[Path]:
 
 def _caution(result: Result, values: dict[str, Any]) -> str | None:
     """Return what even a quiet run says against a result, unless it is said with the result itself."""
-    if result.outcome is Outcome.BORROWED:
-        from accelcal_cli.pipeline.apply import warning
-
-        return warning(result.report)
     with_it = (_in_words(values) or values["verbose"]) and not (values["quiet"] or values["as_json"])
-    return None if with_it else words.unchecked_poses(result.view)
+    grave = [words.sentence(one) for one in cautions(result.view) if one.code in ALWAYS_SAID]
+    return None if with_it or not grave else f"caution: {' '.join(grave)}"
+
+
+def _why_refused(report: ReportView) -> str:
+    """Return why a recording was refused, with the first piece of advice."""
+    return " ".join([report.message, *map(words.sentence, advice(report)[:1])])
 
 
 def _comment(result: Result, values: dict[str, Any]) -> None:
     report, name = result.view, printable(result.job.source)
     if result.outcome is Outcome.REFUSED:
-        say_refused(report.message, result.job.source, values)
+        say_refused(_why_refused(report), result.job.source, values)
     if (caution := _caution(result, values)) is not None:
         exit_codes.say(f"{name}: {caution}")
     if values["quiet"]:
@@ -283,6 +293,7 @@ def _comment(result: Result, values: dict[str, Any]) -> None:
         if result.outcome is not Outcome.REFUSED:
             exit_codes.say(f"{name}: {report.message}")
         for trial in report.models_tried:
-            error = trial.reason if trial.after_mg is None else f"{trial.after_mg:.3f} mg held out"
+            held_out = None if trial.after_mg is None else f"{trial.after_mg:.3f} mg held out"
+            error = held_out or words.clause(Reason(trial.reason or "", trial.values))
             prior = " with the prior" if trial.prior is not None else ""
             exit_codes.say(f"{name}: model {trial.model}{prior}: {error}")

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Counts
 
 EQUATION = "w = S (r - b - c (T - Tref))"
@@ -140,7 +141,7 @@ class Gyroscope:
     """The verdict on a gyroscope: w = S (r - b - c (T - Tref)).
 
     Attributes:
-        message: a sentence about the result, or about why there is none.
+        reason: why there is a result, or none.
         scale: S, None if refused.
         standard_errors: those of the entries of S.
         pairs: number of pairs of rests that were used; left_out: number of those that were not kept.
@@ -148,7 +149,7 @@ class Gyroscope:
     """
 
     outcome: Literal["calibrated", "refused"]
-    message: str
+    reason: Reason
     pairs: int
     left_out: int = 0
     scale: tuple[Triple, Triple, Triple] | None = None

@@ -7,6 +7,7 @@ from typing import Any
 
 from accelcal_cli.core.calibration import PARAMETER_NAMES
 from accelcal_cli.core.errors import printable
+from accelcal_cli.core.reasons import Reason
 
 MG = 1e-3
 
@@ -75,13 +76,10 @@ class LearntPrior:
     sha256: str | None
     own: tuple[Source, ...] = ()
 
-    def sentence(self) -> str:
-        """Return how a verdict mentions the prior."""
-        model = f"{self.devices} other devices of model {printable(self.model or '')}"
-        if self.kind == "study":
-            return f"prior learnt from {model}"
-        others = f"{len(self.own)} other recording{'s' * (len(self.own) != 1)} of the device"
-        return f"prior learnt from {others}" + (f" and {model}" if self.devices else "")
+    def reason(self) -> Reason:
+        """Return the note of a verdict on the prior."""
+        model = printable(self.model or "")
+        return Reason.of("prior_learnt", model=model, devices=self.devices, own=len(self.own))
 
     def as_json(self) -> dict[str, Any]:
         """Return the report's `prior`."""

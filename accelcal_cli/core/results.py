@@ -10,6 +10,7 @@ from typing import Literal
 from accelcal_cli.core.calibration import Calibration, Correction
 from accelcal_cli.core.local_time import ZoneChange
 from accelcal_cli.core.points import Fit, Penalty, Quietest, Saturated
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Problem
 
 
@@ -17,6 +18,7 @@ class Outcome(StrEnum):
     """The report's `outcome`."""
 
     CALIBRATED = "calibrated"
+    PROVISIONAL = "provisional"
     REDUCED_MODEL = "reduced_model"
     ALREADY_GOOD = "already_good"
     BORROWED = "borrowed"
@@ -124,7 +126,7 @@ class Trial:
 
     model: str
     holdout: Holdout | None
-    reason: str | None
+    reason: Reason | None
     fit: Fit | None = None
     prior: str | None = None
 
@@ -155,7 +157,7 @@ class Change:
     """How the sensor changed while it recorded.
 
     Attributes:
-        unchecked: why a change could not be looked for, or None.
+        unchecked: code of why a change could not be looked for, or None.
         at_block: number of the block of time at which a sudden change took place.
         at_us: beginning of that block on the device's clock.
         correction: what corrects the sensor, in standard g; None if one calibration cannot follow.
@@ -234,9 +236,12 @@ class Judgement:
     """The verdict on a recording, with all that supports it; calibration is None if refused.
 
     Attributes:
+        reason: why the outcome is what it is.
+        notes: what else is to be known of it; cautions: what speaks against trusting it; advice: what to do.
         candidate: the fit with a prior, also if it is not good enough to be the calibration.
         penalty: the prior as the fit used it; None without one.
         sphere: error of the calibration over all directions; sphere_before: that of the raw values.
+        rest_scatter_mg: mean | |a| - 1 g | that the scatter of rests makes; None without a posterior.
         change: how the sensor changed meanwhile; None if this was not looked for.
         misfits: kinds of behaviour that were tested; None if none were.
         unlike: True if the points speak against a prior that was learnt from other recordings.
@@ -244,10 +249,13 @@ class Judgement:
     """
 
     outcome: Outcome
-    message: str
+    reason: Reason
     coverage: Coverage
     trials: tuple[Trial, ...]
     calibration: Calibration | None = None
+    notes: tuple[Reason, ...] = ()
+    cautions: tuple[Reason, ...] = ()
+    advice: tuple[Reason, ...] = ()
     fit: Fit | None = None
     holdout: Holdout | None = None
     fit_errors: FitErrors | None = None
@@ -256,6 +264,7 @@ class Judgement:
     penalty: Penalty | None = None
     sphere: SphereError | None = None
     sphere_before: SphereError | None = None
+    rest_scatter_mg: float | None = None
     change: Change | None = None
     misfits: tuple[Misfit, ...] | None = None
     unlike: bool = False

@@ -29,7 +29,8 @@ Mask = NDArray[np.bool_]
 
 NAME = "study.parquet"
 TEXT = (
-    "path", "outcome", "message", "model", "format", "device_model", "device_serial", "device_firmware",
+    "path", "outcome", "reason", "message", "model", "format", "device_model", "device_serial",
+    "device_firmware",
     "start_time", "sha256",
 )  # fmt: skip
 NUMBERS = ("before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "reference_c", "lost_percent")

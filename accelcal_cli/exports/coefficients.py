@@ -107,7 +107,7 @@ def read_exported(path: Path) -> ExportedReport:
     """
     found = read_coefficients(path)
     document, whole = found.document, found.calibration
-    check_sections(document, ("recording", "fit", "holdout", "sphere_mg"))
+    check_sections(document, ("recording", "fit", "holdout", "calibration_error_mg"))
     report, recording = document.report, document.recording
     if recording.format in NO_RECORDING:
         text = f"is of {NO_RECORDING[recording.format]}, of which no other tool has a file"
@@ -218,7 +218,7 @@ def as_json(path: Path) -> str:
     found = read_coefficients(path)
     without_misalignment(found)  # refuses what is damaged
     report = found.document.report
-    check_sections(found.document, ("holdout", "sphere_mg"))
+    check_sections(found.document, ("holdout", "calibration_error_mg"))
     names = ("path", "sha256", "device", "factory_calibration")
     recording = {name: report["recording"][name] for name in names if name in report["recording"]}
     shown = {
@@ -227,7 +227,7 @@ def as_json(path: Path) -> str:
         "recording": recording,
         "outcome": report["outcome"],
         "calibration": coefficients_json(found.calibration),
-        "sphere_mg": report.get("sphere_mg"),
+        "calibration_error_mg": report.get("calibration_error_mg"),
         "holdout": report.get("holdout"),
         "without_misalignment": report.get("without_misalignment"),
     }
@@ -253,8 +253,8 @@ def cost(one: ExportedReport) -> str | None:
     if with_it.holdout is not None and without.holdout is not None:
         means_mg = without.holdout.after_mg.mean, with_it.holdout.after_mg.mean
         parts.append("{:.2f} mg held out instead of {:.2f}".format(*means_mg))
-    if with_it.sphere_mg is not None and without.sphere_mg is not None:
-        means_mg = without.sphere_mg.mean, with_it.sphere_mg.mean
+    if with_it.error_everywhere is not None and without.error_everywhere is not None:
+        means_mg = without.error_everywhere.mean, with_it.error_everywhere.mean
         parts.append("{:.2f} mg over the whole sphere instead of {:.2f}".format(*means_mg))
     price = ", ".join(parts) or "what it costs is not known: there is too little stillness to judge it by"
     return f"misalignment is left out (model {one.simple.model} for {one.whole.model}): {price}"

@@ -23,6 +23,7 @@ from accelcal_cli.core.calibration import Calibration, Correction
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.points import TimedMeans
 from accelcal_cli.core.prior import POPULATION
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Change, ChangeKind, TimeHoldout
 from accelcal_cli.core.statistics import interval95, mean, standard_error
 from accelcal_cli.judge.errors import directions
@@ -140,11 +141,11 @@ class ChangeSearch:
         hours = min(means.hours() / MOST_STRETCHES, LONGEST_STRETCH_H)
         stretch = means.block // max(1, ceil(hours / means.block_h))
         if means.hours() < 2 * LEAST_H:
-            return Change("none", "the recording is too short to show a change")
+            return Change("none", "too_short")
         if means.blocks() == 1:
-            return Change("none", "it holds too many orientations and temperatures to look at it along time")
+            return Change("none", "too_many_cells")
         if len(set(stretch.tolist())) < LEAST_STRETCHES:
-            return Change("none", "the device was still in too few stretches of time to show a change")
+            return Change("none", "few_still_stretches")
         self._design = design = Design(means, found, stretch)
         still = design.errors_mg(None)
         alarms = []
@@ -240,8 +241,8 @@ def _three(factor: float, values: list[float]) -> tuple[float, float, float]:
     return x, y, z
 
 
-def change_sentence(change: Change, offset_s: int | None, *, followed: bool) -> str | None:
-    """Return a sentence about a change; None if nothing changed.
+def change_reason(change: Change, offset_s: int | None, *, followed: bool) -> Reason | None:
+    """Return the caution of a change; None if nothing changed.
 
     Args:
         offset_s: seconds that the device's clock is ahead of UTC; None if unknown.
@@ -250,20 +251,15 @@ def change_sentence(change: Change, offset_s: int | None, *, followed: bool) -> 
     holdout = change.holdout
     if holdout is None or change.size_mg is None:
         return None
-    when = (iso_time(change.at_us, offset_s) or "").partition(".")[0]
-    what = {
-        "none": "",
-        "drift": "its offsets drift",
-        "step": f"its offsets jump at {when}",
-        "gain": f"its scales jump at {when}",
-        "device": f"all its errors jump at {when}, as if another device went on",
-        "walk": "its offsets wander",
-    }[change.kind]
-    text = f"the sensor changes while it records: {what}, by up to {change.size_mg:.1f} mg"
-    if followed:
-        return f"{text}, and the calibration follows"
-    worse = f"one calibration for all of it leaves {holdout.constant_mg:.1f} mg"
-    return f"{text}; {worse}, one that follows would leave {holdout.changing_mg:.1f} mg"
+    return Reason.of(
+        "sensor_changed",
+        kind=change.kind,
+        at=iso_time(change.at_us, offset_s),
+        size_mg=change.size_mg,
+        followed=followed,
+        constant_mg=holdout.constant_mg,
+        changing_mg=holdout.changing_mg,
+    )
 
 
 def _falls(before: list[float], after: list[float]) -> bool:

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.arithmetic import inverse
 from accelcal_cli.core.calibration import Calibration
-from accelcal_cli.core.errors import counted
 from accelcal_cli.core.gyroscope import Bias, Gyroscope, Rest, RestRates, Triple, Turn, TurnHoldout, Turns
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.statistics import interval95, mean, quantile, student_t_975
 from accelcal_cli.judge.turning import Turned, TurningGravity, raw_steps
 
@@ -44,7 +44,9 @@ OTHER_UNIT = 5.0
 """Scale of S, or its inverse, above which the stated unit is wrong; rad/s and deg/s differ by 57 times."""
 
 UNUSUAL = 0.2
-"""Distance of an entry of S from a perfect sensor's above which the message mentions it."""
+"""Distance of an entry of S from a perfect sensor's above which it is mentioned."""
+
+UNDETERMINED = Reason("scale_not_determined")
 
 ITERATIONS, STOP = 50, 1e-7
 """Most Gauss-Newton steps, and the largest change of an entry of S that ends them."""
@@ -76,11 +78,11 @@ def judge_gyroscope(found: Turns, calibration: Calibration | None, least_range_c
     """
     bias = bias_at_rest(found.rates, found.dps_per_lsb, found.period_s, least_range_c)
     if bias is None:
-        return _refused("it is never at rest for a second together with the accelerometer", 0, found, None)
+        return _refused(Reason("gyroscope_never_at_rest"), 0, found, None)
     b, c = (_triple(np.rint(np.array(one) * GRID) / GRID) for one in (bias.dps, bias.slope_dps_per_c))
     bias = replace(bias, dps=b, slope_dps_per_c=c)
     if calibration is None:
-        return _refused("the accelerometer has no calibration to compare it with", 0, found, bias)
+        return _refused(Reason("accelerometer_not_calibrated"), 0, found, bias)
     pairs = _pairs(found, calibration)
     reason = _too_little(pairs, found.dps_per_lsb)
     if reason is not None:
@@ -95,39 +97,34 @@ def _judged(pairs: _Pairs, found: Turns, bias: Bias) -> Gyroscope:
         fit = _fitted(gravity, pairs.after, raw)
         errors = fit.standard_errors()
     except ValueError:
-        return _refused("the turns do not determine the scale", len(pairs.turns), found, bias)
+        return _refused(UNDETERMINED, len(pairs.turns), found, bias)
     holdout = _holdout(fit, gravity, pairs.after, raw)
     known = replace(
-        _refused("", len(pairs.turns), found, bias), holdout=holdout, standard_errors=_rows(errors)
+        _refused(UNDETERMINED, len(pairs.turns), found, bias), holdout=holdout, standard_errors=_rows(errors)
     )
     if holdout.after > LARGEST_DEG:
-        text = f"on turns that it has not seen gravity is still {holdout.after:.2g} degrees off"
-        return replace(known, message=f"{text}; units, axes or times of the gyroscope may be wrong")
+        return replace(known, reason=Reason.of("gravity_still_off", after_deg=holdout.after))
     factor = mean([abs(fit.scale[axis, axis]) for axis in range(3)])
     if not 1 / OTHER_UNIT < factor < OTHER_UNIT:
-        how = (
-            f"{factor:.2g} times too small" if factor > 1 else f"{1 / max(factor, 1e-12):.2g} times too large"
-        )
-        return replace(known, message=f"its rates are about {how} for its turns: look at their unit")
+        return replace(known, reason=Reason.of("wrong_unit_of_rates", factor=max(factor, 1e-12)))
     worst = float(errors.max())
     if worst > LARGEST_ERROR:
         axis = "xyz"[int(errors.max(axis=0).argmax())]
-        text = f"too little turning about {axis}: an entry of its scale is known to {worst:.2g} only"
-        return replace(known, message=text)
+        return replace(known, reason=Reason.of("too_little_turning", axis=axis, standard_error=worst))
     if holdout.mean_after > holdout.mean_before:
-        text = "a scale matrix makes it no better on turns that it has not seen"
-        return replace(known, message=f"{text} ({holdout.mean_before:.2g} degrees before)")
-    text = (
-        f"scale found from {counted(len(pairs.turns), 'turn')} between rests; on turns that it has not seen "
-        f"gravity is {holdout.after:.2g} degrees off, {holdout.before:.2g} before"
+        return replace(known, reason=Reason.of("scale_no_better", before_deg=holdout.mean_before))
+    why = Reason.of(
+        "gyroscope_calibrated",
+        turns=len(pairs.turns),
+        before_deg=holdout.before,
+        after_deg=holdout.after,
+        unusual=bool(np.abs(fit.scale - np.eye(3)).max() > UNUSUAL),
     )
     scale = _rows(np.rint(fit.scale * GRID) / GRID)
-    if np.abs(fit.scale - np.eye(3)).max() > UNUSUAL:
-        text += "; the scale is far from 1: look at the units and the axes of the gyroscope"
-    return replace(known, outcome="calibrated", message=text, scale=scale)
+    return replace(known, outcome="calibrated", reason=why, scale=scale)
 
 
-def _refused(reason: str, pairs: int, found: Turns, bias: Bias | None) -> Gyroscope:
+def _refused(reason: Reason, pairs: int, found: Turns, bias: Bias | None) -> Gyroscope:
     return Gyroscope("refused", reason, pairs, found.left_out, bias=bias)
 
 
@@ -179,13 +176,11 @@ def _directions(rests: list[Rest], calibration: Calibration, lsb_per_g: float) -
     return np.stack([x / length, y / length, z / length], axis=1)
 
 
-def _too_little(pairs: _Pairs, dps_per_lsb: Triple) -> str | None:
+def _too_little(pairs: _Pairs, dps_per_lsb: Triple) -> Reason | None:
     """Return why the turns alone do not allow the scale to be found, or None."""
     if len(pairs.turns) < LEAST_PAIRS:
-        number = counted(len(pairs.turns), "turn")
-        return (
-            f"only {number} of at least {LEAST_TURN_DEG:g} degrees from one rest to another within 30 s; "
-            f"{LEAST_PAIRS} are needed"
+        return Reason.of(
+            "too_few_turns", turns=len(pairs.turns), least_deg=LEAST_TURN_DEG, needed=LEAST_PAIRS
         )
     moments = np.zeros((3, 3))
     for turn in pairs.turns:
@@ -196,7 +191,7 @@ def _too_little(pairs: _Pairs, dps_per_lsb: Triple) -> str | None:
     if shares[0] >= LEAST_SHARE:
         return None
     axis = "xyz"[int(np.abs(axes[:, 0]).argmax())]
-    return f"the turns do not span all axes: there is hardly any about {axis}"
+    return Reason.of("turns_miss_an_axis", axis=axis)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -195,19 +195,6 @@ def _bent(kind: MisfitKind, together: Posterior, c: Floats) -> Posterior:
     return replace(together, bend=Bend(POWERS[kind], _three(c)))
 
 
-def misfit_sentence(found: Misfit) -> str:
-    """Return a sentence about a misfit that was found."""
-    shown = ", ".join(f"{axis} {value:.2g}" for axis, value in zip("xyz", found.size, strict=True))
-    what = {
-        "quadratic": f"the sensor's response is bent, with the square of the acceleration ({shown} % at 1 g)",
-        "cubic": f"the sensor's response is bent, with the cube of the acceleration ({shown} % at 1 g)",
-        "gain by temperature": f"the sensor's scales change with temperature ({shown} % per °C)",
-        "curved by temperature": f"the sensor's offsets follow temperature on a curve ({shown} mg per °C²)",
-        "previous posture": f"what the sensor measures depends on the posture before ({shown} mg per g)",
-    }[found.kind]
-    return f"{what}, by up to {found.largest_mg:.1f} mg"
-
-
 def _three(values: Floats) -> tuple[float, float, float]:
     x, y, z = values.tolist()
     return x, y, z

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE
 from accelcal_cli.core.calibration import IDENTITY, Calibration
-from accelcal_cli.core.errors import DivergedError, counted
+from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import MODELS, Fit, Model, PenalizedFitter, PointSet
 from accelcal_cli.core.prior import POPULATION, Prior
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Coverage, Holdout, Trial
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.statistics import clustered_error, interval95, mean
@@ -227,7 +228,7 @@ def _trial(evidence: Evidence, settings: Settings, fit: FitFunction, model: Mode
     try:
         holdout, whole = blocked(evidence.sample, model, fit, settings.folds)
     except DivergedError:
-        return Trial(model.name, None, "the fit diverges: the points do not determine it")
+        return Trial(model.name, None, Reason("fit_diverges"))
     if not model.free:
         return Trial(model.name, holdout, None, whole)
     known = errors.uncertainty(evidence.sample.points, whole.parameters, model)
@@ -235,36 +236,41 @@ def _trial(evidence: Evidence, settings: Settings, fit: FitFunction, model: Mode
     return Trial(model.name, holdout if unsure is None else None, unsure, whole)
 
 
-def doubt(known: errors.Uncertainty | None, limit_mg: float) -> str | None:
+def doubt(known: errors.Uncertainty | None, limit_mg: float) -> Reason | None:
     """Return why a model may be wrong where there are no points, or None."""
     if known is None:
-        return "the points do not determine it"
+        return Reason("not_determined")
     if known.worst_direction_mg >= limit_mg:
-        return f"in some directions it would be uncertain by {known.worst_direction_mg:.0f} mg"
+        return Reason.of("uncertain_somewhere", by_mg=known.worst_direction_mg)
     return None
 
 
-def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> str | None:
+def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> Reason | None:
     """Return why a model cannot be fitted, or None if it can be (or the user insists on it)."""
     if model.name not in evidence.models:
-        return f"optimizer {settings.optimizer} fits no {_never_fitted(evidence.models, model)}"
+        return never_fits(settings.optimizer, _never_fitted(evidence.models, model))
     number = evidence.coverage.distinct_orientations
     if model.free and number < settings.min_postures:
-        return f"stillness in only {counted(number, 'posture')}, at least {settings.min_postures} are needed"
-    range_c = temperature_range_c(evidence.sample.points)
-    if model.has_temperature and range_c < settings.min_temperature_range_c:
-        return f"temperature varies by less than {settings.min_temperature_range_c:g} C"
+        return Reason.of("too_few_orientations", orientations=number, needed=settings.min_postures)
+    range_c, least_c = temperature_range_c(evidence.sample.points), settings.min_temperature_range_c
+    if model.has_temperature and range_c < least_c:
+        return Reason.of("temperature_too_even", range_c=range_c, least_c=least_c)
     if model.has_temperature:
         left_out = _left_out(evidence.sample.label, settings.folds)
         parts = (evidence.sample.points.select(~out) for out in left_out)
         # every fit, with any fold left out, has to tell slopes from offsets on all axes
         if any(errors.slope_information(part) < LEAST_INFORMATION for part in parts):
-            return "too few postures differ in temperature"
+            return Reason("few_orientations_differ_in_temperature")
     if settings.model == "auto" and model.free:
         missing = _uncovered(evidence.coverage, settings.coverage_g, model)
         if missing:
-            return f"no stillness with {', '.join(missing)}"
+            return Reason.of("no_stillness_on_sides", sides=missing)
     return None
+
+
+def never_fits(optimizer: str, what: str) -> Reason:
+    """Return the reason that an optimizer has no such parameters."""
+    return Reason.of("optimizer_never_fits", optimizer=optimizer, what=what)
 
 
 def _uncovered(coverage: Coverage, reach_g: float, model: Model) -> list[str]:

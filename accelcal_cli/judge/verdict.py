@@ -11,16 +11,18 @@ on the same postures, so that its cost is known.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.calibration import IDENTITY, Calibration, in_standard_g
-from accelcal_cli.core.errors import DivergedError, counted
+from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import MODELS, Fit, Model, PenalizedFitter, PointSet, Saturated
 from accelcal_cli.core.prior import POPULATION
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import (
     Coverage,
     FitErrors,
@@ -35,16 +37,16 @@ from accelcal_cli.core.statistics import interval95, mean
 from accelcal_cli.judge import model_ladder
 from accelcal_cli.judge.errors import Uncertainty, deviations_mg, per_posture, uncertainty
 from accelcal_cli.judge.errors import coverage as coverage_of
-from accelcal_cli.judge.misfit import MisfitSearch, misfit_sentence
+from accelcal_cli.judge.misfit import MisfitSearch
 from accelcal_cli.judge.model_ladder import FEWEST_POSTURES, Evidence, Fitting, Sample, blocked, postures
 from accelcal_cli.judge.posterior import Posterior, posterior, speaks_against, sphere_errors
-from accelcal_cli.judge.refusal import DISAGREE, LONGER, NO_STILLNESS
+from accelcal_cli.judge.refusal import LONGER, NOTHING_STILL
 
 SIMPLER = {"9": "6", "9T": "6T"}
 """Models with misalignment, and what is left of each without it."""
 
 FULL_MODELS = tuple(SIMPLER)
-DIVERGES = "the fit diverges: the points do not determine the parameters"
+DIVERGES = Reason("fit_diverges")
 
 FEWEST_CONTROL_POINTS = 2
 """Points that F's second set needs if any distance between them will do; otherwise it needs all 18."""
@@ -59,7 +61,7 @@ SEEN = "own points, which are among those that were fitted"
 def judge(
     points: PointSet,
     how: Fitting,
-    why_none: str = NO_STILLNESS,
+    why_none: Reason = NOTHING_STILL,
     label: NDArray[np.int64] | None = None,
     saturated: Saturated = (),
 ) -> Judgement:
@@ -72,7 +74,7 @@ def judge(
         points: calibration points of one recording.
         why_none: the reason if there are no points.
         label: (n,) posture numbers; None: found by direction.
-        saturated: axes that measure nothing beyond a value; the verdict names them.
+        saturated: axes that measure nothing beyond a value; the verdict cautions of them.
     """
     label = postures(points, how.settings.posture_degrees) if label is None else label
     coverage = replace(coverage_of(points, label), saturated=saturated)
@@ -86,29 +88,35 @@ def judge(
         else:
             verdict, truth = _most_probable(sample, trials, coverage, how, how.penalized)
         verdict = with_simpler(verdict, sample, how, truth)
-    beyond = [f"{'xyz'[axis]} measures nothing beyond {at:.2f} g" for axis, at in saturated]
-    misfits = [misfit_sentence(one) for one in verdict.misfits or () if one.found]
-    return replace(verdict, message="; ".join([verdict.message, *beyond, *misfits]))
+    beyond = [Reason.of("axis_saturates", axis="xyz"[axis], at_g=at) for axis, at in saturated]
+    misfits = [
+        Reason.of("misfit", kind=one.kind, size=one.size, unit=one.unit, largest_mg=one.largest_mg)
+        for one in verdict.misfits or ()
+        if one.found
+    ]
+    return replace(verdict, cautions=(*verdict.cautions, *beyond, *misfits))
 
 
-def _too_few(points: PointSet, how: Fitting, why_none: str, coverage: Coverage) -> Judgement | None:
+def _too_few(points: PointSet, how: Fitting, why_none: Reason, coverage: Coverage) -> Judgement | None:
     """Refuse points in too few postures; None if there are enough."""
     if not len(points):
-        return Judgement(Outcome.REFUSED, why_none, coverage, ())
+        advice = {NOTHING_STILL.code: (LONGER,), "nothing_near_quietest": (Reason("other_rule"),)}
+        return Judgement(Outcome.REFUSED, why_none, coverage, (), advice=advice.get(why_none.code, ()))
     number = coverage.distinct_orientations
     needed = how.settings.min_postures if how.penalized is None else FEWEST_POSTURES
     if number >= needed:
         return None
-    text = f"stillness in only {counted(number, 'posture')}, at least {needed} are needed"
-    return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", coverage, ())
+    few = Reason.of("too_few_orientations", orientations=number, needed=needed)
+    return Judgement(Outcome.REFUSED, few, coverage, (), advice=(LONGER,))
 
 
 def _best_held_out(sample: Sample, trials: tuple[Trial, ...], coverage: Coverage, how: Fitting) -> Judgement:
     """Judge the model that the ladder chooses."""
     settings = how.settings
     chosen = _chosen(trials, settings)
-    outcome, message = _outcome(chosen, trials, coverage, settings)
-    verdict = Judgement(outcome, message, coverage, trials, holdout=chosen.holdout)
+    decided = _outcome(chosen, trials, coverage, settings)
+    verdict = decided.judgement(coverage, trials, chosen.holdout)
+    outcome = decided.outcome
     if outcome is Outcome.REFUSED or chosen.fit is None:
         return verdict
     return _complete(verdict, chosen.model, chosen.fit, sample.points, sample.label, settings.gravity)
@@ -134,7 +142,7 @@ def _most_probable(
         unlike = how.prior is not POPULATION and _contradicts_prior(known, sample, coverage, how, penalized)
         holdout, _ = blocked(sample, MODELS[name], known.fitter(penalized), settings.folds)
     except DivergedError:
-        return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, trials), None
+        return Judgement(Outcome.REFUSED, DIVERGES, coverage, trials, advice=(LONGER,)), None
     fitted = known.found.fit
     search = MisfitSearch(points, label, known, settings.folds)
     misfits = search.misfits()
@@ -143,7 +151,7 @@ def _most_probable(
     sphere, before = sphere_errors(points, label, truth, judged, coverage.saturated)
     verdict = Judgement(
         Outcome.REFUSED,
-        "",
+        DIVERGES,
         coverage,
         (*trials, Trial(name, holdout, None, fitted, settings.prior)),
         holdout=holdout,
@@ -153,8 +161,8 @@ def _most_probable(
         misfits=misfits,
         unlike=unlike,
     )
-    outcome, text = _outcome_of_sphere(verdict, settings)
-    verdict = replace(verdict, outcome=outcome, message=text)
+    decided = _outcome_of_sphere(verdict, settings)
+    verdict, outcome = decided.applied_to(verdict), decided.outcome
     if outcome is Outcome.ALREADY_GOOD:
         raw = trials[0]
         assert raw.fit is not None
@@ -178,21 +186,26 @@ def judge_calibrated(points: PointSet, how: Fitting, origin: str) -> Judgement:
 
     Args:
         points: of the calibrated values.
-        origin: where the values are from, for the message.
+        origin: where the values are from, in words.
     """
     label = postures(points, how.settings.posture_degrees)
     coverage = coverage_of(points, label)
     if not len(points):
-        return Judgement(Outcome.REFUSED, f"{origin}; there is no stillness to check that", coverage, ())
-    number = counted(coverage.distinct_orientations, "posture")
+        return Judgement(
+            Outcome.REFUSED, Reason.of("calibrated_before_unchecked", origin=origin), coverage, ()
+        )
     sample = Sample(
         points, label, model_ladder.temperature_blocks(points, label, how.settings.temperature_block_c)
     )
     holdout, same = blocked(sample, MODELS["0"], how.fit, how.settings.folds)
-    text = f"{origin}; not fitted again: {holdout.before.mean:.1f} mg on {number} of its own stillness"
-    verdict = Judgement(
-        Outcome.ALREADY_GOOD, text, coverage, (Trial("0", holdout, None, same),), holdout=holdout
+    why = Reason.of(
+        "calibrated_before",
+        origin=origin,
+        before_mg=holdout.before.mean,
+        orientations=coverage.distinct_orientations,
     )
+    trials = (Trial("0", holdout, None, same),)
+    verdict = Judgement(Outcome.ALREADY_GOOD, why, coverage, trials, holdout=holdout)
     return _complete(verdict, "0", same, points, label, how.settings.gravity)
 
 
@@ -205,35 +218,69 @@ def _contradicts_prior(
     return speaks_against(known, usual, (how.prior, POPULATION), points)
 
 
-def _outcome_of_sphere(verdict: Judgement, settings: Settings) -> tuple[Outcome, str]:
-    sphere, holdout = verdict.sphere, verdict.holdout
-    assert sphere is not None and holdout is not None and verdict.sphere_before is not None
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """An outcome with its reason, and what to do about it."""
+
+    outcome: Outcome
+    reason: Reason
+    advice: tuple[Reason, ...] = ()
+
+    def judgement(self, coverage: Coverage, trials: tuple[Trial, ...], holdout: Holdout | None) -> Judgement:
+        """Return the judgement without its calibration."""
+        return self.applied_to(Judgement(self.outcome, self.reason, coverage, trials, holdout=holdout))
+
+    def applied_to(self, verdict: Judgement) -> Judgement:
+        """Return a judgement with this outcome."""
+        return replace(verdict, outcome=self.outcome, reason=self.reason, advice=self.advice)
+
+
+def _outcome_of_sphere(verdict: Judgement, settings: Settings) -> Decision:
+    sphere, holdout, before = verdict.sphere, verdict.holdout, verdict.sphere_before
+    assert sphere is not None and holdout is not None and before is not None
     raw, *_, fitted = verdict.trials
     if model_ladder.choose((raw, fitted)) is raw:
-        text = _no_better(holdout)
-        if verdict.sphere_before.mean < settings.max_error_mg:
-            return Outcome.ALREADY_GOOD, text
-        return Outcome.REFUSED, f"{text}; {_missing(verdict, settings)}"
+        if before.mean < settings.max_error_mg:
+            return Decision(Outcome.ALREADY_GOOD, _not_clearly_better(holdout))
+        return Decision(Outcome.REFUSED, _not_clearly_better(holdout), _missing(verdict, settings))
     low, high = sphere.ci95
-    everywhere = f"{sphere.mean:.1f} mg over the whole sphere (95 %: {low:.1f} to {high:.1f})"
+    values: dict[str, Any] = {
+        "error_mg": sphere.mean,
+        "low_mg": low,
+        "high_mg": high,
+        "limit_mg": settings.max_error_mg,
+    }
     if sphere.mean >= settings.max_error_mg:
-        text = (
-            f"what the points leave open is too much: {everywhere}, {settings.max_error_mg:g} mg is the limit"
-        )
-        return Outcome.REFUSED, f"{text}; {_missing(verdict, settings)}"
-    return Outcome.CALIBRATED, f"model {fitted.model}: {_change(holdout)} on {_unseen(holdout)}; {everywhere}"
+        too_uncertain = Reason.of("calibration_error_over_limit", **values)
+        return Decision(Outcome.REFUSED, too_uncertain, _missing(verdict, settings))
+    values |= {"model": fitted.model, "raw_mg": before.mean} | _held_out_values(holdout)
+    return Decision(Outcome.CALIBRATED, Reason.of("calibrated", **values))
 
 
-def _missing(verdict: Judgement, settings: Settings) -> str:
+def _not_clearly_better(holdout: Holdout) -> Reason:
+    return Reason.of("not_clearly_better", **_held_out_values(holdout))
+
+
+def _held_out_values(holdout: Holdout) -> dict[str, Any]:
+    """Return the errors on held-out orientations, or control points, for a reason."""
+    return {
+        "before_mg": holdout.before.mean,
+        "after_mg": holdout.after.mean,
+        "orientations": holdout.postures,
+        "held_out": "control points" if holdout.method.startswith("control") else "orientations",
+    }
+
+
+def _missing(verdict: Judgement, settings: Settings) -> tuple[Reason, ...]:
     """Return what a recording lacks whose points leave too much uncertain."""
     coverage, holdout = verdict.coverage, verdict.holdout
     number = coverage.distinct_orientations
     if number < settings.min_postures:
-        return f"there is stillness in only {counted(number, 'posture')}; {LONGER}"
+        return (Reason.of("more_orientations", orientations=number), LONGER)
     one_sided = model_ladder.one_sided_axes(coverage, settings.coverage_g)
     if one_sided or holdout is None or holdout.after.mean < settings.max_error_mg / 2:
         return _advice(coverage, settings)
-    return f"{number} postures disagree by {holdout.after.mean:.1f} mg: {DISAGREE}"
+    return (Reason.of("orientations_disagree", orientations=number, by_mg=holdout.after.mean),)
 
 
 def judge_paper(
@@ -258,13 +305,13 @@ def judge_paper(
     if len(control_points) >= FEWEST_CONTROL_POINTS and not settings.min_distance_g:
         second = []
     if first or second:
-        text = f"{_not_full(first, second, settings)}; profile paper needs all nine, profile default does not"
-        return Judgement(Outcome.REFUSED, text, coverage, ())
+        why = _not_full(first, second, settings)
+        return Judgement(Outcome.REFUSED, why, coverage, (), advice=(Reason("use_default_profile"),))
     name = "9" if "9" in how.models else "6"
     try:
         (fitted,) = how.fit((fit_points,), MODELS[name])
     except DivergedError:
-        return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, ())
+        return Judgement(Outcome.REFUSED, DIVERGES, coverage, (), advice=(LONGER,))
     known = uncertainty(fit_points, fitted.parameters, MODELS[name])
     unsure = model_ladder.doubt(known, settings.max_error_mg)
     holdout = None if unsure else model_ladder.control(control_points, fitted.parameters)
@@ -280,22 +327,23 @@ def judge_paper(
 def _verdict_of_paper(trial: Trial, coverage: Coverage, settings: Settings) -> Judgement:
     """Return the verdict on F's single fit, without its calibration."""
     if trial.holdout is None:
-        text = f"model {trial.model} cannot be trusted: {trial.reason}; {_advice(coverage, settings)}"
-        return Judgement(Outcome.REFUSED, text, coverage, (trial,))
-    unfit = Trial("9", None, f"optimizer {settings.optimizer} fits no misalignment")
+        why = Reason.of("model_uncertain", model=trial.model, why=trial.reason)
+        advice = _advice(coverage, settings)
+        return Judgement(Outcome.REFUSED, why, coverage, (trial,), advice=advice)
+    unfit = Trial("9", None, model_ladder.never_fits(settings.optimizer, "misalignment"))
     trials = (trial,) if trial.model == "9" else (trial, unfit)
-    outcome, text = _outcome(trial, trials, coverage, settings)
-    return Judgement(outcome, text, coverage, trials, holdout=trial.holdout)
+    return _outcome(trial, trials, coverage, settings).judgement(coverage, trials, trial.holdout)
 
 
-def _not_full(first: list[str], second: list[str], settings: Settings) -> str:
+def _not_full(first: list[str], second: list[str], settings: Settings) -> Reason:
     """Name the subsets that are not full, of the first set or else of the second."""
-    least_g = settings.min_distance_g
-    apart = f" that are at least {least_g:g} g from all others" if least_g else ""
-    least = settings.min_subset_points
-    few = {1: "a point", 2: "two points"}.get(least, f"{least} points")
-    apart = apart.replace("are", "is") if least == 1 else apart
-    return f"{'' if first else 'control '}subsets without {few}{apart}: {' '.join(first or second)}"
+    return Reason.of(
+        "subsets_not_full",
+        of="fit" if first else "control",
+        subsets=first or second,
+        points=settings.min_subset_points,
+        apart_g=settings.min_distance_g,
+    )
 
 
 def _with_precision(coverage: Coverage, known: Uncertainty | None) -> Coverage:
@@ -345,82 +393,73 @@ def _chosen(trials: tuple[Trial, ...], settings: Settings) -> Trial:
     return model_ladder.choose(able) if able else named[0]
 
 
-def _outcome(
-    chosen: Trial, trials: tuple[Trial, ...], coverage: Coverage, settings: Settings
-) -> tuple[Outcome, str]:
-    holdout = chosen.holdout
+def _outcome(chosen: Trial, trials: tuple[Trial, ...], coverage: Coverage, settings: Settings) -> Decision:
+    holdout, model = chosen.holdout, chosen.model
     if holdout is None:
-        return Outcome.REFUSED, f"model {chosen.model} cannot be fitted: {chosen.reason}"
-    if chosen.model == "0":
+        return Decision(Outcome.REFUSED, Reason.of("model_not_fitted", model=model, why=chosen.reason))
+    if model == "0":
         return _no_model(holdout, trials, coverage, settings)
-    if holdout.after.mean >= settings.max_error_mg:
-        text = f"the best model ({chosen.model}) leaves {holdout.after.mean:.1f} mg on {_unseen(holdout)}"
-        limit = f"{settings.max_error_mg:g} mg is the limit"
-        return Outcome.REFUSED, f"{text}, {limit}; {_advice(coverage, settings)}"
     insisted = settings.model != "auto"
-    model = f"model {chosen.model}{' as asked for' if insisted else ''}"
+    values = _held_out_values(holdout) | {"model": model, "asked_for": insisted}
+    if holdout.after.mean >= settings.max_error_mg:
+        over = Reason.of("held_out_error_over_limit", **values, limit_mg=settings.max_error_mg)
+        return Decision(Outcome.REFUSED, over, _advice(coverage, settings))
     if insisted and holdout.after.mean >= holdout.before.mean:
-        return Outcome.REFUSED, f"{model} does not improve: {_change(holdout)}"
-    text = f"{model}: {_change(holdout)} on {_unseen(holdout)}"
-    if chosen.model in FULL_MODELS:
-        return Outcome.CALIBRATED, text
-    return Outcome.REDUCED_MODEL, text if insisted else text + _why_reduced(chosen, trials)
+        return Decision(Outcome.REFUSED, Reason.of("not_better", **values))
+    if model in FULL_MODELS:
+        return Decision(Outcome.CALIBRATED, Reason.of("calibrated_held_out", **values))
+    values |= (
+        {}
+        if insisted
+        else {"left_out": "scale and misalignment" if model.startswith("3") else "misalignment"}
+    )
+    why = next((trial.reason for trial in trials if trial.model == "9" and trial.reason), None)
+    return Decision(
+        Outcome.REDUCED_MODEL, Reason.of("calibrated_in_part", **values, why=None if insisted else why)
+    )
 
 
 def _no_model(
     holdout: Holdout, trials: tuple[Trial, ...], coverage: Coverage, settings: Settings
-) -> tuple[Outcome, str]:
+) -> Decision:
     if all(trial.holdout is None for trial in trials if trial.model != "0"):
         why = trials[1].reason if len(trials) > 1 else None
-        return Outcome.REFUSED, f"no model could be tried: {why}; {_advice(coverage, settings)}"
-    text = _no_better(holdout)
+        return Decision(Outcome.REFUSED, Reason.of("no_model_tried", why=why), _advice(coverage, settings))
     if holdout.before.mean < settings.max_error_mg:
-        return Outcome.ALREADY_GOOD, text
-    return Outcome.REFUSED, f"{text}; {_advice(coverage, settings)}"
+        return Decision(Outcome.ALREADY_GOOD, Reason.of("raw_no_worse", **_held_out_values(holdout)))
+    return Decision(
+        Outcome.REFUSED, Reason.of("raw_no_worse", **_held_out_values(holdout)), _advice(coverage, settings)
+    )
 
 
-def _no_better(holdout: Holdout) -> str:
-    return f"no model improves on the {holdout.before.mean:.1f} mg of the raw data on postures it did not see"
-
-
-def _why_reduced(chosen: Trial, trials: tuple[Trial, ...]) -> str:
-    omitted = "scale and misalignment are" if chosen.model.startswith("3") else "misalignment is"
-    reason = next((trial.reason for trial in trials if trial.model == "9" and trial.reason), None)
-    return f"; {omitted} left out: {reason or 'the held-out error is no lower with it'}"
-
-
-def _unseen(holdout: Holdout) -> str:
-    return "control points" if holdout.method.startswith("control") else "postures it did not see"
-
-
-def _advice(coverage: Coverage, settings: Settings) -> str:
+def _advice(coverage: Coverage, settings: Settings) -> tuple[Reason, ...]:
     missing = model_ladder.one_sided_axes(coverage, settings.coverage_g)
     if missing:
-        return f"there is no stillness with {', '.join(missing)}"
+        return (Reason.of("no_stillness_on_sides", sides=missing),)
     if settings.profile != PAPER.profile:
-        return LONGER
-    other = ", use --stillness both" if settings.stillness == PAPER.stillness else ""
-    return f"{LONGER}{other}, or use profile default"
-
-
-def _change(holdout: Holdout) -> str:
-    return f"{holdout.before.mean:.1f} mg before, {holdout.after.mean:.2f} mg after"
+        return (LONGER,)
+    other = (Reason("use_both_rules"),) if settings.stillness == PAPER.stillness else ()
+    return (LONGER, *other, Reason("use_default_profile"))
 
 
 def with_errors_before(followed: Judgement, raw: Judgement) -> Judgement:
     """Give a verdict on corrected points the errors before calibration of the uncorrected ones."""
-    holdout, errors, message = followed.holdout, followed.fit_errors, followed.message
+    holdout, errors, reason = followed.holdout, followed.fit_errors, followed.reason
+    before = raw.sphere_before or followed.sphere_before
     if holdout is not None and raw.holdout is not None:
-        message = message.replace(_change(holdout), _change(replace(holdout, before=raw.holdout.before)))
+        corrected = {"before_mg": raw.holdout.before.mean}
+        corrected |= {} if before is None else {"raw_mg": before.mean}
+        known = {name: value for name, value in corrected.items() if name in reason.values}
+        reason = Reason.of(reason.code, **{**reason.values, **known})
         holdout = replace(holdout, before=raw.holdout.before)
     if errors is not None and raw.fit_errors is not None:
         errors = replace(errors, before_mg=raw.fit_errors.before_mg)
-    before, simpler = raw.sphere_before or followed.sphere_before, followed.without_misalignment
+    simpler = followed.without_misalignment
     if simpler is not None and simpler.holdout is not None and raw.holdout is not None:
         simpler = replace(simpler, holdout=replace(simpler.holdout, before=raw.holdout.before))
     return replace(
         followed,
-        message=message,
+        reason=reason,
         holdout=holdout,
         fit_errors=errors,
         sphere_before=before,
@@ -437,7 +476,7 @@ def better(borrowed: Holdout, own: Holdout) -> bool:
     return interval95([own_after - borrowed_after for (_, borrowed_after), (_, own_after) in pairs])[0] > 0
 
 
-def worse(holdout: Holdout, usual_mg: float, limit_mg: float) -> str | None:
+def worse(holdout: Holdout, usual_mg: float, limit_mg: float) -> Reason | None:
     """Return why a pool's coefficients do not fit a recording, or None.
 
     Args:
@@ -446,10 +485,10 @@ def worse(holdout: Holdout, usual_mg: float, limit_mg: float) -> str | None:
             and where a raw error happens to be small none can be smaller.
     """
     before, after = holdout.before.mean, holdout.after.mean
-    changed = f"{before:.1f} mg become {after:.2f} mg on {holdout.postures} postures of its own"
+    values = {"before_mg": before, "after_mg": after, "orientations": holdout.postures}
     if after > before and after > ODD_TIMES * usual_mg + ODD_MG:
-        return f"{changed}, {usual_mg:.2f} mg are usual in the pool"
-    return f"{changed}, {limit_mg:g} mg is the limit" if after >= limit_mg else None
+        return Reason.of("worse_than_usual", **values, usual_mg=usual_mg)
+    return Reason.of("over_limit_here", **values, limit_mg=limit_mg) if after >= limit_mg else None
 
 
 def calibration_of_fit(model: str, fit: Fit, points: PointSet, gravity: Gravity) -> Calibration:

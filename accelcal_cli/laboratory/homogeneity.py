@@ -31,7 +31,7 @@ from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.recording import Chunk, Validity
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.files import csv_text
-from accelcal_cli.output.words import figure, formatted
+from accelcal_cli.output.words import explained, figure, formatted
 from accelcal_cli.pipeline.activity import LEAST_MEASURED, MG, fixed, lengths, versions_of
 from accelcal_cli.pipeline.calibrate import OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress
@@ -211,7 +211,7 @@ def _open(path: Path, request: Request, stack: ExitStack, progress: ProgressMake
     offset_us = (data.facts.utc_offset_s or 0) * MICROSECONDS
     transforms = (made[0].transform, made[-1].transform)
     serial = data.recording.device.serial
-    return _Device(run, serial, str(verdict.outcome), verdict.message, offset_us, transforms)
+    return _Device(run, serial, str(verdict.outcome), explained(verdict.reason), offset_us, transforms)
 
 
 def hours(

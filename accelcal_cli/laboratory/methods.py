@@ -23,7 +23,7 @@ from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.output.files import csv_text
-from accelcal_cli.output.words import formatted
+from accelcal_cli.output.words import explained, formatted
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 from accelcal_cli.pipeline.procedures import Procedure, fitting, make_method
@@ -100,7 +100,9 @@ def _row(path: Path, procedure: Procedure, settings: Settings) -> MethodRow:
         return MethodRow(printable(path), settings.optimizer, "failed", str(error))
     seconds = None if verdict.fit is None else _seconds(procedure, fitter, verdict)
     cells = verdict.coverage.cells
-    row = MethodRow(printable(path), settings.optimizer, str(verdict.outcome), verdict.message, points=cells)
+    row = MethodRow(
+        printable(path), settings.optimizer, str(verdict.outcome), explained(verdict.reason), points=cells
+    )
     return _judged(row, verdict, seconds)
 
 

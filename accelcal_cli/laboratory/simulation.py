@@ -29,13 +29,13 @@ from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import PARAMETER_NAMES
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.points import MICROCONTROLLERS, Fit, Operations, predicted_charge_mc, predicted_seconds
+from accelcal_cli.core.reasons import significant
 from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import jacobian
 from accelcal_cli.laboratory.cases import USUAL, Case, CasePlan, Method, Selection, make_case, methods
 from accelcal_cli.laboratory.descent import NAME, Convergence, DescentNumbers, Objective, convergence, descent
 from accelcal_cli.laboratory.descent import as_json as convergence_json
 from accelcal_cli.output.files import csv_text
-from accelcal_cli.output.report import significant
 from accelcal_cli.output.words import figure, formatted
 
 Real = NDArray[np.float64]

@@ -48,7 +48,8 @@ USED = ("calibration", "recording", "coefficients", "outcome", "message")
 """Sections that are needed to apply a report's coefficients to any recording."""
 
 COPIED = (
-    "without_misalignment", "sphere_mg", "change", "misfits", "holdout", "fit", "coverage", "models_tried",
+    "without_misalignment", "calibration_error_mg", "rest_scatter_mg", "change", "misfits", "holdout", "fit",
+    "coverage", "models_tried",
 )  # fmt: skip
 """Sections that hold for the report's own recording, whoever applies its coefficients."""
 

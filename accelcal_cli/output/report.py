@@ -8,7 +8,6 @@ check bit by bit.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from math import floor, log10
 from typing import Any
 
 from accelcal_cli.core import results
@@ -19,14 +18,17 @@ from accelcal_cli.core.errors import printable
 from accelcal_cli.core.gyroscope import EQUATION, Bias, Gyroscope, TurnHoldout
 from accelcal_cli.core.local_time import ZoneChange, zone_of_times
 from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, Arithmetic, Fit, PointSet, predicted_seconds
+from accelcal_cli.core.reasons import significant
 from accelcal_cli.core.recording import Problem, Recording
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import EffectiveSettings
 from accelcal_cli.core.version import __version__
+from accelcal_cli.output.advice import completed
 from accelcal_cli.output.coefficients import coefficients_json
 from accelcal_cli.output.files import json_text
 from accelcal_cli.output.report_reading import SCHEMA_VERSION
 from accelcal_cli.output.report_view import ReportRecording
+from accelcal_cli.output.words import sentence
 
 DAY_S = 86_400
 SHORT_JUMPS = (
@@ -122,7 +124,8 @@ def trial_json(trial: results.Trial) -> dict[str, Any]:
         "model": trial.model,
         "after_mg": None if holdout is None else round(holdout.after.mean, 4),
         "compared_mg": None if holdout is None else round(holdout.compared_mg(), 4),
-        "reason": trial.reason,
+        "reason": None if trial.reason is None else trial.reason.code,
+        "values": {} if trial.reason is None else dict(trial.reason.values),
         **({} if trial.prior is None else {"prior": trial.prior}),
     }
 
@@ -134,15 +137,15 @@ def without_misalignment_json(verdict: Judgement) -> dict[str, Any] | None:
         return None
     return {
         "calibration": coefficients_json(simpler.calibration),
-        "sphere_mg": sphere_json(simpler.sphere, verdict.sphere_before),
+        "calibration_error_mg": calibration_error_json(simpler.sphere, verdict.sphere_before),
         "holdout": None if simpler.holdout is None else holdout_json(simpler.holdout),
     }
 
 
-def sphere_json(
+def calibration_error_json(
     sphere: results.SphereError | None, before: results.SphereError | None
 ) -> dict[str, Any] | None:
-    """Return the `sphere_mg` object; None where nothing is known of the whole sphere."""
+    """Return the `calibration_error_mg` object; None where no error over all orientations is known."""
     if sphere is None or before is None:
         return None
     return {
@@ -198,7 +201,9 @@ def gyroscope_json(gyroscope: Gyroscope) -> dict[str, Any]:
         slope = {"slope_dps_per_c": list(bias.slope_dps_per_c), "reference_c": bias.reference_c}
     return {
         "outcome": gyroscope.outcome,
-        "message": gyroscope.message,
+        "reason": gyroscope.reason.code,
+        "values": dict(gyroscope.reason.values),
+        "message": sentence(gyroscope.reason),
         "equation": EQUATION,
         "scale": None if gyroscope.scale is None else [list(row) for row in gyroscope.scale],
         "bias_dps": None if bias is None else list(bias.dps),
@@ -290,11 +295,6 @@ def rounded(value: float | None) -> float | None:
     return None if value is None else round(value, 4)
 
 
-def significant(value: float, digits: int = 4) -> float:
-    """Round to significant digits: the last bits of linear algebra differ by machine."""
-    return 0.0 if value == 0 else round(value, digits - 1 - floor(log10(abs(value))))
-
-
 @dataclass(frozen=True, slots=True)
 class WindowUse:
     """Numbers of windows by fate, for `fit.windows`; all but `complete` add up to it.
@@ -369,7 +369,9 @@ def build(data: ReportInput) -> dict[str, Any]:
     raw = data.facts.rest.error_mg
     windows = {**asdict(data.windows), "raw_error_mg": rounded(raw)}
     change = change_json(data.judgement.change, data.facts.utc_offset_s)
-    return document(_recording(data), _health(data), windows, data, change) | data.taken
+    return completed(
+        document(_recording(data), _health(data), windows, data, change) | data.taken, data.judgement
+    )
 
 
 def document(
@@ -387,10 +389,16 @@ def document(
         "recording": recording.as_json(),
         "settings": data.settings.as_json(),
         "outcome": str(verdict.outcome),
-        "message": verdict.message,
+        "reason": verdict.reason.code,
+        "values": dict(verdict.reason.values),
+        "message": "",
+        "notes": [note.as_json() for note in verdict.notes],
+        "cautions": [],
+        "advice": [],
         "calibration": calibration_json(verdict, data.optimizer),
         "without_misalignment": without_misalignment_json(verdict),
-        "sphere_mg": sphere_json(verdict.sphere, verdict.sphere_before),
+        "calibration_error_mg": calibration_error_json(verdict.sphere, verdict.sphere_before),
+        "rest_scatter_mg": None if verdict.rest_scatter_mg is None else significant(verdict.rest_scatter_mg),
         "change": change,
         "misfits": misfits_json(verdict.misfits),
         "holdout": None if verdict.holdout is None else holdout_json(verdict.holdout),
@@ -404,14 +412,15 @@ def document(
 def parquet_metadata(data: ReportInput) -> dict[str, Any]:
     """Return the Parquet file's metadata: calibrations, recording, version; of raw values the refusal."""
     verdict = data.judgement
-    refusal = {"outcome": str(verdict.outcome), "message": verdict.message}
+    report = build(data)
+    refusal = {name: report[name] for name in ("outcome", "reason", "values", "message")}
     return {
         "accelcal_version": __version__,
         "calibration": data.taken.get("calibration") or calibration_json(verdict, data.optimizer),
         "recording": _recording(data).as_json(),
         **{name: data.taken[name] for name in ("gyroscope",) if name in data.taken},
         **(refusal if verdict.calibration is None else {}),
-        "result": result_json(build(data)),
+        "result": result_json(report),
     }
 
 

@@ -14,14 +14,25 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.errors import printable
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout
 from accelcal_cli.output import report as reports
+from accelcal_cli.output.advice import completed
 from accelcal_cli.output.report_reading import Document
 from accelcal_cli.output.report_view import ReportRecording
 
 FORMAT = "pool"
-TAKEN = ("calibration", "without_misalignment", "sphere_mg", "holdout", "fit", "coverage", "models_tried")
+TAKEN = (
+    "calibration",
+    "without_misalignment",
+    "calibration_error_mg",
+    "rest_scatter_mg",
+    "holdout",
+    "fit",
+    "coverage",
+    "models_tried",
+)
 """Sections that a member's report takes from its pool's."""
 
 
@@ -49,7 +60,7 @@ def build_points(data: PointsInput) -> dict[str, Any]:
     recording = ReportRecording(
         path=printable(data.path), sha256=data.sha256, bytes=data.bytes, format="points", samples=data.rows
     )
-    return reports.document(recording, reports.FileHealth(), _windows(data), data)
+    return completed(reports.document(recording, reports.FileHealth(), _windows(data), data), data.judgement)
 
 
 def _windows(data: PointsInput) -> dict[str, Any]:
@@ -92,7 +103,7 @@ class PoolInput(reports.JudgedInput):
     """
 
     members: Sequence[Member]
-    left_out: Sequence[tuple[Member, str]]
+    left_out: Sequence[tuple[Member, Reason]]
     example: Recording
     bytes: int
     samples: int
@@ -104,12 +115,17 @@ class PoolInput(reports.JudgedInput):
 def build_pool(data: PoolInput) -> dict[str, Any]:
     """Return the report of a pool without `provenance`."""
     windows = {**asdict(data.windows), "raw_error_mg": None}
-    report = reports.document(_pool_recording(data), reports.FileHealth(), windows, data)
+    report = completed(
+        reports.document(_pool_recording(data), reports.FileHealth(), windows, data), data.judgement
+    )
     device = data.example.device
     section = {
         "serial": device.serial,
         "recordings": [member.as_json() for member in data.members],
-        "left_out": [{**member.as_json(), "reason": printable(why)} for member, why in data.left_out],
+        "left_out": [
+            {**member.as_json(), "reason": why.code, "values": dict(why.values)}
+            for member, why in data.left_out
+        ],
     }
     copies = {"copies": [copy.as_json() for copy in data.copies]} if data.copies else {}
     return {**report, "pool": section | copies}

@@ -22,7 +22,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.output.files import looking_at, parsed
 from accelcal_cli.output.report_view import ReportRecording, record
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 LARGEST_BYTES = 64 << 20
 """Size of a file above which it cannot be a report, which has some thousand entries at most."""
 NAME_ONE = "name a report, STEM.calibration.json"
@@ -44,8 +44,19 @@ LATER = {
     "file_health.rest": "0.2.0",
     "holdout.improvement_factor": "0.2.0",
     "settings.prior": "0.2.0",
-    "sphere_mg": "0.2.0",
+    "calibration_error_mg": "0.3.0",
+    "rest_scatter_mg": "0.3.0",
+    "reason": "0.3.0",
+    "values": "0.3.0",
+    "notes": "0.3.0",
+    "cautions": "0.3.0",
+    "advice": "0.3.0",
+    "models_tried.values": "0.3.0",
+    "pool.left_out.values": "0.3.0",
+    "gyroscope.reason": "0.3.0",
+    "gyroscope.values": "0.3.0",
     "without_misalignment": "0.2.0",
+    "without_misalignment.calibration_error_mg": "0.3.0",
     "change": "0.2.0",
     "misfits": "0.2.0",
     "gyroscope": "0.2.0",
@@ -67,7 +78,7 @@ class Document:
 
     Attributes:
         report: content with the names of this schema version.
-        first: content as the file has it, if that is of schema version 1; else None.
+        first: content as the file has it, if that is of an earlier schema version; else None.
     """
 
     path: Path
@@ -89,7 +100,7 @@ class Document:
 
 
 def read_document(path: Path) -> Document:
-    """Read a report of this schema version or the one before; its sections are not checked.
+    """Read a report of this schema version or an earlier one; its sections are not checked.
 
     Raises:
         UnreadableError: it cannot be read, is not JSON, or no report of ours that this version knows.
@@ -105,7 +116,7 @@ def read_document(path: Path) -> Document:
     if not isinstance(report, dict) or not {"accelcal_version", "schema_version"} <= report.keys():
         raise UnreadableError("is not a report of accelcal", path=path, hint=NAME_ONE)
     version, writer = report["schema_version"], report["accelcal_version"]
-    if version not in (1, SCHEMA_VERSION) or isinstance(version, bool):
+    if version not in (1, 2, SCHEMA_VERSION) or isinstance(version, bool):
         raise UnreadableError(
             f"has schema version {version!r} (of accelcal {writer!r}), not one of 1 to {SCHEMA_VERSION}",
             path=path,
@@ -194,11 +205,15 @@ def load_report(path: Path) -> dict[str, Any] | None:
 
 
 def upgraded(report: dict[str, Any]) -> dict[str, Any]:
-    """Return a report of schema version 1 as this version would have written it; any other as it is."""
+    """Return a report of an earlier schema version with this one's names; any other as it is.
+
+    What only this version has (reasons as codes, the error without the scatter of rests) stays missing.
+    """
     version = report.get("schema_version")
-    if version != 1 or isinstance(version, bool):
+    if version not in (1, 2) or isinstance(version, bool):
         return report
-    renamed = {"calibration": with_new_names(report["calibration"])} if "calibration" in report else {}
+    old = version == 1 and "calibration" in report
+    renamed = {"calibration": with_new_names(report["calibration"])} if old else {}
     return report | {"schema_version": SCHEMA_VERSION} | renamed
 
 
@@ -251,7 +266,7 @@ def schema_of_version(version: str) -> dict[str, Any]:
 
 def _objects(schema: dict[str, Any], names: list[str]) -> Iterator[dict[str, Any]]:
     """Find the schemas of the objects at the end of a path of keys."""
-    for choice in schema.get("anyOf", ()):
+    for choice in (*schema.get("anyOf", ()), *([schema["items"]] if "items" in schema else [])):
         yield from _objects(choice, names)
     if not names:
         yield schema

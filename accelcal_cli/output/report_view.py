@@ -11,11 +11,18 @@ from dataclasses import asdict, dataclass, field, is_dataclass
 from functools import cache
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import ErrorSummary, Outcome
 
-SPHERE_COLUMNS = ("sphere_mg", "sphere_low_mg", "sphere_high_mg", "sphere_worst_mg", "sphere_before_mg")
-"""Columns of tables that say what a report's `sphere_mg` says."""
+ERROR_COLUMNS = (
+    "calibration_error_mg",
+    "calibration_error_low_mg",
+    "calibration_error_high_mg",
+    "calibration_error_worst_mg",
+    "calibration_error_before_mg",
+)
+"""Columns of tables that hold a report's `calibration_error_mg`."""
 
 Record = TypeVar("Record")
 
@@ -79,8 +86,11 @@ class CalibrationView:
 
 
 @dataclass(frozen=True, slots=True)
-class SphereView:
-    """`sphere_mg`: expected error over all directions [mg]."""
+class CalibrationErrorView:
+    """`calibration_error_mg`: expected error over all orientations [mg].
+
+    Reports of schema version 2 have `sphere_mg` instead, which holds the scatter of rests, too.
+    """
 
     mean: float
     ci95: Sequence[float]
@@ -114,6 +124,7 @@ class SaturatedAxis:
     """An entry of `coverage.saturated`."""
 
     axis: str
+    at_g: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +147,7 @@ class TrialView:
     model: str
     after_mg: float | None
     reason: str | None
+    values: Mapping[str, Any] = field(default_factory=dict)
     prior: str | None = None
 
 
@@ -147,6 +159,7 @@ class ChangeView:
     unchecked: str | None
     at: str | None
     size_mg: float | None
+    holdout: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +172,7 @@ class MisfitView:
     size: Sequence[float]
     before_mg: float
     after_mg: float
+    largest_mg: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,6 +339,7 @@ class LeftOutMember:
     path: str
     sha256: str
     reason: str
+    values: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -365,7 +380,13 @@ class ErrorsView:
     """Sections with the errors to quote, of a report or of its `without_misalignment`."""
 
     holdout: HoldoutView | None = None
-    sphere_mg: SphereView | None = None
+    calibration_error_mg: CalibrationErrorView | None = None
+    sphere_mg: CalibrationErrorView | None = None
+
+    @property
+    def error_everywhere(self) -> CalibrationErrorView | None:
+        """Error over all orientations, with the scatter of rests in reports of earlier versions."""
+        return self.calibration_error_mg or self.sphere_mg
 
 
 @dataclass(frozen=True, slots=True)
@@ -381,7 +402,12 @@ class ProvenanceView:
 
 @dataclass(frozen=True, slots=True)
 class ReportView:
-    """A report of any kind: whole and valid, as checked against the schema or built by this version."""
+    """A report of any kind: whole and valid, as checked against the schema or built by this version.
+
+    Attributes:
+        reason: code of the outcome's reason; empty in reports of earlier versions.
+        cautions, advice: None in reports of earlier versions.
+    """
 
     accelcal_version: str
     recording: ReportRecording
@@ -394,7 +420,14 @@ class ReportView:
     coverage: CoverageView
     models_tried: tuple[TrialView, ...]
     file_health: HealthView
-    sphere_mg: SphereView | None = None
+    reason: str = ""
+    values: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[Reason, ...] = ()
+    cautions: tuple[Reason, ...] | None = None
+    advice: tuple[Reason, ...] | None = None
+    calibration_error_mg: CalibrationErrorView | None = None
+    rest_scatter_mg: float | None = None
+    sphere_mg: CalibrationErrorView | None = None
     change: ChangeView | None = None
     misfits: tuple[MisfitView, ...] | None = None
     poses: tuple[PoseView, ...] | None = None
@@ -403,6 +436,11 @@ class ReportView:
     pool: PoolView | None = None
     effect: Mapping[str, Any] | None = None
     provenance: ProvenanceView = ProvenanceView()
+
+    @property
+    def error_everywhere(self) -> CalibrationErrorView | None:
+        """Error over all orientations, with the scatter of rests in reports of earlier versions."""
+        return self.calibration_error_mg or self.sphere_mg
 
     def setting(self, name: str, default: float) -> float:
         """Return a number among the settings; the default where the report has none."""
@@ -415,12 +453,12 @@ def report_view(report: Mapping[str, Any]) -> ReportView:
     return record(ReportView, report)
 
 
-def sphere_columns(sphere: SphereView | None) -> dict[str, float | None]:
-    """Return what tables and the terminal say of a report's `sphere_mg`, by column."""
-    if sphere is None:
-        return dict.fromkeys(SPHERE_COLUMNS)
-    values = (sphere.mean, *sphere.ci95, sphere.worst_direction, sphere.before)
-    return dict(zip(SPHERE_COLUMNS, values, strict=True))
+def error_columns(error: CalibrationErrorView | None) -> dict[str, float | None]:
+    """Return the columns of tables that hold the error over all orientations."""
+    if error is None:
+        return dict.fromkeys(ERROR_COLUMNS)
+    values = (error.mean, *error.ci95, error.worst_direction, error.before)
+    return dict(zip(ERROR_COLUMNS, values, strict=True))
 
 
 def record(kind: Callable[..., Record], section: Mapping[str, Any]) -> Record:

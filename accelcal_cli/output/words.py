@@ -5,38 +5,18 @@ Sentences for the terminal and for pages. All of them follow from the report; no
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import floor, log10
-from typing import Literal
+from string import Formatter
+from typing import Any
 
-from accelcal_cli.core.errors import counted, listed
-from accelcal_cli.core.results import Outcome
-from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.core.errors import counted, listed, printable
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.output.report_view import CalibrationView, KnownOrientationsView, ReportView
 
-LIMIT_MG = DEFAULT.max_error_mg
-"""Limit [mg] of the 95 % interval of a good result, where a report's settings do not say."""
+Values = Mapping[str, Any]
 
-MIN_POSTURES = 9
-"""Number of postures from which on a recording does not lack any, unless they leave out a side."""
-
-RIGHT_G = (0.7, 1.4)
-"""Bounds of the median of |a| at rest [g] if unit and scale are right."""
-
-OF_ANOTHER = (
-    "Coefficients of the device's other recordings may do: study --borrow, --pool device or --prior device, "
-    "or apply; so may a session on six faces (six-pose)."
-)
-BY_OTHERS = "Stillness that another tool has found can be fitted, too: accelcal fit."
-UNIT = (
-    "Say what the values are: --unit, or --lsb-per-g for counts; --columns for a table; "
-    "the fields of the layout file for a dump."
-)
-UNCHECKED = (
-    "Nothing was held out: no error is known, and a pose that is wrong would not show. "
-    "Add poses, or roll the device with one axis level (six-pose --roll)."
-)
-UNCHECKED_ROLLED = "Nothing was held out: what the roll shows is all that speaks for it."
 CITATION = (
     "Farago, Maczak, Gingl (2024): Enhancing Accuracy in Actigraphic Measurements. IEEE Access; "
     "the procedure as implemented in accelcal {version}."
@@ -82,6 +62,12 @@ class OutcomeWords:
 
 OUTCOMES = {
     "calibrated": OutcomeWords("calibrated", "Use the calibrated recording.", "use them"),
+    "provisional": OutcomeWords(
+        "calibrated provisionally",
+        "Use the calibrated recording with care: it is expected to be better than the raw data, but its "
+        "error may exceed the limit.",
+        "use them with care: better than the raw data, but the error may exceed the limit",
+    ),
     "reduced_model": OutcomeWords(
         "calibrated in part",
         "Use the calibrated recording; the reason says which corrections were left out.",
@@ -171,176 +157,359 @@ def corrections_of(model: str) -> str:
     return f"{base}, with slopes by temperature" if model.endswith("T") else base
 
 
-def cautions(report: ReportView) -> tuple[str, ...]:
-    """Return what speaks against trusting a result without a look."""
-    everywhere = report.sphere_mg is not None
-    sentences = [*filter(None, [unchecked_poses(report)]), *doubts(*_interval(report), everywhere=everywhere)]
-    changed = report.change is not None and report.change.kind != "none"
-    if changed and (report.calibration is None or report.calibration.course is None):
-        sentences.append(
-            "The sensor changed while it recorded, and the calibration does not follow it: "
-            "see the error by the hour."
-        )
-    elif changed:
-        sentences.append(
-            "The sensor changed while it recorded; the calibration follows it. Have the device checked."
-        )
-    if any(one.found for one in report.misfits or ()):
-        sentences.append(
-            "The sensor does something that coefficients cannot put right (docs/misfit.md): "
-            "have the device checked."
-        )
-    if report.coverage.saturated:
-        sentences.append("An axis stops measuring short of its range: have the device checked.")
-    return tuple(sentences)
+def _quietest(values: Values) -> str:
+    if "windows" not in values:
+        return ""
+    which = f": the quietest of {counted(values['windows'], 'window')} of {values['seconds']:g} s"
+    limit, measured = values["limit_g"], values["measured_g"]
+    if values["quietest"] == "range":
+        return f"{which} varies by {measured:.3g} g (the limit is {limit:g} g)"
+    limited = "" if limit is None else f" (the limit is {1000 * limit:g} mg)"
+    return f"{which} has a standard deviation of {1000 * measured:.3g} mg{limited}"
 
 
-def _interval(report: ReportView) -> tuple[float | None, float | None, float]:
-    """Return the upper end of the error's 95 % interval, the error before, and the limit [mg]."""
-    sphere, holdout = report.sphere_mg, report.holdout
-    limit = report.setting("max_error_mg", LIMIT_MG)
-    if report.outcome == Outcome.ALREADY_GOOD:
-        return (None if sphere is None else sphere.ci95[1]), None, limit
-    if sphere is not None:
-        return sphere.ci95[1], sphere.before, limit
-    if holdout is not None:
-        return holdout.ci95_mg[1], holdout.before_mg.mean, limit
-    return None, None, limit
-
-
-def doubts(
-    high: float | None, before: float | None, limit: float = LIMIT_MG, *, everywhere: bool = True
-) -> list[str]:
-    """Return what a 95 % interval says against a result [mg].
-
-    Args:
-        high: upper end of the interval; before: error of the raw values to compare with, if there is one.
-        everywhere: the interval is that of the whole sphere, not only of the recording's own postures.
-    """
-    if high is None:
-        return []
-    sentences = []
-    if high >= limit:
-        where = "in postures that are not in the recording" if everywhere else "on average"
-        sentences.append(
-            f"The error may reach {mg(high)} mg {where}: do not rely on it where a few mg matter."
-        )
-    if before is not None and high >= before:
-        sentences.append(
-            f"This may be no better than the raw values: their {mg(before)} mg lie within the interval."
-        )
-    return sentences
-
-
-def unchecked_poses(report: ReportView) -> str | None:
-    """Say that nothing speaks for a calibration from known orientations; None where something does."""
-    known = report.known_orientations
-    if known is None or known.unchecked is None or report.calibration is None:
-        return None
-    return UNCHECKED_ROLLED if known.rolls else UNCHECKED
-
-
-def unchecked(report: ReportView) -> str | None:
-    """Name the sides on which a calibrated device never rested; None if it rested on all."""
-    faces = _faces(report) if report.coverage.cells else []
-    if report.calibration is None or not faces:
-        return None
-    return f"It never rested with {listed(faces)} pointing up: what it measures there was not checked."
-
-
-def ways_on(report: ReportView) -> tuple[str, ...]:
-    """Return what would make a refused recording one that can be used, as far as the report tells."""
-    health, cells = report.file_health, report.coverage.cells
-    if (health.lost_percent or 0) > report.setting("max_damage_percent", 100.0):
-        return ()  # the message says all
-    if health.rest and not RIGHT_G[0] < health.rest.median_g < RIGHT_G[1]:
-        return (UNIT,)
-    if report.settings.get("input", {}).get("format") == "points":
-        return _postures(report) if cells else ()
-    if not cells:
-        again = "Record again: the device has to lie still for some seconds, in different postures."
-        return again, BY_OTHERS, OF_ANOTHER
-    return (*_postures(report), OF_ANOTHER)
-
-
-def _postures(report: ReportView) -> tuple[str, ...]:
-    """Say which postures are missing."""
-    sentences, faces = [], _faces(report)
-    orientations = report.coverage.distinct_orientations
-    if orientations is not None and (faces or orientations < report.setting("min_postures", MIN_POSTURES)):
-        sentences.append(
-            f"Stillness was found in {counted(orientations, 'posture')}. "
-            "More turns of the wrist, and a longer recording, help."
-        )
-    if faces:
-        side = "that side" if len(faces) == 1 else "each of these sides"
-        sentences.append(
-            f"The device never rested with {listed(faces)} pointing up. "
-            f"Take it off and leave it for a minute on {side}."
-        )
-    return tuple(sentences)
-
-
-def _faces(report: ReportView) -> list[str]:
-    """Return directions of axes, such as `-z`, that no point comes near."""
-    coverage, reach = report.coverage, report.setting("coverage_g", 0.3)
-    return [
-        f"{sign}{axis}"
-        for axis, low, high in zip("xyz", coverage.axis_min_g, coverage.axis_max_g, strict=True)
-        for sign, there in (("-", low <= -reach), ("+", high >= reach))
-        if not there
-    ]
-
-
-@dataclass(frozen=True, slots=True)
-class PageVerdict:
-    """Verdict at the beginning of a recording's page.
-
-    Attributes:
-        level: class of its colour.
-        headline: one sentence; reason: the report's message; to_do: what to do, a sentence each.
-    """
-
-    level: Literal["good", "care", "bad"]
-    headline: str
-    reason: str
-    to_do: tuple[str, ...]
-
-
-def page_verdict(report: ReportView) -> PageVerdict:
-    """Return the verdict on a recording."""
-    words, doubtful = outcome_words(report.outcome), cautions(report)
-    if report.outcome == Outcome.REFUSED:
-        headline = "Refused: this recording could not be calibrated."
-        return PageVerdict("bad", headline, report.message, (words.to_do, *ways_on(report)))
-    good = not doubtful and report.outcome != Outcome.BORROWED
-    opening = f"{'Good' if good else 'Use with care'}: {words.headline or words.result}"
-    return PageVerdict(
-        "good" if good else "care",
-        f"{opening}. {_error(report)}",
-        report.message,
-        (words.to_do, *doubtful, *filter(None, (unchecked(report),))),
+def _subsets(values: Values) -> str:
+    """Say which of the paper's subsets lack points."""
+    near = {"n": "-1 g", "0": "0 g", "p": "+1 g"}
+    missing = listed([f"{name[0]} {near[name[1]]}" for name in values["subsets"]])
+    apart = f", at least {values['apart_g']:g} g apart" if values["apart_g"] else ""
+    return (
+        f"Profile paper needs {counted(values['points'], 'still window')} near -1, 0 and +1 g on each axis"
+        f"{apart}. Missing in the {values['of']} set: {missing}."
     )
 
 
-def _error(report: ReportView) -> str:
+def _stuck(values: Values) -> str:
+    turned = [f"{axis} by {by:.2f} g" for axis, by in zip(values["others"], values["by_g"], strict=True)]
+    return (
+        f"The {values['axis']} axis stays at {values['at_g']:.2f} g at rest while gravity moves "
+        f"{listed(turned)}. Check that {values['axis']} is the right column or field."
+    )
+
+
+def _learnt_from(values: Values) -> str:
+    devices, own = values["devices"], values["own"]
+    others = [f"{counted(own, 'other recording')} of the device"] if own else []
+    if devices or not own:
+        others.append(f"{counted(devices, 'other device')} of model {values['model'] or ''}".rstrip())
+    return listed(others)
+
+
+def _misfit(values: Values) -> str:
+    sizes = zip("xyz", values["size"], strict=True)
+    shown = ", ".join(f"{axis} {value:.2g}" for axis, value in sizes)
+    what = {
+        "quadratic": f"Its response is bent, with the square of the acceleration ({shown} % at 1 g)",
+        "cubic": f"Its response is bent, with the cube of the acceleration ({shown} % at 1 g)",
+        "gain by temperature": f"Its scales change with temperature ({shown} % per °C)",
+        "curved by temperature": f"Its offsets follow temperature on a curve ({shown} mg per °C²)",
+        "previous posture": f"Its values depend on the orientation before ({shown} mg per g)",
+    }.get(values["kind"], f"{values['kind']} ({shown})")
+    return (
+        f"The sensor behaves in a way that calibration cannot correct. {what}, by up to "
+        f"{values['largest_mg']:.1f} mg. If the device's other recordings show the same, have it checked."
+    )
+
+
+def _changed(values: Values) -> str:
+    when = (values["at"] or "").partition(".")[0]
+    what = {
+        "drift": "its offsets drift",
+        "step": f"its offsets jump at {when}",
+        "gain": f"its scales jump at {when}",
+        "device": f"all its errors jump at {when}, as if another device went on",
+        "walk": "its offsets wander",
+    }.get(values["kind"], values["kind"])
+    text = f"The sensor changed during the recording: {what}, by up to {values['size_mg']:.1f} mg."
+    if values["followed"]:
+        return f"{text} The calibration follows it."
+    return (
+        f"{text} One calibration for all of the recording leaves {mg(values['constant_mg'])} mg, "
+        f"one that follows the sensor would leave {mg(values['changing_mg'])} mg."
+    )
+
+
+def _rolled(values: Values) -> str:
+    before, after = values["before_mg"], values["after_mg"]
+    shown = f"{before['mean']:.1f} mg (SD {before['sd']:.1f})"
+    if after is not None:
+        shown += f" before and {after['mean']:.1f} mg (SD {after['sd']:.1f}) after calibration"
+    return f"Rolled with {values['axis']} level, {values['axis']} shows {shown}."
+
+
+SENTENCES: dict[str, str | Callable[[Values], str]] = {
+    # outcomes
+    "calibrated": "Calibration error over all orientations: {raw_mg:mg} mg before, {error_mg:mg} mg after "
+    "(95 % interval {low_mg:mg} to {high_mg:mg} mg). In the recorded orientations, held out: {before_mg:mg} "
+    "mg before, {after_mg:mg} mg after.",
+    "calibrated_held_out": "{model_asked_for}: {before_mg:mg} mg before, {after_mg:mg} mg after, on "
+    "held-out {held_out}.",
+    "calibrated_in_part": "{model_asked_for}: {before_mg:mg} mg before, {after_mg:mg} mg after, on held-out "
+    "{held_out}.{left_out_because}",
+    "not_clearly_better": "The fit is not clearly better than the raw data: {after_mg:mg} against "
+    "{before_mg:mg} mg on held-out {held_out} ({orientations:n orientation}).",
+    "raw_no_worse": "No model is clearly better than the raw data, which are {before_mg:mg} mg off on "
+    "held-out {held_out}.",
+    "calibrated_before": "The recording is {origin}. It was not fitted again: its own still windows are "
+    "{before_mg:mg} mg off ({orientations:n orientation}).",
+    "calibrated_before_unchecked": "The recording is {origin}. There is no still window to check that.",
+    "borrowed": "The coefficients are those of {path} (sha256 {sha256}, device {device}). {errors_here}",
+    "pooled": "The coefficients were fitted to {recordings} recordings of device {serial} together. {pool} "
+    "{errors_here}",
+    "earlier_verdict": "{message}",
+    "poses_calibrated": "Model 12: {norm_before_mg:mg} mg before, {norm_after_mg:mg} mg after, on held-out "
+    "orientations; direction included, {before_mg:mg} and {after_mg:mg} mg.{unchecked_faces}",
+    "poses_unchecked": "Model 12 was fitted to {orientations:n orientation}, and nothing was held out: its "
+    "error is not known. The raw data are {before_mg:mg} mg off, direction included.",
+    "poses_no_better": "The raw data are {before_mg:mg} mg off, no more than twelve parameters leave on "
+    "held-out orientations: {after_mg:mg} mg.",
+    # refusals
+    "nothing_still": lambda values: f"No still window was found{_quietest(values)}.",
+    "nothing_measured": "No still window was found: nowhere were {seconds:g} s measured without a gap.",
+    "still_far_from_1_g": lambda values: (
+        "The still windows are far from 1 g"
+        + (f" (typically {values['median_g']:.3g} g)." if "median_g" in values else ".")
+    ),
+    "nothing_near_quietest": "No other window comes near the quietest one of the recording.",
+    "constant_values": "Every still window holds a single constant value: the sensor was probably off or "
+    "asleep.",
+    "too_few_orientations": "The device was still in only {orientations:n orientation}; at least {needed} "
+    "are needed.",
+    "fit_diverges": "The fit diverges: the still windows do not determine the parameters.",
+    "calibration_error_over_limit": "The calibration error over all orientations may be {error_mg:mg} mg "
+    "(95 % interval {low_mg:mg} to {high_mg:mg} mg); the limit is {limit_mg:g} mg.",
+    "held_out_error_over_limit": "The best model ({model}) leaves {after_mg:mg} mg on held-out {held_out}; "
+    "the limit is {limit_mg:g} mg.",
+    "not_better": "{model_asked_for}, does not improve the recording: {before_mg:mg} mg before, "
+    "{after_mg:mg} mg after, on held-out {held_out}.",
+    "model_not_fitted": "Model {model} cannot be fitted: {why}",
+    "no_model_tried": "No model could be fitted: {why}",
+    "model_uncertain": "Model {model} cannot be trusted: {why}",
+    "subsets_not_full": _subsets,
+    "damaged": "{lost_percent:.1f} % of the recording is lost to damage ({lost_bytes} bytes); the limit is "
+    "{limit_percent:g} %.",
+    "recordings_contradict": "The recordings of the pool contradict each other: {path}: {why}",
+    "poses_disagree": "The poses disagree: {after_mg:mg} mg on held-out orientations (the limit is "
+    "{vector_limit_mg:g} mg), {norm_after_mg:mg} mg in length (the limit is {limit_mg:g} mg). The worst is "
+    "{worst} at {start_s:.0f} s with {worst_mg:.0f} mg, unless its opposite is the cause. A tilt of 1 "
+    "degree makes 17.5 mg.",
+    "no_point_near_1_g": "No point is anywhere near 1 g. x, y and z must be in g.",
+    "no_points": "The table holds no points.",
+    # why coefficients were not taken
+    "worse_than_usual": "{before_mg:mg} mg become {after_mg:mg} mg in {orientations:n orientation} of its "
+    "own; {usual_mg:mg} mg are usual in the pool.",
+    "over_limit_here": "{before_mg:mg} mg become {after_mg:mg} mg in {orientations:n orientation} of its "
+    "own; the limit is {limit_mg:g} mg.",
+    "not_less": "{before_mg:mg} mg become {after_mg:mg} mg in {orientations:n orientation}, which is no "
+    "less.",
+    "own_is_no_worse": lambda values: (
+        ("No error" if values["after_mg"] is None else f"{mg(values['after_mg'])} mg")
+        + f" instead of its own {mg(values['own_mg'])} mg is no less beyond the uncertainty."
+    ),
+    "not_tried": "{message}.",
+    "donor": "With the coefficients of {path}: {why}",
+    "untested": "There is no still window in {needed} orientations to test coefficients on.",
+    "unlike_prior": "Its still windows contradict what other recordings say of its sensor.",
+    "left_out_of_pool": "It was left out of the pool: {why}",
+    # why a model was not used
+    "not_determined": "The still windows do not determine it.",
+    "uncertain_somewhere": "Its error could reach {by_mg:.0f} mg in some orientations.",
+    "temperature_too_even": "The temperature varies by {range_c:.2g} °C; at least {least_c:g} °C are needed.",
+    "few_orientations_differ_in_temperature": "Too few orientations were recorded at different temperatures.",
+    "no_stillness_on_sides": "There is no still window with {sides:list}.",
+    "optimizer_never_fits": "Optimizer {optimizer} fits no {what}.",
+    "nothing_held_out": "Nothing was held out, so the error is not known.",
+    # notes
+    "axes_alike": "{axes:list} hold the same values throughout. Give each axis its own column or field.",
+    "axis_stuck": _stuck,
+    "gravity_is_zero": "{of_what} 0 g. Check that the columns or fields are those of the sensor.",
+    "wrong_unit": "{of_what} {median_g:.3g} g instead of 1 g, as if values in {unit} were read as "
+    "{read_as}. Use --unit {unit}.",
+    "not_1_g": "{of_what} {median_g:.3g} g instead of 1 g. Check the unit (--unit) and the columns "
+    "(--columns).",
+    "wrong_counts_per_g": "{of_what} {median_g:.3g} g instead of 1 g. {fits:.4g} counts per g would fit "
+    "instead of {lsb_per_g:.6g}: check --lsb-per-g and the layout.",
+    "rest_scatters": "Gravity measures anything from {low_g:.2f} to {high_g:.2f} g at rest, more than scale "
+    "and offset explain. Check the columns, or the places and types of the fields.",
+    "prior_learnt": lambda values: f"The prior was learnt from {_learnt_from(values)}.",
+    "windows_repeated": "{windows:n still window} that repeat earlier ones exactly were left out.",
+    "own_coefficients": "These are the recording's own coefficients.",
+    "other_device": "This recording's device is {serial}.",
+    "other_model": "This recording's device is a {model} of the same serial.",
+    "other_counts_per_g": "The recording has {here:.10g} counts per g, that of the coefficients "
+    "{there:.10g}.",
+    "factory_calibration_differs": "The maker's calibration was applied first to {to}, and not to {not_to}.",
+    "slopes_left_out": "The coefficients are used as at {at_c:.1f} °C, without their temperature slopes.",
+    "rolled": _rolled,
+    # gyroscope
+    "gyroscope_calibrated": "The scale was fitted to {turns:n turn} between rests. On held-out turns "
+    "gravity is {after_deg:.2g} degrees off, {before_deg:.2g} before.{unusual_scale}",
+    "gyroscope_never_at_rest": "The gyroscope is never at rest for a second together with the accelerometer.",
+    "accelerometer_not_calibrated": "The accelerometer has no calibration to compare the gyroscope with.",
+    "scale_not_determined": "The turns do not determine the scale.",
+    "gravity_still_off": "On held-out turns gravity is still {after_deg:.2g} degrees off. Units, axes or "
+    "times of the gyroscope may be wrong.",
+    "wrong_unit_of_rates": lambda values: (
+        "The rates are about "
+        + (
+            f"{values['factor']:.2g} times too small"
+            if values["factor"] > 1
+            else f"{1 / values['factor']:.2g} times too large"
+        )
+        + " for the turns. Check their unit."
+    ),
+    "too_little_turning": "There is too little turning about {axis}: the standard error of its scale is "
+    "{standard_error:.2g}.",
+    "scale_no_better": "A scale matrix is no better on held-out turns ({before_deg:.2g} degrees before).",
+    "too_few_turns": "There are only {turns:n turn} of at least {least_deg:g} degrees from one rest to "
+    "another within 30 s; {needed} are needed.",
+    "turns_miss_an_axis": "The turns do not span all axes: there are hardly any about {axis}.",
+    # no change was looked for
+    "too_short": "The recording is too short to show a change of the sensor.",
+    "too_many_cells": "The recording holds too many orientations and temperatures to compare them along "
+    "time.",
+    "few_still_stretches": "The device was still in too few stretches of time to show a change of the "
+    "sensor.",
+    # cautions
+    "axis_saturates": "The {axis} axis saturates at {at_g:.2f} g, below its stated range.",
+    "misfit": _misfit,
+    "sensor_changed": _changed,
+    "error_may_reach": "The error may reach {high_mg:mg} mg {where}. Do not rely on it where a few mg "
+    "matter.",
+    "no_better_than_raw": "The calibrated data may be no better than the raw data: the interval includes "
+    "the error before calibration ({before_mg:mg} mg).",
+    "sides_unchecked": "The device never rested with {sides:list} pointing up, so the calibration is not "
+    "validated in {that}.",
+    "nothing_checks_poses": "Nothing was held out: no error is known, and a wrong pose would not show. Add "
+    "poses, or roll the device with one axis level (six-pose --roll).",
+    "roll_alone_checks_poses": "Nothing was held out: only the roll speaks for this calibration.",
+    "worse_here": "The error is larger with these coefficients than without.",
+    "much_left": "{limit_mg:g} mg or more are left.",
+    # advice
+    "record_longer": "Record longer, with more turns of the wrist.",
+    "more_orientations": "The device was still in only {orientations:n orientation}: more turns of the "
+    "wrist, and a longer recording, help.",
+    "rest_on_sides": "The device never rested with {sides:list} pointing up. Take it off and leave it on "
+    "{that} for a minute.",
+    "orientations_disagree": "{orientations:n orientation} disagree by {by_mg:mg} mg: slow movement may "
+    "have passed as stillness (--stillness), or the sensor may be faulty.",
+    "check_unit": "Check the unit: use --unit, or --lsb-per-g if the values are counts.",
+    "check_sensor": "Check that the sensor was on, and that --columns names the acceleration.",
+    "other_rule": "Use another rule of --stillness.",
+    "adaptive_rule": "If that is the sensor's noise, use --stillness adaptive.",
+    "shorter_windows": "If the device rested for shorter times only, use a smaller --segment-seconds.",
+    "shorter_windows_or_longer_gaps": "Use a smaller --segment-seconds or a larger --longest-gap.",
+    "use_both_rules": "Use --stillness both.",
+    "use_default_profile": "Use --profile default, which needs no full subsets.",
+    "copy_again": "The file is cut short: copy it again from the device.",
+    "allow_damage": "To use what is left, allow more damage with --max-damage.",
+    "rest_on_faces": "Rest the device exactly on its faces, on a level surface.",
+    "check_references": "Check the references and their times.",
+    "record_again": "Record again: the device has to lie still for some seconds, in different orientations.",
+    "other_coefficients": "Use coefficients from another recording of this device (accelcal apply, or "
+    "accelcal study --borrow), or calibrate the device itself (accelcal six-pose).",
+}
+"""Sentences of the codes of reasons: formats of their values, or functions of them."""
+
+
+class _Words(Formatter):
+    """Formats values for sentences: `n NOUN` counts, `list` joins, `mg` writes an error."""
+
+    def format_field(self, value: Any, format_spec: str) -> Any:
+        if format_spec.startswith("n "):
+            return counted(value, format_spec[2:])
+        if format_spec == "list":
+            return listed(list(map(str, value)))
+        return mg(value) if format_spec == "mg" else super().format_field(value, format_spec)
+
+
+def sentence(reason: Reason) -> str:
+    """Return the sentence of a reason; of a code that is not known, the code itself."""
+    form = SENTENCES.get(reason.code)
+    if form is None:
+        return reason.code
+    if callable(form):
+        return printable(form(reason.values))
+    return printable(_Words().vformat(form, (), {**reason.values, **_phrases(reason.values)}))
+
+
+def clause(reason: Reason) -> str:
+    """Return the sentence of a reason as a part of another: without capital and full stop."""
+    return begun_small(sentence(reason)).removesuffix(".")
+
+
+def begun_small(text: str) -> str:
+    """Return a sentence that goes on after a colon."""
+    return text[:1].lower() + text[1:]
+
+
+def _phrases(values: Values) -> Values:
+    """Return parts of sentences that depend on several values."""
+    phrases: dict[str, Any] = {"unusual_scale": ""}
+    for name in ("why", "pool"):
+        if values.get(name) is not None:
+            phrases[name] = sentence(Reason(**values[name]))
+    if "why" in phrases:
+        phrases["why"] = begun_small(phrases["why"])
+    if "model" in values:
+        phrases["model_asked_for"] = (
+            f"Model {values['model']}{', as asked for' if values.get('asked_for') else ''}"
+        )
+    if "of" in values:
+        phrases["of_what"] = "Gravity measures" if values["of"] == "rest" else "The median of |a| is"
+    if "sides" in values:
+        phrases["that"] = "that orientation" if len(values["sides"]) == 1 else "those orientations"
+    left_out, why = values.get("left_out"), phrases.get("why", "the held-out error is no lower with it.")
+    phrases["left_out_because"] = f" It leaves {left_out} out: {why}" if left_out else ""
+    if values.get("unusual"):
+        phrases["unusual_scale"] = " The scale is far from 1: check the units and the axes of the gyroscope."
+    phrases["errors_here"] = _errors_here(values)
+    faces, missing = values.get("unchecked"), values.get("missing")
+    phrases["unchecked_faces"] = (
+        f" Nothing checks {listed(faces)}, without which there is no fit"
+        f"{f' (missing: {listed(missing)})' if missing else ''}."
+        if faces
+        else ""
+    )
+    return phrases
+
+
+def _errors_here(values: Values) -> str:
+    if values.get("orientations") is None:
+        return "The recording has still windows in fewer than two orientations to check them."
+    number = counted(values["orientations"], "orientation")
+    before, after = mg(values.get("before_mg")), mg(values.get("after_mg"))
+    return f"On its own still windows: {before} mg before, {after} mg after ({number})."
+
+
+def explained(reason: Reason, notes: Sequence[Reason] = ()) -> str:
+    """Return a reason and notes in sentences."""
+    return " ".join(map(sentence, (reason, *notes)))
+
+
+def message(report: ReportView) -> str:
+    """Return why a report's outcome is what it is, in sentences; older reports have only these."""
+    return explained(Reason(report.reason, report.values), report.notes) if report.reason else report.message
+
+
+def error_sentence(report: ReportView) -> str:
     """Return the number to quote, in a sentence."""
-    sphere, holdout, known = report.sphere_mg, report.holdout, report.known_orientations
-    if sphere is not None:
-        low, high = sphere.ci95
+    everywhere, holdout, known = report.error_everywhere, report.holdout, report.known_orientations
+    if everywhere is not None:
+        low, high = everywhere.ci95
         return (
-            f"Error over the whole sphere {number(sphere.mean, 2)} mg "
+            f"Calibration error over all orientations {number(everywhere.mean, 2)} mg "
             f"(95 % interval {number(low, 2)} to {number(high, 2)} mg; "
-            f"raw values {number(sphere.before)} mg)."
+            f"raw data {number(everywhere.before)} mg)."
         )
     if known is not None and known.holdout_vector_mg is not None:
         after, before = known.holdout_vector_mg.after.mean, known.holdout_vector_mg.before.mean
-        held_out = "mg on orientations left out, direction included"
-        return f"Error {number(after)} {held_out} (raw values {number(before)} mg)."
+        held_out = "mg on held-out orientations, direction included"
+        return f"Error {number(after)} {held_out} (raw data {number(before)} mg)."
     if holdout is not None:
-        held_out = "mg on postures that took no part in the fit"
         before = holdout.before_mg.mean
-        return f"Error {number(holdout.after_mg.mean)} {held_out} (raw values {number(before)} mg)."
+        after = holdout.after_mg.mean
+        return f"Error {number(after)} mg on held-out orientations (raw data {number(before)} mg)."
     return "Its error is not known."
 
 
@@ -375,7 +544,7 @@ def _fitted_to(report: ReportView, calibration: CalibrationView) -> str:
 
 
 def _errors_for_paper(report: ReportView, known: KnownOrientationsView | None) -> str:
-    sphere, holdout, text = report.sphere_mg, report.holdout, ""
+    everywhere, holdout, text = report.error_everywhere, report.holdout, ""
     if known is not None and known.unchecked is not None:
         return "Its error is not known: no data were held out."
     if holdout is not None:
@@ -384,10 +553,10 @@ def _errors_for_paper(report: ReportView, known: KnownOrientationsView | None) -
             f"{number(holdout.before_mg.mean)} mg before and "
             f"{number(holdout.after_mg.mean)} mg after calibration."
         )
-    if sphere is not None:
-        low, high = sphere.ci95
+    if everywhere is not None:
+        low, high = everywhere.ci95
         text += (
-            f" The expected error over all directions is {number(sphere.mean)} mg "
+            f" The expected error over all orientations is {number(everywhere.mean)} mg "
             f"(95 % interval {number(low)} to {number(high)} mg)."
         )
     return text.strip()

@@ -353,15 +353,15 @@ def sphere(data: TimeSeries, report: ReportView) -> Figure | None:
     halves = (svg.Hemisphere(1, 190, 176, 130), svg.Hemisphere(-1, 570, 176, 130))
     body = [_half(half, filled) for half in halves]
     body += _faces(halves, report.coverage.subsets)
-    if report.sphere_mg is not None:
-        body.append(_least_certain(halves, report.sphere_mg.worst_direction_at))
+    if report.error_everywhere is not None:
+        body.append(_least_certain(halves, report.error_everywhere.worst_direction_at))
     body.append(label(WIDTH / 2, 350, SHADES, "soft", "middle"))
     number_of = 2 * len(svg.all_cells())
     missing = empty_subsets(report.coverage.subsets)
     named = f"Empty subsets: {listed(missing)}." if missing else "None of the nine subsets is empty."
     title = "Directions in which the sensor rested"
     text = f"It rested in {len(filled)} of {number_of} cells of equal area. {named}"
-    if report.sphere_mg is not None:
+    if report.error_everywhere is not None:
         text += " The cross marks the direction in which the calibration is least certain."
     return Figure("sphere", title, svg.figure("sphere", title, text, 362, body), text)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from accelcal_cli.core.errors import counted
+from accelcal_cli.output.advice import cautions, page_verdict
 from accelcal_cli.output.report_view import (
     CalibrationView,
     GyroscopeView,
@@ -26,8 +27,7 @@ from accelcal_cli.output.words import (
     methods_paragraph,
     millionths,
     number,
-    page_verdict,
-    unchecked_poses,
+    sentence,
 )
 from accelcal_cli.pages.figures import NEAR, figures_of
 from accelcal_cli.pages.rendering import PageTable, Rows, rendered
@@ -264,7 +264,7 @@ def _known_orientations(report: ReportView) -> KnownOrientationsPart | None:
     head = ["Axis", "Where", "Shows [mg] (SD)", "Calibrated [mg] (SD)"]
     caption = "Rolls with one axis level, which should show nothing"
     return KnownOrientationsPart(
-        unchecked_poses(report),
+        " ".join(sentence(one) for one in cautions(report) if one.code.endswith("checks_poses")) or None,
         _poses(report.poses),
         PageTable(caption, head, rolls, (0, 1)) if rolls else None,
     )

@@ -21,14 +21,15 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from accelcal_cli.core.errors import counted, printable
-from accelcal_cli.output.words import LIMIT_MG, OUTCOMES, mg_of_two_digits, outcome_words
+from accelcal_cli.output.advice import LIMIT_MG
+from accelcal_cli.output.words import OUTCOMES, mg_of_two_digits, outcome_words
 from accelcal_cli.pages import study_figures as figures
 from accelcal_cli.pages.rendering import rendered
 
 WANTED = (
-    "path", "outcome", "message", "model", "borrowed_from", "before_mg", "after_mg", "sphere_mg",
-    "sphere_high_mg", "sphere_before_mg", "change", "change_at", "change_mg", "misfits", "device_model",
-    "device_serial", "start_time", "duration_s", "lost_percent", "report",
+    "path", "outcome", "message", "model", "borrowed_from", "before_mg", "after_mg", "calibration_error_mg",
+    "calibration_error_high_mg", "calibration_error_before_mg", "change", "change_at", "change_mg", "misfits",
+    "device_model", "device_serial", "start_time", "duration_s", "lost_percent", "report",
 )  # fmt: skip
 """Columns of the study's table that the page shows."""
 
@@ -42,9 +43,9 @@ DAMAGED_FROM_PERCENT = 0.1
 """Share of a recording's bytes from which damage is a problem, as for `accelcal devices`."""
 SIZES = {
     "changed": "change_mg",
-    "uncertain": "sphere_high_mg",
+    "uncertain": "calibration_error_high_mg",
     "damaged": "lost_percent",
-    "misfit": "sphere_mg",
+    "misfit": "calibration_error_mg",
 }
 """Columns that say how bad a problem is, by its kind."""
 HOUR_S = 3600
@@ -205,7 +206,7 @@ class _Entry:
             "failed": self.row["outcome"] == "failed",
             "changed": self.changed,
             "refused": self.row["outcome"] == "refused",
-            "uncertain": (self.row["sphere_high_mg"] or 0.0) > limit_mg,
+            "uncertain": (self.row["calibration_error_high_mg"] or 0.0) > limit_mg,
             "damaged": (self.row["lost_percent"] or 0.0) >= DAMAGED_FROM_PERCENT,
             "misfit": self.row["misfits"] not in (None, "none"),
         }
@@ -246,7 +247,10 @@ class _Entry:
     @property
     def errors(self) -> tuple[float, float] | None:
         """Error before and after [mg]: over the sphere, or where that is not known on held-out postures."""
-        for before, after in (("sphere_before_mg", "sphere_mg"), ("before_mg", "after_mg")):
+        for before, after in (
+            ("calibration_error_before_mg", "calibration_error_mg"),
+            ("before_mg", "after_mg"),
+        ):
             if self.row[before] is not None and self.row[after] is not None:
                 return self.row[before], self.row[after]
         return None
@@ -256,7 +260,7 @@ class _Entry:
         """One sentence about the problem; empty without one."""
         kind = "" if self.problem is None else self.problem.key
         if kind == "uncertain":
-            size, most = self.row["sphere_mg"] or 0.0, self.row["sphere_high_mg"]
+            size, most = self.row["calibration_error_mg"] or 0.0, self.row["calibration_error_high_mg"]
             return f"{size:.1f} mg over the whole sphere, but perhaps {most:.1f} mg (95 %)"
         if kind == "damaged":
             return f"{self.row['lost_percent']:.2g} % of the file is lost; {self.message}"

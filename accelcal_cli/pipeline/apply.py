@@ -18,6 +18,7 @@ from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.input_files import size_of
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome, WithoutMisalignment
 from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS, SIX_POSE, Settings
@@ -135,15 +136,17 @@ class DonorCoefficients(Judge):
 
     def _own_judgement(self, found: Survey) -> Judgement:
         report = self.donor.document.report
-        text = printable(f"{report['message']}; these are the recording's own coefficients")
-        return Judgement(Outcome(report["outcome"]), text, found.coverage, (), self.donor.calibration)
+        why = Reason.of("earlier_verdict", message=printable(report["message"]))
+        if "reason" in report:
+            why = Reason(report["reason"], report["values"])
+        notes, outcome = (Reason("own_coefficients"),), Outcome(report["outcome"])
+        return Judgement(outcome, why, found.coverage, (), self.donor.calibration, notes=notes)
 
     def _borrowed_judgement(self, found: Survey) -> Judgement:
         settings, calibration = self.settings, self.calibration
         method = REREAD if self.relation is Relation.REREAD else UNSEEN
         holdout = held_out(found.points, calibration, settings.gravity, settings.posture_degrees, method)
-        text = sentence(self.donor, calibration, found.recording, holdout, settings.max_error_mg)
-        verdict = Judgement(Outcome.BORROWED, text, found.coverage, (), calibration, holdout=holdout)
+        verdict = judged_elsewhere(self.donor, calibration, found, holdout, settings.max_error_mg)
         if (simpler := without_misalignment(self.donor)) is None:
             return verdict
         used = at_reference(simpler, settings)
@@ -309,61 +312,76 @@ def keep_coefficients(path: Path, planned: Sequence[Job]) -> None:
             )
 
 
-def sentence(
+def judged_elsewhere(
     donor: Coefficients,
     calibration: Calibration,
-    recording: Recording,
+    found: Survey,
     holdout: Holdout | None,
     limit_mg: float,
-) -> str:
-    """Return the report's message: whose the coefficients are, their errors, warnings and differences."""
-    cautions = [] if holdout is None else _warnings(holdout.before.mean, holdout.after.mean, limit_mg)
-    origin, errors = donor.origin, "no two postures of stillness to judge them by"
-    if holdout is not None:
-        errors = f"{holdout.before.mean:.1f} mg before, {holdout.after.mean:.2f} mg after"
-        errors = f"{errors} on {holdout.postures} postures, none of which they were found from"
+) -> Judgement:
+    """Judge a donor's coefficients by their errors on another recording's points."""
+    return Judgement(
+        Outcome.BORROWED,
+        _origin_reason(donor, holdout),
+        found.coverage,
+        (),
+        calibration,
+        notes=_differences(donor, calibration, found.recording),
+        cautions=_warnings(holdout, limit_mg),
+        holdout=holdout,
+    )
+
+
+def _origin_reason(donor: Coefficients, holdout: Holdout | None) -> Reason:
+    """Return whose the coefficients are, and their errors on the recording's own points."""
+    origin = donor.origin
     device = " ".join(word for word in (origin.device.model, origin.device.serial) if word) or "unknown"
-    about = f"coefficients of {origin.path} (sha256 {origin.sha256[:SHOWN_HASH]}, device {device}): {errors}"
-    return printable("; ".join([about, *cautions, *_differences(donor, calibration, recording)]))
+    return Reason.of(
+        "borrowed",
+        path=printable(origin.path),
+        sha256=origin.sha256[:SHOWN_HASH],
+        device=printable(device),
+        **errors_here(holdout),
+    )
 
 
-def _differences(donor: Coefficients, calibration: Calibration, recording: Recording) -> list[str]:
+def errors_here(holdout: Holdout | None) -> dict[str, Any]:
+    """Return the values of a reason that say how coefficients do on a recording's own points."""
+    if holdout is None:
+        return {"before_mg": None, "after_mg": None, "orientations": None}
+    before, after = holdout.before.mean, holdout.after.mean
+    return {"before_mg": before, "after_mg": after, "orientations": holdout.postures}
+
+
+def _differences(donor: Coefficients, calibration: Calibration, recording: Recording) -> tuple[Reason, ...]:
     notes, then = [], donor.document.recording
     theirs, ours = donor.origin.device, recording.device
     if theirs.serial != ours.serial or not ours.serial:
-        notes.append(f"this recording's device is {ours.serial or 'unknown'}")
+        notes.append(Reason.of("other_device", serial=printable(ours.serial or "unknown")))
     elif theirs.model and ours.model and theirs.model != ours.model:
-        notes.append(f"this recording's device is a {ours.model} of the same serial")
+        notes.append(Reason.of("other_model", model=printable(ours.model)))
     found_there = then.sha256 == donor.origin.sha256
     if found_there and then.lsb_per_g not in (None, recording.lsb_per_g):
-        notes.append(f"{recording.lsb_per_g:.10g} counts per g here, {then.lsb_per_g:.10g} there")
+        notes.append(Reason("other_counts_per_g", {"here": recording.lsb_per_g, "there": then.lsb_per_g}))
     bare = bool((then.factory_calibration or {}).get("acceleration"))
     if found_there and bare != recording.of_bare_sensor:
-        here, there = ("there", "here") if bare else ("here", "there")
-        notes.append(f"the maker's calibration was applied first {here} and not {there}")
+        pair = ("this recording", "that of the coefficients")
+        to, not_to = reversed(pair) if bare else pair
+        notes.append(Reason.of("factory_calibration_differs", to=to, not_to=not_to))
     if donor.calibration.temperature is not None and calibration.temperature is None:
-        at_c = donor.calibration.reference_c()
-        notes.append(f"used as at {at_c:.1f} C, their temperature slopes are left out")
-    return notes
+        notes.append(Reason.of("slopes_left_out", at_c=donor.calibration.reference_c()))
+    return tuple(notes)
 
 
-def _warnings(before_mg: float, after_mg: float, limit_mg: float) -> list[str]:
+def _warnings(holdout: Holdout | None, limit_mg: float) -> tuple[Reason, ...]:
+    if holdout is None:
+        return ()
     warnings = []
-    if after_mg > before_mg:
-        warnings.append("the error is larger with them than without")
-    if after_mg >= limit_mg:
-        warnings.append(f"{limit_mg:g} mg or more are left")
-    return warnings
-
-
-def warning(report: dict[str, Any]) -> str | None:
-    """Return the warning about a report of borrowed coefficients, None if nothing speaks against them."""
-    holdout = report["holdout"]
-    if report["outcome"] != Outcome.BORROWED or holdout is None:
-        return None
-    before_mg, after_mg = holdout["before_mg"]["mean"], holdout["after_mg"]["mean"]
-    warnings = _warnings(before_mg, after_mg, report["settings"]["max_error_mg"])
-    return f"warning: {report['message']}" if warnings else None
+    if holdout.after.mean > holdout.before.mean:
+        warnings.append(Reason("worse_here"))
+    if holdout.after.mean >= limit_mg:
+        warnings.append(Reason.of("much_left", limit_mg=limit_mg))
+    return tuple(warnings)
 
 
 def _origin_json(donor: Coefficients) -> dict[str, Any]:
@@ -389,7 +407,7 @@ class Borrowed:
     """
 
     result: Result | None
-    reasons: tuple[str, ...]
+    reasons: tuple[Reason, ...]
 
 
 def borrow(
@@ -418,7 +436,7 @@ def borrow(
     with open_run(job, request, progress, before=before) as run:
         prepare(job, force=request.force)
         own = run.result(OwnCalibration(request.recording_settings)) if must_be_better else None
-        reasons: list[str] = []
+        reasons: list[Reason] = []
         for path in reports:
             donor = read_coefficients(path, by_content=True)
             try:
@@ -429,10 +447,10 @@ def borrow(
                     return Borrowed(None, (_untested(verdict),))
                 why = _why_not(judge, verdict.holdout) or _why_own(own, judge)
             except UsageError as error:
-                why = error.message
+                why = Reason.of("not_tried", message=printable(error.message))
             if why is None:
                 return Borrowed(recipient.write(_relocatable(found, job)), tuple(reasons))
-            reasons.append(printable(f"with the coefficients of {donor.origin.path}, {why}"))
+            reasons.append(Reason.of("donor", path=printable(donor.origin.path), why=why))
         return Borrowed(None, tuple(reasons))
 
 
@@ -444,29 +462,29 @@ def _other(run: RecordingRun, donor: Coefficients) -> tuple[RecordingRun, DonorC
     return recipient, judge
 
 
-def _untested(verdict: Judgement) -> str:
-    if verdict.outcome is Outcome.REFUSED:
-        return verdict.message
-    return f"there is no stillness in {FEWEST_POSTURES} postures to test coefficients on"
+def _untested(verdict: Judgement) -> Reason:
+    refused = verdict.outcome is Outcome.REFUSED
+    return verdict.reason if refused else Reason.of("untested", needed=FEWEST_POSTURES)
 
 
-def _why_not(judge: DonorCoefficients, holdout: Holdout) -> str | None:
+def _why_not(judge: DonorCoefficients, holdout: Holdout) -> Reason | None:
     before, after, limit_mg = holdout.before.mean, holdout.after.mean, judge.settings.max_error_mg
-    changed = f"{before:.1f} mg become {after:.2f} mg on {holdout.postures} postures"
     if after > before or (after == before and judge.donor.calibration.model != "0"):
-        return f"{changed}, which is no less"
-    return f"{changed}, {limit_mg:g} mg is the limit" if after >= limit_mg else None
+        return Reason.of("not_less", **errors_here(holdout))
+    return (
+        Reason.of("over_limit_here", **errors_here(holdout), limit_mg=limit_mg) if after >= limit_mg else None
+    )
 
 
-def _why_own(own: FirstPass | None, judge: DonorCoefficients) -> str | None:
+def _why_own(own: FirstPass | None, judge: DonorCoefficients) -> Reason | None:
     """Return why the recording's own calibration is preferred, or None."""
     if own is None or (holdout := own.data.judgement.holdout) is None:
         return None
     settings = judge.settings
     borrowed = held_out(own.points, judge.calibration, settings.gravity, settings.posture_degrees, UNSEEN)
     if borrowed is None or not better(borrowed, holdout):
-        shown = "no" if borrowed is None else f"{borrowed.after.mean:.2f} mg"
-        return f"{shown} instead of its own {holdout.after.mean:.2f} mg is no less beyond the uncertainty"
+        after_mg = None if borrowed is None else borrowed.after.mean
+        return Reason.of("own_is_no_worse", after_mg=after_mg, own_mg=holdout.after.mean)
     return None
 
 

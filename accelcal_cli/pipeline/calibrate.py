@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.subsets import PaperCollector
-from accelcal_cli.core.errors import counted
 from accelcal_cli.core.parallel import background_result
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.prior import LearntPrior
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.results import Coverage, Facts, Judgement, Outcome
 from accelcal_cli.core.settings import NO_PRIOR, PoseSettings, Settings
-from accelcal_cli.judge.change import change_sentence
+from accelcal_cli.judge.change import change_reason
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.refusal import advised, damage_verdict
@@ -48,7 +48,7 @@ each take Python's lock for longer wait less for each other."""
 HASHED_IN_BACKGROUND = 1 << 24
 """Size [bytes] from which a recording is hashed by a thread of its own."""
 
-UNLIKE = "its points speak against what other recordings say of its sensor"
+UNLIKE = Reason("unlike_prior")
 
 
 def calibrate(
@@ -74,7 +74,7 @@ def calibrate_with(
     *,
     must_calibrate: bool = False,
     before: FileStamp | None = None,
-) -> Result | str:
+) -> Result | Reason:
     """Calibrate one recording with a prior from other recordings.
 
     Args:
@@ -95,7 +95,7 @@ def calibrate_with(
         if judgement.unlike:
             return UNLIKE
         if must_calibrate and judgement.outcome is Outcome.REFUSED:
-            return judgement.message
+            return judgement.reason
         return run.write(found, integers_json(found.data, found.points) if request.integers else None)
 
 
@@ -192,15 +192,16 @@ class OwnCalibration(Judge):
         return Verdict(judgement, {} if learnt is None else {"prior": learnt.as_json()})
 
     def _with_notes(self, judgement: Judgement, found: Survey) -> Judgement:
-        """Return the judgement with a message that names the prior, repeated windows and a change."""
-        notes = [] if self.learnt is None else [self.learnt.sentence()]
+        """Return the judgement with notes on the prior and repeated windows, and the caution of a change."""
+        notes = [] if self.learnt is None else [self.learnt.reason()]
         if repeated := found.method.segmenter.counts.repeated:
-            notes.append(f"{counted(repeated, 'still window')} repeat earlier ones exactly and were left out")
+            notes.append(Reason.of("windows_repeated", windows=repeated))
+        change = None
         if judgement.change is not None:
             followed = judgement.calibration is not None and judgement.calibration.correction is not None
-            change = change_sentence(judgement.change, found.facts.utc_offset_s, followed=followed)
-            notes += [] if change is None else [change]
-        return replace(judgement, message="; ".join([judgement.message, *notes]))
+            change = change_reason(judgement.change, found.facts.utc_offset_s, followed=followed)
+        cautions = (*judgement.cautions, *([] if change is None else [change]))
+        return replace(judgement, notes=(*judgement.notes, *notes), cautions=cautions)
 
 
 def with_collection_time(judgement: Judgement, collector: PaperCollector, recording: Recording) -> Judgement:

@@ -30,6 +30,7 @@ from accelcal_cli.output.report import (
     problem_json,
     rest_json,
 )
+from accelcal_cli.output.words import explained
 from accelcal_cli.pipeline.facts import FactsObserver
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.pipeline.procedures import fitting, make_method
@@ -198,7 +199,9 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
         "values": _values(inspection),
         "prediction": {
             "outcome": str(prediction.outcome),
-            "message": prediction.message,
+            "reason": prediction.reason.code,
+            "values": dict(prediction.reason.values),
+            "message": explained(prediction.reason, prediction.notes),
             "holdout": None if prediction.holdout is None else holdout_json(prediction.holdout),
         },
     }

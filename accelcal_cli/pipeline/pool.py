@@ -15,6 +15,7 @@ from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.formats import unused_note, without
 from accelcal_cli.core.points import WindowCounts
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome
 from accelcal_cli.core.settings import Settings
@@ -26,6 +27,7 @@ from accelcal_cli.output.report_kinds import TAKEN, Member, PoolInput, build_poo
 from accelcal_cli.output.report_reading import Document, check_sections
 from accelcal_cli.output.report_view import PoolView, record
 from accelcal_cli.pipeline import procedures
+from accelcal_cli.pipeline.apply import errors_here
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.outputs import prepare
@@ -83,7 +85,7 @@ def pool(
         _refuse_other(parts[0].recording, part.recording)
     settings = request.recording_settings
     fitted = _fitted(parts, settings)
-    left_out: dict[_Part, str] = {}
+    left_out: dict[_Part, Reason] = {}
     while misfits := _misfits(fitted, settings):
         left_out |= misfits
         rest = [part for part in fitted.parts if part not in misfits]
@@ -106,7 +108,7 @@ def _fitted(parts: Sequence[_Part], settings: Settings) -> _Fitted:
     return _Fitted(tuple(parts), procedure.judge(procedures.fitting(settings)), windows)
 
 
-def _misfits(fitted: _Fitted, settings: Settings) -> dict[_Part, str]:
+def _misfits(fitted: _Fitted, settings: Settings) -> dict[_Part, Reason]:
     """Return the recordings that can hardly be of the pool's device, and why."""
     verdict, found = fitted.verdict, {}
     calibration = verdict.calibration or verdict.candidate
@@ -121,13 +123,13 @@ def _misfits(fitted: _Fitted, settings: Settings) -> dict[_Part, str]:
     return found
 
 
-def _contradictory(verdict: Judgement, misfits: Mapping[_Part, str]) -> Judgement:
-    which = min(f"{part.member.path}: {why}" for part, why in misfits.items())
-    text = printable(f"its recordings contradict each other ({which})")
-    return Judgement(Outcome.REFUSED, text, verdict.coverage, verdict.trials)
+def _contradictory(verdict: Judgement, misfits: Mapping[_Part, Reason]) -> Judgement:
+    part = min(misfits, key=lambda one: str(one.member.path))
+    why = Reason.of("recordings_contradict", path=printable(part.member.path), why=misfits[part])
+    return Judgement(Outcome.REFUSED, why, verdict.coverage, verdict.trials)
 
 
-def _input(fitted: _Fitted, left_out: Mapping[_Part, str], request: Request) -> PoolInput:
+def _input(fitted: _Fitted, left_out: Mapping[_Part, Reason], request: Request) -> PoolInput:
     parts, settings = fitted.parts, request.recording_settings
     unused = [name for name in parts[0].unused if all(name in part.unused for part in parts)]
     request = replace(request, options=without(request.options, unused))
@@ -169,7 +171,7 @@ def apply_pool(
     document: Document,
     progress: ProgressMaker = no_progress,
     before: FileStamp | None = None,
-) -> Result | str:
+) -> Result | Reason:
     """Apply a pool's coefficients to one of its recordings.
 
     Args:
@@ -197,7 +199,7 @@ class PoolCoefficients(Judge):
 
     def method(self, recording: Recording) -> procedures.Method:
         """Return the method; raises UnreadableError if the pool's report is damaged."""
-        check_sections(self.document, (*TAKEN, "outcome", "message", "pool"))
+        check_sections(self.document, (*TAKEN, "outcome", "reason", "values", "pool"))
         return procedures.make_method(recording, self.settings)
 
     def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
@@ -206,27 +208,31 @@ class PoolCoefficients(Judge):
             return Verdict(found.damage)
         settings, calibration = self.settings, calibration_of(self.document.report["calibration"])
         holdout = held_out(found.points, calibration, settings.gravity, settings.posture_degrees, SEEN)
-        text = _message(self.document, holdout)
-        outcome = Outcome(self.document.report["outcome"])
-        judgement = Judgement(outcome, text, found.coverage, (), calibration, holdout=holdout)
+        outcome, why = Outcome(self.document.report["outcome"]), _reason(self.document, holdout)
+        judgement = Judgement(outcome, why, found.coverage, (), calibration, holdout=holdout)
         return Verdict(judgement, of_member(self.document, run.job.report, holdout))
 
 
-def _message(document: Document, holdout: Holdout | None) -> str:
-    pool_section = record(PoolView, document.report["pool"])
-    members = f"{len(pool_section.recordings)} recordings of device {pool_section.serial}"
-    own = "no two postures of stillness of its own"
-    if holdout is not None:
-        own = f"{holdout.before.mean:.1f} mg before, {holdout.after.mean:.2f} mg after on its own stillness"
-    return printable(f"pool of {members}: {document.report['message']}; {own}")
+def _reason(document: Document, holdout: Holdout | None) -> Reason:
+    view = record(PoolView, document.report["pool"])
+    pool_reason = Reason.of("earlier_verdict", message=document.report["message"])
+    if "reason" in document.report:
+        pool_reason = Reason(document.report["reason"], document.report["values"])
+    return Reason.of(
+        "pooled",
+        recordings=len(view.recordings),
+        serial=printable(view.serial),
+        pool=pool_reason,
+        **errors_here(holdout),
+    )
 
 
-def _why_not(data: ReportInput, document: Document) -> str | None:
+def _why_not(data: ReportInput, document: Document) -> Reason | None:
     judgement = data.judgement
     if judgement.outcome is Outcome.REFUSED:
-        return judgement.message
+        return judgement.reason
     for member in record(PoolView, document.report["pool"]).left_out:
         if member.sha256 == data.sha256:
-            return f"left out of the pool: {member.reason}"
+            return Reason.of("left_out_of_pool", why=Reason(member.reason, member.values))
     usual_mg, limit_mg = document.report["holdout"]["after_mg"]["median"], data.settings.method.max_error_mg
     return None if judgement.holdout is None else worse(judgement.holdout, usual_mg, limit_mg)

@@ -18,12 +18,13 @@ from accelcal_cli.core.calibration import Correction
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.points import Fates, Optimizer, PointSet, TimedMeans, WindowCounts, Windows
 from accelcal_cli.core.prior import POPULATION, Prior
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Change, Facts, Judgement
 from accelcal_cli.core.settings import LEARNT_PRIORS, NEVER, NO_PRIOR, PAPER, Settings
 from accelcal_cli.judge.change import ChangeSearch
 from accelcal_cli.judge.model_ladder import Fitting
-from accelcal_cli.judge.refusal import FAR_FROM_1_G, NO_STILLNESS
+from accelcal_cli.judge.refusal import FAR_FROM_1_G, NOTHING_STILL
 from accelcal_cli.judge.verdict import judge, judge_paper, with_errors_before
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report import WindowUse
@@ -158,15 +159,15 @@ class CellProcedure(Procedure):
         saturated = self.collector.saturated()
         return judge(self.result(), how, self._why_none(how.settings), saturated=saturated)
 
-    def _why_none(self, settings: Settings) -> str:
+    def _why_none(self, settings: Settings) -> Reason:
         counts = self.collector.counts()
         if settings.adaptive is not None:
-            return "no rest comes near the quietest window of the recording; use another rule of --stillness"
+            return Reason("nothing_near_quietest")
         if counts.implausible:
             return FAR_FROM_1_G
         if counts.constant:
-            return "still windows hold nothing but constant values: the device did not measure"
-        return NO_STILLNESS
+            return Reason("constant_values")
+        return NOTHING_STILL
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
         """See `Procedure`."""

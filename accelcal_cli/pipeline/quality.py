@@ -14,12 +14,14 @@ from typing import Any
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import UsageError, counted, printable
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Change, Judgement, Outcome
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.statistics import mean
-from accelcal_cli.judge.change import LEAST_MG, ChangeSearch, ComparedErrors, change_sentence
+from accelcal_cli.judge.change import LEAST_MG, ChangeSearch, ComparedErrors, change_reason
 from accelcal_cli.judge.quality import Period, check, far_off
 from accelcal_cli.output.quality import QualityInput, rows_json
+from accelcal_cli.output.words import clause, explained, sentence
 from accelcal_cli.pipeline.apply import with_coefficients
 from accelcal_cli.pipeline.calibrate import FirstPass, Judge, OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress
@@ -86,7 +88,7 @@ def quality(
     made = found.quality()
     assert made is not None
     judgement = made.data.judgement
-    start = Quality(path, made, QualityState.REFUSED, judgement.message)
+    start = Quality(path, made, QualityState.REFUSED, explained(judgement.reason, judgement.notes))
     if judgement.outcome is Outcome.REFUSED:
         return start
     if request.coefficients is not None:
@@ -148,7 +150,7 @@ def _by_periods(start: Quality, found: FirstPass, calibration: Calibration, *, o
     """Return the verdict by errors in periods of the recording, or by the hold-out if it is too short."""
     along = compared_along_time(calibration, found.method.procedure)
     if along.compared is None:
-        return _by_holdout(start, along.change.unchecked or "", LEAST_MG)
+        return _by_holdout(start, sentence(Reason(along.change.unchecked or "too_short")), LEAST_MG)
     limit_mg = start.made.data.settings.method.max_error_mg
     checked = check(along.compared, along.change, along.blocks, limit_mg)
     start = replace(start, periods=_periods_by_row(checked.periods, start.made, along.block_samples))
@@ -213,8 +215,8 @@ def _degraded(start: Quality, change: Change) -> Quality:
 
 def _with_change(text: str, start: Quality, change: Change) -> str:
     """Append to a sentence how the sensor changed."""
-    changed = change_sentence(change, start.made.data.facts.utc_offset_s, followed=False)
-    return text if changed is None else f"{text}; {changed.split(';')[0]}"
+    changed = change_reason(change, start.made.data.facts.utc_offset_s, followed=True)
+    return text if changed is None else f"{text}; {clause(changed)}"
 
 
 def _seconds(time: str | None) -> str:

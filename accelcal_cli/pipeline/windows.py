@@ -11,6 +11,7 @@ import numpy as np
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.points import PointSet
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.settings import EffectiveSettings, Settings
 from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.errors import deviations_mg
@@ -33,8 +34,7 @@ CSV = ".csv"
 IN_MEMORY = Path("table")
 """Stands for the path of a table that is in no file."""
 
-NOT_NEAR = "no point is anywhere near 1 g; x, y and z must be in g"
-NO_POINTS = "the table holds no points"
+NOT_NEAR, NO_POINTS = Reason("no_point_near_1_g"), Reason("no_points")
 
 
 def check_table_path(path: Path, jobs: list[Job]) -> None:

@@ -30,10 +30,12 @@ from accelcal_cli.core.errors import DivergedError, UnreadableError, UsageError,
 from accelcal_cli.core.input_files import files_of, is_no_part, pattern_of
 from accelcal_cli.core.local_time import NO_START
 from accelcal_cli.core.points import Windows
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, PlacedFile, Recording, Validity
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.output.report import rounded
+from accelcal_cli.output.words import sentence
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import STDIN, Job, ProgressMaker, Request, Result, no_progress, real
 from accelcal_cli.pipeline.procedures import CellProcedure, Method, local_lsb_per_g
@@ -186,9 +188,6 @@ class RollFigures:
     length_g: float
     turn_g: float
 
-    def __str__(self) -> str:
-        return f"{1000 * self.mean_g:.1f} mg (SD {1000 * self.sd_g:.1f})"
-
     def level_json(self) -> dict[str, float]:
         """Return the figures of the level axis for the report."""
         return {"mean": round(1000 * self.mean_g, 4), "sd": round(1000 * self.sd_g, 4)}
@@ -212,11 +211,12 @@ class RollResult:
     before: RollFigures
     after: RollFigures | None
 
-    def sentence(self) -> str:
-        """Return the part of a report's message on this roll."""
-        axis, after = AXES[self.axis], self.after
-        text = f"rolled with {axis} level, {axis} shows {self.before}"
-        return text if after is None else f"{text} before, {after} after"
+    def reason(self) -> Reason:
+        """Return the note of a verdict on this roll."""
+        values = {"axis": AXES[self.axis], "before_mg": self.before.level_json()}
+        return Reason(
+            "rolled", values | {"after_mg": None if self.after is None else self.after.level_json()}
+        )
 
     def as_json(self, session: Session) -> dict[str, Any]:
         """Return the entry of the report's `rolls`; values after a calibration are null without one."""
@@ -440,7 +440,7 @@ class KnownOrientations(Judge):
 
     def _verdict(self, run: RecordingRun, found: Survey) -> Verdict:
         if found.damage is not None:
-            raise DivergedError(found.damage.message)
+            raise DivergedError(sentence(found.damage.reason))
         origins = _origins(run.reader.files, found)
         spans = [span_of_roll(roll, origins) for roll in self.rolls]
         session = self.find_poses(found, origins, spans)
@@ -449,9 +449,7 @@ class KnownOrientations(Judge):
         if judgement.calibration is not None:
             check_range(judgement.calibration)
         rolls = self._rolled(run, judgement, spans, origins)
-        judgement = replace(
-            judgement, message="; ".join([judgement.message, *(roll.sentence() for roll in rolls)])
-        )
+        judgement = replace(judgement, notes=tuple(roll.reason() for roll in rolls))
         rolls_json = [roll.as_json(session) for roll in rolls]
         known = known_json(session, fit, judgement.outcome, vectors, rolls_json)
         sections = {"poses": poses_json(session, fit), "known_orientations": known}

@@ -15,22 +15,21 @@ import numpy as np
 from accelcal_cli.core.arithmetic import ONE, to_float
 from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.clock import iso_time
-from accelcal_cli.core.errors import counted
 from accelcal_cli.core.points import WEIGHT_ONE, Fit, Operations, PointSet
+from accelcal_cli.core.reasons import Reason, significant
 from accelcal_cli.core.results import Coverage, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.errors import coverage, summary
 from accelcal_cli.judge.model_ladder import of_postures
-from accelcal_cli.output.report import rounded, significant, summary_json
+from accelcal_cli.judge.verdict import Decision
+from accelcal_cli.output.report import rounded, summary_json
 from accelcal_cli.six_pose.listing import LENGTH_TOLERANCE, Origin
 from accelcal_cli.six_pose.poses import Pose, PoseError, Session, SixPoseFit, Uncertainty, VectorErrors
 
 METHOD = "one orientation left out at a time"
 NOTHING_HELD_OUT = "nothing was held out, so that the error is not known"
-DEGREE_MG = 17.5
-"""Error [mg] that a tilt of one degree makes across 1 g."""
-
+UNKNOWN = Reason("nothing_held_out")
 EQUATION = "z = K a + O"
 
 
@@ -59,10 +58,12 @@ def judge_six_pose(
     if not fit.checked:
         return _unjudged(session, fit), None
     holdout = _holdout(session, fit)
-    outcome, message = _outcome(session, fit, settings, holdout)
+    decided = _outcome(session, fit, settings, holdout)
+    outcome = decided.outcome
     verdict = Judgement(
         outcome=outcome,
-        message=message,
+        reason=decided.reason,
+        advice=decided.advice,
         coverage=_coverage(session, fit),
         trials=(Trial("0", holdout.raw, None), Trial("12", holdout.norms, None)),
         holdout=holdout.raw if outcome is Outcome.ALREADY_GOOD else holdout.norms,
@@ -76,10 +77,9 @@ def _unjudged(session: Session, fit: SixPoseFit) -> Judgement:
     before = mean(_by_orientation(session, fit, lambda error: error.raw, every=True))
     verdict = Judgement(
         outcome=Outcome.CALIBRATED,
-        message=f"model 12 of {counted(session.orientations, 'pose')}, unchecked: {NOTHING_HELD_OUT}; "
-        f"the raw data are {before:.1f} mg off, as vectors",
+        reason=Reason.of("poses_unchecked", orientations=session.orientations, before_mg=before),
         coverage=_coverage(session, fit),
-        trials=(Trial("0", None, NOTHING_HELD_OUT), Trial("12", None, NOTHING_HELD_OUT)),
+        trials=(Trial("0", None, UNKNOWN), Trial("12", None, UNKNOWN)),
         fit_errors=None if fit.precision is None else _fit_errors(session, fit),
     )
     return _with_calibration(verdict, fit)
@@ -99,60 +99,52 @@ def _with_calibration(verdict: Judgement, fit: SixPoseFit) -> Judgement:
     )
 
 
-def _outcome(
-    session: Session, fit: SixPoseFit, settings: PoseSettings, holdout: SessionHoldout
-) -> tuple[Outcome, str]:
+def _outcome(session: Session, fit: SixPoseFit, settings: PoseSettings, holdout: SessionHoldout) -> Decision:
     before, after = holdout.vectors.before.mean, holdout.vectors.after.mean
     norm_before, norm_after = holdout.norms.before.mean, holdout.norms.after.mean
+    values = {
+        "before_mg": before,
+        "after_mg": after,
+        "norm_before_mg": norm_before,
+        "norm_after_mg": norm_after,
+    }
     if after >= settings.max_vector_error_mg or norm_after >= settings.max_error_mg:
-        return Outcome.REFUSED, (
-            f"the poses disagree: {after:.1f} mg on orientations left out, {norm_after:.1f} mg in length "
-            f"(the limits are {settings.max_vector_error_mg:g} and {settings.max_error_mg:g}); "
-            f"{_worst(session, fit)}; {_way(session, settings)}"
-        )
+        limits = {"vector_limit_mg": settings.max_vector_error_mg, "limit_mg": settings.max_error_mg}
+        why = Reason.of("poses_disagree", **values, **limits, **_worst(session, fit))
+        return Decision(Outcome.REFUSED, why, (_way(session, settings),))
     if after >= before:
-        return Outcome.ALREADY_GOOD, (
-            f"the raw data are {before:.1f} mg off, no more than twelve parameters: {after:.1f} mg on "
-            "orientations left out"
-        )
-    return Outcome.CALIBRATED, (
-        f"model 12: {norm_before:.1f} mg before, {norm_after:.2f} mg after on orientations left out; "
-        f"as vectors {before:.1f} and {after:.2f} mg{_unchecked(session, fit)}"
-    )
+        return Decision(Outcome.ALREADY_GOOD, Reason.of("poses_no_better", **values))
+    faces = _unchecked(session, fit)
+    why = Reason.of("poses_calibrated", **values, unchecked=faces, missing=session.missing if faces else ())
+    return Decision(Outcome.CALIBRATED, why)
 
 
-def _way(session: Session, settings: PoseSettings) -> str:
+def _way(session: Session, settings: PoseSettings) -> Reason:
     """Return advice on poses that disagree."""
     local_g = float(settings.gravity.local_g())
     lengths = [sqrt(sum(value**2 for value in pose.reference)) / ONE for pose in session.poses]
-    if any(abs(length - local_g) > 2 * LENGTH_TOLERANCE for length in lengths):
-        return "check the references and their times"
-    return "rest the device exactly on its faces, on a level surface"
+    wrong = any(abs(length - local_g) > 2 * LENGTH_TOLERANCE for length in lengths)
+    return Reason("check_references" if wrong else "rest_on_faces")
 
 
-def _worst(session: Session, fit: SixPoseFit) -> str:
-    """Describe the state farthest from where the other orientations expect it."""
+def _worst(session: Session, fit: SixPoseFit) -> dict[str, Any]:
+    """Return the state farthest from where the other orientations expect it."""
     error, pose = max(
         ((error, pose) for pose, error in zip(session.poses, fit.errors, strict=True)),
         key=lambda pair: pair[0].held_out or 0.0,
     )
-    start_s = session.seconds(pose.state.start_us, pose.state.file)
     file = session.name(pose.state.file)
-    where = pose.face if file is None else f"{pose.face} in {file}"
-    return (
-        f"worst is {where} at {start_s:.0f} s with {error.held_out or 0.0:.0f} mg (or its opposite is "
-        f"the cause; a tilt of 1 degree makes {DEGREE_MG:g} mg)"
-    )
+    return {
+        "worst": pose.face if file is None else f"{pose.face} in {file}",
+        "start_s": session.seconds(pose.state.start_us, pose.state.file),
+        "worst_mg": error.held_out or 0.0,
+    }
 
 
-def _unchecked(session: Session, fit: SixPoseFit) -> str:
-    """Name the orientations without which there is no fit, so that nothing checks them."""
+def _unchecked(session: Session, fit: SixPoseFit) -> list[str]:
+    """Return the orientations without which there is no fit, so that nothing checks them."""
     pairs = zip(session.poses, fit.errors, strict=True)
-    names = sorted({pose.face for pose, error in pairs if error.held_out is None})
-    if not names:
-        return ""
-    missing = f" ({', '.join(session.missing)} missing)" if session.missing else ""
-    return f"; nothing checks {', '.join(names)}, without which there is no fit{missing}"
+    return sorted({str(pose.face) for pose, error in pairs if error.held_out is None})
 
 
 def _holdout(session: Session, fit: SixPoseFit) -> SessionHoldout:

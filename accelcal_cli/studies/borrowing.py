@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.output.words import explained
 from accelcal_cli.pipeline.apply import borrow
 from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.studies import summary
@@ -163,7 +164,7 @@ class BorrowTask(ReplacementTask):
 
     donors: tuple[tuple[str, Path], ...]
     round: ClassVar[str] = BORROW
-    refusal: ClassVar[str] = "borrowed nothing"
+    refusal: ClassVar[str] = "Borrowed nothing"
 
     def is_current(self, entry: Entry) -> bool:
         """See `RoundTask`; if nothing was accepted, all donors must have been tried."""
@@ -199,7 +200,7 @@ def borrowed(task: BorrowTask, report_progress: ProgressCallback) -> TaskResult:
     loan = borrow(item.job, request, reports, progress, must_be_better=poorer, before=item.stamps[0])
     if loan.result is None:
         own = calibrate(item.job, request, progress)
-        return task.result(own, task.kept("; ".join(loan.reasons)))
+        return task.result(own, task.kept(explained(loan.reasons[0], loan.reasons[1:])))
     number = len(loan.reasons)
     lender, _ = task.donors[number]
     accepted = {"borrowed_from": printable(lender), **summary.own(task.own_row)}

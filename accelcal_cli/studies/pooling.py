@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from accelcal_cli.core.errors import printable
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.output.files import looking_at
 from accelcal_cli.output.report_kinds import FORMAT, Member
 from accelcal_cli.output.report_reading import load_report, read_document
+from accelcal_cli.output.words import sentence
 from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, FileStamp, Job, Result, check_unchanged, file_stamp
 from accelcal_cli.pipeline.outputs import refuse_foreign_report, remove, save_report, with_provenance
@@ -163,7 +165,7 @@ class PooledTask(ReplacementTask):
     report: Path
     copy_of: str | None
     round: ClassVar[str] = POOLED
-    refusal: ClassVar[str] = "not pooled"
+    refusal: ClassVar[str] = "Not pooled"
 
 
 def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:
@@ -187,8 +189,8 @@ def pooled(task: PooledTask, report_progress: ProgressCallback) -> TaskResult:
     """Apply a pool's coefficients to one of its recordings."""
     item, request, progress = task.item, task.common.request, StageProgress(report_progress).stage
     result = apply_pool(item.job, request, read_document(task.report), progress, item.stamps[0])
-    if isinstance(result, str):
-        return task.result(calibrate(item.job, request, progress), task.kept(printable(result)))
+    if isinstance(result, Reason):
+        return task.result(calibrate(item.job, request, progress), task.kept(sentence(result)))
     return task.result(result, row_of(item, task.common, result) | _instead(task, result))
 
 
@@ -203,7 +205,7 @@ def _instead(task: PooledTask, result: Result) -> dict[str, Any]:
     assert pool_view is not None
     columns = {"pool": task.report.name, "pool_recordings": len(pool_view.recordings)}
     if task.copy_of is not None:
-        columns["message"] = printable(f"{result.view.message}; {copy_note(task.copy_of)}")
+        columns["message"] = printable(f"{result.view.message} It is {copy_note(task.copy_of)}.")
     if (windows := pool_view.own_windows) is not None:
         columns |= {
             "windows_before_mg": windows.before_mg.mean,

@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 
 from accelcal_cli.core.errors import counted, printable
 from accelcal_cli.core.prior import POPULATION, LearntPrior, Prior, Source
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEVICE_PRIOR, STUDY_PRIOR
 from accelcal_cli.judge.learning import (
@@ -31,6 +32,7 @@ from accelcal_cli.judge.learning import (
     own_estimate,
     together,
 )
+from accelcal_cli.output.words import sentence
 from accelcal_cli.pipeline.calibrate import calibrate, calibrate_with
 from accelcal_cli.studies import summary
 from accelcal_cli.studies.borrowing import Row, identity
@@ -69,7 +71,7 @@ def _is_good(row: Row, max_error_mg: float) -> bool:
     """Return True if others may learn from a result: no change of the sensor, and certainly a small error."""
     if row["outcome"] != Outcome.CALIBRATED or row.get("change") not in (None, "none"):
         return False
-    high: float | None = row["sphere_high_mg"]
+    high: float | None = row["calibration_error_high_mg"]
     return bool(row["device_serial"]) and high is not None and high < max_error_mg
 
 
@@ -244,7 +246,7 @@ class PriorTask(ReplacementTask):
 
     learnt: LearntPrior
     round: ClassVar[str] = PRIOR
-    refusal: ClassVar[str] = "kept with the prior of the population"
+    refusal: ClassVar[str] = "Kept with the prior of the population"
 
 
 def _learning(study: Study, standing: Mapping[str, RecordingState]) -> Learning:
@@ -289,8 +291,8 @@ def calibrated_again(task: PriorTask, report_progress: ProgressCallback) -> Task
     result = calibrate_with(
         item.job, request, task.learnt, progress, must_calibrate=good, before=item.stamps[0]
     )
-    if isinstance(result, str):
-        return task.result(calibrate(item.job, request, progress), task.kept(printable(result)))
+    if isinstance(result, Reason):
+        return task.result(calibrate(item.job, request, progress), task.kept(sentence(result)))
     row = row_of(item, task.common, result) | summary.own(task.own_row)
     return task.result(result, row)
 

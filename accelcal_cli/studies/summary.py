@@ -19,14 +19,15 @@ from accelcal_cli.core.local_time import UNKNOWN, UTC
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output import files
+from accelcal_cli.output.advice import cautions
 from accelcal_cli.output.files import json_text, replacing, write_text
 from accelcal_cli.output.report_view import (
-    SPHERE_COLUMNS,
+    ERROR_COLUMNS,
     CalibrationView,
     CoverageView,
     ReportView,
+    error_columns,
     report_view,
-    sphere_columns,
 )
 from accelcal_cli.studies.records import FAILED, Item
 
@@ -36,8 +37,8 @@ if TYPE_CHECKING:
 DEVICE = ("model", "serial", "firmware")
 AXES = ("x", "y", "z")
 TEXT = (
-    "path", "outcome", "message", "model", "format", "device_model", "device_serial", "device_firmware",
-    "start_time", "time_zone", "sha256", "accelcal_version", "parquet", "report",
+    "path", "outcome", "reason", "cautions", "message", "model", "format", "device_model", "device_serial",
+    "device_firmware", "start_time", "time_zone", "sha256", "accelcal_version", "parquet", "report",
     "borrowed_from", "pool", "own_outcome", "own_message", "change", "change_at", "misfits", "gyroscope",
     "prior",
 )  # fmt: skip
@@ -59,11 +60,11 @@ EFFECT = {
 }  # fmt: skip
 """Columns of measures of activity, by version and name in the report's `effect`."""
 COLUMNS = (
-    "path", "outcome", "exit_code", "message", "model",
+    "path", "outcome", "exit_code", "reason", "cautions", "message", "model",
     "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
     "own_outcome", "own_message", "own_after_mg", "prior",
     "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", "postures", "points",
-    *SPHERE_COLUMNS, "change", "change_at", "change_mg", "misfits",
+    *ERROR_COLUMNS, "change", "change_at", "change_mg", "misfits",
     "gyroscope", "gyro_before_deg", "gyro_after_deg", "gyro_pairs", *EFFECT.values(),
     "format", "device_model", "device_serial", "device_firmware", "start_time", "time_zone", "duration_s",
     "rate_hz", "rate_hz_measured", "lsb_per_g", "range_g", "samples", "gaps", "filled_samples",
@@ -96,6 +97,8 @@ def of_report(
     identity = {"path": printable(item.name), "exit_code": code}
     verdict = {
         "outcome": str(view.outcome),
+        "reason": view.reason or None,
+        "cautions": " ".join(one.code for one in cautions(view)) or None,
         "message": view.message,
         "accelcal_version": view.accelcal_version,
         "prior": view.settings.get("prior"),
@@ -139,7 +142,7 @@ def _errors(report: ReportView) -> dict[str, Any]:
         return before
     after = {"after_mg": holdout.after_mg.mean, "ci95_low_mg": low, "ci95_high_mg": high}
     percent = {"improvement_percent": holdout.improvement_percent}
-    return before | after | percent | sphere_columns(report.sphere_mg)
+    return before | after | percent | error_columns(report.error_everywhere)
 
 
 def _change(report: ReportView) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from accelcal_cli.core.errors import (
 )
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.system import keep_freed_memory
+from accelcal_cli.output.words import begun_small
 from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.pipeline.jobs import FileStamp, Job, Progress, Request, Result, file_stamp
 from accelcal_cli.pipeline.outputs import applied_by_hand
@@ -220,8 +221,8 @@ class ReplacementTask:
         return Entry(item.name, item.stamps, self.common.asked, row, outputs, again, self.round, used)
 
     def kept(self, why: str) -> dict[str, Any]:
-        """Return the own result's row, with the reason why it stays."""
-        return {**self.own_row, "message": f"{self.own_row['message']}; {self.refusal}: {why}"}
+        """Return the own result's row, with the reason why it stays, in sentences."""
+        return {**self.own_row, "message": f"{self.own_row['message']} {self.refusal}: {begun_small(why)}"}
 
     def result(
         self, result: Result, row: dict[str, Any], inputs: tuple[str, ...] | None = None

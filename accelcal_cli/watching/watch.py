@@ -32,10 +32,11 @@ from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.system import temporary_folder
 from accelcal_cli.formats.raw import folder_layout, is_file, named_layout
-from accelcal_cli.judge.change import change_sentence
+from accelcal_cli.judge.change import change_reason
 from accelcal_cli.judge.quality import check
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import looking_at
+from accelcal_cli.output.words import explained, sentence
 from accelcal_cli.pipeline import procedures, survey
 from accelcal_cli.pipeline.calibrate import OwnCalibration, surveyed, with_collection_time
 from accelcal_cli.pipeline.facts import FactsObserver
@@ -456,8 +457,9 @@ class Watch:
             return
         self._drifted = True
         errors = {"in_force_mg": round(last.given_mg, 4), "new_mg": round(last.unseen_mg, 4)}
-        text = change_sentence(along.change, None, followed=False)
-        result.events.append(self._event("drifted", taken, ended) | errors | {"message": text})
+        change = change_reason(along.change, None, followed=False)
+        text = {"message": None if change is None else sentence(change)}
+        result.events.append(self._event("drifted", taken, ended) | errors | text)
 
     def _event(self, name: str, taken: int, live: LivePass) -> Event:
         return {"event": name, "bytes": taken, **live.place()}
@@ -466,8 +468,10 @@ class Watch:
         """Return the parts of the report that a judgement fills."""
         return {
             "outcome": str(judgement.outcome),
-            "message": judgement.message,
+            "reason": judgement.reason.code,
+            "values": dict(judgement.reason.values),
+            "message": explained(judgement.reason, judgement.notes),
             "calibration": reports.calibration_json(judgement, procedures.optimizer_json(self._settings)),
-            "sphere_mg": reports.sphere_json(judgement.sphere, judgement.sphere_before),
+            "calibration_error_mg": reports.calibration_error_json(judgement.sphere, judgement.sphere_before),
             "coverage": reports.coverage_json(judgement.coverage),
         }

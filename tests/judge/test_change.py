@@ -12,8 +12,10 @@ import pytest
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Calibration, TemperatureScale
 from accelcal_cli.core.points import TimedMeans
+from accelcal_cli.core.reasons import significant
 from accelcal_cli.core.results import Change
-from accelcal_cli.judge.change import ChangeSearch, change_sentence
+from accelcal_cli.judge.change import ChangeSearch, change_reason
+from accelcal_cli.output.words import sentence
 
 GAIN = np.array([[1.02, 0.0, 0.0], [0.012, 0.985, 0.0], [-0.008, 0.006, 1.01]])
 OFFSET_G = np.array([0.03, -0.02, 0.045])
@@ -157,12 +159,16 @@ def test_blocks_without_stillness_are_passed_over() -> None:
     assert (found.kind, found.at_block) == ("step", 33)
 
 
-def test_the_sentence_for_people() -> None:
+def test_a_change_is_a_caution_with_its_size_and_what_it_leaves() -> None:
     found = find_change(means(step), calibration())
-    assert change_sentence(Change("none"), None, followed=False) is None
-    text = str(change_sentence(found, None, followed=False))
-    assert "its offsets jump at" in text and f"up to {found.size_mg:.1f} mg; one calibration for all" in text
-    assert str(change_sentence(found, None, followed=True)).endswith(", and the calibration follows")
+    assert change_reason(Change("none"), None, followed=False) is None
+    caution = change_reason(found, None, followed=False)
+    assert caution is not None and caution.code == "sensor_changed"
+    assert caution.values["kind"] == "step" and caution.values["size_mg"] == significant(found.size_mg or 0)
+    text = sentence(caution)
+    assert "its offsets jump at" in text and f"up to {found.size_mg:.1f} mg. One calibration for all" in text
+    followed = change_reason(found, None, followed=True)
+    assert followed is not None and sentence(followed).endswith(" The calibration follows it.")
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Misfit, SphereError
-from accelcal_cli.judge.misfit import MisfitSearch, misfit_sentence
+from accelcal_cli.judge.misfit import MisfitSearch
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.posterior import Posterior, posterior, sphere_errors
 from accelcal_cli.optimize.fixed32 import OPTIMIZER
@@ -124,13 +124,3 @@ def test_the_claim_counts_a_bend_where_the_wrist_has_not_been() -> None:
     claimed, true_mg = sphere(of(bent[POSES[:, 0] < 0.8]))
     assert claimed.ci95[0] <= true_mg <= claimed.ci95[1]
     assert claimed.mean == pytest.approx(true_mg, rel=0.15)
-
-
-def test_what_is_said() -> None:
-    square = Misfit("quadratic", "percent at 1 g", (2.0, -1.5, 0.04), (0.1, 0.1, 0.1), 3.0, 1.0, 9.26, True)
-    assert misfit_sentence(square) == (
-        "the sensor's response is bent, with the square of the acceleration (x 2, y -1.5, z 0.04 % at 1 g), "
-        "by up to 9.3 mg"
-    )
-    memory = replace(square, kind="previous posture", unit="mg per g")
-    assert misfit_sentence(memory).startswith("what the sensor measures depends on the posture before (x 2, ")

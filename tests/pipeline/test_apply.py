@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
-from accelcal_cli.core.calibration import TemperatureScale
+from accelcal_cli.core.calibration import Calibration, TemperatureScale
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Recording
-from accelcal_cli.core.results import ErrorSummary, Holdout
+from accelcal_cli.core.results import ErrorSummary, Holdout, Judgement
 from accelcal_cli.core.settings import DEFAULT, PAPER, PoseSettings
 from accelcal_cli.formats import open_recording
 from accelcal_cli.output.coefficients import Coefficients, read_coefficients
@@ -21,14 +24,13 @@ from accelcal_cli.pipeline.apply import (
     at_reference,
     borrow,
     checked_relation,
+    judged_elsewhere,
     keep_coefficients,
     need_temperature,
     relation_of,
-    sentence,
     settings_for,
-    warning,
 )
-from accelcal_cli.pipeline.calibrate import calibrate
+from accelcal_cli.pipeline.calibrate import Survey, calibrate
 from accelcal_cli.pipeline.jobs import Job, Request, plan
 from accelcal_cli.pipeline.outputs import json_round_trip
 from tests.device_recordings import donor, edit, set_coefficients, week
@@ -146,33 +148,45 @@ def test_slopes_are_dropped_where_temperature_is_not_wanted(tmp_path: Path) -> N
     assert refusal.value.hint == f"--no-temperature uses them as they are at {at_c}"
 
 
-def test_the_sentence_says_whose_they_are_what_they_did_and_what_differs(tmp_path: Path) -> None:
+def judged(
+    donor: Coefficients, calibration: Calibration, recording: Recording, errors: Holdout | None
+) -> Judgement:
+    """The verdict on a donor's coefficients."""
+    found = cast(Survey, SimpleNamespace(recording=recording, coverage=None))
+    return judged_elsewhere(donor, calibration, found, errors, 10.0)
+
+
+def test_the_verdict_has_whose_they_are_what_they_did_and_what_differs(tmp_path: Path) -> None:
     warm, path = coefficients(tmp_path, warm=True)
     recording = described(path)
-    named = f"coefficients of {warm.origin.path} (sha256 {warm.origin.sha256[:12]}, device A1)"
-    assert sentence(warm, warm.calibration, recording, holdout(30.0, 1.25), 10.0) == (
-        f"{named}: 30.0 mg before, 1.25 mg after on 7 postures, none of which they were found from"
-    )
+    own = judged(warm, warm.calibration, recording, holdout(30.0, 1.25))
+    whose = {"path": warm.origin.path, "sha256": warm.origin.sha256[:12], "device": "A1"}
+    assert own.reason == Reason("borrowed", whose | {"before_mg": 30.0, "after_mg": 1.25, "orientations": 7})
+    assert not own.notes and not own.cautions
     other = replace(recording, lsb_per_g=100.0, device=replace(recording.device, serial="B2"))
-    cold = at_reference(warm.calibration, replace(DEFAULT, temperature=False))
-    assert sentence(warm, cold, other, None, 10.0) == (
-        f"{named}: no two postures of stillness to judge them by; this recording's device is B2; "
-        f"100 counts per g here, {recording.lsb_per_g:g} there; used as at "
-        f"{warm.calibration.reference_c():.1f} C, their temperature slopes are left out"
+    cold = judged(warm, at_reference(warm.calibration, replace(DEFAULT, temperature=False)), other, None)
+    assert cold.notes == (
+        Reason("other_device", {"serial": "B2"}),
+        Reason("other_counts_per_g", {"here": 100.0, "there": recording.lsb_per_g}),
+        Reason.of("slopes_left_out", at_c=warm.calibration.reference_c()),
     )
-    poor = sentence(warm, warm.calibration, recording, holdout(11.0, 12.0), 10.0)
-    assert poor.endswith("; the error is larger with them than without; 10 mg or more are left")
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "warned"), [(30.0, 1.0, False), (5.0, 6.0, True), (30.0, 10.0, True)]
+    ("before", "after", "warned"),
+    [
+        (30.0, 1.0, []),
+        (5.0, 6.0, ["worse_here"]),
+        (30.0, 10.0, ["much_left"]),
+        (11.0, 12.0, ["worse_here", "much_left"]),
+    ],
 )
-def test_a_warning_where_the_coefficients_do_not_help(before: float, after: float, warned: bool) -> None:
-    errors = {"before_mg": {"mean": before}, "after_mg": {"mean": after}}
-    report = {"outcome": "borrowed", "message": "m", "holdout": errors, "settings": {"max_error_mg": 10.0}}
-    assert warning(report) == ("warning: m" if warned else None)
-    assert warning({**report, "outcome": "calibrated"}) is None
-    assert warning({**report, "holdout": None}) is None
+def test_a_caution_where_the_coefficients_do_not_help(
+    tmp_path: Path, before: float, after: float, warned: list[str]
+) -> None:
+    warm, path = coefficients(tmp_path)
+    verdict = judged(warm, warm.calibration, described(path), holdout(before, after))
+    assert [one.code for one in verdict.cautions] == warned
 
 
 def test_the_file_of_the_coefficients_is_not_written_over(tmp_path: Path) -> None:

@@ -1,0 +1,213 @@
+"""Cautions and advice that follow from a report: codes with values, none of which the judgement has given.
+
+`completed` adds them to a report that is being built. Reports of earlier versions have none; they are found
+in the same way when such a report is read.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.results import Judgement, Outcome
+from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.output import words
+from accelcal_cli.output.report_view import ReportView, report_view
+
+LIMIT_MG = DEFAULT.max_error_mg
+"""Limit [mg] of the 95 % interval of a good result, where a report's settings do not say."""
+
+MIN_ORIENTATIONS = 9
+"""Number of orientations from which on a recording does not lack any, unless they leave out a side."""
+
+RIGHT_G = (0.7, 1.4)
+"""Bounds of the median of |a| at rest [g] if unit and scale are right."""
+
+MILD = ("sides_unchecked",)
+"""Codes of cautions that a good result may have."""
+
+
+def completed(report: dict[str, Any], judgement: Judgement) -> dict[str, Any]:
+    """Return a report with all its cautions, its advice and its message."""
+    view = report_view(report)
+    found = [*judgement.cautions, *_cautions(view)]
+    ways = _without_repeats([*judgement.advice, *_advice(view, judgement.notes)])
+    return report | {
+        "message": words.message(view),
+        "cautions": [one.as_json() for one in found],
+        "advice": [one.as_json() for one in ways],
+    }
+
+
+def cautions(report: ReportView) -> tuple[Reason, ...]:
+    """Return what speaks against trusting a result without a look."""
+    if report.cautions is not None:
+        return report.cautions
+    return (*_older_cautions(report), *_cautions(report))
+
+
+def advice(report: ReportView) -> tuple[Reason, ...]:
+    """Return what would make a refused recording one that can be used, as far as the report shows."""
+    return _advice(report, ()) if report.advice is None else report.advice
+
+
+def is_doubtful(report: ReportView) -> bool:
+    """Return True if a result is to be used with care."""
+    unsure = report.outcome in (Outcome.BORROWED, Outcome.PROVISIONAL)
+    return unsure or any(one.code not in MILD for one in cautions(report))
+
+
+def _cautions(report: ReportView) -> tuple[Reason, ...]:
+    sides = _sides(report) if report.calibration is not None and report.coverage.cells else []
+    return (
+        *_unchecked_poses(report),
+        *doubts(*_interval(report), everywhere=report.error_everywhere is not None),
+        *([Reason.of("sides_unchecked", sides=sides)] if sides else []),
+    )
+
+
+def _older_cautions(report: ReportView) -> list[Reason]:
+    """Return the cautions that the judgement gives, as far as an older report has their values."""
+    found = []
+    change = report.change
+    if change is not None and change.kind != "none" and change.size_mg is not None:
+        followed = report.calibration is not None and report.calibration.course is not None
+        holdout = change.holdout or {}
+        values = {name: holdout.get(name) for name in ("constant_mg", "changing_mg")}
+        found.append(
+            Reason.of(
+                "sensor_changed",
+                kind=change.kind,
+                at=change.at,
+                size_mg=change.size_mg,
+                followed=followed,
+                **values,
+            )
+        )
+    for one in report.misfits or ():
+        if one.found:
+            size = {"size": one.size, "unit": one.unit, "largest_mg": one.largest_mg}
+            found.append(Reason.of("misfit", kind=one.kind, **size))
+    for axis in report.coverage.saturated:
+        found.append(Reason.of("axis_saturates", axis=axis.axis, at_g=axis.at_g))
+    return found
+
+
+def _interval(report: ReportView) -> tuple[float | None, float | None, float]:
+    """Return the upper end of the error's 95 % interval, the error before, and the limit [mg]."""
+    everywhere, holdout = report.error_everywhere, report.holdout
+    limit = report.setting("max_error_mg", LIMIT_MG)
+    if report.calibration is None:
+        return None, None, limit
+    if report.outcome == Outcome.ALREADY_GOOD:
+        return (None if everywhere is None else everywhere.ci95[1]), None, limit
+    if everywhere is not None:
+        return everywhere.ci95[1], everywhere.before, limit
+    if holdout is not None:
+        return holdout.ci95_mg[1], holdout.before_mg.mean, limit
+    return None, None, limit
+
+
+def doubts(
+    high: float | None, before: float | None, limit: float = LIMIT_MG, *, everywhere: bool = True
+) -> list[Reason]:
+    """Return what a 95 % interval says against a result [mg].
+
+    Args:
+        high: upper end of the interval; before: error of the raw values to compare with, if there is one.
+        everywhere: the interval is that over all orientations, not only the recording's own.
+    """
+    if high is None:
+        return []
+    found = []
+    if high >= limit:
+        where = "in orientations that are not in the recording" if everywhere else "on average"
+        found.append(Reason.of("error_may_reach", high_mg=high, where=where))
+    if before is not None and high >= before:
+        found.append(Reason.of("no_better_than_raw", before_mg=before))
+    return found
+
+
+def _unchecked_poses(report: ReportView) -> list[Reason]:
+    """Return the caution that nothing speaks for a calibration from known orientations."""
+    known = report.known_orientations
+    if known is None or known.unchecked is None or report.calibration is None:
+        return []
+    return [Reason("roll_alone_checks_poses" if known.rolls else "nothing_checks_poses")]
+
+
+def _advice(report: ReportView, notes: tuple[Reason, ...]) -> tuple[Reason, ...]:
+    """Return what else helps a refused recording; nothing where the notes explain its values."""
+    health, cells = report.file_health, report.coverage.cells
+    if report.outcome != Outcome.REFUSED or (health.lost_percent or 0) > report.setting(
+        "max_damage_percent", 100
+    ):
+        return ()
+    if health.rest and not RIGHT_G[0] < health.rest.median_g < RIGHT_G[1]:
+        return (Reason("check_unit"),)
+    points = report.settings.get("input", {}).get("format") == "points"
+    if not cells and (notes or points):
+        return ()
+    again = Reason("check_sensor" if report.reason == "constant_values" else "record_again")
+    ways = _orientations(report) if cells else (again,)
+    return ways if points else (*ways, Reason("other_coefficients"))
+
+
+def _orientations(report: ReportView) -> tuple[Reason, ...]:
+    """Return which orientations are missing."""
+    found, sides = [], _sides(report)
+    number = report.coverage.distinct_orientations
+    if number is not None and (sides or number < report.setting("min_postures", MIN_ORIENTATIONS)):
+        found.append(Reason.of("more_orientations", orientations=number))
+    if sides:
+        found.append(Reason.of("rest_on_sides", sides=sides))
+    return tuple(found)
+
+
+def _sides(report: ReportView) -> list[str]:
+    """Return directions of axes, such as `-z`, that no point comes near."""
+    coverage, reach = report.coverage, report.setting("coverage_g", 0.3)
+    return [
+        f"{sign}{axis}"
+        for axis, low, high in zip("xyz", coverage.axis_min_g, coverage.axis_max_g, strict=True)
+        for sign, there in (("-", low <= -reach), ("+", high >= reach))
+        if not there
+    ]
+
+
+def _without_repeats(reasons: list[Reason]) -> list[Reason]:
+    """Return reasons without those whose code has come before."""
+    first = {reason.code: reason for reason in reversed(reasons)}
+    return [reason for reason in reasons if first[reason.code] is reason]
+
+
+@dataclass(frozen=True, slots=True)
+class PageVerdict:
+    """Verdict at the beginning of a recording's page.
+
+    Attributes:
+        level: class of its colour.
+        headline: one sentence; reason: the report's message; to_do: what to do, a sentence each.
+    """
+
+    level: Literal["good", "care", "bad"]
+    headline: str
+    reason: str
+    to_do: tuple[str, ...]
+
+
+def page_verdict(report: ReportView) -> PageVerdict:
+    """Return the verdict on a recording."""
+    meaning, reason = words.outcome_words(report.outcome), words.message(report)
+    if report.outcome == Outcome.REFUSED:
+        headline = "Refused: this recording could not be calibrated."
+        return PageVerdict("bad", headline, reason, (meaning.to_do, *map(words.sentence, advice(report))))
+    doubtful = is_doubtful(report)
+    opening = f"{'Use with care' if doubtful else 'Good'}: {meaning.headline or meaning.result}"
+    return PageVerdict(
+        "care" if doubtful else "good",
+        f"{opening}. {words.error_sentence(report)}",
+        reason,
+        (meaning.to_do, *map(words.sentence, cautions(report))),
+    )
