@@ -108,4 +108,4 @@ def _counted(one: MeasuredEffect) -> str:
     text = f"{counts['epochs']} epochs of {counts['epoch_s']} s"
     if counts["short_epochs"]:
         text += f"; {counts['short_epochs']} more with too few samples"
-    return text + (f"; samples left out: {left}" if left else "")
+    return text + (f"; samples left out: {left} ({counts['left_out_percent']:.3g} %)" if left else "")

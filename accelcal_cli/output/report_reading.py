@@ -68,6 +68,7 @@ LATER = {
     "coverage.saturated": "0.2.0",
     "fit.windows.repeated": "0.2.0",
     "coverage.subsets_full_after_h": "0.2.0",
+    "effect.left_out_percent": "0.3.0",
 }
 """Keys that reports of versions before the given one may lack (docs/outputs.md)."""
 

@@ -364,11 +364,13 @@ class EffectMeter:
         self.versions = made
         self._meter = ActivityMeter(len(made), epoch_s, recording.rate_hz)
         self._left_out = dict.fromkeys(LEFT_OUT, 0)
+        self._rows = 0
 
     def see(self, chunk: Chunk) -> list[EpochTable]:
         """Take a chunk in, and return the epochs that it completes."""
         if not len(chunk):
             return []
+        self._rows += len(chunk)
         xyz, times = [one.transform.apply(chunk) for one in self.versions], chunk.time_us
         if chunk.validity is not None and chunk.validity.any():
             for name, value in LEFT_OUT.items():
@@ -396,6 +398,7 @@ class EffectMeter:
             "epochs": meter.epochs,
             "short_epochs": meter.short,
             "left_out": dict(self._left_out),
+            "left_out_percent": round(100 * sum(self._left_out.values()) / max(1, self._rows), DIGITS),
             "versions": {one.name: {"model": one.model, **_rounded(activity)} for one, activity in pairs},
         }
 

@@ -2,27 +2,45 @@
 
 An `Observer` collects facts about a recording as it is read; a procedure (`procedures`) is one, too. Still
 windows reach the observers in batches of a few thousand; the results depend neither on how they are batched
-nor on the length of the chunks. Recordings are opened with `open_marked`, for this pass and any other.
+nor on the length of the chunks. Recordings are opened with `open_marked`, for this pass and any other, which
+marks rows that are no measurements, or not whole ones, whatever the format.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
+from dataclasses import replace
+from math import ceil
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from accelcal_cli.collect.still_windows import Repetitions
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.points import WindowCounts, Windows, joined_windows
-from accelcal_cli.core.recording import Chunk, Intake, PlacedFile, Reader, Recording, clipped_at, in_columns
+from accelcal_cli.core.recording import (
+    Chunk,
+    Intake,
+    PlacedFile,
+    Reader,
+    Recording,
+    Validity,
+    clipped_at,
+    in_columns,
+)
 from accelcal_cli.formats import open_recording
 from accelcal_cli.pipeline.jobs import Progress
 from accelcal_cli.segment.segmenter import Segmenter
 
 BATCH_WINDOWS = 4096
 """Still windows that are shown to observers at a time."""
+
+ZERO_RUN_S, LEAST_ZEROS = 0.5, 3
+"""Length [s], and number of rows, from which on a run of exactly 0, 0, 0 was not measured. At rest there is
+gravity; in a fall of half a second, which is 1.2 m, coarse counts may be zero."""
 
 
 class Observer:
@@ -110,7 +128,7 @@ def open_marked(
     *,
     session: bool = False,
 ) -> Reader:
-    """Open a recording; rows at the sensor's range are marked in their chunks' `validity`.
+    """Open a recording; rows at the sensor's range, and runs of zeros, are marked in `validity`.
 
     Args:
         session: see `formats.open_recording`.
@@ -122,7 +140,7 @@ def open_marked(
 
 
 class MarkingReader(Reader):
-    """Reads the chunks of another reader, and marks rows at the sensor's range."""
+    """Reads the chunks of another reader, and marks rows at the sensor's range and runs of zeros."""
 
     def __init__(self, reader: Reader) -> None:
         self.reader, self.recording, self.threads = reader, reader.recording, reader.threads
@@ -134,8 +152,7 @@ class MarkingReader(Reader):
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """See `Reader`."""
-        chunks = map(in_columns, self.reader.chunks(chunk_samples))
-        return map(partial(with_clipping, recording=self.recording), chunks)
+        return self._marked(map(in_columns, self.reader.chunks(chunk_samples)))
 
     def intake(self) -> Intake:
         """See `Reader`."""
@@ -143,22 +160,103 @@ class MarkingReader(Reader):
 
     def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
         """See `Reader`."""
-        return (with_clipping(chunk, self.recording) for chunk in self.reader.preview(chunk_samples, pieces))
+        for chunk in self.reader.preview(chunk_samples, pieces):
+            yield from self._marked([chunk])
 
     def close(self) -> None:
         """Release the file."""
         self.reader.close()
 
+    def _marked(self, chunks: Iterable[Chunk]) -> Iterator[Chunk]:
+        marks = ZeroRuns(self.recording.rate_hz)
+        for chunk in chunks:
+            yield from marks.add(with_clipping(chunk, self.recording))
+        yield from marks.finish()
+
 
 class MarkingIntake(Intake):
-    """Takes chunks from another intake, and marks rows at the sensor's range."""
+    """Takes chunks from another intake, and marks rows at the sensor's range and runs of zeros."""
 
     def __init__(self, intake: Intake, recording: Recording) -> None:
         self._intake, self._recording = intake, recording
+        self._zeros = ZeroRuns(recording.rate_hz)
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
         """See `Intake`."""
-        return (with_clipping(chunk, self._recording) for chunk in self._intake.take(data, last=last))
+        for chunk in self._intake.take(data, last=last):
+            yield from self._zeros.add(with_clipping(chunk, self._recording))
+        if last:
+            yield from self._zeros.finish()
+
+
+class ZeroRuns:
+    """Marks long runs of rows that are exactly 0, 0, 0 as filled, wherever chunks end.
+
+    A device that sleeps, or software that lacks samples, writes such rows. A chunk that ends in a run that
+    may still become long enough waits for the next ones.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._least = max(LEAST_ZEROS, ceil(ZERO_RUN_S * rate_hz))
+        self._waiting: list[tuple[Chunk, int]] = []
+        self._run = 0
+
+    def add(self, chunk: Chunk) -> Iterator[Chunk]:
+        """Take the next chunk; yield those that are settled, in their order."""
+        if not len(chunk):
+            yield from self._passed(chunk, 0 if self._waiting else None)
+            return
+        starts, ends = zero_runs(chunk.counts, self._least)
+        lengths = ends - starts
+        leads, trails = (bool(len(ends)) and there for there in (starts[:1] == 0, ends[-1:] == len(chunk)))
+        if leads:
+            lengths[0] += self._run
+        long = lengths >= self._least
+        if not (leads and ends[0] == len(chunk) and not long[0]):
+            yield from self._released(filled=bool(leads and long[0]))
+        self._run = int(lengths[-1]) if trails else 0
+        undecided = trails and not long[-1]
+        yield from self._passed(_filled(chunk, starts[long], ends[long]), starts[-1] if undecided else None)
+
+    def finish(self) -> Iterator[Chunk]:
+        """Yield the chunks that still wait: nothing follows."""
+        return self._released(filled=False)
+
+    def _passed(self, chunk: Chunk, undecided: int | None) -> Iterator[Chunk]:
+        """Yield a chunk, or let it wait if zeros that begin at a row are undecided."""
+        if undecided is None:
+            yield chunk
+        else:
+            self._waiting.append((chunk, undecided))
+
+    def _released(self, *, filled: bool) -> Iterator[Chunk]:
+        waiting, self._waiting = self._waiting, []
+        for chunk, start in waiting:
+            yield _filled(chunk, np.array([start]), np.array([len(chunk)])) if filled else chunk
+
+
+def zero_runs(counts: NDArray[Any], least: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return where runs of 0, 0, 0 begin and end; none if no run of `least` rows can be among them.
+
+    A run that long holds one of each `least` rows; a shorter one that matters reaches the first or last row.
+    """
+    looked = counts[::least], counts[-1:]
+    if all((x | y | z).all() for x, y, z in (rows.T for rows in looked)):
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    x, y, z = counts.T
+    edges = np.flatnonzero(np.diff((x | y | z) == 0, prepend=False, append=False))
+    return edges[::2], edges[1::2]
+
+
+def _filled(chunk: Chunk, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> Chunk:
+    """Return the chunk with the measured rows of some runs marked as filled."""
+    if not len(starts):
+        return chunk
+    edges = np.zeros(len(chunk) + 1, np.int8)
+    edges[starts], edges[ends] = 1, -1
+    validity = np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity.copy()
+    validity[(np.cumsum(edges[:-1]) > 0) & (validity == Validity.MEASURED)] = Validity.FILLED
+    return replace(chunk, validity=validity)
 
 
 def with_clipping(chunk: Chunk, recording: Recording) -> Chunk:

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from tests.cli.run import assert_one_line, exit_code, run, verify
-from tests.recordings import RATE_HZ, good_raw, write_csv
+from tests.recordings import RATE_HZ, directions, good_raw, still_counts, write_csv
 
 Capture = pytest.CaptureFixture[str]
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -158,3 +158,32 @@ def test_a_study_has_it_in_its_table(tmp_path: Path, capsys: Capture) -> None:
     assert row["enmo_raw_mg"] == made["raw"]["enmo_mg"] and row["enmo_mg"] == made["calibrated"]["enmo_mg"]
     assert row["enmo_differs_mg"] == made["raw"]["enmo_differs_mg"]
     assert row["inactive_min"] == made["calibrated"]["inactive_min"]
+
+
+def by_rows(counts: np.ndarray) -> float:
+    """ENMO [mg] of all rows that are not zero, by plain Python."""
+    lengths = [sum((one / 256) ** 2 for one in row) ** 0.5 for row in counts.tolist() if any(row)]
+    return 1000 * sum(max(0.0, length - 1) for length in lengths) / len(lengths)
+
+
+@pytest.mark.parametrize("headerless", [False, True])
+def test_verdicts_11_zeros_take_no_part_in_means(headerless: bool, tmp_path: Path, capsys: Capture) -> None:
+    """Half of the time the device slept, and its export holds zeros; epochs hold either."""
+    counts = still_counts(directions(60)).astype(np.int64)
+    counts += (
+        np.random.RandomState(2).randint(0, 30, counts.shape)
+        * (np.arange(len(counts)) % 3750 > 2000)[:, None]
+    )
+    counts = np.repeat(counts.reshape(-1, 750, 3), 2, axis=0)
+    counts[1::2] = 0
+    counts = counts.reshape(-1, 3)
+    path = write_csv(tmp_path / "a.csv", counts)
+    if headerless:
+        rows = [line.split(",", 1)[1] for line in path.read_text().splitlines()[1:]]
+        path.write_text("\n".join(rows) + "\n")
+    ran = run(capsys, "effect", path, *(("--rate", RATE_HZ) if headerless else ()), "--chunk-samples", 7)
+    assert ran.code == 0 and "samples left out: 45000 filled (50 %)" in ran.out
+    found = effect_of(capsys, path, *(("--rate", RATE_HZ) if headerless else ()))
+    assert found["left_out"] == {"filled": 45_000, "clipped": 0, "recovered": 0}
+    assert found["left_out_percent"] == 50.0
+    assert found["versions"]["raw"]["enmo_mg"] == pytest.approx(by_rows(counts), abs=1e-3)
