@@ -44,7 +44,7 @@ from accelcal_cli.pipeline.options import (
     recording_options,
     with_values,
 )
-from accelcal_cli.pipeline.windows import WindowLog, fit_frame, fit_points
+from accelcal_cli.pipeline.windows import fit_frame, fit_points
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -167,7 +167,6 @@ class Result:
     _data: ReportInput = field(repr=False)
     _request: Request = field(repr=False)
     _first_pass: FirstPass = field(repr=False)
-    _log: WindowLog = field(repr=False)
     _path: Path
     _before: FileStamp | None = field(repr=False)
 
@@ -217,7 +216,9 @@ class Result:
         """Return all still windows and what became of them, with the columns of `calibrate --windows`."""
         from accelcal_cli.output.windows import arrow
 
-        table: pd.DataFrame = arrow(self._log.table(self._data, self._first_pass.points)).to_pandas()
+        first = self._first_pass
+        assert first.log is not None
+        table: pd.DataFrame = arrow(first.log.table(self._data, first.points)).to_pandas()
         return table
 
     def quality(self) -> dict[str, Any] | None:
@@ -281,13 +282,13 @@ def calibrate(path: AnyPath, *, report_only: bool = False, **options: Any) -> Re
         report_only=report_only,
         parts=True,
     )
-    before, log = file_stamp(source), WindowLog()
+    before = file_stamp(source)
     with open_run(Job(source, source, source), request) as run:
-        first_pass = run.result(OwnCalibration(request.recording_settings), log)
+        first_pass = run.result(OwnCalibration(request.recording_settings), logged=True)
         data = run.count_beyond(first_pass.data)
     jobs.check_unchanged(source, before)
     report = outputs.with_provenance(reports.build(data), ("accelcal_cli.calibrate",))
-    return Result(_as_written(report), data, run.request, first_pass, log, source, before)
+    return Result(_as_written(report), data, run.request, first_pass, source, before)
 
 
 def _as_written(report: dict[str, Any]) -> dict[str, Any]:

@@ -25,7 +25,7 @@ INTERVALS_G = (
     (Fraction(3, 4), Fraction(5, 4)),
 )
 AXES = "xyz"
-LEVELS = "n0p"
+LEVELS = ("-1 g", "0 g", "+1 g")
 POINTS_PER_SUBSET = 2
 """Number of points in each of F's subsets."""
 
@@ -82,9 +82,9 @@ class SubsetCollector:
         return [[len(self._held[axis, level]) for axis in range(3)] for level in range(3)]
 
     def missing(self) -> list[str]:
-        """Return the names of subsets that lack points, such as `xn` (x negative) or `z0`."""
+        """Return the names of subsets that lack points, such as `x -1 g` or `z 0 g`."""
         return [
-            AXES[axis] + LEVELS[level]
+            f"{AXES[axis]} {LEVELS[level]}"
             for (axis, level), subset in sorted(self._held.items())
             if len(subset) < self.least
         ]
@@ -153,11 +153,6 @@ class PaperCollector:
     def __len__(self) -> int:
         """Return the number of points of both sets."""
         return len(self._taken)
-
-    @property
-    def complete(self) -> bool:
-        """True if the first set and, with a least distance, the second one have the points they need."""
-        return not self.fit.missing() and not (self.settings.min_distance_g and self.control.missing())
 
     def fates(self, windows: Windows) -> Fates:
         """Return what became of windows that were added, without the numbers of their points."""

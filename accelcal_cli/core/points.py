@@ -240,6 +240,11 @@ class PointSet:
             self.xyz[which], self.weights[which], self.windows[which], tau, self.temperature, previous
         )
 
+    def joined(self, other: PointSet) -> PointSet:
+        """Return these points and others; neither may have temperatures."""
+        xyz, weights = np.concatenate([self.xyz, other.xyz]), np.concatenate([self.weights, other.weights])
+        return PointSet(xyz, weights, np.concatenate([self.windows, other.windows]))
+
     def xyz_g(self) -> NDArray[np.float64]:
         """Return the raw means [g], (n, 3) float64, exact."""
         return self.xyz / float(ONE)

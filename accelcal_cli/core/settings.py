@@ -157,6 +157,8 @@ class Settings:
         stillness_axes: axes of the max - min rule (F: one, of its choice; here all, since slow movement
             across the other two passes a rule that looks at one).
         adaptive: numbers of rule `adaptive`; None for the others.
+        other_stillness: True if the other axes and then rule `both` are tried where profile `paper` refuses a
+            recording by its axis; the rule in the report is the one that was used. Older reports had it not.
         longest_gap_s: longest gap, or step back of the clock, that a window may span [s]; together they are
             no longer than the window. 0, as in older reports: none (docs/stillness.md; phones lose up to
             0.2 s at a time, and what is still before and after half a second hardly moved in between).
@@ -228,7 +230,7 @@ class Settings:
         option=Option(
             "--stillness",
             "What counts as still, see docs/stillness.md.",
-            default="both; profile paper: range",
+            default="both; profile paper: range, or both if no axis calibrates",
         ),
         choices=tuple(STILLNESS),
     )
@@ -250,9 +252,17 @@ class Settings:
     )
     stillness_deviation_g: float | None = setting(0.013, 1e-9, 4)
     stillness_axes: tuple[int, ...] = setting(
-        (0, 1, 2), 0, 2, Option("--stillness-axis", "Axis that rule range looks at: x, y or z.", default="x")
+        (0, 1, 2),
+        0,
+        2,
+        Option(
+            "--stillness-axis",
+            "Axis that rule range looks at: x, y or z.",
+            default="x; profile paper: the first that calibrates",
+        ),
     )
     adaptive: Adaptive | None = None
+    other_stillness: bool = False
     longest_gap_s: float = setting(
         0.0,
         0,
@@ -455,7 +465,33 @@ def with_stillness(settings: Settings, name: str) -> Settings:
     return replace(settings, stillness=name, **STILLNESS[name])
 
 
+VARIED = ("stillness", "stillness_deviation_g", "stillness_axes")
+"""Settings in which the rules of `other_rules` differ."""
+
+
+def other_rules(settings: Settings) -> tuple[Settings, ...]:
+    """Return settings with rule `range` on x, y and z, and with rule `both`, without those that are given."""
+    base = settings if settings.stillness in RANGE_RULES else with_stillness(settings, "both")
+    rules = [{**STILLNESS["range"], "stillness": "range", "stillness_axes": (axis,)} for axis in range(3)]
+    rules.append({**STILLNESS["both"], "stillness": "both"})
+    varied = (replace(base, **{name: rule[name] for name in VARIED}) for rule in rules)
+    return tuple(other for other in varied if other != settings)
+
+
+def rule_options(settings: Settings) -> str:
+    """Return the options that choose the rule of stillness of settings."""
+    axes = settings.stillness_axes
+    axis = f" --stillness-axis {'xyz'[axes[0]]}" if len(axes) == 1 else ""
+    return f"--stillness {settings.stillness}{axis}"
+
+
 DEFAULT = Settings(prior="population", recalibrate="auto", longest_gap_s=0.5)
-PAPER = replace(with_stillness(Settings(), "range"), profile="paper", temperature=False, min_distance_g=0.2)
+PAPER = replace(
+    with_stillness(Settings(), "range"),
+    profile="paper",
+    other_stillness=True,
+    temperature=False,
+    min_distance_g=0.2,
+)
 PROFILES = {"default": DEFAULT, "paper": PAPER}
 POSES = PoseSettings(longest_gap_s=DEFAULT.longest_gap_s)

@@ -55,6 +55,7 @@ class Fitting:
         models: names of the models that it can fit.
         penalized: the optimizer with a prior; None if the settings have none.
         prior: what is known of sensors beforehand.
+        judging: an optimizer with a prior, by which profile `paper` judges a fit that had none.
     """
 
     settings: Settings
@@ -62,6 +63,7 @@ class Fitting:
     models: tuple[str, ...] = LADDER
     penalized: PenalizedFitter | None = None
     prior: Prior = POPULATION
+    judging: PenalizedFitter | None = None
 
 
 def postures(points: PointSet, degrees: float) -> NDArray[np.int64]:

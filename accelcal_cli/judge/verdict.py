@@ -32,7 +32,7 @@ from accelcal_cli.core.results import (
     Trial,
     WithoutMisalignment,
 )
-from accelcal_cli.core.settings import PAPER, Settings
+from accelcal_cli.core.settings import DEFAULT, PAPER, Settings
 from accelcal_cli.core.statistics import interval95, mean
 from accelcal_cli.judge import model_ladder
 from accelcal_cli.judge.errors import Uncertainty, deviations_mg, per_posture, uncertainty
@@ -48,8 +48,11 @@ SIMPLER = {"9": "6", "9T": "6T"}
 FULL_MODELS = tuple(SIMPLER)
 DIVERGES = Reason("fit_diverges")
 
+ANOTHER_PROFILE = (Reason("use_default_profile"),)
+"""Advice where F's procedure does not serve."""
+
 FEWEST_CONTROL_POINTS = 2
-"""Points that F's second set needs if any distance between them will do; otherwise it needs all 18."""
+"""Points that F's second set needs for an error with an interval."""
 
 ODD_TIMES, ODD_MG = 3.0, 1.0
 """Factor of the pool's median error, and what is added to it [mg], above which an error is unusual."""
@@ -292,9 +295,10 @@ def judge_paper(
     """Judge by F's procedure: nine parameters from the full first set, held out on the second (eq. 21).
 
     An optimizer that cannot fit nine fits six, as the non-iterative method of F's Table 3 does. A fit that is
-    uncertain somewhere on the sphere is refused, however small the error on the second set; so is a second
-    set that is not full, if points keep a least distance (measured with 3 to 15 control points: errors on the
-    sphere up to 5.7 times the reported one; with 18, 1.24 times).
+    uncertain somewhere on the sphere is refused, however small the error on the second set. A second set that
+    is not full says little of orientations that neither set has (measured with 3 to 15 control points: errors
+    on the sphere up to 5.7 times that on the set), so the coefficients are also held against the posterior of
+    the sensor, given the points of both sets and what sensors are like. The fit itself knows nothing of that.
 
     Args:
         missing: names of the subsets that are not full, of the first set and of the second.
@@ -302,26 +306,59 @@ def judge_paper(
     settings = how.settings
     coverage = coverage_of(fit_points, postures(fit_points, settings.posture_degrees))
     first, second = missing
-    if len(control_points) >= FEWEST_CONTROL_POINTS and not settings.min_distance_g:
+    if len(control_points) >= FEWEST_CONTROL_POINTS:
         second = []
     if first or second:
         why = _not_full(first, second, settings)
-        return Judgement(Outcome.REFUSED, why, coverage, (), advice=(Reason("use_default_profile"),))
+        return Judgement(Outcome.REFUSED, why, coverage, (), advice=(*ANOTHER_PROFILE, LONGER))
     name = "9" if "9" in how.models else "6"
     try:
         (fitted,) = how.fit((fit_points,), MODELS[name])
     except DivergedError:
-        return Judgement(Outcome.REFUSED, DIVERGES, coverage, (), advice=(LONGER,))
+        return Judgement(Outcome.REFUSED, DIVERGES, coverage, (), advice=ANOTHER_PROFILE)
     known = uncertainty(fit_points, fitted.parameters, MODELS[name])
     unsure = model_ladder.doubt(known, settings.max_error_mg)
     holdout = None if unsure else model_ladder.control(control_points, fitted.parameters)
     trial = Trial(name, holdout, unsure, fitted)
     verdict = _verdict_of_paper(trial, _with_precision(coverage, known), settings)
+    verdict = _everywhere(verdict, fit_points.joined(control_points), how)
     if verdict.outcome is Outcome.REFUSED:
         return verdict
     label = np.arange(len(fit_points), dtype=np.int64)
     completed = _complete(verdict, name, fitted, fit_points, label, settings.gravity)
     return with_simpler_of_paper(completed, fit_points, control_points, how)
+
+
+def _everywhere(verdict: Judgement, points: PointSet, how: Fitting) -> Judgement:
+    """Add the error of F's fit over all orientations, and refuse a fit for which it is too large.
+
+    Args:
+        points: of both sets.
+    """
+    assert how.judging is not None
+    settings, trial = how.settings, verdict.trials[0]
+    assert trial.fit is not None
+    label = postures(points, settings.posture_degrees)
+    try:
+        known = posterior(points, len(set(label.tolist())), MODELS["9"], POPULATION, how.judging)
+    except DivergedError:
+        return replace(verdict, outcome=Outcome.REFUSED, reason=DIVERGES, advice=ANOTHER_PROFILE)
+    judged = (trial.fit.parameters, known.found.fit.parameters, IDENTITY)
+    sphere, of_best, before = sphere_errors(points, label, known, judged)
+    verdict = replace(verdict, sphere=sphere, sphere_before=before)
+    values: dict[str, Any] = {"error_mg": sphere.mean, "low_mg": sphere.ci95[0], "high_mg": sphere.ci95[1]}
+    values["limit_mg"] = settings.max_error_mg
+    if verdict.outcome is not Outcome.REFUSED and sphere.mean >= settings.max_error_mg:
+        over = Reason.of("calibration_error_over_limit", **values)
+        verdict = Decision(Outcome.REFUSED, over, ANOTHER_PROFILE).applied_to(verdict)
+    if verdict.outcome is Outcome.REFUSED:
+        suffice = of_best.mean < settings.max_error_mg and settings.optimizer != DEFAULT.optimizer
+        another = (Reason.of("use_optimizer", optimizer=DEFAULT.optimizer),) if suffice else ()
+        return replace(verdict, advice=(*another, *verdict.advice))
+    if verdict.outcome is Outcome.CALIBRATED and trial.holdout is not None:
+        values |= {"model": trial.model, "raw_mg": before.mean} | _held_out_values(trial.holdout)
+        verdict = replace(verdict, reason=Reason.of("calibrated", **values))
+    return verdict
 
 
 def _verdict_of_paper(trial: Trial, coverage: Coverage, settings: Settings) -> Judgement:
@@ -433,13 +470,10 @@ def _no_model(
 
 
 def _advice(coverage: Coverage, settings: Settings) -> tuple[Reason, ...]:
+    if settings.profile == PAPER.profile:  # its sets are full: a longer recording has the same points
+        return ANOTHER_PROFILE
     missing = model_ladder.one_sided_axes(coverage, settings.coverage_g)
-    if missing:
-        return (Reason.of("no_stillness_on_sides", sides=missing),)
-    if settings.profile != PAPER.profile:
-        return (LONGER,)
-    other = (Reason("use_both_rules"),) if settings.stillness == PAPER.stillness else ()
-    return (LONGER, *other, Reason("use_default_profile"))
+    return (Reason.of("no_stillness_on_sides", sides=missing) if missing else LONGER,)
 
 
 def with_errors_before(followed: Judgement, raw: Judgement) -> Judgement:

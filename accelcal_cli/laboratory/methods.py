@@ -18,7 +18,7 @@ from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.results import Judgement
-from accelcal_cli.core.settings import NO_PRIOR, Settings
+from accelcal_cli.core.settings import NO_PRIOR, PAPER, Settings, other_rules, rule_options
 from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.optimize import all_optimizers, named_optimizer
@@ -44,6 +44,7 @@ class MethodRow:
 
     Attributes:
         message: message of the verdict.
+        stillness: options of the rule of stillness, with profile `paper`.
         model: model that was chosen; None if the recording was refused.
         before_mg, after_mg: mean held-out error.
         iterations, additions, multiplications: numbers in the fit to all points; None if not counted.
@@ -54,6 +55,7 @@ class MethodRow:
     optimizer: str
     outcome: str
     message: str
+    stillness: str | None = None
     model: str | None = None
     points: int = 0
     postures: int | None = None
@@ -74,9 +76,20 @@ def compare(
     Raises:
         AccelcalError: it cannot be read.
     """
-    procedure = collected(path, options, settings, progress)
+    procedure, settings = _collected_to_fit(path, options, settings, progress)
     for name in optimizers:
         yield _row(path, procedure, replace(settings, optimizer=name, prior=NO_PRIOR))
+
+
+def _collected_to_fit(
+    path: Path, options: ReadOptions, settings: Settings, progress: ProgressMaker
+) -> tuple[Procedure, Settings]:
+    """Return the procedure of the settings, or of the first other rule by which it calibrates."""
+    rules = (settings, *(other_rules(settings) if settings.other_stillness else ()))
+    found = ((collected(path, options, rule, progress), rule) for rule in rules)
+    first = next(found)
+    usable = (one for one in chain([first], found) if one[0].judge(fitting(one[1])).calibration is not None)
+    return next(usable, first) if len(rules) > 1 else first
 
 
 def collected(path: Path, options: ReadOptions, settings: Settings, progress: ProgressMaker) -> Procedure:
@@ -100,9 +113,9 @@ def _row(path: Path, procedure: Procedure, settings: Settings) -> MethodRow:
         return MethodRow(printable(path), settings.optimizer, "failed", str(error))
     seconds = None if verdict.fit is None else _seconds(procedure, fitter, verdict)
     cells = verdict.coverage.cells
-    row = MethodRow(
-        printable(path), settings.optimizer, str(verdict.outcome), explained(verdict.reason), points=cells
-    )
+    rule = rule_options(settings) if settings.profile == PAPER.profile else None
+    message = explained(verdict.reason, verdict.advice)
+    row = MethodRow(printable(path), settings.optimizer, str(verdict.outcome), message, rule, points=cells)
     return _judged(row, verdict, seconds)
 
 
@@ -236,7 +249,8 @@ def _tables(rows: list[MethodRow]) -> list[str]:
     for recording in dict.fromkeys(row.recording for row in rows):
         own = [row for row in rows if row.recording == recording]
         refusals = [f"{row.optimizer}: {row.outcome}: {row.message}" for row in own if row.model is None]
-        tables.append("\n".join([recording, aligned(HEAD, [_cells(row) for row in own]), *refusals]))
+        rule = f" ({own[0].stillness})" if own[0].stillness else ""
+        tables.append("\n".join([recording + rule, aligned(HEAD, [_cells(row) for row in own]), *refusals]))
     return tables
 
 

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Judgement, Outcome
-from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.core.settings import DEFAULT, PAPER
 from accelcal_cli.output import words
 from accelcal_cli.output.report_view import ReportView, report_view
 
@@ -149,6 +149,8 @@ def _advice(report: ReportView, notes: tuple[Reason, ...]) -> tuple[Reason, ...]
     points = report.settings.get("input", {}).get("format") == "points"
     if not cells and (notes or points):
         return ()
+    if report.settings.get("profile") == PAPER.profile and report.reason != "subsets_not_full":
+        return ()  # its sets are full: more orientations would not be used
     again = Reason("check_sensor" if report.reason == "constant_values" else "record_again")
     ways = _orientations(report) if cells else (again,)
     return ways if points else (*ways, Reason("other_coefficients"))

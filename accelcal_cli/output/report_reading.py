@@ -62,6 +62,7 @@ LATER = {
     "gyroscope": "0.2.0",
     "settings.recalibrate": "0.2.0",
     "settings.longest_gap_s": "0.2.0",
+    "settings.other_stillness": "0.3.0",
     "calibration.course": "0.2.0",
     "fit.windows.temperature_left_out": "0.2.0",
     "fit.windows.saturated_left_out": "0.2.0",

@@ -170,12 +170,10 @@ def _quietest(values: Values) -> str:
 
 def _subsets(values: Values) -> str:
     """Say which of the paper's subsets lack points."""
-    near = {"n": "-1 g", "0": "0 g", "p": "+1 g"}
-    missing = listed([f"{name[0]} {near[name[1]]}" for name in values["subsets"]])
     apart = f", at least {values['apart_g']:g} g apart" if values["apart_g"] else ""
     return (
         f"Profile paper needs {counted(values['points'], 'still window')} near -1, 0 and +1 g on each axis"
-        f"{apart}. Missing in the {values['of']} set: {missing}."
+        f"{apart}. Missing in the {values['of']} set: {listed(values['subsets'])}."
     )
 
 
@@ -332,6 +330,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "rest_scatters": "Gravity measures anything from {low_g:.2f} to {high_g:.2f} g at rest, more than scale "
     "and offset explain. Check the columns, or the places and types of the fields.",
     "prior_learnt": lambda values: f"The prior was learnt from {_learnt_from(values)}.",
+    "other_stillness": "By the x axis alone this recording would be refused; {options} is used instead.",
     "windows_repeated": "{windows:n still window} that repeat earlier ones exactly were left out.",
     "own_coefficients": "These are the recording's own coefficients.",
     "other_device": "This recording's device is {serial}.",
@@ -399,7 +398,8 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "adaptive_rule": "If that is the sensor's noise, use --stillness adaptive.",
     "shorter_windows": "If the device rested for shorter times only, use a smaller --segment-seconds.",
     "shorter_windows_or_longer_gaps": "Use a smaller --segment-seconds or a larger --longest-gap.",
-    "use_both_rules": "Use --stillness both.",
+    "use_options": "Use {options}, which calibrates this recording.",
+    "use_optimizer": "Use --optimizer {optimizer}: the points are good enough for it.",
     "use_default_profile": "Use --profile default, which needs no full subsets.",
     "copy_again": "The file is cut short: copy it again from the device.",
     "allow_damage": "To use what is left, allow more damage with --max-damage.",

@@ -24,7 +24,15 @@ from accelcal_cli.core.prior import LearntPrior
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.results import Coverage, Facts, Judgement, Outcome
-from accelcal_cli.core.settings import NO_PRIOR, PoseSettings, Settings
+from accelcal_cli.core.settings import (
+    NO_PRIOR,
+    PAPER,
+    VARIED,
+    PoseSettings,
+    Settings,
+    other_rules,
+    rule_options,
+)
 from accelcal_cli.judge.change import change_reason
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import postures
@@ -192,10 +200,14 @@ class OwnCalibration(Judge):
         return Verdict(judgement, {} if learnt is None else {"prior": learnt.as_json()})
 
     def _with_notes(self, judgement: Judgement, found: Survey) -> Judgement:
-        """Return the judgement with notes on the prior and repeated windows, and the caution of a change."""
+        """Return the judgement with notes on prior, windows and rule, and the caution of a change."""
         notes = [] if self.learnt is None else [self.learnt.reason()]
         if repeated := found.method.segmenter.counts.repeated:
             notes.append(Reason.of("windows_repeated", windows=repeated))
+        if self.settings.other_stillness and any(
+            getattr(self.settings, name) != getattr(PAPER, name) for name in VARIED
+        ):
+            notes.append(Reason.of("other_stillness", options=rule_options(self.settings)))
         change = None
         if judgement.change is not None:
             followed = judgement.calibration is not None and judgement.calibration.correction is not None
@@ -251,6 +263,7 @@ class FirstPass:
         raw: the points before that; posture: (n,) number of the posture of each.
         method: with all still windows taken in.
         timeline: what was counted along time; None for a procedure without blocks of time.
+        log: all still windows, if they are asked for.
     """
 
     data: ReportInput
@@ -259,6 +272,22 @@ class FirstPass:
     posture: NDArray[np.int64]
     method: procedures.Method
     timeline: Timeline | None
+    log: WindowLog | None = None
+
+    @property
+    def other_rule_may_help(self) -> bool:
+        """True if profile `paper` found points near 1 g, and could not fit or judge them."""
+        procedure, verdict = self.method.procedure, self.data.judgement
+        paper = isinstance(procedure, procedures.PaperProcedure) and len(procedure.collector) > 0
+        return paper and verdict.outcome is Outcome.REFUSED
+
+    def advising(self, settings: Settings) -> FirstPass:
+        """Return the refusal with the advice to use the rule of stillness of other settings."""
+        verdict = self.data.judgement
+        helps = Reason.of("use_options", options=f"--profile paper {rule_options(settings)}")
+        return replace(
+            self, data=replace(self.data, judgement=replace(verdict, advice=(helps, *verdict.advice)))
+        )
 
     def quality(self) -> QualityInput | None:
         """Return the recording along time; None without blocks of time."""
@@ -291,33 +320,46 @@ class RecordingRun:
                 that are read.
         """
         job, read = self.job, (self.reader.recording.companion, self.request.poses)
-        log = None if self.request.windows is None else WindowLog()
         jobs.refuse_overwriting((*job.outputs, *self._windows), read)
         outputs.prepare(job, self._windows, force=self.request.force)
         if not self.request.force:
             existing = outputs.up_to_date(self.job, self.bytes_at, self.reader.recording, self.request)
-            if existing is not None and log is None:
+            if existing is not None and self.request.windows is None:
                 return existing
-        found = self.result(judge, log)
-        if log is not None and self.request.windows is not None:
+        found = self.result(judge, logged=self.request.windows is not None)
+        if found.log is not None and self.request.windows is not None:
             jobs.check_unchanged(self.bytes_at, self.before)
-            log.write(self.request.windows, found.data, found.points)
+            found.log.write(self.request.windows, found.data, found.points)
         return self.write(found, integers_json(found.data, found.points) if self.request.integers else None)
 
     @property
     def _windows(self) -> tuple[Path, ...]:
         return () if self.request.windows is None else (self.request.windows,)
 
-    def result(self, judge: Judge, log: WindowLog | None = None) -> FirstPass:
+    def result(self, judge: Judge, *, logged: bool = False) -> FirstPass:
         """Do the first pass: survey the recording and judge it; nothing is written.
 
+        A recording that profile `paper` refuses by one rule of stillness may be calibrated by another. It is
+        used then, or advised where the user chose the rule.
+
         Args:
-            log: takes in all still windows.
+            logged: keep all still windows.
 
         Raises:
             UnreadableError: the recording cannot be read on.
         """
-        recording, optimizer = self.reader.recording, judge.optimizer()
+        found = self._first_pass(judge, logged)
+        if not found.other_rule_may_help:
+            return found
+        for settings in other_rules(judge.settings):
+            run = replace(self, request=replace(self.request, settings=settings))
+            other = run._first_pass(replace(judge, settings=settings), logged)
+            if other.data.judgement.calibration is not None:
+                return other if judge.settings.other_stillness else found.advising(settings)
+        return found
+
+    def _first_pass(self, judge: Judge, logged: bool) -> FirstPass:
+        recording, optimizer, log = self.reader.recording, judge.optimizer(), WindowLog() if logged else None
         method = judge.method(recording)
         method = method if log is None else log.watch(method, recording.rate_hz)
         timeline = timeline_of(method, recording)
@@ -345,7 +387,7 @@ class RecordingRun:
             taken=verdict.sections | ({} if gyroscope is None else {"gyroscope": gyroscope_json(gyroscope)}),
             gyroscope=gyroscope,
         )
-        return FirstPass(data, points, raw, posture, method, timeline)
+        return FirstPass(data, points, raw, posture, method, timeline, log)
 
     def survey(self, method: procedures.Method, *others: survey.Observer) -> Facts:
         """Show the recording to the method and other observers, and return its facts."""

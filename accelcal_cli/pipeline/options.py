@@ -210,6 +210,8 @@ def _stillness_settings(profile: Settings, values: dict[str, Any]) -> Settings:
     """Return the profile's settings with the user's stillness rule, checked against its numbers."""
     name, seconds = values["stillness"], values["segment_seconds"]
     chosen = profile if name is None else with_stillness(profile, name)
+    if name is not None or values.get("stillness_axes") is not None:
+        chosen = replace(chosen, other_stillness=False)
     if values["stillness_threshold_g"] is not None and chosen.stillness_threshold_g is None:
         raise UsageError(
             f"--stillness {chosen.stillness} has no limit on max - min",

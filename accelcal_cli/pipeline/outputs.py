@@ -18,7 +18,7 @@ from accelcal_cli.core.errors import OutputError, printable
 from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.input_files import size_of
 from accelcal_cli.core.recording import Recording
-from accelcal_cli.core.settings import SIX_POSE, PoseSettings
+from accelcal_cli.core.settings import SIX_POSE, VARIED, PoseSettings
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output.files import exists, is_page, metadata_of, refuse_foreign, write_text, written_by_us
 from accelcal_cli.output.report import dumps
@@ -130,7 +130,13 @@ def _matches(report: dict[str, Any], recording: Recording, request: Request) -> 
     used = report.get("coefficients", {}).get("sha256")
     settings = json_round_trip(request.effective_settings(recording.companion).as_json())
     asked = None if request.coefficients is None else request.coefficients.sha256
-    return bool(report["settings"] == settings and used == asked)
+    return bool(_as_asked(report["settings"]) == _as_asked(settings) and used == asked)
+
+
+def _as_asked(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return a report's settings without the rule of stillness if that was not asked for, but found."""
+    found = VARIED if settings.get("other_stillness") else ()
+    return {name: value for name, value in settings.items() if name not in found}
 
 
 def _are_a_pair(report: dict[str, Any], metadata: dict[str, Any]) -> bool:

@@ -21,11 +21,11 @@ from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Change, Facts, Judgement
-from accelcal_cli.core.settings import LEARNT_PRIORS, NEVER, NO_PRIOR, PAPER, Settings
+from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS, NEVER, NO_PRIOR, PAPER, Settings
 from accelcal_cli.judge.change import ChangeSearch
 from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.judge.refusal import FAR_FROM_1_G, NOTHING_STILL
-from accelcal_cli.judge.verdict import judge, judge_paper, with_errors_before
+from accelcal_cli.judge.verdict import FEWEST_CONTROL_POINTS, judge, judge_paper, with_errors_before
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report import WindowUse
 from accelcal_cli.pipeline.survey import Observer
@@ -56,7 +56,8 @@ def fitting(settings: Settings, learnt: Prior | None = None) -> Fitting:
     if learnt is None and settings.prior in LEARNT_PRIORS:
         raise UsageError(f"prior {settings.prior} is learnt from other recordings", hint="use accelcal study")
     fit = partial(optimizer.fits, settings=numbers)
-    return Fitting(settings, fit, optimizer.models, penalized, learnt or POPULATION)
+    judging = named_optimizer(DEFAULT.optimizer).fit_penalized if settings.profile == PAPER.profile else None
+    return Fitting(settings, fit, optimizer.models, penalized, learnt or POPULATION, judging)
 
 
 def optimizer_json(settings: Settings) -> dict[str, Any]:
@@ -306,7 +307,9 @@ class PaperProcedure(Procedure):
 
     def orientations(self) -> int:
         """Return the number of points of both sets, once these can be fitted and judged."""
-        return len(self.collector) if self.collector.complete else 0
+        held = self.collector
+        judged = not held.fit.missing() and sum(map(sum, held.control.filled())) >= FEWEST_CONTROL_POINTS
+        return len(held) if judged else 0
 
     def fates(self, windows: Windows) -> Fates:
         """See `Procedure`."""

@@ -64,8 +64,9 @@ def test_every_rule_is_tested_here() -> None:
 def test_the_default_is_both_and_of_profile_paper_range(tmp_path: Path, capsys: Capture) -> None:
     assert reported(capsys, tmp_path) == reported(capsys, tmp_path, "--stillness", "both")
     paper = reported(capsys, tmp_path, "--profile", "paper")
-    assert paper["settings"]["stillness"] == "range"
-    assert paper == reported(capsys, tmp_path, "--profile", "paper", "--stillness", "range")
+    assert paper["settings"]["stillness"] == "range" and paper["settings"]["other_stillness"]
+    named = reported(capsys, tmp_path, "--profile", "paper", "--stillness", "range")
+    assert named == {**paper, "settings": {**paper["settings"], "other_stillness": False}}
     other = reported(capsys, tmp_path, "--profile", "paper", "--stillness", "deviation")
     assert (other["settings"]["profile"], numbers(other)) == ("paper", NUMBERS["deviation"])
 

@@ -21,14 +21,15 @@ LENGTH, LSB = 4, 256.0
 G = 1024
 """Sum of counts of a window that rests at 1 g."""
 
-ALL = ["xn", "x0", "xp", "yn", "y0", "yp", "zn", "z0", "zp"]
+LEVELS = ("-1 g", "0 g", "+1 g")
+ALL = [f"{axis} {level}" for axis in "xyz" for level in LEVELS]
 NOWHERE = G // 2
 """0.5 g lies in no interval."""
 
 ONE_SUBSET = {
-    f"{axis}{level}": tuple(value if place == index else NOWHERE for place in range(3))
+    f"{axis} {level}": tuple(value if place == index else NOWHERE for place in range(3))
     for index, axis in enumerate("xyz")
-    for level, value in (("n", -G), ("0", 0), ("p", G))
+    for level, value in zip(LEVELS, (-G, 0, G), strict=True)
 }
 
 
@@ -86,12 +87,12 @@ def test_borders_between_counts_are_not_rounded(value: int, taken: bool) -> None
 def test_axes_are_asked_in_the_order_x_y_z() -> None:
     held = collector()
     point = (0, G, -G)
-    for name in ("x0", "x0", "yp", "yp", "zn", "zn"):
+    for name in ("x 0 g", "x 0 g", "y +1 g", "y +1 g", "z -1 g", "z -1 g"):
         before = held.missing()
         assert held.offer(point)
         assert set(before) - set(held.missing()) <= {name}
     assert not held.offer(point)
-    assert held.missing() == [name for name in ALL if name not in ("x0", "yp", "zn")]
+    assert held.missing() == [name for name in ALL if name not in ("x 0 g", "y +1 g", "z -1 g")]
 
 
 def test_a_point_outside_all_intervals_is_not_taken() -> None:
@@ -237,7 +238,7 @@ def test_it_says_after_which_sample_the_first_set_was_full() -> None:
     assert held.full_after == 17 * LENGTH + 2 * LENGTH
     held.add(windows(LENGTH, means))
     assert held.full_after == 19 * LENGTH
-    assert held.complete
+    assert not held.fit.missing()
 
 
 def test_both_sets_get_what_they_need_before_either_takes_more() -> None:
@@ -250,7 +251,7 @@ def test_both_sets_get_what_they_need_before_either_takes_more() -> None:
         if row == 0:
             assert (held.fit.missing(), held.full_after) == ([], held.full_after)
             assert held.full_after is not None and held.control.missing() == ALL
-        assert held.complete
+        assert not held.fit.missing()
     counts = [[3] * 3] * 3
     assert (held.fit.filled(), held.control.filled()) == (counts, counts)
     roles = held.fates(made).role.reshape(9, 7).T.tolist()

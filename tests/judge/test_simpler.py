@@ -128,9 +128,7 @@ def test_it_is_in_standard_g_too() -> None:
 
 def test_profile_paper_judges_it_on_its_second_set() -> None:
     first, second = (points(measured(NINE, directions(number))) for number in (18, 17))
-    verdict = judge_paper(first, second, ([], []), Fitting(PAPER, lambda sets, model: [
-        fast_fit(one, model) for one in sets
-    ]))  # fmt: skip
+    verdict = judge_paper(first, second, ([], []), Fitting(PAPER, fast_fits, judging=PENALIZED))
     found = verdict.without_misalignment
     assert verdict.calibration is not None and verdict.calibration.model == "9"
     assert found is not None and found.holdout is not None and verdict.holdout is not None

@@ -10,17 +10,19 @@ import pytest
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.points import MODELS, PointSet
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.core.settings import DEFAULT, PAPER
+from accelcal_cli.core.settings import DEFAULT, PAPER, Settings
 from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.errors import deviations_mg, per_posture, uncertainty
-from accelcal_cli.judge.model_ladder import Fitting, postures
+from accelcal_cli.judge.model_ladder import LADDER, FitFunction, Fitting, postures
 from accelcal_cli.judge.verdict import judge, judge_paper
 from accelcal_cli.laboratory.optimizers.regressions import ELLIPSOID_MODELS, fit_ellipsoid
 from accelcal_cli.optimize import fixed32
 from tests.judge.made import NINE, OFFSET, SIX, WARM, clusters, spread
 from tests.optimize.oracle import (
     IDEAL,
+    calibrated,
     directions,
     fast_fit,
     fast_fits,
@@ -200,45 +202,51 @@ def two_sets(p: np.ndarray) -> tuple[PointSet, PointSet]:
     return points(v[:18]), points(v[18:])
 
 
+def by_paper(settings: Settings, fit: FitFunction = fast_fits, models: tuple[str, ...] = LADDER) -> Fitting:
+    """How profile `paper` fits and judges."""
+    return Fitting(settings, fit, models, judging=fixed32.OPTIMIZER.fit_penalized)
+
+
 def test_the_paper_needs_every_subset() -> None:
     fitted, control = two_sets(NINE)
-    found = judge_paper(fitted, control, (["xn", "z0"], ["xp"]), Fitting(PAPER, fast_fits))
+    found = judge_paper(fitted, control, (["x -1 g", "z 0 g"], ["x +1 g"]), by_paper(PAPER))
     assert found.outcome is Outcome.REFUSED and found.calibration is None
-    assert found.message.startswith(
-        "subsets without two points that are at least 0.2 g from all others: xn z0;"
-    )
-    as_before = judge_paper(
-        fitted, control, (["xn", "z0"], ["xp"]), Fitting(replace(PAPER, min_distance_g=0.0), fast_fits)
-    )
-    assert as_before.message.startswith("subsets without two points: xn z0;")
+    assert found.reason.code == "subsets_not_full"
+    assert found.reason.values == {
+        "of": "fit",
+        "subsets": ["x -1 g", "z 0 g"],
+        "points": 2,
+        "apart_g": 0.2,
+    }
+    assert [one.code for one in found.advice] == ["use_default_profile", "record_longer"]
 
 
-def test_point_1_the_paper_needs_every_subset_of_the_control_points_too() -> None:
+def test_verdicts_9_a_second_set_that_is_not_full_is_judged_by_what_both_sets_leave_open() -> None:
     """A few control points see a few directions only: 3 of them claimed 0.4 mg where 2.2 mg were true."""
     fitted, control = two_sets(NINE)
-    found = judge_paper(fitted, control, ([], ["xp", "y0"]), Fitting(PAPER, fast_fits))
-    assert found.outcome is Outcome.REFUSED and found.calibration is None
-    assert found.message.startswith(
-        "control subsets without two points that are at least 0.2 g from all others: xp y0;"
-    )
-    any_distance = replace(PAPER, min_distance_g=0.0)
-    for number, outcome in ((1, Outcome.REFUSED), (2, Outcome.CALIBRATED)):
+    p = fast_fit(fitted, MODELS["9"]).parameters
+    left = calibrated(np.array(p) / ONE, measured(NINE, directions(500)))
+    truth = 1000 * float(np.abs(np.linalg.norm(left, axis=1) - 1).mean())
+    for number, outcome in ((1, Outcome.REFUSED), (2, Outcome.CALIBRATED), (8, Outcome.CALIBRATED)):
         few = control.select(np.arange(number))
-        assert judge_paper(fitted, few, ([], ["xp"]), Fitting(any_distance, fast_fits)).outcome is outcome, (
-            "as before"
-        )
+        found = judge_paper(fitted, few, ([], ["x +1 g"]), by_paper(PAPER))
+        assert found.outcome is outcome
+        if outcome is Outcome.CALIBRATED:
+            assert found.sphere is not None and found.holdout is not None and found.sphere_before is not None
+            assert truth < found.sphere.ci95[1] < 10 * truth < found.sphere_before.mean
 
 
 def test_the_paper_fits_nine_parameters_and_judges_by_the_second_set() -> None:
     fitted, control = two_sets(NINE)
-    found = judge_paper(fitted, control, FULL, Fitting(PAPER, fast_fits))
+    found = judge_paper(fitted, control, FULL, by_paper(PAPER))
     assert found.outcome is Outcome.CALIBRATED
     assert found.calibration is not None and found.holdout is not None
     p = fast_fit(fitted, MODELS["9"]).parameters
     assert found.calibration.parameters == p and found.calibration.model == "9"
     assert found.holdout.after.mean == pytest.approx(float(deviations_mg(control, p).mean()))
     assert found.holdout.before.mean == pytest.approx(float(deviations_mg(control, IDENTITY).mean()))
-    assert found.holdout.points == 18 and "on control points" in found.message
+    assert found.holdout.points == 18 and found.reason.code == "calibrated"
+    assert found.reason.values["held_out"] == "control points"
 
 
 def test_point_1_the_paper_s_fit_is_refused_where_it_is_uncertain_somewhere_on_the_sphere() -> None:
@@ -248,20 +256,19 @@ def test_point_1_the_paper_s_fit_is_refused_where_it_is_uncertain_somewhere_on_t
     p = fast_fit(fitted, MODELS["9"]).parameters
     known = uncertainty(fitted, p, MODELS["9"])
     assert known is not None and known.worst_direction_mg > 10 > 10 * deviations_mg(control, p).mean()
-    found = judge_paper(fitted, control, FULL, Fitting(PAPER, fast_fits))
+    found = judge_paper(fitted, control, FULL, by_paper(PAPER))
     assert found.outcome is Outcome.REFUSED
     assert found.calibration is None and found.holdout is None
-    worst = f"in some directions it would be uncertain by {known.worst_direction_mg:.0f} mg"
-    assert found.message.startswith(f"model 9 cannot be trusted: {worst}; record longer")
+    worst = Reason.of("uncertain_somewhere", by_mg=known.worst_direction_mg)
+    assert found.reason == Reason.of("model_uncertain", model="9", why=worst)
+    assert [one.code for one in found.advice] == ["use_default_profile"], "its sets are full"
     assert [trial.reason for trial in found.trials] == [worst]
     assert found.coverage.worst_direction_mg == known.worst_direction_mg
     assert (found.coverage.cells, found.coverage.distinct_orientations) == (18, 6)
     limit = replace(PAPER, max_error_mg=known.worst_direction_mg)
-    assert judge_paper(fitted, control, FULL, Fitting(limit, fast_fits)).outcome is Outcome.REFUSED, (
-        "from the limit on"
-    )
+    assert judge_paper(fitted, control, FULL, by_paper(limit)).outcome is Outcome.REFUSED, "from the limit on"
     limit = replace(PAPER, max_error_mg=known.worst_direction_mg * 1.001)
-    assert judge_paper(fitted, control, FULL, Fitting(limit, fast_fits)).outcome is Outcome.CALIBRATED
+    assert judge_paper(fitted, control, FULL, by_paper(limit)).outcome is Outcome.CALIBRATED
 
 
 def test_an_optimizer_without_misalignment_gives_a_reduced_model_and_says_why() -> None:
@@ -277,10 +284,14 @@ def test_an_optimizer_without_misalignment_gives_a_reduced_model_and_says_why() 
 def test_the_paper_s_points_are_fitted_by_six_parameters_where_nine_are_not_to_be_had() -> None:
     fitted, control = two_sets(NINE)
     settings = replace(PAPER, optimizer="ellipsoid", max_error_mg=50.0)
-    found = judge_paper(fitted, control, FULL, Fitting(settings, one_by_one(fit_ellipsoid), ELLIPSOID_MODELS))
+    found = judge_paper(
+        fitted, control, FULL, by_paper(settings, one_by_one(fit_ellipsoid), ELLIPSOID_MODELS)
+    )
     assert found.outcome is Outcome.REDUCED_MODEL
     assert found.calibration is not None and found.calibration.model == "6"
-    assert "optimizer ellipsoid fits no misalignment" in found.message
+    assert found.trials[1].reason == Reason.of(
+        "optimizer_never_fits", optimizer="ellipsoid", what="misalignment"
+    )
 
 
 def test_a_sensor_that_no_model_could_be_tried_on_is_not_called_good() -> None:

@@ -149,7 +149,7 @@ def test_profile_paper_fits_when_its_subsets_are_full_not_at_the_end(tmp_path: P
     (fitted,) = [event for event in events if event["event"] == "fitted"]
     found = calibrated(path, data[: fitted["bytes"]], settings, tmp_path / "prefix")
     assert found_in(fitted) == found
-    before = calibrated(path, data[: fitted["bytes"] - 200_000], settings, tmp_path / "prefix")
+    before = calibrated(path, data[: fitted["bytes"] // 2], settings, tmp_path / "prefix")
     assert before["outcome"] == "refused", "it waited too long"
     hours = fitted["coverage"]["subsets_full_after_h"]
     assert 0 < hours <= fitted["hours"] < 0.8 * len(data) / 6 / 25 / 3600
