@@ -53,7 +53,12 @@ NOT_COMPARED = ("provenance", "accelcal_version")
 PROSE = ("message", "note")
 """Keys of sentences, wherever they stand, which no program compares; so are the notes on the recording."""
 
-EARLIER_PROSE = (("change", "unchecked"), ("models_tried", "reason"), ("pool", "left_out"))
+EARLIER_PROSE = (
+    ("change", "unchecked"),
+    ("known_orientations", "unchecked"),
+    ("models_tried", "reason"),
+    ("pool", "left_out"),
+)
 """Keys that hold sentences in reports of earlier schema versions, and codes now."""
 
 SAYS_TIME_ZONE = "0.2.0"

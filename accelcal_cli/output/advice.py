@@ -122,8 +122,7 @@ def doubts(
         return []
     found = []
     if high >= limit:
-        where = "in orientations that are not in the recording" if everywhere else "on average"
-        found.append(Reason.of("error_may_reach", high_mg=high, where=where))
+        found.append(Reason.of("error_may_reach", high_mg=high, everywhere=everywhere))
     if before is not None and high >= before:
         found.append(Reason.of("no_better_than_raw", before_mg=before))
     return found

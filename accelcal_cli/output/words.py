@@ -254,9 +254,9 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "borrowed": "The coefficients are those of {path} (sha256 {sha256}, device {device}). {errors_here}",
     "pooled": "The coefficients were fitted to {recordings} recordings of device {serial} together. {pool} "
     "{errors_here}",
-    "earlier_verdict": "{message}",
+    "earlier_verdict": lambda values: f"An earlier version said: {values['message'].rstrip('.')}.",
     "poses_calibrated": "Model 12: {norm_before_mg:mg} mg before, {norm_after_mg:mg} mg after, on held-out "
-    "orientations; direction included, {before_mg:mg} and {after_mg:mg} mg.{unchecked_faces}",
+    "orientations, and with the direction {before_mg:mg} and {after_mg:mg} mg.{unchecked_faces}",
     "poses_unchecked": "Model 12 was fitted to {orientations:n orientation}, and nothing was held out: its "
     "error is not known. The raw data are {before_mg:mg} mg off, direction included.",
     "poses_no_better": "The raw data are {before_mg:mg} mg off, no more than twelve parameters leave on "
@@ -271,40 +271,40 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "nothing_near_quietest": "No other window comes near the quietest one of the recording.",
     "constant_values": "Every still window holds a single constant value: the sensor was probably off or "
     "asleep.",
-    "too_few_orientations": "The device was still in only {orientations:n orientation}; at least {needed} "
-    "are needed.",
-    "fit_diverges": "The fit diverges: the still windows do not determine the parameters.",
+    "too_few_orientations": "The device was still in only {orientations:n orientation}, and at least "
+    "{needed} are needed.",
+    "fit_diverges": "The fit diverges, since the still windows do not determine the parameters.",
     "calibration_error_over_limit": "The calibration error over all orientations may be {error_mg:mg} mg "
-    "(95 % interval {low_mg:mg} to {high_mg:mg} mg); the limit is {limit_mg:g} mg.",
-    "held_out_error_over_limit": "The best model ({model}) leaves {after_mg:mg} mg on held-out {held_out}; "
-    "the limit is {limit_mg:g} mg.",
+    "(95 % interval {low_mg:mg} to {high_mg:mg} mg). The limit is {limit_mg:g} mg.",
+    "held_out_error_over_limit": "The best model ({model}) leaves {after_mg:mg} mg on held-out {held_out}. "
+    "The limit is {limit_mg:g} mg.",
     "not_better": "{model_asked_for}, does not improve the recording: {before_mg:mg} mg before, "
     "{after_mg:mg} mg after, on held-out {held_out}.",
     "model_not_fitted": "Model {model} cannot be fitted: {why}",
     "no_model_tried": "No model could be fitted: {why}",
     "model_uncertain": "Model {model} cannot be trusted: {why}",
     "subsets_not_full": _subsets,
-    "damaged": "{lost_percent:.1f} % of the recording is lost to damage ({lost_bytes} bytes); the limit is "
+    "damaged": "{lost_percent:.1f} % of the recording is lost to damage ({lost_bytes} bytes). The limit is "
     "{limit_percent:g} %.",
-    "recordings_contradict": "The recordings of the pool contradict each other: {path}: {why}",
+    "recordings_contradict": "The recordings of the pool contradict each other. In {path} {why}",
     "poses_disagree": "The poses disagree: {after_mg:mg} mg on held-out orientations (the limit is "
     "{vector_limit_mg:g} mg), {norm_after_mg:mg} mg in length (the limit is {limit_mg:g} mg). The worst is "
     "{worst} at {start_s:.0f} s with {worst_mg:.0f} mg, unless its opposite is the cause. A tilt of 1 "
     "degree makes 17.5 mg.",
-    "no_point_near_1_g": "No point is anywhere near 1 g. x, y and z must be in g.",
+    "no_point_near_1_g": "No point is anywhere near 1 g. The columns x, y and z must be in g.",
     "no_points": "The table holds no points.",
     # why coefficients were not taken
     "worse_than_usual": "{before_mg:mg} mg become {after_mg:mg} mg in {orientations:n orientation} of its "
-    "own; {usual_mg:mg} mg are usual in the pool.",
+    "own, and {usual_mg:mg} mg are usual in the pool.",
     "over_limit_here": "{before_mg:mg} mg become {after_mg:mg} mg in {orientations:n orientation} of its "
-    "own; the limit is {limit_mg:g} mg.",
+    "own, and the limit is {limit_mg:g} mg.",
     "not_less": "{before_mg:mg} mg become {after_mg:mg} mg in {orientations:n orientation}, which is no "
     "less.",
     "own_is_no_worse": lambda values: (
         ("No error" if values["after_mg"] is None else f"{mg(values['after_mg'])} mg")
         + f" instead of its own {mg(values['own_mg'])} mg is no less beyond the uncertainty."
     ),
-    "not_tried": "{message}.",
+    "not_tried": "It could not be tried ({message}).",
     "donor": "With the coefficients of {path}: {why}",
     "untested": "There is no still window in {needed} orientations to test coefficients on.",
     "unlike_prior": "Its still windows contradict what other recordings say of its sensor.",
@@ -312,13 +312,15 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     # why a model was not used
     "not_determined": "The still windows do not determine it.",
     "uncertain_somewhere": "Its error could reach {by_mg:.0f} mg in some orientations.",
-    "temperature_too_even": "The temperature varies by {range_c:.2g} °C; at least {least_c:g} °C are needed.",
+    "temperature_too_even": "The temperature varies by {range_c:.2g} °C, and at least {least_c:g} °C "
+    "are needed.",
     "few_orientations_differ_in_temperature": "Too few orientations were recorded at different temperatures.",
     "no_stillness_on_sides": "There is no still window with {sides:list}.",
     "optimizer_never_fits": "Optimizer {optimizer} fits no {what}.",
     "nothing_held_out": "Nothing was held out, so the error is not known.",
     # notes
-    "axes_alike": "{axes:list} hold the same values throughout. Give each axis its own column or field.",
+    "axes_alike": "The axes {axes:list} hold the same values throughout. Give each axis its own "
+    "column or field.",
     "axis_stuck": _stuck,
     "gravity_is_zero": "{of_what} 0 g. Check that the columns or fields are those of the sensor.",
     "wrong_unit": "{of_what} {median_g:.3g} g instead of 1 g, as if values in {unit} were read as "
@@ -330,14 +332,20 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "rest_scatters": "Gravity measures anything from {low_g:.2f} to {high_g:.2f} g at rest, more than scale "
     "and offset explain. Check the columns, or the places and types of the fields.",
     "prior_learnt": lambda values: f"The prior was learnt from {_learnt_from(values)}.",
-    "other_stillness": "By the x axis alone this recording would be refused; {options} is used instead.",
+    "other_stillness": "By the x axis alone this recording would be refused. It was judged with "
+    "{options} instead.",
     "windows_repeated": "{windows:n still window} that repeat earlier ones exactly were left out.",
     "own_coefficients": "These are the recording's own coefficients.",
     "other_device": "This recording's device is {serial}.",
     "other_model": "This recording's device is a {model} of the same serial.",
     "other_counts_per_g": "The recording has {here:.10g} counts per g, that of the coefficients "
     "{there:.10g}.",
-    "factory_calibration_differs": "The maker's calibration was applied first to {to}, and not to {not_to}.",
+    "factory_calibration_differs": lambda values: (
+        "The maker's calibration was applied first to this recording, and not to that of the coefficients."
+        if values["applied_here"]
+        else "The maker's calibration was applied first to the recording of the coefficients, and not to "
+        "this one."
+    ),
     "slopes_left_out": "The coefficients are used as at {at_c:.1f} °C, without their temperature slopes.",
     "rolled": _rolled,
     # gyroscope
@@ -361,7 +369,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "{standard_error:.2g}.",
     "scale_no_better": "A scale matrix is no better on held-out turns ({before_deg:.2g} degrees before).",
     "too_few_turns": "There are only {turns:n turn} of at least {least_deg:g} degrees from one rest to "
-    "another within 30 s; {needed} are needed.",
+    "another within 30 s, and {needed} are needed.",
     "turns_miss_an_axis": "The turns do not span all axes: there are hardly any about {axis}.",
     # no change was looked for
     "too_short": "The recording is too short to show a change of the sensor.",
@@ -373,8 +381,11 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "axis_saturates": "The {axis} axis saturates at {at_g:.2f} g, below its stated range.",
     "misfit": _misfit,
     "sensor_changed": _changed,
-    "error_may_reach": "The error may reach {high_mg:mg} mg {where}. Do not rely on it where a few mg "
-    "matter.",
+    "error_may_reach": lambda values: (
+        f"The error may reach {mg(values['high_mg'])} mg "
+        f"{'in orientations that are not in the recording' if values['everywhere'] else 'on average'}. "
+        "Do not rely on it where a few mg matter."
+    ),
     "no_better_than_raw": "The calibrated data may be no better than the raw data: the interval includes "
     "the error before calibration ({before_mg:mg} mg).",
     "sides_unchecked": "The device never rested with {sides:list} pointing up, so the calibration is not "
@@ -388,7 +399,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "record_longer": "Record longer, with more turns of the wrist.",
     "more_orientations": "The device was still in only {orientations:n orientation}: more turns of the "
     "wrist, and a longer recording, help.",
-    "rest_on_sides": "The device never rested with {sides:list} pointing up. Take it off and leave it on "
+    "rest_on_sides": "The device never rested with {sides:list} pointing up. Take it off and leave it in "
     "{that} for a minute.",
     "orientations_disagree": "{orientations:n orientation} disagree by {by_mg:mg} mg: slow movement may "
     "have passed as stillness (--stillness), or the sensor may be faulty.",
@@ -424,13 +435,15 @@ class _Words(Formatter):
 
 
 def sentence(reason: Reason) -> str:
-    """Return the sentence of a reason; of a code that is not known, the code itself."""
-    form = SENTENCES.get(reason.code)
+    """Return the sentence of a reason; the code itself if that is not known, or its values do not fit."""
+    form, values = SENTENCES.get(reason.code), reason.values
     if form is None:
         return reason.code
-    if callable(form):
-        return printable(form(reason.values))
-    return printable(_Words().vformat(form, (), {**reason.values, **_phrases(reason.values)}))
+    try:
+        made = form(values) if callable(form) else _Words().vformat(form, (), {**values, **_phrases(values)})
+    except (LookupError, TypeError, ValueError, AttributeError):  # of a report that somebody changed
+        return reason.code
+    return printable(made)
 
 
 def clause(reason: Reason) -> str:

@@ -365,9 +365,7 @@ def _differences(donor: Coefficients, calibration: Calibration, recording: Recor
         notes.append(Reason("other_counts_per_g", {"here": recording.lsb_per_g, "there": then.lsb_per_g}))
     bare = bool((then.factory_calibration or {}).get("acceleration"))
     if found_there and bare != recording.of_bare_sensor:
-        pair = ("this recording", "that of the coefficients")
-        to, not_to = reversed(pair) if bare else pair
-        notes.append(Reason.of("factory_calibration_differs", to=to, not_to=not_to))
+        notes.append(Reason.of("factory_calibration_differs", applied_here=not bare))
     if donor.calibration.temperature is not None and calibration.temperature is None:
         notes.append(Reason.of("slopes_left_out", at_c=donor.calibration.reference_c()))
     return tuple(notes)

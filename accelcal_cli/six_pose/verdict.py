@@ -28,7 +28,6 @@ from accelcal_cli.six_pose.listing import LENGTH_TOLERANCE, Origin
 from accelcal_cli.six_pose.poses import Pose, PoseError, Session, SixPoseFit, Uncertainty, VectorErrors
 
 METHOD = "one orientation left out at a time"
-NOTHING_HELD_OUT = "nothing was held out, so that the error is not known"
 UNKNOWN = Reason("nothing_held_out")
 EQUATION = "z = K a + O"
 
@@ -245,7 +244,7 @@ def known_json(
             "between_faces_norm_mg": rounded(fit.between_norm_mg),
             "short": session.short,
         },
-        **({} if vectors is not None else {"unchecked": NOTHING_HELD_OUT}),
+        **({} if vectors is not None else {"unchecked": UNKNOWN.code}),
         **({"rolls": list(rolls)} if rolls else {}),
         **({"files": [_file(one) for one in session.files]} if session.files else {}),
     }

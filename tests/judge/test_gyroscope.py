@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY, Calibration, Correction, TemperatureScale
 from accelcal_cli.core.gyroscope import Bias, Gyroscope, Rest, RestRates, Turn, Turns
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.judge import gyroscope
 from accelcal_cli.judge.gyroscope import judge_gyroscope
 from tests.judge.test_turning import by_quaternions
@@ -54,7 +55,7 @@ def made(number: int, axes: tuple[int, ...] = (0, 1, 2), noise_g: float = 0.0, s
 
 def test_without_noise_the_scale_is_found_exactly() -> None:
     found = judge_gyroscope(made(30), PERFECT, None)
-    assert found.outcome == "calibrated", found.message
+    assert found.outcome == "calibrated", found.reason
     np.testing.assert_allclose(found.scale, SCALE, atol=2e-6)
     assert found.bias is not None and found.holdout is not None
     assert found.bias.dps == tuple(one / LSB for one in BIAS)
@@ -66,7 +67,7 @@ def test_with_noise_it_is_within_its_errors() -> None:
     off = []
     for seed in range(4):
         found = judge_gyroscope(made(40, noise_g=0.004, seed=seed), PERFECT, None)
-        assert found.outcome == "calibrated", found.message
+        assert found.outcome == "calibrated", found.reason
         off += ((np.array(found.scale) - SCALE) / np.array(found.standard_errors)).ravel().tolist()
     assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.4
     assert np.abs(off).max() < 4
@@ -123,17 +124,20 @@ def test_held_out_errors_are_those_of_fits_without_them(monkeypatch: pytest.Monk
 @pytest.mark.parametrize(
     ("turns", "reason"),
     [
-        (lambda: made(11), "only 11 turns"),
-        (lambda: made(40, axes=(2,)), "hardly any about"),
-        (lambda: replace(made(30), rates=RestRates(np.empty(0), np.empty((0, 3)), None)), "never at rest"),
-        (lambda: mixed(made(30)), "axes or times"),
-        (lambda: made(12, noise_g=0.03), "known to"),
+        (lambda: made(11), Reason.of("too_few_turns", turns=11, least_deg=20.0, needed=12)),
+        (lambda: made(40, axes=(2,)), "turns_miss_an_axis"),
+        (
+            lambda: replace(made(30), rates=RestRates(np.empty(0), np.empty((0, 3)), None)),
+            "gyroscope_never_at_rest",
+        ),
+        (lambda: mixed(made(30)), "gravity_still_off"),
+        (lambda: made(12, noise_g=0.03), "too_little_turning"),
     ],
 )
-def test_refusals(turns: Any, reason: str) -> None:
+def test_refusals(turns: Any, reason: str | Reason) -> None:
     found = judge_gyroscope(turns(), PERFECT, None)
     assert (found.outcome, found.scale) == ("refused", None)
-    assert reason in found.message
+    assert reason in (found.reason, found.reason.code)
 
 
 def mixed(turns: Turns) -> Turns:
@@ -146,12 +150,12 @@ def mixed(turns: Turns) -> Turns:
 def test_an_axis_that_is_turned_round_is_found_and_told() -> None:
     found = judge_gyroscope(replace(made(30), dps_per_lsb=(-1 / LSB, 1 / LSB, 1 / LSB)), PERFECT, None)
     np.testing.assert_allclose(found.scale, SCALE * [-1, 1, 1], atol=1e-5)
-    assert "far from 1" in found.message
+    assert found.reason.code == "gyroscope_calibrated" and found.reason.values["unusual"] is True
 
 
 def test_without_a_calibration_of_the_accelerometer_there_is_the_bias_alone() -> None:
     found = judge_gyroscope(made(30), None, None)
-    assert found.outcome == "refused" and "accelerometer" in found.message
+    assert (found.outcome, found.reason) == ("refused", Reason("accelerometer_not_calibrated"))
     assert found.bias is not None and found.bias.dps[0] == 1.5
 
 

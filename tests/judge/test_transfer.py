@@ -9,6 +9,7 @@ from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Calibration, TemperatureScale
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Holdout
 from accelcal_cli.judge.errors import applied, difference_mg, directions, temperatures_c
 from accelcal_cli.judge.model_ladder import held_out, of_postures
@@ -106,20 +107,20 @@ def test_one_bit_of_a_parameter_shows() -> None:
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "why"),
+    ("before", "after", "code", "compared"),
     [
-        (5.0, 3.9, None),
-        (3.0, 3.9, None),
-        (3.0, 4.1, "1.00 mg are usual in the pool"),
-        (5.0, 4.1, None),
-        (30.0, 9.9, None),
-        (30.0, 10.0, "10 mg is the limit"),
+        (5.0, 3.9, None, {}),
+        (3.0, 3.9, None, {}),
+        (3.0, 4.1, "worse_than_usual", {"usual_mg": 1.0}),
+        (5.0, 4.1, None, {}),
+        (30.0, 9.9, None, {}),
+        (30.0, 10.0, "over_limit_here", {"limit_mg": 10.0}),
     ],
 )
 def test_larger_than_before_and_than_three_times_the_usual_and_a_mg_or_beyond_the_limit(
-    before: float, after: float, why: str | None
+    before: float, after: float, code: str | None, compared: dict[str, float]
 ) -> None:
     held = of_postures(SEEN, 4, ((before, after), (before, after)))
     found = worse(held, usual_mg=1.0, limit_mg=10.0)
-    changed = f"{before:.1f} mg become {after:.2f} mg on 2 postures of its own"
-    assert found == (None if why is None else f"{changed}, {why}")
+    values = {"before_mg": before, "after_mg": after, "orientations": 2, **compared}
+    assert found == (None if code is None else Reason(code, values))

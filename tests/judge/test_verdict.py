@@ -10,8 +10,8 @@ import pytest
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.points import MODELS, PointSet
-from accelcal_cli.core.reasons import Reason
-from accelcal_cli.core.results import Outcome
+from accelcal_cli.core.reasons import Reason, significant
+from accelcal_cli.core.results import Judgement, Outcome
 from accelcal_cli.core.settings import DEFAULT, PAPER, Settings
 from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.errors import deviations_mg, per_posture, uncertainty
@@ -33,21 +33,32 @@ from tests.optimize.oracle import (
 )
 
 LADDER_ONLY = replace(DEFAULT, prior="none")
+BELOW = Reason.of("no_stillness_on_sides", sides=["z below -0.3 g"])
+NO_MISALIGNMENT = Reason.of("optimizer_never_fits", optimizer="ellipsoid", what="misalignment")
+
+
+def held_out_reason(code: str, found: Judgement, **values: object) -> Reason:
+    """Return the reason with the errors of a verdict's hold-out."""
+    assert found.holdout is not None
+    before, after, number = found.holdout.before.mean, found.holdout.after.mean, found.holdout.postures
+    errors = {"before_mg": before, "after_mg": after, "orientations": number, "held_out": "orientations"}
+    return Reason.of(code, **errors, **values)
 
 
 def test_no_points_are_refused() -> None:
     found = judge(points(np.empty((0, 3))), Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REFUSED
-    assert found.message.startswith("no still window was found; record longer")
+    assert (found.reason, found.advice) == (Reason("nothing_still"), (Reason("record_longer"),))
     assert found.calibration is None and found.holdout is None and found.trials == ()
 
 
-@pytest.mark.parametrize(("number", "text"), [(1, "only 1 posture,"), (8, "only 8 postures,")])
-def test_too_few_postures_are_refused(number: int, text: str) -> None:
+@pytest.mark.parametrize("number", [1, 8])
+def test_too_few_postures_are_refused(number: int) -> None:
     held, _ = clusters(directions(number), NINE, width=0.02)
     found = judge(held, Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REFUSED
-    assert text in found.message and "at least 9 are needed" in found.message
+    assert found.reason == Reason.of("too_few_orientations", orientations=number, needed=9)
+    assert found.advice == (Reason("record_longer"),)
     assert found.calibration is None and found.coverage.cells == len(held)
 
 
@@ -77,7 +88,7 @@ def test_a_misaligned_sensor_is_calibrated_with_all_evidence() -> None:
         (found.fit.parameters, found.fit_errors.after_mg),
     ):
         assert value == mean(list(per_posture(deviations_mg(held, p), held.weights, label).values()))
-    assert found.message.startswith("model 9: ") and "on postures it did not see" in found.message
+    assert found.reason == held_out_reason("calibrated_held_out", found, model="9", asked_for=False)
 
 
 def test_a_sensor_that_warms_is_calibrated_with_slopes() -> None:
@@ -93,8 +104,10 @@ def test_a_smaller_model_says_why(p: np.ndarray, model: str) -> None:
     found = judge(spread(p), Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REDUCED_MODEL
     assert found.calibration is not None and found.calibration.model == model
-    omitted = "scale and misalignment are" if model == "3" else "misalignment is"
-    assert found.message.endswith(f"; {omitted} left out: the held-out error is no lower with it")
+    left_out = "scale and misalignment" if model == "3" else "misalignment"
+    assert found.reason == held_out_reason(
+        "calibrated_in_part", found, model=model, asked_for=False, left_out=left_out, why=None
+    )
 
 
 def one_sided(p: np.ndarray, noise: float = 0.001) -> PointSet:
@@ -106,14 +119,16 @@ def one_sided(p: np.ndarray, noise: float = 0.001) -> PointSet:
 def test_a_model_reduced_by_coverage_names_the_missing_side() -> None:
     found = judge(one_sided(OFFSET), Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REDUCED_MODEL
-    assert found.message.endswith("scale and misalignment are left out: no stillness with z below -0.3 g")
+    assert found.reason.code == "calibrated_in_part"
+    assert found.reason.values["left_out"] == "scale and misalignment"
+    assert found.reason.values["why"] == BELOW.as_json()
 
 
 def test_a_good_sensor_is_left_alone() -> None:
     found = judge(spread(IDEAL), Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.ALREADY_GOOD
     assert found.calibration is not None and found.calibration.parameters == IDENTITY
-    assert "no model improves on the" in found.message
+    assert found.reason == held_out_reason("raw_no_worse", found)
 
 
 def test_with_a_prior_too_a_good_sensor_keeps_its_values_and_its_error_is_that_of_these() -> None:
@@ -122,6 +137,10 @@ def test_with_a_prior_too_a_good_sensor_keeps_its_values_and_its_error_is_that_o
     assert found.calibration is not None and found.calibration.parameters == IDENTITY
     assert found.holdout is not None and found.holdout == found.trials[0].holdout
     assert found.sphere == found.sphere_before is not None
+    assert found.reason.code == "not_clearly_better"
+    assert found.reason.values["before_mg"] == significant(found.holdout.before.mean)
+    fitted = found.trials[-1].holdout
+    assert fitted is not None and found.reason.values["after_mg"] == significant(fitted.after.mean)
 
 
 def test_a_sensor_that_nothing_helps_is_refused() -> None:
@@ -129,7 +148,8 @@ def test_a_sensor_that_nothing_helps_is_refused() -> None:
     found = judge(noisy, Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REFUSED
     assert found.calibration is None and found.holdout is not None
-    assert "no model improves" in found.message and "record longer" in found.message
+    assert found.reason == held_out_reason("raw_no_worse", found)
+    assert found.advice == (Reason("record_longer"),)
 
 
 def test_postures_that_disagree_are_not_told_to_be_more() -> None:
@@ -137,7 +157,9 @@ def test_postures_that_disagree_are_not_told_to_be_more() -> None:
     how = Fitting(DEFAULT, fixed32.fit_each, penalized=fixed32.OPTIMIZER.fit_penalized)
     found = judge(held, how)
     assert found.outcome is Outcome.REFUSED
-    assert " postures disagree by " in found.message and "record longer" not in found.message
+    (advice,) = found.advice
+    assert advice.code == "orientations_disagree"
+    assert advice.values["orientations"] == found.coverage.distinct_orientations
 
 
 def test_an_error_above_the_limit_is_refused_with_the_figure() -> None:
@@ -145,7 +167,9 @@ def test_an_error_above_the_limit_is_refused_with_the_figure() -> None:
     found = judge(spread(scaled, noise=0.03), Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REFUSED and found.calibration is None
     assert found.holdout is not None and found.holdout.after.mean >= 10
-    assert "10 mg is the limit" in found.message and f"{found.holdout.after.mean:.1f} mg" in found.message
+    assert found.reason == held_out_reason(
+        "held_out_error_over_limit", found, model=found.reason.values["model"], asked_for=False, limit_mg=10.0
+    )
     lenient = judge(spread(scaled, noise=0.03), Fitting(replace(LADDER_ONLY, max_error_mg=60.0), fast_fits))
     assert lenient.calibration is not None
 
@@ -153,14 +177,14 @@ def test_an_error_above_the_limit_is_refused_with_the_figure() -> None:
 def test_a_refusal_names_the_sides_that_are_missing() -> None:
     found = judge(one_sided(IDEAL, noise=0.06), Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REFUSED
-    assert "there is no stillness with z below -0.3 g" in found.message
+    assert found.advice == (BELOW,)
 
 
 @pytest.mark.parametrize("model", ["3", "6", "9"])
 def test_a_model_can_be_forced(model: str) -> None:
     found = judge(spread(NINE), Fitting(replace(LADDER_ONLY, model=model, max_error_mg=50.0), fast_fits))
     assert found.calibration is not None and found.calibration.model == model
-    assert found.message.startswith(f"model {model} as asked for: ")
+    assert (found.reason.values["model"], found.reason.values["asked_for"]) == (model, True)
     assert [trial.model for trial in found.trials] == ["0", model]
     assert found.outcome is (Outcome.CALIBRATED if model == "9" else Outcome.REDUCED_MODEL)
 
@@ -168,7 +192,7 @@ def test_a_model_can_be_forced(model: str) -> None:
 def test_a_forced_model_that_does_not_improve_is_refused() -> None:
     found = judge(spread(IDEAL, number=40, noise=0.005), Fitting(replace(LADDER_ONLY, model="9"), fast_fits))
     assert found.outcome is Outcome.REFUSED and found.calibration is None
-    assert found.message.startswith("model 9 as asked for does not improve: ")
+    assert found.reason == held_out_reason("not_better", found, model="9", asked_for=True)
 
 
 def overflowing() -> PointSet:
@@ -180,10 +204,10 @@ def overflowing() -> PointSet:
 def test_points_out_of_range_are_no_traceback_but_a_reason() -> None:
     found = judge(overflowing(), Fitting(LADDER_ONLY, fixed32.fit_each))
     reasons = {trial.model: trial.reason for trial in found.trials}
-    assert reasons["9"] == "the fit diverges: the points do not determine it"
+    assert reasons["9"] == Reason("fit_diverges")
     forced = judge(overflowing(), Fitting(replace(LADDER_ONLY, model="9"), fixed32.fit_each))
     assert forced.outcome is Outcome.REFUSED
-    assert forced.message == "model 9 cannot be fitted: the fit diverges: the points do not determine it"
+    assert forced.reason == Reason.of("model_not_fitted", model="9", why=Reason("fit_diverges"))
 
 
 def test_a_verdict_can_be_repeated() -> None:
@@ -275,10 +299,11 @@ def test_an_optimizer_without_misalignment_gives_a_reduced_model_and_says_why() 
     settings, fit = replace(LADDER_ONLY, optimizer="ellipsoid"), one_by_one(fit_ellipsoid)
     found = judge(spread(NINE), Fitting(replace(settings, max_error_mg=50.0), fit, ELLIPSOID_MODELS))
     assert found.outcome is Outcome.REDUCED_MODEL
-    assert found.message.endswith("misalignment is left out: optimizer ellipsoid fits no misalignment")
+    assert found.reason.code == "calibrated_in_part" and found.reason.values["left_out"] == "misalignment"
+    assert found.reason.values["why"] == NO_MISALIGNMENT.as_json()
     forced = judge(spread(NINE), Fitting(replace(settings, model="9"), fit, ELLIPSOID_MODELS))
     assert forced.outcome is Outcome.REFUSED
-    assert forced.message == "model 9 cannot be fitted: optimizer ellipsoid fits no misalignment"
+    assert forced.reason == Reason.of("model_not_fitted", model="9", why=NO_MISALIGNMENT)
 
 
 def test_the_paper_s_points_are_fitted_by_six_parameters_where_nine_are_not_to_be_had() -> None:
@@ -299,7 +324,8 @@ def test_a_sensor_that_no_model_could_be_tried_on_is_not_called_good() -> None:
     flat = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
     found = judge(points(flat), Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REFUSED
-    assert found.message.startswith("no model could be tried: no stillness with z beyond +-0.3 g")
+    across = Reason.of("no_stillness_on_sides", sides=["z beyond +-0.3 g"])
+    assert found.reason == Reason.of("no_model_tried", why=across)
 
 
 def test_postures_that_are_known_are_taken_as_they_are() -> None:
@@ -308,7 +334,7 @@ def test_postures_that_are_known_are_taken_as_they_are() -> None:
     found = judge(held, Fitting(LADDER_ONLY, fast_fits), label=label)
     assert found.holdout is not None and found.holdout.postures == 12
     few = judge(held, Fitting(LADDER_ONLY, fast_fits), label=label % 3)
-    assert few.message.startswith("stillness in only 3 postures")
+    assert few.reason == Reason.of("too_few_orientations", orientations=3, needed=9)
 
 
 def test_results_are_in_standard_g_where_the_place_is_known() -> None:

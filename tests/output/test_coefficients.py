@@ -77,7 +77,7 @@ def test_the_origin_is_the_reports_recording(report: Path) -> None:
         (b"{}", "not a report"),
         (b'{"schema_version": 1}', "not a report"),
         (b'{"accelcal_version": "0.1.0", "prediction": {}}', "not a report"),
-        (b'{"accelcal_version": "9", "schema_version": 3}', "schema version 3 (of accelcal '9')"),
+        (b'{"accelcal_version": "9", "schema_version": 4}', "schema version 4 (of accelcal '9')"),
         (b'{"accelcal_version": "9", "schema_version": true}', "schema version True"),
         (b'{"accelcal_version": "9", "schema_version": 1}', "recording is missing"),
         (b'{"accelcal_version": "9", "schema_version": NaN}', "NaN is not a JSON number"),

@@ -1,11 +1,30 @@
-"""Numbers for people, and what an outcome means."""
+"""Numbers for people, what an outcome means, and the sentences of reasons."""
 
 from __future__ import annotations
 
+import ast
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
 import pytest
 
+import accelcal_cli
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.output.words import OUTCOMES, figure, formatted, mg, number, outcome_words, with_error
+from accelcal_cli.output.words import (
+    OUTCOMES,
+    SENTENCES,
+    clause,
+    figure,
+    formatted,
+    mg,
+    number,
+    outcome_words,
+    sentence,
+    with_error,
+)
 
 
 @pytest.mark.parametrize(
@@ -59,3 +78,274 @@ def test_every_outcome_has_its_words() -> None:
     assert {str(one) for one in Outcome} == OUTCOMES.keys() - {"failed"}
     assert [name for name, words in OUTCOMES.items() if not words.usable] == ["refused", "failed"]
     assert outcome_words("another").result == "another"
+
+
+WHY: dict[str, Any] = {"code": "no_stillness_on_sides", "values": {"sides": ["z below -0.3 g"]}}
+HELD_OUT = {"before_mg": 31.5, "after_mg": 2.04, "orientations": 14, "held_out": "orientations"}
+HERE = {"before_mg": 31.5, "after_mg": 2.04, "orientations": 1}
+NOT_HERE = dict.fromkeys(HERE)
+LEVEL = {"mean": -3.25, "sd": 0.5}
+VECTORS = {"before_mg": 35.0, "after_mg": 4.5, "norm_before_mg": 30.0, "norm_after_mg": 1.5}
+REST = {"of": "rest", "median_g": 9.81}
+
+EXAMPLES: dict[str, list[dict[str, Any]]] = {
+    "accelerometer_not_calibrated": [{}],
+    "adaptive_rule": [{}],
+    "allow_damage": [{}],
+    "axes_alike": [{"axes": ["x", "y"]}],
+    "axis_saturates": [{"axis": "z", "at_g": -0.9}],
+    "axis_stuck": [{"axis": "x", "at_g": 0.03, "others": ["y", "z"], "by_g": [2.0, 1.5]}],
+    "borrowed": [
+        {"path": "a.cwa", "sha256": "0123456789ab", "device": "AX3 42", **here} for here in (HERE, NOT_HERE)
+    ],
+    "calibrated": [
+        {"error_mg": 1.2, "low_mg": 0.8, "high_mg": 2.0, "limit_mg": 10.0, "model": "9", "raw_mg": 31.0}
+        | HELD_OUT
+    ],
+    "calibrated_before": [{"origin": "a table of calibrated values", "before_mg": 2.0, "orientations": 9}],
+    "calibrated_before_unchecked": [{"origin": "a table of calibrated values"}],
+    "calibrated_held_out": [
+        HELD_OUT | {"model": "9", "asked_for": asked, "held_out": "control points"} for asked in (False, True)
+    ],
+    "calibrated_in_part": [
+        HELD_OUT | {"model": "3", "asked_for": False, "left_out": "scale and misalignment", "why": None},
+        HELD_OUT | {"model": "6", "asked_for": False, "left_out": "misalignment", "why": WHY},
+        HELD_OUT | {"model": "6", "asked_for": True, "why": None},
+    ],
+    "calibration_error_over_limit": [{"error_mg": 12.0, "low_mg": 8.0, "high_mg": 120.0, "limit_mg": 10.0}],
+    "check_references": [{}],
+    "check_sensor": [{}],
+    "check_unit": [{}],
+    "constant_values": [{}],
+    "copy_again": [{}],
+    "damaged": [{"lost_percent": 61.53, "lost_bytes": 1234567, "limit_percent": 50.0}],
+    "donor": [{"path": "a.cwa", "why": {"code": "not_less", "values": HERE}}],
+    "earlier_verdict": [
+        {"message": "no model improves on the 4.5 mg of the raw data"},
+        {"message": "It is good."},
+    ],
+    "error_may_reach": [{"high_mg": 12.34, "everywhere": everywhere} for everywhere in (False, True)],
+    "factory_calibration_differs": [{"applied_here": here} for here in (False, True)],
+    "few_orientations_differ_in_temperature": [{}],
+    "few_still_stretches": [{}],
+    "fit_diverges": [{}],
+    "gravity_is_zero": [{"of": "rest"}, {"of": "samples"}],
+    "gravity_still_off": [{"after_deg": 12.5}],
+    "gyroscope_calibrated": [
+        {"turns": 40, "before_deg": 4.5, "after_deg": 0.53, "unusual": unusual} for unusual in (False, True)
+    ],
+    "gyroscope_never_at_rest": [{}],
+    "held_out_error_over_limit": [HELD_OUT | {"model": "9", "asked_for": False, "limit_mg": 10.0}],
+    "left_out_of_pool": [{"why": {"code": "worse_than_usual", "values": HERE | {"usual_mg": 1.0}}}],
+    "misfit": [
+        {"kind": kind, "size": [1.0, -2.5, 0.25], "unit": "%", "largest_mg": 12.5}
+        for kind in ("quadratic", "cubic", "gain by temperature", "curved by temperature", "previous posture")
+    ],
+    "model_not_fitted": [{"model": "9", "why": {"code": "fit_diverges", "values": {}}}],
+    "model_uncertain": [{"model": "9", "why": {"code": "uncertain_somewhere", "values": {"by_mg": 51.0}}}],
+    "more_orientations": [{"orientations": 1}, {"orientations": 7}],
+    "much_left": [{"limit_mg": 10.0}],
+    "no_better_than_raw": [{"before_mg": 3.5}],
+    "no_model_tried": [{"why": WHY}],
+    "no_point_near_1_g": [{}],
+    "no_points": [{}],
+    "no_stillness_on_sides": [WHY["values"]],
+    "not_1_g": [REST],
+    "not_better": [HELD_OUT | {"model": "9", "asked_for": True}],
+    "not_clearly_better": [HELD_OUT],
+    "not_determined": [{}],
+    "not_less": [HERE],
+    "not_tried": [{"message": "it is the same recording"}],
+    "nothing_checks_poses": [{}],
+    "nothing_held_out": [{}],
+    "nothing_measured": [{"seconds": 5.0}],
+    "nothing_near_quietest": [{}],
+    "nothing_still": [
+        {},
+        {"windows": 720, "seconds": 5.0, "quietest": "range", "measured_g": 0.31, "limit_g": 0.1},
+        {"windows": 720, "seconds": 5.0, "quietest": "deviation", "measured_g": 0.0312, "limit_g": 0.013},
+        {"windows": 1, "seconds": 2.5, "quietest": "deviation", "measured_g": 0.0312, "limit_g": None},
+    ],
+    "optimizer_never_fits": [{"optimizer": "ellipsoid", "what": "misalignment"}],
+    "orientations_disagree": [{"orientations": 12, "by_mg": 25.4}],
+    "other_coefficients": [{}],
+    "other_counts_per_g": [{"here": 256.0, "there": 341.0}],
+    "other_device": [{"serial": "B2"}],
+    "other_model": [{"model": "AX6"}],
+    "other_rule": [{}],
+    "other_stillness": [{"options": "--stillness both"}],
+    "over_limit_here": [HERE | {"limit_mg": 10.0}],
+    "own_coefficients": [{}],
+    "own_is_no_worse": [{"after_mg": 2.5, "own_mg": 2.0}, {"after_mg": None, "own_mg": 2.0}],
+    "pooled": [
+        {"recordings": 3, "serial": "A1", "pool": {"code": "calibrated_held_out", "values": values}, **here}
+        for here in (HERE, NOT_HERE)
+        for values in [HELD_OUT | {"model": "9", "asked_for": False}]
+    ],
+    "poses_calibrated": [
+        VECTORS | {"unchecked": unchecked, "missing": missing}
+        for unchecked, missing in ((["+z"], ["-z"]), (["+z"], []), ([], []))
+    ],
+    "poses_disagree": [
+        VECTORS
+        | {"vector_limit_mg": 20.0, "limit_mg": 10.0, "worst": "+z", "start_s": 125.0, "worst_mg": 90.0}
+    ],
+    "poses_no_better": [VECTORS],
+    "poses_unchecked": [{"orientations": 4, "before_mg": 35.0}],
+    "prior_learnt": [
+        {"model": "AX3", "devices": 12, "own": 0},
+        {"model": "", "devices": 12, "own": 1},
+        {"model": "AX3", "devices": 0, "own": 2},
+        {"model": "AX3", "devices": 1, "own": 1},
+    ],
+    "raw_no_worse": [HELD_OUT],
+    "record_again": [{}],
+    "record_longer": [{}],
+    "recordings_contradict": [
+        {"path": "a.cwa", "why": {"code": "over_limit_here", "values": HERE | {"limit_mg": 10.0}}}
+    ],
+    "rest_on_faces": [{}],
+    "rest_on_sides": [{"sides": ["-z"]}, {"sides": ["+x", "-z"]}],
+    "rest_scatters": [{"low_g": 0.36, "high_g": 1.05}],
+    "roll_alone_checks_poses": [{}],
+    "rolled": [{"axis": "z", "before_mg": LEVEL, "after_mg": after} for after in (None, LEVEL)],
+    "scale_no_better": [{"before_deg": 0.25}],
+    "scale_not_determined": [{}],
+    "sensor_changed": [
+        {
+            "kind": kind,
+            "at": "2024-03-04T16:00:00.000000" if kind in ("step", "gain", "device") else None,
+            "size_mg": 39.5,
+            "followed": followed,
+            "constant_mg": 12.5,
+            "changing_mg": 2.0,
+        }
+        for kind in ("drift", "step", "gain", "device", "walk")
+        for followed in (False, True)
+    ],
+    "shorter_windows": [{}],
+    "shorter_windows_or_longer_gaps": [{}],
+    "sides_unchecked": [{"sides": ["-z"]}, {"sides": ["+x", "-z"]}],
+    "slopes_left_out": [{"at_c": 25.0}],
+    "still_far_from_1_g": [{}, {"median_g": 9.81}],
+    "subsets_not_full": [
+        {"of": "fit", "subsets": ["x -1 g", "z 0 g"], "points": 2, "apart_g": 0.2},
+        {"of": "control", "subsets": ["y +1 g"], "points": 2, "apart_g": 0.0},
+    ],
+    "temperature_too_even": [{"range_c": 1.25, "least_c": 2.0}],
+    "too_few_orientations": [{"orientations": 1, "needed": 9}, {"orientations": 8, "needed": 9}],
+    "too_few_turns": [{"turns": 11, "least_deg": 20.0, "needed": 12}],
+    "too_little_turning": [{"axis": "x", "standard_error": 0.125}],
+    "too_many_cells": [{}],
+    "too_short": [{}],
+    "turns_miss_an_axis": [{"axis": "x"}],
+    "uncertain_somewhere": [{"by_mg": 51.04}],
+    "unlike_prior": [{}],
+    "untested": [{"needed": 2}],
+    "use_default_profile": [{}],
+    "use_optimizer": [{"optimizer": "fixed32"}],
+    "use_options": [{"options": "--profile paper --stillness both"}],
+    "windows_repeated": [{"windows": 1}, {"windows": 35}],
+    "worse_here": [{}],
+    "worse_than_usual": [HERE | {"usual_mg": 1.0}],
+    "wrong_counts_per_g": [REST | {"lsb_per_g": 128.0, "fits": 256.0}],
+    "wrong_unit": [REST | {"unit": "m/s2", "read_as": "g"}],
+    "wrong_unit_of_rates": [{"factor": 57.3}, {"factor": 0.01745}],
+}
+"""Values that each code is emitted with."""
+
+CASES = [pytest.param(code, values, id=code) for code, many in EXAMPLES.items() for values in many]
+
+
+def constants(argument: ast.expr) -> Iterator[str]:
+    """Find the strings that an argument may be."""
+    if isinstance(argument, ast.Constant) and isinstance(argument.value, str):
+        yield from [argument.value] if argument.value else []
+    elif isinstance(argument, ast.IfExp):
+        yield from (*constants(argument.body), *constants(argument.orelse))
+    elif isinstance(argument, ast.BoolOp):
+        yield from (code for value in argument.values for code in constants(value))
+
+
+def emitted() -> Iterator[tuple[str, set[str], bool]]:
+    """Find each code that is emitted, the names of the values given with it, and whether there are more."""
+    for path in Path(accelcal_cli.__file__).parent.rglob("*.py"):
+        tree = ast.parse(path.read_text())
+        imported = {
+            name.name
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom) and node.module in REASONS_FROM
+            for name in node.names
+        }
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.Call):
+                continue
+            called = ast.unparse(node.func)
+            if called.partition(".")[0] not in imported or not node.args:
+                continue
+            if called in ("Reason", "Reason.of"):
+                names = {keyword.arg for keyword in node.keywords if keyword.arg}
+                more = len(node.args) > 1 or any(keyword.arg is None for keyword in node.keywords)
+                yield from ((code, names, more) for code in constants(node.args[0]))
+            elif called == "Change":
+                yield from ((code, set(), False) for one in node.args[1:2] for code in constants(one))
+
+
+REASONS_FROM = ("accelcal_cli.core.reasons", "accelcal_cli.core.results")
+EMITTED = sorted(emitted(), key=str)
+
+
+def test_every_code_has_a_sentence_and_every_sentence_a_code() -> None:
+    codes = {code for code, _, _ in EMITTED}
+    assert codes - SENTENCES.keys() == set(), "no sentence"
+    assert SENTENCES.keys() - codes == set(), "never emitted"
+    assert SENTENCES.keys() == EXAMPLES.keys(), "no example, or one too many"
+    assert all(re.fullmatch("[a-z][a-z0-9_]*", code) for code in codes)
+
+
+@pytest.mark.parametrize(("code", "names", "more"), EMITTED)
+def test_examples_have_the_values_that_the_package_gives(code: str, names: set[str], more: bool) -> None:
+    assert any(names == set(one) or (more and names <= set(one)) for one in EXAMPLES[code])
+
+
+@pytest.mark.parametrize(("code", "values"), CASES)
+def test_each_code_makes_plain_sentences(code: str, values: Mapping[str, Any]) -> None:
+    text = sentence(Reason(code, values))
+    assert text != code
+    assert re.fullmatch(r"[A-Z0-9].*[a-z0-9)%]\.", text), text
+    assert not re.search(r"[{};]|\bNone\b|\bnan\b|\.\.|  | \.|\. [a-z]|: [^:.]*: ", text), text
+    assert sentence(Reason.of(code, **values)), "the values are JSON"
+
+
+def test_a_sentence_shows_its_values() -> None:
+    found = sentence(Reason.of("not_clearly_better", **HELD_OUT | {"before_mg": 5.5, "orientations": 7}))
+    assert found == (
+        "The fit is not clearly better than the raw data: 2.04 against 5.5 mg on held-out orientations "
+        "(7 orientations)."
+    )
+    missing = sentence(Reason("subsets_not_full", EXAMPLES["subsets_not_full"][0]))
+    assert missing.endswith("at least 0.2 g apart. Missing in the fit set: x -1 g and z 0 g.")
+    part = sentence(Reason("calibrated_in_part", EXAMPLES["calibrated_in_part"][1]))
+    assert part.endswith(" It leaves misalignment out: there is no still window with z below -0.3 g.")
+    assert clause(Reason("fit_diverges")) == (
+        "the fit diverges, since the still windows do not determine the parameters"
+    )
+
+
+@pytest.mark.parametrize(
+    ("code", "values"),
+    [
+        ("a_code_of_a_later_version", {}),
+        ("too_few_orientations", {"needed": 9}),
+        ("uncertain_somewhere", {"by_mg": "much"}),
+        ("model_uncertain", {"model": "9", "why": {"unknown": 1}}),
+        ("rolled", {"axis": "z", "before_mg": 3, "after_mg": None}),
+        ("misfit", {"kind": [], "size": 1, "largest_mg": None}),
+    ],
+)
+def test_a_reason_that_no_sentence_fits_is_shown_by_its_code(code: str, values: dict[str, Any]) -> None:
+    assert sentence(Reason(code, values)) == code
+
+
+def test_text_from_a_file_stays_on_its_line() -> None:
+    assert "\n" not in sentence(Reason("other_device", {"serial": "A\n1"}))

@@ -13,6 +13,7 @@ from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import UniformClock
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.gravity import STANDARD
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, Validity
 from accelcal_cli.six_pose.listing import Origin
 from accelcal_cli.six_pose.run import RollResult, RollSums, judge_roll, rolls_of, span_of_roll, sums_of
@@ -116,11 +117,13 @@ def test_only_rows_within_the_times_that_were_measured_count() -> None:
 def test_without_a_calibration_there_is_no_after() -> None:
     found = of_rows(counts_of(about(2)), known=False)
     assert found.after is None
-    mean_mg, sd_mg = 1000 * found.before.mean_g, 1000 * found.before.sd_g
-    assert found.sentence() == f"rolled with z level, z shows {mean_mg:.1f} mg (SD {sd_mg:.1f})"
-    with_one = of_rows(counts_of(about(2)))
-    assert with_one.sentence().startswith(f"{found.sentence()} before, ")
-    assert with_one.sentence().endswith(") after")
+    before = {
+        "mean": round(1000 * found.before.mean_g, 4),
+        "sd": round(1000 * found.before.sd_g, 4),
+    }
+    assert found.reason() == Reason("rolled", {"axis": "z", "before_mg": before, "after_mg": None})
+    after = of_rows(counts_of(about(2))).reason().values["after_mg"]
+    assert abs(after["mean"]) < 1 and after["sd"] > 0
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from scipy import stats
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.gravity import STANDARD
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.six_pose.solve import condition_number, six_pose_fit, solve, uncertainty
@@ -53,13 +54,11 @@ def test_four_poses_are_fitted_only_if_asked_for_and_claim_nothing() -> None:
     assert (verdict.holdout, verdict.standard_errors, verdict.fit_errors, vectors) == (None,) * 4
     assert verdict.coverage.worst_direction_mg is None
     before = 1000 * np.linalg.norm(raw - FOUR, axis=1).mean()
-    assert verdict.message == (
-        "model 12 of 4 poses, unchecked: nothing was held out, so that the error is not known; "
-        f"the raw data are {before:.1f} mg off, as vectors"
-    )
-    assert [trial.holdout for trial in verdict.trials] == [None, None]
+    assert verdict.reason == Reason.of("poses_unchecked", orientations=4, before_mg=before)
+    unknown = Reason("nothing_held_out")
+    assert [(trial.holdout, trial.reason) for trial in verdict.trials] == [(None, unknown)] * 2
     known = known_json(session, fit, verdict.outcome, vectors)
-    assert known["unchecked"] == "nothing was held out, so that the error is not known"
+    assert known["unchecked"] == "nothing_held_out"
     assert known["standard_errors"] is known["holdout_vector_mg"] is None
     for pose in poses_json(session, fit):
         assert pose["raw_mg"] > 20
@@ -130,7 +129,8 @@ def test_accelerations_that_disagree_are_refused_with_other_advice() -> None:
     session = session_of(poses_of(ANY, raw))
     verdict, _ = judge_six_pose(session, six_pose_fit(session, CHECKED), CHECKED)
     assert verdict.outcome is Outcome.REFUSED
-    assert verdict.message.endswith("; check the references and their times")
+    assert verdict.reason.code == "poses_disagree"
+    assert verdict.advice == (Reason("check_references"),)
 
 
 def test_without_noise_any_sizes_give_the_truth_itself() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.calibration import IDENTITY
+from accelcal_cli.core.reasons import Reason, significant
 from accelcal_cli.core.results import Judgement, Outcome
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.six_pose.poses import Session, SixPoseFit, VectorErrors
@@ -52,8 +53,10 @@ def test_one_tilted_face_is_refused_beyond_the_limit(degrees: float, outcome: Ou
     assert vectors.after.mean == pytest.approx(1000 * np.sin(np.radians(degrees)) * 2 / 3, rel=0.05)
     if outcome is Outcome.REFUSED:
         assert verdict.calibration is None
-        assert "z at " in verdict.message
-        assert "a tilt of 1 degree makes 17.5 mg" in verdict.message
+        assert verdict.reason.code == "poses_disagree"
+        assert verdict.reason.values["worst"] in ("+z", "-z")
+        assert verdict.reason.values["after_mg"] == significant(vectors.after.mean)
+        assert verdict.advice == (Reason("rest_on_faces"),)
 
 
 def test_lengths_that_disagree_are_refused_below_the_limit_of_the_vectors() -> None:
@@ -80,7 +83,8 @@ def test_a_sensor_that_is_better_than_the_poses_is_left_alone() -> None:
 def test_a_missing_face_is_tolerated_and_what_nothing_checks_is_said() -> None:
     verdict, _, _ = judged(FACES[:5])
     assert verdict.outcome is Outcome.CALIBRATED
-    assert verdict.message.endswith("; nothing checks +z, without which there is no fit (-z missing)")
+    assert verdict.reason.code == "poses_calibrated"
+    assert (verdict.reason.values["unchecked"], verdict.reason.values["missing"]) == (["+z"], ["-z"])
     assert verdict.holdout is not None
     assert verdict.holdout.postures == 4
     assert verdict.fit_errors is not None
