@@ -45,7 +45,6 @@ SHORT = {
     "__main__.py": "`python -m accelcal_cli`",
     "core/version.py": "the build reads it",
     "cli/evaluate.py": "one file a command",
-    "cli/gravity.py": "one file a command",
     "formats/csv/vendors/metawear.py": "one file a vendor",
     "formats/csv/vendors/phyphox.py": "one file a vendor",
     "studies/preload.py": "imported for its imports, by the server that worker processes are forked from",

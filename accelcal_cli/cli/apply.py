@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import options
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.output.coefficients import read_coefficients
@@ -18,9 +19,16 @@ from accelcal_cli.pipeline.jobs import Request, plan
 from accelcal_cli.pipeline.options import read_options, with_values
 
 
-@click.command("apply")
+@click.command(
+    "apply",
+    cls=Command,
+    examples=(
+        "apply --coefficients good.calibration.json night.cwa # a recording of the same device",
+        "apply --coefficients good.calibration.json nights/*.gt3x -d calibrated",
+    ),
+)
 @options.place_options
-@click.option("--coefficients", required=True, type=options.FILE, metavar="STEM.calibration.json",
+@click.option("--coefficients", required=True, type=options.FILE, metavar="NAME.calibration.json",
               help="Report with the coefficients.")  # fmt: skip
 @click.option("--any-device", is_flag=True, help="Accept recordings of any device.")
 @click.option("--no-temperature", is_flag=True, help="Use the coefficients at their reference temperature.")
@@ -32,9 +40,9 @@ from accelcal_cli.pipeline.options import read_options, with_values
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Apply known coefficients to each RECORDING; `-` reads standard input.
 
-    The coefficients come from a report, of this recording or of another one of the same device.
-    Writes STEM.calibrated.parquet and STEM.calibration.json and prints the same line as `calibrate`;
-    the errors are measured on the recording's own still periods.
+    The coefficients come from a report of this recording, or of another one of the same device.
+    Writes NAME.calibrated.parquet and NAME.calibration.json, and prints the same line as `calibrate`. The
+    errors are measured on the recording's own still windows.
     """
     jobs = plan(list(recordings), values["output_dir"], values["output"])
     keep_coefficients(values["coefficients"], jobs)

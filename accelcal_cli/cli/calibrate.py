@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import (
     FILE,
     calibrating_options,
@@ -20,22 +21,30 @@ from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Result, plan
 from accelcal_cli.pipeline.windows import check_table_path
 
 
-@click.command("calibrate")
+@click.command(
+    "calibrate",
+    cls=Command,
+    examples=(
+        "calibrate recording.cwa # writes recording.calibrated.parquet and recording.calibration.json",
+        "calibrate *.gt3x -d calibrated --html # a folder for the results, and a page for each",
+        "calibrate table.csv --unit mg --timezone Europe/Berlin # a table in mg with local times",
+    ),
+)
 @place_options
 @calibrating_options
 @parts_option
 @click.option(
     "--windows",
     type=FILE,
-    help="Also write every still window, and what became of it, to this .parquet or .csv file.",
+    help="Also write a table of all still windows, and whether each was used, to FILE (.parquet or .csv).",
 )
-@click.option("--html", is_flag=True, help="Also write a page for people, STEM.html, beside the report.")
+@click.option("--html", is_flag=True, help="Also write the report as an HTML page.")
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate each RECORDING; `-` reads standard input.
 
-    Writes STEM.calibrated.parquet and STEM.calibration.json beside the recording. Prints a sentence at a
-    terminal, else (or with --tsv) one tab-separated line: path, outcome, model, error before and after in mg
-    on held-out postures, error before / after x 100, and the Parquet file.
+    For NAME.cwa, writes NAME.calibrated.parquet (data), NAME.calibration.json (report) and NAME.quality.json
+    (error by hour) next to it. At a terminal, prints one sentence per recording; in a pipe or with --tsv,
+    tab-separated fields.
     """
     from accelcal_cli.pipeline.calibrate import calibrate  # it takes longer to load than to show --help
 

@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import FILE, Positive, Within
 from accelcal_cli.cli.output import aligned, refuse_both
 from accelcal_cli.core.errors import UsageError, counted, printable
@@ -144,7 +145,14 @@ def limits(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-@click.command("devices")
+@click.command(
+    "devices",
+    cls=Command,
+    examples=(
+        "devices calibrated # calibrated: the output folder of a study",
+        "devices calibrated --device 12345",
+    ),
+)
 @click.argument("out", type=FILE)
 @click.option("--device", metavar="SERIAL", help="Show this device only, in detail.")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")

@@ -10,6 +10,7 @@ import click
 
 from accelcal_cli.activity_effect import MeasuredEffect, as_json, check_table, effect
 from accelcal_cli.cli import exit_codes, options
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import aligned, bytes_of, each_recording, refuse_both
 from accelcal_cli.cli.quality import measuring_request
 from accelcal_cli.core.errors import UsageError, printable
@@ -32,9 +33,16 @@ FIGURES = {
 WORDS = {"without_misalignment": "no misalignment"}
 
 
-@click.command("effect")
+@click.command(
+    "effect",
+    cls=Command,
+    examples=(
+        "effect recording.cwa # ENMO, MAD and others, raw and calibrated",
+        "effect recording.cwa --epochs epochs.csv",
+    ),
+)
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
-@click.option("--coefficients", type=options.FILE, metavar="STEM.calibration.json",
+@click.option("--coefficients", type=options.FILE, metavar="NAME.calibration.json",
               help="Report whose coefficients are applied; otherwise each recording's own.")  # fmt: skip
 @click.option("--any-device", is_flag=True, help="Accept coefficients of any device.")
 @click.option("--epoch", "epoch_s", type=click.IntRange(1, LONGEST_EPOCH_S), default=EPOCH_S,
@@ -50,12 +58,12 @@ WORDS = {"without_misalignment": "no misalignment"}
 @options.damage_option
 @options.method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
-    """Show what the calibration of each RECORDING changes in measures of activity; `-` reads standard input.
+    """Show how the calibration of each RECORDING changes measures of activity; `-` reads standard input.
 
     ENMO, MAD, minutes of moderate to vigorous activity (ENMO of 100 mg or more), PIM, ZCM and minutes of
     sustained inactivity: of the raw values, calibrated without misalignment, and calibrated. For a simulated
-    recording with STEM.truth.json beside it, also with its true parameters. Filled, clipped and recovered
-    samples are left out. Nothing is written but the table of --epochs.
+    recording with NAME.truth.json next to it, also with its true parameters. Filled, clipped and recovered
+    samples are left out. Nothing is written except the table of --epochs.
     """
     refuse_both(as_json=values["as_json"], as_csv=values["as_csv"])
     if (table := values["table"]) is not None:

@@ -8,8 +8,8 @@ PARTS = {
     "simulation": "Every optimizer on sensors with known errors (Table 2 in the paper).",
     "methods": "Every optimizer on the same points of each recording (Table 3 in the paper).",
     "stillness": "Every stillness rule on the same recordings.",
-    "segments": "Segments of recordings, whose claims are held against the rest.",
-    "homogeneity": "Devices that were moved together: how alike they are, raw and calibrated.",
+    "segments": "Calibrate segments, and compare their error estimates with the rest of the recording.",
+    "homogeneity": "Compare devices that were moved together, raw and calibrated.",
     "smoothing": "Noise at rest after a rolling mean or median (Table 1 of Grammenos et al. 2018).",
     "gravity": "Standard versus local gravity (Table 8 of Grammenos et al. 2018).",
 }
@@ -19,5 +19,5 @@ command = LazyGroup(
     "evaluate",
     parts=PARTS,
     modules="accelcal_cli.laboratory.",
-    help="Compare methods and stillness rules, test claims, repeat the papers' tables.",
+    help="Compare methods and stillness rules; reproduce the published tables.",
 )

@@ -9,6 +9,7 @@ import click
 
 from accelcal_cli.cli import options
 from accelcal_cli.cli.exit_codes import say, show
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import OutputError, UsageError, counted
 from accelcal_cli.exports.rows import WIDEST
@@ -31,13 +32,20 @@ class Width(options.AnyType):
         return int(click.IntRange(2, WIDEST).convert(value, param, ctx))
 
 
-@click.command("export")
+@click.command(
+    "export",
+    cls=Command,
+    examples=(
+        "export recording.calibration.json --to ggir -o coefficients.csv # for GGIR's backup.cal.coef",
+        "export recording.calibrated.parquet --to csv -o recording.csv",
+    ),
+)
 @click.argument("files", nargs=-1, required=True, type=options.FILE)
 @click.option("--to", "form", required=True, type=options.OneOf([*COEFFICIENTS, *DATA]),
-              help="The tool, or the form.")  # fmt: skip
-@click.option("-o", "--output", type=options.FILE, help="The new file; coefficients are printed without it.")
+              help="The tool or the file format.")  # fmt: skip
+@click.option("-o", "--output", type=options.FILE, help="The new file. Without it, coefficients are printed.")
 @click.option("--resample", "resample_hz", type=options.Positive(100_000), metavar="HZ",
-              help="Data at this rate, within stretches without a gap.")  # fmt: skip
+              help="Resample to HZ within each gap-free stretch.")  # fmt: skip
 @click.option("--smooth", type=Width(), metavar="auto|N",
               help="Rolling mean of N samples; auto: 3, 5, 10 or 20, by the rate.")  # fmt: skip
 @click.option(
@@ -48,12 +56,11 @@ class Width(options.AnyType):
 @click.option("--force", is_flag=True, help="Replace files that are there.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
 def command(files: tuple[Path, ...], **values: Any) -> None:
-    """Hand results on to other tools.
+    """Export coefficients or calibrated data to other tools.
 
-    Of reports (STEM.calibration.json) the coefficients, to ggir, biobank or omconvert, or as json. These
-    tools know no misalignment: they are given what the same points gave without it, and stderr says what
-    that costs. Of one STEM.calibrated.parquet the data, with all that was calibrated, as csv, npz, mhealth,
-    bids, or (smoothed, resampled) parquet.
+    From reports (NAME.calibration.json), exports coefficients: ggir, biobank, omconvert or json. These tools
+    cannot use misalignment, so a fit without it is exported, and a message gives the loss of accuracy. From
+    one NAME.calibrated.parquet, exports the data: csv, npz, mhealth, bids, or (smoothed, resampled) parquet.
     """
     if values["form"] in COEFFICIENTS:
         _coefficients(files, values)

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import FILE, fitting_options
 from accelcal_cli.cli.output import say_refused, show_result
 from accelcal_cli.core.results import Outcome
@@ -20,17 +21,22 @@ from accelcal_cli.pipeline.outputs import refuse_report_of_another, save_report,
 from accelcal_cli.pipeline.windows import fit_points
 
 
-@click.command("fit")
-@click.argument("points", type=FILE)
-@click.option("-o", "--output", type=FILE, help="Name of the report; without it none is written.")
-@click.option("--json", "as_json", is_flag=True, help="Print the report as one JSON object.")
-@click.option(
-    "--tsv", is_flag=True, help="Print tab-separated fields at a terminal too, instead of a sentence."
+@click.command(
+    "fit",
+    cls=Command,
+    examples=(
+        "fit points.csv # still-window means from another tool, such as GGIR",
+        "fit points.csv -o points.calibration.json",
+    ),
 )
+@click.argument("points", type=FILE)
+@click.option("-o", "--output", type=FILE, help="Name of the report. Without it, no report is written.")
+@click.option("--json", "as_json", is_flag=True, help="Print the report as one JSON object.")
+@click.option("--tsv", is_flag=True, help="Print tab-separated fields, even at a terminal.")
 @click.option("--force", is_flag=True, help="Overwrite a file that accelcal did not write.")
 @fitting_options
 def command(points: Path, output: Path | None, as_json: bool, force: bool, **values: Any) -> int:
-    """Fit the still-window means in POINTS and judge them as `calibrate` does.
+    """Calibrate from still-window means found by another tool, such as GGIR.
 
     POINTS is a CSV or Parquet table with columns x, y, z in g (or meanx, meany, meanz), and
     optionally temperature_c, weight and posture; or the table of `calibrate --windows`. Prints the

@@ -7,12 +7,17 @@ import json
 import click
 
 from accelcal_cli.cli import exit_codes
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import setting_option
 from accelcal_cli.core.gravity import Gravity, local_gravity
 from accelcal_cli.core.settings import Settings
 
 
-@click.command("gravity")
+@click.command(
+    "gravity",
+    cls=Command,
+    examples=("gravity --latitude 52.5 --altitude 40", "gravity --latitude -33.9 --json"),
+)
 @setting_option(Settings, "latitude", required=True)
 @setting_option(Settings, "altitude_m", default=0.0)
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")

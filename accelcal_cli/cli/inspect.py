@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes, options
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import bytes_of
 from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
@@ -26,7 +27,14 @@ CLOCKS_S_PER_DAY = 86.4
 """Drift [s per day] beyond which a nominal rate is not meant as exact: no clock is a thousandth off."""
 
 
-@click.command("inspect")
+@click.command(
+    "inspect",
+    cls=Command,
+    examples=(
+        "inspect recording.cwa # header, rate, range, gaps and the outcome to expect",
+        "inspect table.csv --unit mg --json",
+    ),
+)
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option("--full", is_flag=True, help="Read everything, not just pieces.")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object per line.")

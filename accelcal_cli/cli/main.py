@@ -11,6 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from accelcal_cli.cli.exit_codes import run_safely
+from accelcal_cli.cli.help import heading
 from accelcal_cli.core.errors import similar_words
 from accelcal_cli.core.system import (
     collect_seldom,
@@ -24,9 +25,17 @@ from accelcal_cli.core.version import __version__
 class LazyGroup(click.Group):
     """Group that knows its commands' one-line helps by name, and imports one when it is run."""
 
-    def __init__(self, *words: Any, parts: dict[str, str], modules: str, **more: Any) -> None:
+    def __init__(
+        self,
+        *words: Any,
+        parts: dict[str, str],
+        modules: str,
+        sections: dict[str, tuple[str, ...]] | None = None,
+        **more: Any,
+    ) -> None:
         """Bind `command` of the module whose name is `modules` and the part's, `_` for each hyphen."""
         super().__init__(*words, **more)
+        self.sections = sections or {"Commands": tuple(parts)}
         self.parts = parts
         self.modules = modules
 
@@ -59,43 +68,73 @@ class LazyGroup(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Show the one-line helps without importing anything."""
-        with formatter.section("Commands"):
-            formatter.write_dl(list(self.parts.items()))
+        width = max(map(len, self.parts))
+        for title, names in self.sections.items():
+            with formatter.section(heading(title)):
+                formatter.write_dl([(name.ljust(width), self.parts[name]) for name in names])
 
 
 COMMANDS = {
-    "calibrate": "Calibrate recordings; write Parquet and a report for each.",
-    "study": "Calibrate a folder of recordings, in parallel; resume an interrupted run.",
-    "devices": "Show how a study's devices drift, and which to service.",
-    "report": "Make pages for people, with figures, of reports or of a study.",
-    "six-pose": "Calibrate a sensor from a session on its six faces.",
-    "inspect": "Show what a recording holds and predict its outcome.",
-    "watch": "Calibrate a recording while it grows.",
-    "fit": "Fit still-window means from another tool and judge the fit.",
-    "quality": "Show a recording's error by the hour, and whether its calibration holds.",
-    "effect": "Show what a calibration changes in measures of activity.",
+    "calibrate": "Calibrate recordings; write calibrated data and a report for each.",
+    "inspect": "Show the contents of a recording and predict its outcome.",
     "apply": "Apply known coefficients to recordings of the same device.",
-    "export": "Hand coefficients or calibrated data on to other tools.",
+    "fit": "Calibrate from still-window means found by another tool, such as GGIR.",
+    "six-pose": "Calibrate from a six-position session: the device lies on each of its sides.",
+    "watch": "Calibrate a recording while it grows.",
+    "study": "Calibrate a folder of recordings, in parallel; resume an interrupted run.",
+    "devices": "Show how the devices of a study drift, and which to service.",
+    "report": "Create HTML pages with figures from reports or from a whole study.",
+    "quality": "Check, hour by hour, whether a calibration still fits a recording.",
+    "effect": "Show how a calibration changes measures of activity.",
     "verify": "Reproduce a report from its recording, bit for bit.",
+    "export": "Export coefficients or calibrated data to GGIR, actipy, omconvert and others.",
+    "evaluate": "Compare methods and stillness rules; reproduce the published tables.",
+    "simulate": "Write a simulated recording with known errors.",
     "gravity": "Show local gravity at a latitude and altitude.",
-    "evaluate": "Compare methods and stillness rules, test claims, repeat the papers' tables.",
-    "simulate": "Write a recording with known errors.",
 }
 """One-line help of each command, which the module of its name (`_` for `-`) binds as `command`."""
+
+SECTIONS = {
+    "Calibrate": ("calibrate", "inspect", "apply", "fit", "six-pose", "watch"),
+    "Studies": ("study", "devices", "report"),
+    "Check": ("quality", "effect", "verify"),
+    "Export": ("export",),
+    "Laboratory": ("evaluate", "simulate", "gravity"),
+}
+"""Commands by purpose, the commonest first."""
+
+
+FIRST_STEPS = """\
+accelcal autocalibrates raw accelerometer (actigraph) recordings. To begin:
+
+  accelcal inspect recording.cwa            show the contents of a recording and what to expect
+  accelcal calibrate recording.cwa --html   write calibrated data, a report and a page
+  accelcal study recordings -d calibrated   calibrate all recordings of a folder
+
+All commands: accelcal --help
+Options and examples of a command: accelcal calibrate --help"""
+"""Screen of `accelcal` without arguments."""
 
 
 @click.group(
     cls=LazyGroup,
     parts=COMMANDS,
     modules="accelcal_cli.cli.",
+    sections=SECTIONS,
+    invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(__version__, prog_name="accelcal")
-def cli() -> None:
-    """Calibrate raw actigraph recordings by the stillness they contain.
+@click.pass_context
+def cli(ctx: click.Context) -> None:
+    """Autocalibrate raw accelerometer (actigraph) recordings, using their periods without movement.
 
-    Start with: accelcal calibrate RECORDING
+    Start with `accelcal inspect RECORDING`, then `accelcal calibrate RECORDING`; for a folder of
+    recordings, `accelcal study FOLDER -d OUT`. `accelcal COMMAND --help` shows examples.
     """
+    if ctx.invoked_subcommand is None:
+        click.echo(FIRST_STEPS)
+        ctx.exit(2)
 
 
 def main() -> NoReturn:

@@ -17,7 +17,7 @@ from click.shell_completion import CompletionItem
 from accelcal_cli.core.errors import did_you_mean
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.input_files import may_be_archive, pattern_of
-from accelcal_cli.core.settings import Option, Setting, Settings, setting_of
+from accelcal_cli.core.settings import LEARNT_PRIORS, Option, Setting, Settings, setting_of
 from accelcal_cli.formats import all_encoders, all_formats
 from accelcal_cli.optimize import all_optimizers
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, Request, real
@@ -32,6 +32,10 @@ else:  # older versions of click know no kinds of these
     AnyType, AnyChoice = click.ParamType, click.Choice
 
 
+LARGEST_SHOWN = 400.0
+"""Bound above which the help does not show it: no user meets it."""
+
+
 class Within(click.FloatRange):
     """Option type: a finite number in a range; click's own range lets NaN pass."""
 
@@ -43,6 +47,11 @@ class Within(click.FloatRange):
         if not isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)
         return number
+
+    def _describe_range(self) -> str:
+        """Return the bounds for the help, where a user could meet them."""
+        known = [abs(bound) for bound in (self.min, self.max) if bound is not None]
+        return "" if max(known, default=0.0) > LARGEST_SHOWN else super()._describe_range()
 
 
 class Positive(Within):
@@ -68,6 +77,16 @@ class OneOf(AnyChoice):
     def get_missing_message(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
         """List the words on one line; click 8.1 gives no context."""
         return f"It is one of {', '.join(map(str, self.choices))}."
+
+
+class OwnPrior(OneOf):
+    """Option type: a prior that needs no other recordings."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Look it up; of one that a study learns, say where it is to be had."""
+        if value in LEARNT_PRIORS:
+            self.fail(f"{value} is available only in `accelcal study`: it uses other recordings.", param, ctx)
+        return super().convert(value, param, ctx)
 
 
 class Axis(OneOf):
@@ -204,17 +223,20 @@ _READ_TYPES: dict[str, Any] = {
 }  # fmt: skip
 """Option types of reading options that their Settings do not state."""
 
+OWN_PRIORS = tuple(name for name in setting_of(Settings, "prior").choices if name not in LEARNT_PRIORS)
+"""Priors that need no other recordings."""
+
 _PLACES = [
     click.argument("recordings", nargs=-1, required=True, type=FILE),
     click.option("-d", "--output-dir", type=FILE, help="Folder for the outputs."),
-    click.option("-o", "--output", type=FILE, help="Name of the Parquet file."),
+    click.option("-o", "--output", type=FILE, help="Name of the calibrated Parquet file."),
     *_settings_options("precision_mg"),
 ]
 
 _PRINTING = [
-    click.option("--json", "as_json", is_flag=True, help="Print the report, one JSON object per line."),
+    click.option("--json", "as_json", is_flag=True, help="Print the reports as JSON, one object per line."),
     click.option("--tsv", is_flag=True,
-                 help="Print fields at a terminal too, instead of a sentence."),
+                 help="Print tab-separated fields, even at a terminal."),
     click.option("--force", is_flag=True,
                  help="Redo outputs that are up to date; overwrite files that accelcal did not write."),
     click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr."),
@@ -230,26 +252,34 @@ _METHOD = [
     setting_option(Settings, "stillness_axes", type=Axis()),
     *_settings_options("segment_seconds", "stillness_threshold_g", "longest_gap_s"),
 ]
-_FITTING = [
-    setting_option(Settings, "optimizer", type=OPTIMIZER),
-    *_settings_options("model", "prior", "temperature"),
-]
+_FITTING = [setting_option(Settings, "optimizer", type=OPTIMIZER), *_settings_options("model", "temperature")]
+_PRIOR = setting_option(Settings, "prior", type=OwnPrior(OWN_PRIORS))
+_ANY_PRIOR = setting_option(Settings, "prior", help=(
+    "Prior knowledge used in the fit. population: typical sensors. study: other devices of the model in this "
+    "study. device: also the device's other recordings. none: no prior; fit only as many parameters as the "
+    "recording supports.  [default: population]"
+))  # fmt: skip
 _GRAVITY = _settings_options("latitude", "altitude_m")
 
 _CHUNK = click.option(
     "--chunk-samples", type=click.IntRange(1), default=DEFAULT_CHUNK_SAMPLES, show_default=True,
-    help="Samples held in memory at a time; the result does not depend on it.",
+    metavar="N",
+    help="Samples held in memory at a time. The result does not depend on it.",
 )  # fmt: skip
-_REPORT_ONLY = click.option("--report-only", is_flag=True, help="Write reports but no Parquet.")
+_REPORT_ONLY = click.option("--report-only", is_flag=True, help="Write reports only, no calibrated data.")
 _KEEP_REFUSED = click.option(
     "--keep-refused", is_flag=True,
-    help="Write the raw values of a refused recording to STEM.uncalibrated.parquet, marked as such.",
+    help="Write the raw data of a refused recording to NAME.uncalibrated.parquet, marked as raw.",
 )  # fmt: skip
 _EFFECT = click.option(
-    "--effect", is_flag=True, help="Also find what the calibration changes in ENMO, MAD, MVPA and others."
+    "--effect",
+    is_flag=True,
+    help="Also report how the calibration changes ENMO, MAD, MVPA and other measures.",
 )
 _INTEGERS = click.option(
-    "--integers", is_flag=True, help="Also write each fit's points and result as fixed-point integers."
+    "--integers",
+    is_flag=True,
+    help="Also write the points and the result of each fit as fixed-point integers.",
 )
 
 
@@ -270,8 +300,9 @@ chunk_option = _decorate([_CHUNK])
 damage_option = _decorate(_settings_options("max_damage_percent"))
 precision_option = _decorate(_settings_options("precision_mg"))
 gravity_options = _decorate(_GRAVITY)
-fitting_options = _decorate([*_FITTING, *_GRAVITY])
-method_options = _decorate([*_METHOD, *_FITTING, *_GRAVITY])
+fitting_options = _decorate([*_FITTING, _PRIOR, *_GRAVITY])
+method_options = _decorate([*_METHOD, *_FITTING, _PRIOR, *_GRAVITY])
+study_method_options = _decorate([*_METHOD, *_FITTING, _ANY_PRIOR, *_GRAVITY])
 recalibrate_option = _decorate(_settings_options("recalibrate"))
 comparing_options = _decorate([*_METHOD, *_settings_options("model", "temperature"), *_GRAVITY])
 """Options of a method, without the optimizer and the prior."""
@@ -279,13 +310,13 @@ comparing_options = _decorate([*_METHOD, *_settings_options("model", "temperatur
 
 config_option = click.option(
     "--config", type=FILE, metavar="FILE.toml",
-    help="Reading options by name of recording, as in a study.toml.",
+    help="Set reading options by file name, as in a study.toml.",
 )  # fmt: skip
 
 
 parts_option = click.option(
     "--parts", is_flag=True,
-    help="Each RECORDING is a folder of parts, or a pattern in quotes; files are the parts of one recording.",
+    help="Read the files in each RECORDING (a folder, or a quoted pattern) as parts of one recording.",
 )  # fmt: skip
 
 
@@ -313,8 +344,16 @@ def rules_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) ->
 
 def calibrating_options(command: Command) -> Command:
     """Add the options that `request_of` needs, and those of printing."""
-    options = (recalibrate_option, method_options, damage_option, config_option, reading_options)
-    for decorator in (*options, printing_options):
+    return _calibrating(method_options(command))
+
+
+def study_options(command: Command) -> Command:
+    """Add what `calibrating_options` does, with the priors that a study learns."""
+    return _calibrating(study_method_options(command))
+
+
+def _calibrating(command: Command) -> Command:
+    for decorator in (recalibrate_option, damage_option, config_option, reading_options, printing_options):
         command = decorator(command)
     return _REPORT_ONLY(_KEEP_REFUSED(_INTEGERS(_EFFECT(command))))
 

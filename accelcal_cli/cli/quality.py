@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes, options
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import aligned, bytes_of, progress_bars
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.output.coefficients import read_coefficients
@@ -33,9 +34,16 @@ WORDS = {
 WORN = {True: "yes", False: "no", None: "-"}
 
 
-@click.command("quality")
+@click.command(
+    "quality",
+    cls=Command,
+    examples=(
+        "quality recording.cwa # the error by the hour",
+        "quality june.cwa --coefficients march.calibration.json # do the coefficients of March still fit?",
+    ),
+)
 @click.argument("recording", type=options.FILE)
-@click.option("--coefficients", type=options.FILE, metavar="STEM.calibration.json",
+@click.option("--coefficients", type=options.FILE, metavar="NAME.calibration.json",
               help="Report whose coefficients are checked; otherwise the recording's own.")  # fmt: skip
 @click.option("--any-device", is_flag=True, help="Accept coefficients of any device.")
 @click.option("--json", "as_json_", is_flag=True, help="Print a JSON object.")
@@ -46,11 +54,11 @@ WORN = {True: "yes", False: "no", None: "-"}
 @options.damage_option
 @options.method_options
 def command(recording: Path, **values: Any) -> int:
-    """Show the error of RECORDING hour by hour, and whether its calibration holds; `-` reads standard input.
+    """Check, hour by hour, whether a calibration still fits RECORDING; `-` reads standard input.
 
-    With --coefficients those of an earlier report of the same device are held against the recording.
-    Prints a row for each hour, then a sentence; nothing is written. The exit code is 0 if the
-    calibration holds, 1 if it has degraded, and 4 if the recording is refused or cannot tell.
+    With --coefficients, checks the coefficients of an earlier report against this recording. Prints a row
+    for each hour, then a sentence, and writes nothing. The exit code is 0 if the calibration still fits, 1 if
+    it does not, and 4 if the recording is refused or does not show it.
     """
     request = measuring_request(recording, values)
     with bytes_of(recording) as source, progress_bars(recording.name, quiet=values["quiet"]) as bars:

@@ -7,23 +7,31 @@ from pathlib import Path
 import click
 
 from accelcal_cli.cli import exit_codes
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import FILE
 from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
 from accelcal_cli.pipeline.jobs import real, refuse_dash
 from accelcal_cli.pipeline.outputs import make_folder
 
 
-@click.command("report")
+@click.command(
+    "report",
+    cls=Command,
+    examples=(
+        "report recording.calibration.json # writes recording.html",
+        "report calibrated # pages of a study, for those that changed",
+    ),
+)
 @click.argument("reports", nargs=-1, required=True, type=FILE)
-@click.option("-d", "--output-dir", type=FILE, help="Folder for the pages; otherwise beside each report.")
+@click.option("-d", "--output-dir", type=FILE, help="Folder for the pages.  [default: next to each report]")
 @click.option("--force", is_flag=True, help="Overwrite files that accelcal did not write.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
 def command(reports: tuple[Path, ...], output_dir: Path | None, force: bool, quiet: bool) -> int:
-    """Make a page of each REPORT (STEM.calibration.json), with figures from STEM.quality.json beside it.
+    """Create an HTML page with figures from each REPORT (NAME.calibration.json).
 
-    A page is one HTML file that needs nothing else: it can be read in any browser, printed and mailed.
-    Prints the path of each page, a line each. REPORT may also be the folder that `study` wrote into: then
-    its study.html, and a page of each recording, are made where they changed.
+    A page is one HTML file that any browser shows; it can be printed and mailed. Prints the path of each
+    page. REPORT may also be the output folder of `study`: then study.html and the pages of its recordings
+    are created where they changed.
     """
     refuse_dash(output_dir)
     if len(reports) == 1 and reports[0].is_dir():

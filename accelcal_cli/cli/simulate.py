@@ -10,6 +10,7 @@ import click
 import numpy as np
 
 from accelcal_cli.cli import exit_codes
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import ENCODER, FILE, Positive, Within
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import UsageError, printable
@@ -24,7 +25,14 @@ from accelcal_cli.simulate import (
 )
 
 
-@click.command("simulate")
+@click.command(
+    "simulate",
+    cls=Command,
+    examples=(
+        "simulate week.cwa --format cwa --days 7",
+        "simulate sensor.csv --format csv --days 1 --errors 0 # a perfect sensor",
+    ),
+)
 @click.argument("out", type=FILE)
 @click.option("--format", "format_name", type=ENCODER, default="flash", show_default=True, metavar="NAME",
               help="flash, raw (with its layout file), csv, hdf5, cwa, geneactiv or gt3x.")  # fmt: skip
@@ -57,8 +65,8 @@ from accelcal_cli.simulate import (
 def command(out: Path, **values: Any) -> None:
     """Write a recording of simulated wrist wear to OUT, and its true errors to OUT.truth.json.
 
-    The format's suffix is added to OUT if it is missing. The recording has nights in a few sleep
-    postures, desk work, walking, chores, the device left on a table, a temperature swing, noise and
+    The format's suffix is added to OUT if it is missing. The recording has nights in a few sleeping
+    positions, desk work, walking, chores, the device left on a table, a temperature swing, noise and
     quantisation. Scale, misalignment and offset errors are drawn at random, from a seed.
     """
     plan = _plan(values)

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import options
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.input_files import is_no_part
@@ -18,7 +19,14 @@ from accelcal_cli.pipeline.options import read_options, with_values
 from accelcal_cli.six_pose.run import session_of, six_pose
 
 
-@click.command("six-pose")
+@click.command(
+    "six-pose",
+    cls=Command,
+    examples=(
+        "six-pose session.cwa -d calibrated # one recording of all six sides",
+        'six-pose "faces/*.csv" # a file for each side',
+    ),
+)
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option(
     "--poses", type=options.FILE,
@@ -27,7 +35,8 @@ from accelcal_cli.six_pose.run import session_of, six_pose
 @options.setting_option(PoseSettings, "unchecked")
 @click.option(
     "--roll", multiple=True, metavar="AXIS,START,END",
-    help="Check the result where the device was rolled with AXIS level; AXIS,FILE for a file.",
+    help="Validate on a stretch in which the device was rolled about a level AXIS: AXIS,START,END in "
+    "seconds, or AXIS,FILE.",
 )  # fmt: skip
 @click.option("-o", "--output", type=options.FILE, help="Name of the report (JSON).")
 @click.option("-d", "--output-dir", type=options.FILE, help="Folder for the report.")
@@ -40,14 +49,13 @@ from accelcal_cli.six_pose.run import session_of, six_pose
 @options.damage_option
 @options.gravity_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
-    """Calibrate from a session in which the device rested on its six faces; `-` reads standard input.
+    """Calibrate from a six-position session, in which the device lies on each of its six sides.
 
-    The session is one recording, or several of one device, such as one for each face: their folder, a pattern
-    in quotes, or a list if a pattern stands for just these files.
+    The session is one recording, or several of one device, such as one for each side: their folder, a pattern
+    in quotes, or a list if a pattern stands for just these files. `-` reads standard input.
 
-    Fits twelve parameters by linear least squares (docs/six-pose.md says how to record the session).
-    Writes STEM.calibration.json beside the recording and prints one tab-separated line: path, outcome,
-    model, error before and after in mg on held-out orientations, error before / after x 100, and the report.
+    Fits twelve parameters by linear least squares. Writes NAME.calibration.json next to the recording and
+    prints the same line as `calibrate`, with the name of the report in place of the Parquet file.
     """
     inputs = [] if values["poses"] is None else [values["poses"]]
     session = session_of(recordings, values["poses"])

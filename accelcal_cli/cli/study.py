@@ -14,14 +14,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from accelcal_cli.cli import exit_codes
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import (
     FILE,
     OneOf,
     Positive,
     Within,
-    calibrating_options,
     precision_option,
     request_of,
+    study_options,
 )
 from accelcal_cli.cli.output import say_refused, show_row
 from accelcal_cli.cli.report import study_pages
@@ -123,7 +124,14 @@ class TerminalObserver:
             exit_codes.say(f"{name}: {problem}")
 
 
-@click.command("study")
+@click.command(
+    "study",
+    cls=Command,
+    examples=(
+        "study recordings -d calibrated --html # all recordings of a folder, with a page of the study",
+        "study recordings -d calibrated --borrow # with coefficients of the device's other recordings",
+    ),
+)
 @click.argument("folders", nargs=-1, required=True, type=FILE)
 @click.option("-d", "--output-dir", "out", type=FILE, required=True, help="Folder for the outputs.")
 @click.option("--include", multiple=True, metavar="GLOB", help="Process only these files, such as '*.cwa'.")
@@ -137,15 +145,13 @@ class TerminalObserver:
               help="Process only files modified since DATE.")  # fmt: skip
 @click.option("--retry-failed", is_flag=True, help="Retry recordings that failed, even if unchanged.")
 @click.option("--all-failures", is_flag=True,
-              help="With -q, failures and refusals of earlier runs count and are shown too.")  # fmt: skip
-@click.option(
-    "--html", is_flag=True, help="Make pages of the study and of its recordings, where they changed."
-)
+              help="With -q, also report failures and refusals from earlier runs.")  # fmt: skip
+@click.option("--html", is_flag=True, help="Create study.html and a page for each recording that changed.")
 @click.option("--dry-run", is_flag=True, help="Show what would be done without doing it.")
 @click.option("--shard", metavar="I/N",
               help="Process part I of N only; `slurm`: the part of this job array task.")  # fmt: skip
 @click.option("--takeover", type=Within(LEAST_SILENCE_S / 60, 1e4), metavar="MINUTES",
-              help="Take over from a run of another host that gave no sign of life for so long.")  # fmt: skip
+              help="Take over if the run on another host has not responded for MINUTES.")  # fmt: skip
 @click.option("--unlock", is_flag=True,
               help="Remove the lock of a run that you know to have ended, and do nothing else.")  # fmt: skip
 @click.option("--collect", is_flag=True, help="Merge the results of all shards.")
@@ -161,7 +167,7 @@ class TerminalObserver:
     "nearest in time, provided that they reduce the error on its own still periods.",
 )
 @precision_option
-@calibrating_options
+@study_options
 def command(folders: tuple[Path, ...], **values: Any) -> int:
     """Calibrate all recordings in each FOLDER and its subfolders, in parallel.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from accelcal_cli.cli import exit_codes
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import FILE, chunk_option
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import printable
@@ -21,7 +22,14 @@ DIFFERS = 1
 SHOWN_KEYS = 5
 
 
-@click.command("verify")
+@click.command(
+    "verify",
+    cls=Command,
+    examples=(
+        "verify recording.calibration.json recording.cwa",
+        "verify recording.calibration.json recording.cwa --values # also every value of the Parquet file",
+    ),
+)
 @click.argument("report", type=FILE)
 @click.argument("recording", type=FILE)
 @click.option("--values", is_flag=True,

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import click
 
 from accelcal_cli.cli import exit_codes, options
+from accelcal_cli.cli.help import Command
 from accelcal_cli.core.calibration import Transform
 from accelcal_cli.core.errors import UnreadableError, UsageError, output_error, printable
 from accelcal_cli.core.recording import Recording
@@ -33,7 +34,14 @@ PIECE_BYTES = 1 << 16
 KINDS = ("arrow", "csv")
 
 
-@click.command("watch")
+@click.command(
+    "watch",
+    cls=Command,
+    examples=(
+        "watch recording.cwa # a line of JSON for each event",
+        "watch /dev/stdin --rate 100 --unit g -o calibrated.csv",
+    ),
+)
 @click.argument("recording", type=options.FILE)
 @click.option("-o", "--output", type=options.FILE, metavar="FILE",
               help="Write calibrated rows from the first fit on; `-` is standard output.")  # fmt: skip
@@ -48,7 +56,8 @@ def command(recording: Path, **values: Any) -> int:
     """Calibrate RECORDING, a file, a named pipe or `-`, while it grows.
 
     Prints a JSON object for each event: progress, fitted, refitted, drifted, ended; on stderr where rows
-    go to standard output. The exit code is that of `calibrate` for all that came.
+    go to standard output. When the input ends, exits with the code `calibrate` would give for the complete
+    recording.
     """
     request = Request(options=read_options(values), settings=chosen_settings(values))
     request = request if recording == STDIN else request.for_recording(recording)

@@ -54,7 +54,7 @@ class ReadOptions:
     unit: str | None = setting(None, option=Option("--unit", "Unit of the raw values."), choices=UNIT_CHOICES)
     lsb_per_g: float | None = setting(None, 1e-9, 10**9, Option("--lsb-per-g", "Counts per g.", "N", above=0))
     columns: tuple[str, str, str] | None = setting(
-        None, option=Option("--columns", "Columns of x, y and z: names, or numbers counted from 0.")
+        None, option=Option("--columns", "Columns of x, y and z: names, or numbers from 0.")
     )
     time_column: str | None = setting(None, option=Option("--time-column", "Column of the times.", "NAME"))
     date_format: str | None = setting(
@@ -64,37 +64,52 @@ class ReadOptions:
     )
     timezone: str | None = setting(
         None,
-        option=Option("--timezone", "Time zone of files that state none, such as Europe/Berlin.", "ZONE"),
+        option=Option(
+            "--timezone",
+            "Time zone of the device's clock, if the file does not state one. Example: Europe/Berlin.",
+            "ZONE",
+        ),
     )
     force_timezone: bool = setting(
         False, option=Option("--force-timezone", "Use --timezone even if a file states another zone.")
     )
     start: str | None = setting(
-        None, option=Option("--start", "Time of the first sample, of files that do not say it.", "ISO")
+        None, option=Option("--start", "Start time, for files that do not contain one.", "ISO")
     )
     shift_s: float | None = setting(
-        None, -1e9, 1e9, Option("--shift", "Added to all times, of a clock that was wrong.", "SECONDS")
+        None,
+        -1e9,
+        1e9,
+        Option("--shift", "Add SECONDS to all times, to correct a clock that was wrong.", "SECONDS"),
     )
     configured_zone: str | None = setting(
-        None, option=Option("--configured-zone", "Zone in which the clock was set; with --worn-zone.", "ZONE")
+        None,
+        option=Option(
+            "--configured-zone", "Time zone that the device's clock was set to (with --worn-zone).", "ZONE"
+        ),
     )
     worn_zone: str | None = setting(
-        None, option=Option("--worn-zone", "Zone in which the device was worn, if another.", "ZONE")
+        None,
+        option=Option(
+            "--worn-zone",
+            "Time zone where the device was worn, if it differs from the zone its clock was set to.",
+            "ZONE",
+        ),
     )
     layout: Path | None = setting(None, option=Option("--layout", "Layout file (TOML) of a raw dump."))
     sensor: str | None = setting(
-        None, option=Option("--sensor", "Sensor to read from a file with several.", "NAME")
+        None, option=Option("--sensor", "Which sensor to read, if the file contains several.", "NAME")
     )
     gyro_columns: tuple[str, str, str] | None = setting(
-        None, option=Option("--gyro-columns", "Columns of a gyroscope's x, y and z.")
+        None, option=Option("--gyro-columns", "Columns of the gyroscope's x, y and z.")
     )
     gyro_unit: str | None = setting(
         None,
-        option=Option("--gyro-unit", "Unit of a gyroscope's values; none: do not read it."),
+        option=Option("--gyro-unit", "Unit of the gyroscope; none: do not read it."),
         choices=("deg/s", "rad/s", "none"),
     )
     lsb_per_dps: float | None = setting(
-        None, 1e-9, 10**9, Option("--lsb-per-dps", "A gyroscope's counts per deg/s.", "N", above=0)
+        None, 1e-9, 10**9, Option("--lsb-per-dps", "Counts of the gyroscope per deg/s.", "N", above=0)
     )
 
     @property

@@ -187,18 +187,20 @@ class Settings:
 
     profile: str = setting(
         "default",
-        option=Option("--profile", "`paper`: the published procedure, 18 points and 50 iterations."),
+        option=Option(
+            "--profile", "default, or paper: the published procedure with 18 points and 50 iterations."
+        ),
         choices=("default", "paper"),
     )
     optimizer: str = setting(
         "fixed32",
-        option=Option("--optimizer", "Optimizer that finds the parameters, see docs/optimizers.md.", "NAME"),
+        option=Option("--optimizer", "Optimizer that finds the parameters.", "NAME"),
     )
     model: str = setting(
         "auto",
         option=Option(
             "--model",
-            "Parameters to fit, a number without a prior; auto: all, or with --prior none as many as help.",
+            "Number of parameters to fit: 9, 6 or 3. A number turns the prior off.",
         ),
         choices=("auto", "9", "6", "3"),
     )
@@ -206,9 +208,8 @@ class Settings:
         NO_PRIOR,
         option=Option(
             "--prior",
-            "population: fit all parameters, helped by what is usual for sensors; none: use the simplest "
-            "model that the recording supports; `accelcal study` also has study: what is usual for "
-            "devices of the model, and device: the device's other recordings as well (docs/prior.md).",
+            "Prior knowledge used in the fit. population: typical sensors. none: no prior; fit only as many "
+            "parameters as the recording supports.",
             default="population; none with --model, --profile paper, and optimizers that know no prior",
         ),
         choices=("population", NO_PRIOR, *LEARNT_PRIORS),
@@ -217,7 +218,8 @@ class Settings:
         NEVER,
         option=Option(
             "--recalibrate",
-            "auto: follow a sensor that changes while it records; never: only say so (docs/change.md).",
+            "auto: adapt the calibration when the sensor changes during the recording. never: only report "
+            "the change.",
             default="auto",
         ),
         choices=("auto", NEVER),
@@ -229,7 +231,7 @@ class Settings:
         "both",
         option=Option(
             "--stillness",
-            "What counts as still, see docs/stillness.md.",
+            "Rule by which a window counts as still.",
             default="both; profile paper: range, or both if no axis calibrates",
         ),
         choices=tuple(STILLNESS),
@@ -257,7 +259,7 @@ class Settings:
         2,
         Option(
             "--stillness-axis",
-            "Axis that rule range looks at: x, y or z.",
+            "Axis that --stillness range checks.",
             default="x; profile paper: the first that calibrates",
         ),
     )
@@ -269,7 +271,7 @@ class Settings:
         10,
         Option(
             "--longest-gap",
-            "Windows go on over gaps and steps back of stamps of at most this; 0: over none.",
+            "Longest gap between time stamps that a window may span; 0 for none.",
             "SECONDS",
             default="0.5; profile paper: 0",
         ),
@@ -291,13 +293,18 @@ class Settings:
         Option("--precision", "Round values to steps of at most MG, for smaller files.", "MG", "exact"),
     )
     latitude: float | None = setting(
-        None, -90, 90, Option("--latitude", "Latitude of the place where the recording was made.", "DEGREES")
+        None,
+        -90,
+        90,
+        Option(
+            "--latitude", "Latitude of the place where the recording was made, for local gravity.", "DEGREES"
+        ),
     )
     altitude_m: float | None = setting(
         None, -500, 9000, Option("--altitude", "Altitude above sea level.", "METRES", "0")
     )
     max_damage_percent: float = setting(
-        50.0, 0, 100, Option("--max-damage", "Refuse a recording with more damage than this.", "PERCENT")
+        50.0, 0, 100, Option("--max-damage", "Refuse a recording if more of it is damaged.", "PERCENT")
     )
     min_distance_g: float = setting(
         0.0,
@@ -305,7 +312,7 @@ class Settings:
         2,
         Option(
             "--min-distance-g",
-            "Least distance between two points of profile paper; 0: none.",
+            "Smallest distance between two points (--profile paper only); 0 for no limit.",
             default="profile paper: 0.2",
         ),
     )
@@ -313,13 +320,13 @@ class Settings:
         2,
         1,
         100,
-        Option("--min-subset-points", "Fewest points in each of the nine subsets of profile paper.", "N"),
+        Option("--min-subset-points", "Minimum number of points per subset (--profile paper only).", "N"),
     )
     max_subset_points: int = setting(
         2,
         1,
         100,
-        Option("--max-subset-points", "Most points in each of the nine subsets of profile paper.", "N"),
+        Option("--max-subset-points", "Maximum number of points per subset (--profile paper only).", "N"),
     )
 
     @property

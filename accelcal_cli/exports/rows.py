@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from accelcal_cli.parquet import ParquetSource
 
 NAMES = ("time", "x", "y", "z")
-NAME_ONE = "name a Parquet file that accelcal wrote, STEM.calibrated.parquet"
+NAME_ONE = "name a Parquet file that accelcal wrote, NAME.calibrated.parquet"
 NOT_MEASURED = (Validity.FILLED, Validity.RECOVERED)
 """Marks of rows that `--measured-only` leaves out; a clipped row was measured, up to the sensor's limit."""
 

@@ -21,6 +21,7 @@ from numpy.random import RandomState
 from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import METHOD, Positive, Within, gravity_options
 from accelcal_cli.cli.output import aligned, progress_bars
 from accelcal_cli.core.calibration import Calibration, in_standard_g
@@ -201,7 +202,11 @@ def _rest(case: Case, plan: CasePlan, direction: Floats, random: RandomState) ->
     return Rest(0, REST_ROWS, tuple(sums), (0, 0, 0), None)
 
 
-@click.command("gravity")
+@click.command(
+    "gravity",
+    cls=Command,
+    examples=("evaluate gravity --latitude 52.5", "evaluate gravity --cases 50 --json"),
+)
 @click.option("--local-gravity", type=Within(9.7, 9.9), metavar="M/S2",
               help=f"Gravity at rest.  [default: {TABLE_8_GRAVITY}, as in the paper]")  # fmt: skip
 @gravity_options

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import Positive
 from accelcal_cli.cli.output import aligned, progress_bars, refuse_both
 from accelcal_cli.core.calibration import Transform
@@ -373,7 +374,14 @@ HEAD = ("lag s", "drift ppm", "residual ms", "correlation")
 FIGURES = tuple(f"{axis}_{when}_mg" for axis in AXES for when in ("before", "after"))
 
 
-@click.command("homogeneity")
+@click.command(
+    "homogeneity",
+    cls=Command,
+    examples=(
+        "evaluate homogeneity left.cwa right.cwa",
+        "evaluate homogeneity left.cwa right.cwa --accept 5",
+    ),
+)
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option("--largest-lag", "largest_lag_s", type=Positive(), default=60.0, show_default=True,
               metavar="SECONDS", help="How far the devices' clocks may be apart.")  # fmt: skip

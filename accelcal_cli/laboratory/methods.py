@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes, options
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import aligned, each_recording, refuse_both
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.formats import ReadOptions
@@ -195,7 +196,11 @@ MEANS = ("mean over recordings", "calibrated", "before mg", "after mg", "improve
 PUBLISHED = ("Table 3 of Farago, Maczak, Gingl 2024 (own recordings)", "before mg", "after mg", "improved %")
 
 
-@click.command("methods")
+@click.command(
+    "methods",
+    cls=Command,
+    examples=("evaluate methods recording.cwa", "evaluate methods recording.cwa --profile paper"),
+)
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option(
     "--only", type=options.OPTIMIZERS, metavar="A,B", help="Compare only these optimizers.  [default: all]"

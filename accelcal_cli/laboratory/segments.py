@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import aligned, each_recording
 from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.collect.table import read_table, windows_of
@@ -345,7 +346,14 @@ def _error_option(name: str, unit: str, text: str, largest: int) -> Callable[[An
     return click.option(option, type=options.Within(0, largest), metavar=unit, help=words)
 
 
-@click.command("segments")
+@click.command(
+    "segments",
+    cls=Command,
+    examples=(
+        "evaluate segments recording.cwa --hours 6,12,24",
+        "evaluate segments points.csv --table-hours 168",
+    ),
+)
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option(
     "--hours",
@@ -365,12 +373,12 @@ def _error_option(name: str, unit: str, text: str, largest: int) -> Callable[[An
     "--table-hours",
     type=options.Positive(100_000),
     metavar="HOURS",
-    help="The files are tables of still windows in the order of time that span so many hours.",
+    help="The files are tables of still windows in the order of time, and span HOURS.",
 )
 @click.option(
     "--sensors",
     type=click.IntRange(1, 100_000),
-    help="Let so many simulated sensors, with known errors, measure each recording's rests.",
+    help="Replay each recording's still windows through N simulated sensors with known errors.",
 )
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of these sensors.")
 @_error_option("gain_percent", "PERCENT", "Their gains differ by up to this", 20)
@@ -382,15 +390,15 @@ def _error_option(name: str, unit: str, text: str, largest: int) -> Callable[[An
 @options.reading_options
 @options.method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
-    """Calibrate segments of each RECORDING and hold the claims against the rest of it.
+    """Calibrate segments of each RECORDING, and compare their error estimates with the rest of it.
 
     For each length: how many segments there are and how many have a calibration, then for these the mean
     error on the rest of the recording without and with it, the mean that their reports claim, how many are
     above the limit or worse than raw data, and the share of the 95 % intervals that hold the error.
 
     With --sensors, what the sensor measured in its still windows is replaced by what simulated ones would
-    have measured, each in one of the segments. The errors are then the true ones over the whole sphere;
-    `measured` is what rests would show of them, whose |a| scatters: the intervals are held against that.
+    have measured, each in one of the segments. The errors are then the true ones over all orientations;
+    `measured` adds the scatter of rests, and the intervals are compared with that.
     """
 
     def work(path: Path, bars: ProgressMaker) -> tuple[str, list[Segment]]:

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import METHOD, Listed, OneOf
 from accelcal_cli.cli.output import aligned, progress_bars
 from accelcal_cli.core.arithmetic import ONE
@@ -445,7 +446,11 @@ def _notes(tables: tuple[ErrorTable, ...]) -> Iterator[str]:
                 yield f"{where}: {times} x {reason}"
 
 
-@click.command("simulation")
+@click.command(
+    "simulation",
+    cls=Command,
+    examples=("evaluate simulation --cases 100", "evaluate simulation --cases 100 --optimizer all --csv"),
+)
 @click.option("--cases", type=click.IntRange(1), default=500, show_default=True,
               help="How many sensors to simulate.")  # fmt: skip
 @click.option("--points", type=Listed(int, 9, 8192), default="18,144,432", show_default=True,

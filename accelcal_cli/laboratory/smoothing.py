@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import aligned, each_recording
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.formats import ReadOptions
@@ -143,7 +144,11 @@ HEAD = ("samples", "rolling mean", "of raw", "rolling median", "of raw", "")
 PUBLISHED = ("Table 1 of Grammenos et al. 2018 (own recording)", "rolling mean", "rolling median")
 
 
-@click.command("smoothing")
+@click.command(
+    "smoothing",
+    cls=Command,
+    examples=("evaluate smoothing recording.cwa", "evaluate smoothing recording.cwa --json"),
+)
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object per line.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")

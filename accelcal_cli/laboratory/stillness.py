@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import aligned, each_recording, refuse_both
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY, Calibration, TemperatureScale
@@ -160,7 +161,11 @@ FIGURES = {
 """Columns of the first table, and how their values are shown."""
 
 
-@click.command("stillness")
+@click.command(
+    "stillness",
+    cls=Command,
+    examples=("evaluate stillness recording.cwa", "evaluate stillness recording.cwa --csv"),
+)
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
@@ -171,8 +176,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate each RECORDING by every stillness rule and compare the results.
 
     Shows what each rule found and the held-out error on its own points, then the mean error that each
-    calibration leaves on the points of every rule. For a simulated recording with STEM.truth.json
-    beside it, also the largest error of a gain term and of an offset.
+    calibration leaves on the points of every rule. For a simulated recording with NAME.truth.json
+    next to it, also the largest error of a gain term and of an offset.
     """
     refuse_both(as_json=values["as_json"], as_csv=values["as_csv"])
 

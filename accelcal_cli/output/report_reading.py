@@ -25,7 +25,7 @@ from accelcal_cli.output.report_view import ReportRecording, record
 SCHEMA_VERSION = 3
 LARGEST_BYTES = 64 << 20
 """Size of a file above which it cannot be a report, which has some thousand entries at most."""
-NAME_ONE = "name a report, STEM.calibration.json"
+NAME_ONE = "name a report, NAME.calibration.json"
 
 LATER = {
     "settings.precision_mg": "0.1.0",

@@ -1,6 +1,6 @@
 """The figures of one recording's page: what each shows, its picture, and the same as a sentence.
 
-All numbers are those of the report and of `STEM.quality.json`; errors are | |a| - 1 g | in mg. `figures_of`
+All numbers are those of the report and of `NAME.quality.json`; errors are | |a| - 1 g | in mg. `figures_of`
 says which figures there are, and in which section of the page.
 """
 

@@ -1,4 +1,4 @@
-"""The page of one recording, made of its report and its `STEM.quality.json` alone.
+"""The page of one recording, made of its report and its `NAME.quality.json` alone.
 
 The same two files make the same bytes. Each part of the page is a function here that makes its tables; the
 figures are in `figures.py`, sentences in `output/words.py`, the order of all in `templates/recording.html`.
@@ -34,7 +34,7 @@ from accelcal_cli.pages.rendering import PageTable, Rows, rendered
 from accelcal_cli.pages.time_series import UnfitError, hourly_table, time_series
 
 AGAIN = "figures that need it are missing. Calibrate again with --force to have them."
-NO_FILE = f"There is no STEM.quality.json beside the report: {AGAIN}"
+NO_FILE = f"There is no NAME.quality.json beside the report: {AGAIN}"
 MOST_PROBLEMS = 20
 MOST_POSES = 200
 LONGEST_TEXT = 2000
@@ -62,7 +62,7 @@ def page(report: Mapping[str, Any], quality: Mapping[str, Any] | None = None) ->
 
     Args:
         report: valid by the schema of the version that wrote it.
-        quality: content of STEM.quality.json; None where it is missing.
+        quality: content of NAME.quality.json; None where it is missing.
     """
     view = report_view(report)
     data, note = None, NO_FILE
@@ -70,7 +70,7 @@ def page(report: Mapping[str, Any], quality: Mapping[str, Any] | None = None) ->
         try:
             data, note = time_series(quality, view), ""
         except UnfitError as error:
-            note = f"STEM.quality.json {error}: {AGAIN}"
+            note = f"NAME.quality.json {error}: {AGAIN}"
     return rendered(
         "recording.html",
         name=view.recording.path.rpartition("/")[2] or "(no name)",

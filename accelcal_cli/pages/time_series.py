@@ -1,4 +1,4 @@
-"""`STEM.quality.json` as figures and the table by the hour need it, checked column by column.
+"""`NAME.quality.json` as figures and the table by the hour need it, checked column by column.
 
 The file may be that of another result, or written by somebody else: what does not fit is not drawn, and the
 page says so.
@@ -222,7 +222,7 @@ def hourly_table(data: TimeSeries) -> tuple[str, list[str], list[list[str]]]:
     caption = "Hour by hour: all that the figures along time show"
     if together > 1:
         each = (
-            f"{together} rows of STEM.quality.json in each row, which has their sums, mean and worst values"
+            f"{together} rows of NAME.quality.json in each row, which has their sums, mean and worst values"
         )
         caption = f"All that the figures along time show, {each}"
     return caption, list(columns), [list(row) for row in zip(*columns.values(), strict=True)]

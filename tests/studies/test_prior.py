@@ -187,11 +187,16 @@ def test_its_coefficients_are_applied_and_verified(base: Path, tmp_path: Path, c
     assert json.loads(made.read_text())["settings"]["prior"] == "population"
 
 
+@pytest.mark.parametrize("words", ["calibrate in/A.raw --prior study", "inspect in/A.raw --prior device"])
+def test_a_learnt_prior_is_refused_elsewhere_with_where_it_is_available(capsys: Capture, words: str) -> None:
+    ran = run(capsys, *words.split())
+    assert ran.code == 2
+    assert ran.err.endswith("is available only in `accelcal study`: it uses other recordings.\n")
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("calibrate in/A.raw --prior study", "is learnt from other recordings; use it with `accelcal study"),
-        ("inspect in/A.raw --prior device", "is learnt from other recordings; use it with `accelcal study"),
         ("study in -d x --prior study --pool device", "--prior study does not go with --pool"),
         ("study in -d x --prior device --borrow", "--prior device does not go with --borrow"),
         ("study in -d x --prior study --model 9", "--prior study does not go with --model 9"),

@@ -1,0 +1,83 @@
+"""Help of every command: groups, examples that the command takes, no words that a reader cannot know."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import click
+import pytest
+
+from accelcal_cli.cli.evaluate import PARTS
+from accelcal_cli.cli.help import GROUPS, Command
+from accelcal_cli.cli.main import COMMANDS, SECTIONS, cli
+from tests.cli.run import run
+
+NAMES = [(name,) for name in COMMANDS if name != "evaluate"] + [("evaluate", name) for name in PARTS]
+
+
+def command(names: tuple[str, ...]) -> Command:
+    """The command of a name or two."""
+    found: click.Command = cli
+    for name in names:
+        assert isinstance(found, click.Group)
+        one = found.get_command(click.Context(found), name)
+        assert one is not None
+        found = one
+    assert isinstance(found, Command)
+    return found
+
+
+@pytest.mark.parametrize("names", NAMES, ids=" ".join)
+def test_every_command_has_two_examples_that_it_takes(names: tuple[str, ...]) -> None:
+    found = command(names)
+    assert len(found.examples) >= 2
+    for example in found.examples:
+        line, _, _ = example.partition(" # ")
+        words = shlex.split(line)
+        assert tuple(words[: len(names)]) == names
+        found.make_context(names[-1], words[len(names) :])
+
+
+@pytest.mark.parametrize("names", NAMES, ids=" ".join)
+def test_help_names_what_its_reader_has(capsys: pytest.CaptureFixture[str], names: tuple[str, ...]) -> None:
+    text = run(capsys, *names, "--help").out
+    assert "Examples:" in text and "--help" in text
+    for word in ("STEM", "docs/", ".md", "postures", "sphere", "1000000"):
+        assert word not in text, word
+    assert max(map(len, text.splitlines())) <= 100
+
+
+def test_every_option_that_commands_share_is_in_one_group() -> None:
+    grouped = [name for names in GROUPS.values() for name in names]
+    assert len(set(grouped)) == len(grouped)
+    options = {one.name for names in NAMES for one in command(names).params if isinstance(one, click.Option)}
+    assert set(grouped) - {"max_error_mg", "strict"} <= options
+
+
+def test_priors_that_a_study_learns_are_offered_in_a_study_alone() -> None:
+    for names in NAMES:
+        for one in command(names).params:
+            if one.name == "prior":
+                assert isinstance(one.type, click.Choice)
+                assert ("device" in one.type.choices) == (names == ("study",))
+
+
+def test_sections_hold_every_command_once() -> None:
+    assert sorted(name for names in SECTIONS.values() for name in names) == sorted(COMMANDS)
+
+
+def test_without_arguments_one_screen_says_what_to_type_first(capsys: pytest.CaptureFixture[str]) -> None:
+    ran = run(capsys)
+    assert ran.code == 2
+    assert "accelcal calibrate recording" in ran.out and ran.out.count("\n") <= 20
+
+
+def test_headings_are_bold_unless_no_colour_is_wanted(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    context = click.Context(command(("gravity",)), info_name="gravity", color=True)
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    assert "\x1b[1m" in context.get_help()
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert "\x1b" not in context.get_help()
