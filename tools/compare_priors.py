@@ -125,7 +125,7 @@ def row(verdict: Judgement, name: str, serial: str, month: int) -> dict[str, Any
         "outcome": verdict.outcome,
         "change": None,
     }
-    known |= {"reference_c": None, "sphere_high_mg": verdict.sphere and verdict.sphere.ci95[1]}
+    known |= {"reference_c": None, "calibration_error_high_mg": verdict.sphere and verdict.sphere.ci95[1]}
     known |= dict.fromkeys([*PARAMETERS, *(f"se_{name}" for name in PARAMETERS)])
     if verdict.calibration is not None and verdict.standard_errors is not None:
         for index, column in enumerate(PARAMETERS[:9]):

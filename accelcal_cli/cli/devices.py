@@ -18,10 +18,12 @@ from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import FILE, Positive, Within
 from accelcal_cli.cli.output import aligned, refuse_both
 from accelcal_cli.core.errors import UsageError, counted, printable
-from accelcal_cli.devices.review import DeviceReview, Review, as_json, columns, review, row
+from accelcal_cli.devices.findings import DeviceReview, Verdict
+from accelcal_cli.devices.review import Review, as_json, columns, review, row
 from accelcal_cli.devices.table import OFFSETS, PARAMETERS, Kind, Usage
 from accelcal_cli.devices.trends import Rules, Trend
 from accelcal_cli.output.files import csv_text
+from accelcal_cli.output.study_words import in_words, of_device
 from accelcal_cli.output.words import formatted, with_error
 
 HEAD = ("device", "recordings", "used", "refused", "first", "last", "held out mg", "mg/month", "%/month")
@@ -74,18 +76,24 @@ def _fastest(device: DeviceReview, kinds: tuple[Kind, ...]) -> str:
 
 
 def _verdict(device: DeviceReview) -> str:
-    if not device.reasons:
-        return str(device.verdict)
-    more = f"; and {len(device.reasons) - 1} more" if len(device.reasons) > 1 else ""
-    return f"{device.verdict}: {device.reasons[0].text}{more}"
+    if not device.findings:
+        return in_words(device.verdict)
+    first, *others = device.findings
+    more = f"; and {len(others)} more" if others else ""
+    return f"{in_words(device.verdict)}: {of_device(first.reason)}{more}"
 
 
 def detail(review: Review, device: DeviceReview) -> str:
     """Write all of one device: its verdict, its parameters, its recordings."""
     key = device.key
     about = [key.model, key.format, *device.firmware]
-    name = f"{key.serial} ({', '.join(filter(None, about)) or 'of unknown model'}): {device.verdict}"
-    reasons = [f"  {'' if one.certain else 'perhaps: '}{one.text}" for one in device.reasons]
+    name = (
+        f"{key.serial} ({', '.join(filter(None, about)) or 'of unknown model'}): {in_words(device.verdict)}"
+    )
+    reasons = [
+        f"  {'perhaps: ' if one.verdict is Verdict.WATCH else ''}{of_device(one.reason)}"
+        for one in device.findings
+    ]
     temperature = [] if device.reference_c is None else [f"offsets at {device.reference_c:.1f} C"]
     parameters = [aligned(DETAIL, [_trend(trend) for trend in device.trends]), ""] if device.trends else []
     cells = [_recording(review, index) for index in device.rows]
@@ -126,6 +134,7 @@ LIMITS = {
     "slope_mg_per_c": "Limit for the temperature slope of an offset.",
     "drift_mg": "Limit for the drift of an offset per month, or of a slope over 10 C.",
     "drift_percent": "Limit for the drift of scale or misalignment per month.",
+    "certain_mg": "Limit for the upper end of a recording's calibration error; beyond it, it does not judge.",
     "outlying": "Limit for the held-out error above that of similar devices, in robust standard deviations.",
     "refused_percent": "Limit for the share of recordings refused or borrowed.",
     "damaged_percent": "Limit for the share of recordings that lost bytes to damage.",
@@ -168,7 +177,7 @@ def command(out: Path, **values: Any) -> int:
 
     OUT is the output folder of `accelcal study`; only its study.parquet is read. One line is printed for each
     device: its recordings, the fastest drift of an offset and of scale or misalignment with standard errors,
-    and a verdict (service, watch, good or unknown) with the first reason.
+    and a verdict (two sensors, service, watch, good or unknown) with the first reason.
     """
     refuse_both(as_json=values["as_json_"], as_csv=values["as_csv"])
     rules = Rules(**{field.name: values[field.name] for field in fields(Rules)})
@@ -203,7 +212,7 @@ def _shown(reviewed: Review, devices: tuple[DeviceReview, ...], values: dict[str
 
 
 def _summary(reviewed: Review, devices: tuple[DeviceReview, ...]) -> str:
-    verdicts = Counter(str(device.verdict) for device in devices)
+    verdicts = Counter(in_words(device.verdict) for device in devices)
     counts = [f"{number} {name}" for name, number in verdicts.items()]
     text = counted(len(devices), "device")
     text += f": {', '.join(counts)}" if counts else ""

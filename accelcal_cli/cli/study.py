@@ -313,6 +313,7 @@ def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, value
     unfinished = study.collect and summary.waiting > 0
     if not values["quiet"] or unfinished:
         counts = [f"{number} {name.replace('_', ' ')}" for name, number in summary.outcomes().items()]
+        counts += [f"{summary.copies} copied from others"] if summary.copies else []
         more = {"unchanged": summary.up_to_date, "not started": summary.waiting}
         counts += [f"{number} {name}" for name, number in more.items() if number]
         counts += [counted(summary.left_out, "no recording")] if summary.left_out else []

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.results import Outcome
+from accelcal_cli.output.report_view import ERROR_COLUMNS
 from accelcal_cli.studies.records import FAILED
 from accelcal_cli.studies.summary import PARAMETERS as COLUMNS
 
@@ -30,10 +31,13 @@ Mask = NDArray[np.bool_]
 NAME = "study.parquet"
 TEXT = (
     "path", "outcome", "reason", "message", "model", "format", "device_model", "device_serial",
-    "device_firmware",
-    "start_time", "sha256",
+    "device_firmware", "start_time", "sha256",
 )  # fmt: skip
 NUMBERS = ("before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "reference_c", "lost_percent")
+HIGH = ERROR_COLUMNS[2]
+"""Column of the upper end of a recording's calibration error."""
+LATER = ("duration_s", "postures", HIGH)
+"""Numbers that count where they are there: earlier versions did not write all of them."""
 ERRORS = tuple(f"se_{name}" for name in COLUMNS)
 WANTED = (*TEXT, *NUMBERS, *COLUMNS, *ERRORS)
 LARGEST = 1e9
@@ -150,6 +154,13 @@ class Records:
         """Return the rows of a device."""
         return range(int(self.first[device]), int(self.first[device + 1]))
 
+    def copied(self, row: int) -> str | None:
+        """Return the path of the device's first recording with the same bytes; None if this is the first."""
+        device = int(self.first.searchsorted(row, side="right")) - 1
+        hashes, hash_ = self.text["sha256"], self.text["sha256"][row]
+        first = next(one for one in self.rows(device) if one == row or (hash_ and hashes[one] == hash_))
+        return None if first == row else self.text["path"][first]
+
     def device_of(self) -> Indices:
         """Return the number of each row's device, (n,)."""
         return np.repeat(np.arange(len(self.devices)), np.diff(self.first))
@@ -180,16 +191,18 @@ def columns(path: Path) -> dict[str, Any]:
             missing = [name for name in WANTED if name not in names]
             if missing:
                 raise _not_ours(path, names, missing)
-            twice = [name for name in WANTED if names.count(name) > 1]
+            twice = [name for name in (*WANTED, *LATER) if names.count(name) > 1]
             if twice:
                 raise ValueError(f"it has more than one column {twice[0]}")
-            table = file.read(columns=list(WANTED), use_threads=False)
+            there = [name for name in LATER if name in names]
+            table = file.read(columns=[*WANTED, *there], use_threads=False)
         text = {name: _texts(table[name]) for name in TEXT}
-        numbers = {name: _floats(table[name]) for name in (*NUMBERS, *COLUMNS, *ERRORS)}
+        numbers = {name: _floats(table[name]) for name in (*NUMBERS, *COLUMNS, *ERRORS, *there)}
+        none = np.full(table.num_rows, nan)
     except (pa.ArrowException, OSError, ValueError, TypeError) as error:
         reason = " ".join(str(error).split())
         raise UnreadableError(f"cannot be read ({reason})", path=path, hint="run the study again") from error
-    return text | numbers
+    return text | dict.fromkeys(LATER, none) | numbers
 
 
 def _check_there(path: Path) -> None:
@@ -240,7 +253,7 @@ def records(table: dict[str, Any], latest_day: float) -> Records:
         devices,
         np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         {name: [table[name][row] for row in order] for name in TEXT},
-        {name: _possible(table[name][order]) for name in NUMBERS},
+        {name: _possible(table[name][order]) for name in (*NUMBERS, *LATER)},
         values,
         errors,
         np.array([days[row] for row in order], np.float64),
@@ -314,6 +327,9 @@ NOT_OWN: dict[str, Usage] = {
     Outcome.BORROWED: Usage.BORROWED,
     Outcome.ALREADY_GOOD: Usage.GOOD,
 }
+
+NOT_CALIBRATED = (Usage.REFUSED, Usage.BORROWED)
+"""Usages of recordings that could not be calibrated by themselves."""
 
 OWN = (Usage.USED, Usage.UNDATED, Usage.OTHER_MODEL, Usage.NO_ERRORS, Usage.GOOD)
 """Usages of recordings whose held-out error is that of their own calibration."""

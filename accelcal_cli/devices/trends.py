@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.core.statistics import normal_probability, student_t_probability
 from accelcal_cli.devices import table
 from accelcal_cli.devices.table import OFFSETS, SLOPES, Floats, Indices, Mask, Parameter, Records, Usage, mask
@@ -45,6 +46,8 @@ class Rules:
         drift_mg: drift a month; our choice: as much as a good calibration leaves on real recordings.
         drift_percent: drift a month; our choice: as much as `drift_mg` at 1 g.
         outlying: robust standard deviations above the other devices' held-out error; our choice.
+        certain_mg: upper end of a recording's calibration error from which on it does not judge its device;
+            that of a good calibration.
         refused_percent, damaged_percent: share of a device's recordings; our choice.
         least_days: shortest span of time that gives a drift; our choice.
         reference_c: temperature of the offsets; None for each device's own median.
@@ -57,6 +60,7 @@ class Rules:
     drift_mg: float = 2.0
     drift_percent: float = 0.2
     outlying: float = 5.0
+    certain_mg: float = DEFAULT.max_error_mg
     refused_percent: float = 50.0
     damaged_percent: float = 50.0
     least_days: float = 14.0

@@ -219,6 +219,8 @@ def _changed(values: Values) -> str:
         "walk": "its offsets wander",
     }.get(values["kind"], values["kind"])
     text = f"The sensor changed during the recording: {what}, by up to {values['size_mg']:.1f} mg."
+    if values.get("followed") is None:
+        return text
     if values["followed"]:
         return f"{text} The calibration follows it."
     return (

@@ -21,13 +21,16 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from accelcal_cli.core.errors import counted, printable
+from accelcal_cli.core.results import Outcome
+from accelcal_cli.output import study_words
 from accelcal_cli.output.advice import LIMIT_MG
 from accelcal_cli.output.words import OUTCOMES, mg_of_two_digits, outcome_words
 from accelcal_cli.pages import study_figures as figures
 from accelcal_cli.pages.rendering import rendered
 
 WANTED = (
-    "path", "outcome", "message", "model", "borrowed_from", "before_mg", "after_mg", "calibration_error_mg",
+    "path", "outcome", "reason", "message", "model", "copy_of", "borrowed_from", "before_mg", "after_mg",
+    "calibration_error_mg",
     "calibration_error_high_mg", "calibration_error_before_mg", "change", "change_at", "change_mg", "misfits",
     "device_model", "device_serial", "start_time", "duration_s", "lost_percent", "report",
 )  # fmt: skip
@@ -48,11 +51,9 @@ SIZES = {
     "misfit": "calibration_error_mg",
 }
 """Columns that say how bad a problem is, by its kind."""
+COPY = "copy"
+"""Name in the table of what a recording is that has the bytes of another; it counts nowhere else."""
 HOUR_S = 3600
-CHANGES = "the sensor changes"
-"""Beginning of the clause of a message that tells of a change (`judge/change.py`)."""
-CLAUSE = "; "
-"""Separator of the clauses of a message, which says what was found first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,15 +151,16 @@ def page(study: StudyContent) -> str:
     devices = [line.as_printable() for line in study.devices]
     limit_mg = _limit_mg(study.summary)
     entries = [_Entry(row, href, limit_mg) for row, href in zip(study.rows, study.pages, strict=True)]
-    scatter = figures.Scatter.of([entry.errors for entry in entries])
-    groups = _groups(entries)
+    once = [entry for entry in entries if not entry.copy_of]
+    scatter = figures.Scatter.of([None if entry.copy_of else entry.errors for entry in entries])
+    groups = _groups(once)
     return rendered(
         "study.html",
         style="study.css",
         script="study.js",
-        headline=_headline(entries),
+        headline=_headline(once, len(entries) - len(once)),
         notes=_notes(study.summary),
-        outcomes=_outcomes(entries),
+        outcomes=_outcomes(once),
         first=[(kind, len(members), members[:FIRST]) for kind, members in groups],
         service=[line for line in devices if line.verdict == "service"][:FIRST],
         groups=_listed(groups),
@@ -173,7 +175,7 @@ def page(study: StudyContent) -> str:
         drift_limit=f"{study.drift_limit_mg:g}",
         nameless=counted(study.nameless, "recording") if study.nameless else None,
         csv=study.csv,
-        recordings=len(entries),
+        recordings=len(once),
         data=embedded(
             {"recordings": _recordings_table(entries, scatter), "devices": _devices_table(devices)}
         ),
@@ -184,8 +186,8 @@ class _Entry:
     """A recording: its row with printable texts, its page, and its weightiest problem.
 
     Attributes:
+        copy_of: path of the recording with the same bytes that counts; None or empty if this one counts.
         href: address of its page, None if there is none; `./` keeps a name from being taken for a scheme.
-        message: the row's message without the recording's name, which stands beside it anyway.
     """
 
     def __init__(self, row: dict[str, Any], address: str | None, limit_mg: float) -> None:
@@ -195,9 +197,8 @@ class _Entry:
         self.href = None if quoted is None else f"./{quoted}"
         self.path: str = self.row["path"] or "?"
         self.outcome: str = self.row["outcome"] or "failed"
-        start, _, rest = (self.row["message"] or "").partition(": ")
-        name = self.path.rpartition("/")[2]
-        self.message: str = rest if rest and name in start else self.row["message"] or ""
+        self.copy_of: str | None = self.row["copy_of"]
+        self.message: str = self.row["message"] or ""
         self.changed = self.row["change"] not in (None, "none")
         self.problem = self._weightiest(limit_mg)
 
@@ -206,7 +207,8 @@ class _Entry:
             "failed": self.row["outcome"] == "failed",
             "changed": self.changed,
             "refused": self.row["outcome"] == "refused",
-            "uncertain": (self.row["calibration_error_high_mg"] or 0.0) > limit_mg,
+            "uncertain": self.outcome == Outcome.PROVISIONAL
+            or (self.row["calibration_error_high_mg"] or 0.0) > limit_mg,
             "damaged": (self.row["lost_percent"] or 0.0) >= DAMAGED_FROM_PERCENT,
             "misfit": self.row["misfits"] not in (None, "none"),
         }
@@ -229,7 +231,9 @@ class _Entry:
 
     @property
     def problem_name(self) -> str:
-        """Name of the problem in the table; empty without one."""
+        """Name of the problem in the table, or that it is a copy; empty without one."""
+        if self.copy_of:
+            return COPY
         return "" if self.problem is None else self.problem.short
 
     @property
@@ -257,15 +261,18 @@ class _Entry:
 
     @property
     def finding(self) -> str:
-        """One sentence about the problem; empty without one."""
-        kind = "" if self.problem is None else self.problem.key
+        """Words about the problem, or what the recording is a copy of; empty without one."""
+        row, kind = self.row, "" if self.problem is None else self.problem.key
+        if self.copy_of:
+            return study_words.copied(self.copy_of)
         if kind == "uncertain":
-            size, most = self.row["calibration_error_mg"] or 0.0, self.row["calibration_error_high_mg"]
-            return f"{size:.1f} mg over the whole sphere, but perhaps {most:.1f} mg (95 %)"
+            return study_words.uncertain(row["calibration_error_mg"], row["calibration_error_high_mg"])
         if kind == "damaged":
-            return f"{self.row['lost_percent']:.2g} % of the file is lost; {self.message}"
+            return study_words.lost(row["lost_percent"])
         if kind == "changed":
-            return self.message[max(0, self.message.find(CHANGES)) :]
+            return study_words.changed(row["change"], row["change_at"], row["change_mg"])
+        if kind == "misfit":
+            return study_words.not_described(row["misfits"])
         return self.message if kind else ""
 
     @property
@@ -308,12 +315,12 @@ def _listed(groups: Sequence[Group]) -> list[tuple[ProblemKind, list[_Entry], in
     return listed
 
 
-def _headline(entries: Sequence[_Entry]) -> dict[str, str]:
-    """Return the study in a few figures."""
+def _headline(entries: Sequence[_Entry], copies: int) -> dict[str, str]:
+    """Return the study in a few figures, to which copies do not count."""
     usable = sum(outcome_words(entry.outcome).usable for entry in entries)
     pairs = [entry.errors for entry in entries if entry.errors is not None]
     headline = {
-        "Recordings": f"{len(entries):,}",
+        "Recordings": f"{len(entries):,}{f' (and {copies:,} copied from them)' if copies else ''}",
         "Can be used": f"{usable:,} ({100 * usable / len(entries):.1f} %)" if entries else "0",
         "With a problem": f"{sum(entry.problem is not None for entry in entries):,}",
         "Devices": f"{len({entry.row['device_serial'] for entry in entries} - {None, ''}):,}",
@@ -353,9 +360,8 @@ def _outcomes(entries: Sequence[_Entry]) -> list[dict[str, Any]]:
 
 
 def _reasons(entries: Sequence[_Entry], total: int) -> list[dict[str, Any]]:
-    """Return the reasons of an outcome, the most frequent first, without the numbers in them."""
-    clauses = [NUMBER.sub("…", entry.message.split(CLAUSE)[0]) for entry in entries]
-    numbers = Counter(clause or "no reason is known" for clause in clauses)
+    """Return the reasons of an outcome, the most frequent first."""
+    numbers = Counter(study_words.in_words(entry.row["reason"] or "no reason is known") for entry in entries)
     often = sorted(numbers.items(), key=lambda one: (-one[1], one[0]))
     lines, others = often[:REASONS], sum(number for _, number in often[REASONS:])
     if others:
@@ -388,7 +394,7 @@ def _recordings_table(entries: Sequence[_Entry], scatter: figures.Scatter) -> di
         "columns": [
             column("path", "recording", "text", 19, of("path")),
             choice_column("outcome", 8, of("outcome_name"), outcomes),
-            choice_column("problem", 9, of("problem_name"), ["", *(kind.short for kind in KINDS)]),
+            choice_column("problem", 9, of("problem_name"), ["", *(kind.short for kind in KINDS), COPY]),
             number_column("before", "before, mg", 7.5, (pair[0] for pair in pairs), kind="mg"),
             number_column("after", "after, mg", 7, (pair[1] for pair in pairs), kind="mg"),
             choice_column("device", 9, of("device")),

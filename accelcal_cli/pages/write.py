@@ -21,7 +21,8 @@ from typing import Any
 from accelcal_cli.core.errors import UnreadableError, printable
 from accelcal_cli.core.version import __version__
 from accelcal_cli.devices import table
-from accelcal_cli.devices.review import DeviceReview, review
+from accelcal_cli.devices.findings import DeviceReview
+from accelcal_cli.devices.review import review
 from accelcal_cli.devices.table import Kind
 from accelcal_cli.devices.trends import Rules
 from accelcal_cli.output.files import is_page, refuse_foreign, write_text
@@ -33,6 +34,7 @@ from accelcal_cli.output.report_reading import (
     read_document,
     report_schema,
 )
+from accelcal_cli.output.study_words import in_words, of_device
 from accelcal_cli.pages import recording, study
 from accelcal_cli.pages.study_figures import Drift
 from accelcal_cli.pipeline.jobs import PAGE_SUFFIX, QUALITY_SUFFIX, REPORT_SUFFIX, Job, refuse_overwriting
@@ -191,8 +193,8 @@ def _write_recording_page(out: Path, report: Path, made: PagesMade, *, force: bo
 def _device_line(device: DeviceReview) -> study.DeviceLine:
     return study.DeviceLine(
         device.key.serial,
-        str(device.verdict),
-        tuple(reason.text.replace(" +- ", " ± ") for reason in device.reasons),
+        in_words(device.verdict),
+        tuple(of_device(one.reason) for one in device.findings),
         device.recordings,
         device.counted(table.Usage.USED, table.Usage.UNDATED),
         device.refused,

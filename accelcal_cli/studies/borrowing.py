@@ -54,18 +54,9 @@ def pools(rows: Mapping[str, Row], max_damage_percent: float) -> list[list[str]]
             if row["outcome"] in GOOD or (refused and not _damaged(row, max_damage_percent)):
                 key = (serial, row["device_model"] or "", row["lsb_per_g"], row["range_g"] or 0.0)
                 alike.setdefault(key, []).append(name)
-    again = copies(rows)
+    again = summary.copies(rows)
     once = [sorted(name for name in alike[key] if name not in again) for key in sorted(alike)]
     return [names for names in once if len(names) > 1]
-
-
-def copies(rows: Mapping[str, Row]) -> dict[str, str]:
-    """Return the names of copies of a device's recordings, each with the first name of the same bytes."""
-    first: dict[tuple[str, str], str] = {}
-    for name in sorted(rows):
-        first.setdefault((rows[name]["device_serial"], rows[name]["sha256"]), name)
-    firsts = {name: first[row["device_serial"], row["sha256"]] for name, row in rows.items()}
-    return {name: one for name, one in firsts.items() if name != one and rows[name]["device_serial"]}
 
 
 def _sensor_changed(row: Row) -> bool:
@@ -97,7 +88,9 @@ def donors(
             if _borrows(name, device, max_damage_percent, compare=compare)
         }
         good = [name for name in device if name not in recipients and device[name]["outcome"] in GOOD]
-        lending = [name for name in good if not _sensor_changed(device[name])]
+        sound = {name: device[name] for name in good if not _sensor_changed(device[name])}
+        again = summary.copies(sound)  # which would take the places of other donors
+        lending = [name for name in sound if name not in again]
         for name in sorted(recipients):
             near = sorted(
                 (_seconds_between(device[name], rows[one]), one) for one in _same_model(name, lending, device)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from accelcal_cli.core.errors import printable
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.output.files import looking_at
 from accelcal_cli.output.report_kinds import FORMAT, Member
@@ -21,7 +20,7 @@ from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, FileStamp, Job, Result, ch
 from accelcal_cli.pipeline.outputs import refuse_foreign_report, remove, save_report, with_provenance
 from accelcal_cli.pipeline.pool import apply_pool, pool
 from accelcal_cli.studies import summary
-from accelcal_cli.studies.borrowing import GOOD, Row, copies, identity, pools
+from accelcal_cli.studies.borrowing import GOOD, Row, identity, pools
 from accelcal_cli.studies.records import FAILED, Entry, Item, ProgressCallback, RecordingState
 from accelcal_cli.studies.rounds import Round, StudyState, common_of
 from accelcal_cli.studies.study import POOL, POOLED, Study
@@ -81,7 +80,7 @@ def members_of(study: Study, standing: Mapping[str, RecordingState]) -> list[lis
 
 def copies_of(standing: Mapping[str, RecordingState]) -> dict[str, str]:
     """Return the names of copies, each with the name of the recording that counts."""
-    return copies(_own_rows(standing))
+    return summary.copies(_own_rows(standing))
 
 
 def _own_rows(standing: Mapping[str, RecordingState]) -> dict[str, Row]:
@@ -156,14 +155,9 @@ POOLING = Round(POOL, make_pool, pool_tasks, of_pools=True)
 
 @dataclass(frozen=True, slots=True)
 class PooledTask(ReplacementTask):
-    """One recording that gets the coefficients in its pool's report.
-
-    Attributes:
-        copy_of: name of the recording with the same content that counts; None if this one counts.
-    """
+    """One recording that gets the coefficients in its pool's report."""
 
     report: Path
-    copy_of: str | None
     round: ClassVar[str] = POOLED
     refusal: ClassVar[str] = "Not pooled"
 
@@ -178,9 +172,9 @@ def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:
             continue
         together = hashlib.sha256("".join(one.inputs).encode()).hexdigest()[:16]
         for name in (*members, *(name for name, first in again.items() if first in members)):
-            state, first = known.recordings[name], again.get(name)
+            state = known.recordings[name]
             inputs = (identity(state.own.row or {}), together)
-            tasks.append(PooledTask(state.item, common, state.own, inputs, one.item.job.report, first))
+            tasks.append(PooledTask(state.item, common, state.own, inputs, one.item.job.report))
     return tasks
 
 
@@ -194,18 +188,11 @@ def pooled(task: PooledTask, report_progress: ProgressCallback) -> TaskResult:
     return task.result(result, row_of(item, task.common, result) | _instead(task, result))
 
 
-def copy_note(first: str) -> str:
-    """Return the note on a recording that does not count in its pool."""
-    return f"a copy of {first}, which counts once in the pool"
-
-
 def _instead(task: PooledTask, result: Result) -> dict[str, Any]:
     """Return the columns of the pool, and of its effect on the recording's own windows."""
     pool_view = result.view.pool
     assert pool_view is not None
     columns = {"pool": task.report.name, "pool_recordings": len(pool_view.recordings)}
-    if task.copy_of is not None:
-        columns["message"] = printable(f"{result.view.message} It is {copy_note(task.copy_of)}.")
     if (windows := pool_view.own_windows) is not None:
         columns |= {
             "windows_before_mg": windows.before_mg.mean,

@@ -16,13 +16,14 @@ from typing import Any, Protocol
 from accelcal_cli.core.errors import LockedError, OutputError, UsageError, counted, printable
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output.files import disk_errors, looking_at, sweep, sweep_host, sweep_of
+from accelcal_cli.output.study_words import copied
 from accelcal_cli.pipeline.outputs import withdraw
 from accelcal_cli.studies import lock, summary
 from accelcal_cli.studies.borrowing import BORROWING
 from accelcal_cli.studies.cluster import Cluster, Notify, WorkerRequirements, calibrate_in_user_folder, code
 from accelcal_cli.studies.discovery import SUMMARY, as_if_alone, places, refuse_foreign
 from accelcal_cli.studies.lock import Lease
-from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, copy_note, remove_pools
+from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools
 from accelcal_cli.studies.prior import LEARNING, without_prior
 from accelcal_cli.studies.process_pool import ProcessPool, sweep_folders
 from accelcal_cli.studies.records import (
@@ -214,10 +215,15 @@ class StudyRun:
             raise
 
     def rows(self, kept: Sequence[Entry]) -> list[dict[str, Any]]:
-        """Return the rows of the table by name, those of `kept` where there is no newer result."""
+        """Return the rows of the table by name, those of `kept` where there is no newer result.
+
+        Rows of copies name the recording that counts.
+        """
         last = {entry.name: entry.row for entry in kept}
         last |= {name: one.last.row for name, one in self.known.recordings.items()}
-        return [row for _, row in sorted(last.items()) if row is not None]
+        rows = {name: row for name, row in sorted(last.items()) if row is not None}
+        first = {name: printable(one) for name, one in summary.copies(rows).items()}
+        return [row | {"copy_of": first.get(name)} for name, row in rows.items()]
 
     def _run(self, planned: Plan) -> None:
         self._planner.untouched |= planned.changing
@@ -228,8 +234,8 @@ class StudyRun:
             if item.job != (alone := as_if_alone(item)):
                 withdraw(alone)
         self._calibrate(planned.todo)
-        for name, first in copies_of(self.known.recordings).items() if self.study.pool else ():
-            self._observer.note(printable(f"{name}: {copy_note(first)}"))
+        for name, first in copies_of(self.known.recordings).items():
+            self._observer.note(printable(f"{name}: {copied(first)}"))
         for text in without_prior(self.study, self.known):
             self._observer.note(text)
         for one in self._rounds:

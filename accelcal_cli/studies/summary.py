@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -40,7 +40,7 @@ TEXT = (
     "path", "outcome", "reason", "cautions", "message", "model", "format", "device_model", "device_serial",
     "device_firmware", "start_time", "time_zone", "sha256", "accelcal_version", "parquet", "report",
     "borrowed_from", "pool", "own_outcome", "own_message", "change", "change_at", "misfits", "gyroscope",
-    "prior",
+    "prior", "copy_of",
 )  # fmt: skip
 WHOLE = (
     "exit_code", "bytes", "samples", "gaps", "postures", "points", "cells", "filled_samples",
@@ -60,7 +60,7 @@ EFFECT = {
 }  # fmt: skip
 """Columns of measures of activity, by version and name in the report's `effect`."""
 COLUMNS = (
-    "path", "outcome", "exit_code", "reason", "cautions", "message", "model",
+    "path", "outcome", "exit_code", "reason", "cautions", "message", "model", "copy_of",
     "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
     "own_outcome", "own_message", "own_after_mg", "prior",
     "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", "postures", "points",
@@ -79,10 +79,29 @@ COLUMNS = (
 """Columns in the order of the table. Errors are held out; columns neither TEXT nor WHOLE are numbers."""
 
 
+def copies(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Return the names of copies, each with the first name of the same bytes, said to be of the same device.
+
+    Args:
+        rows: rows by name; those of files that could not be read have no hash.
+    """
+    first: dict[tuple[str | None, str], str] = {}
+    read = {name: rows[name] for name in sorted(rows) if rows[name].get("sha256")}
+    firsts = {
+        name: first.setdefault((row["device_serial"], row["sha256"]), name) for name, row in read.items()
+    }
+    return {name: one for name, one in firsts.items() if name != one}
+
+
+FAILURES = {2: "wrong_usage", 3: "unreadable", 5: "not_written", 70: "bug", 71: "out_of_memory"}
+"""Codes in the column `reason` of recordings that failed, by exit code."""
+
+
 def failed(item: Item, code: int, message: str) -> dict[str, Any]:
     """Return the row of a recording that has no report."""
-    failure = {"outcome": FAILED, "message": message, "bytes": item.size, "accelcal_version": __version__}
-    return dict.fromkeys(COLUMNS) | {"path": printable(item.name), "exit_code": code} | failure
+    failure = {"outcome": FAILED, "reason": FAILURES.get(code, FAILED), "message": message}
+    file = {"path": printable(item.name), "exit_code": code, "bytes": item.size}
+    return dict.fromkeys(COLUMNS) | file | failure | {"accelcal_version": __version__}
 
 
 def of_report(
@@ -242,9 +261,19 @@ class Summary:
     up_to_date: int = 0
     pools: dict[str, dict[str, Any]] = field(default_factory=dict)
 
+    @property
+    def once(self) -> list[dict[str, Any]]:
+        """Rows without those of copies."""
+        return [row for row in self.rows if not row.get("copy_of")]
+
+    @property
+    def copies(self) -> int:
+        """Number of recordings that are copies of others."""
+        return len(self.rows) - len(self.once)
+
     def outcomes(self) -> dict[str, int]:
-        """Return the number of recordings by outcome."""
-        return dict(sorted(Counter(row["outcome"] for row in self.rows).items()))
+        """Return the number of recordings by outcome, copies left out."""
+        return dict(sorted(Counter(row["outcome"] for row in self.once).items()))
 
     def time_zones(self) -> dict[str, int]:
         """Return the number of Parquet files with times in UTC, and in an unknown zone."""
@@ -266,8 +295,9 @@ class Summary:
         return {
             "accelcal_version": __version__,
             "recordings": len(self.rows),
+            "copies": self.copies,
             "outcomes": self.outcomes(),
-            "models": dict(sorted(Counter(row["model"] for row in self.rows if row["model"]).items())),
+            "models": dict(sorted(Counter(row["model"] for row in self.once if row["model"]).items())),
             "time_zones": self.time_zones(),
             "mixed_times": self.mixed_times(),
             "waiting": self.waiting,

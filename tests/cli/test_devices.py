@@ -24,7 +24,7 @@ MIXED = [
     *good_devices(3, 4),
     *drifting("17440", 0.005), refused("17440", 500), fitted("warm", 0, WARM, model="9T"),
     fitted("warm", 30, COOL, model="6T", reference_c=27.0), fitted("warm", 60), fitted(None, 0),
-    *(refused("dead", 30.0 * number) for number in range(3)), fitted("lost", None),
+    *(refused("dead", 30.0 * number, postures=20) for number in range(3)), fitted("lost", None),
     {"path": "x.cwa", "outcome": "failed", "exit_code": 3, "message": "unreadable"},
 ]  # fmt: skip
 
@@ -40,7 +40,7 @@ def test_a_line_a_device_those_to_service_first(tmp_path: Path, capsys: Capture)
     assert first.endswith(
         "+5.020 +- 0.016  +0.0000 +- 0.0016  service: offset x drifts by +5.020 +- 0.016 mg a month"
     )
-    assert lines[1].endswith("service: 3 of 3 recordings refused or borrowed (other devices: 4 %)")
+    assert lines[1].endswith("service: 3 of 3 recordings refused or borrowed (other devices: 0 %)")
     assert lines[5].split()[1:] == ["1", "1", "0", "-", "-", "2.00", "undated", "undated", "good"]
     said = "7 devices: 2 service, 5 good; 2 recordings without a serial number, 1 of them failed"
     assert ran.err == f"accelcal: {said}\n"

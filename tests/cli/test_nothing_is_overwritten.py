@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 
 from accelcal_cli.pipeline.jobs import Request, file_stamp, plan
-from accelcal_cli.studies.borrowing import copies, pools
+from accelcal_cli.studies.borrowing import pools
 from accelcal_cli.studies.records import Item
+from accelcal_cli.studies.summary import copies
 from accelcal_cli.studies.task import CalibrationTask, Common, calibrated
 from tests.cli.run import assert_one_line, run
 from tests.cli.studies import rows, study
@@ -217,7 +218,7 @@ def test_a_copy_is_known_by_device_and_content() -> None:
         "e": row("B", "1"),
     }
     table |= {"f": row(None, "3"), "g": row(None, "3"), "h": row("A", "4", "borrowed")}
-    assert copies(table) == {"c": "b", "e": "d"}
+    assert copies(table) == {"c": "b", "e": "d", "g": "f"}
     assert pools(table, 50.0) == [["a", "b"]]
 
 
@@ -235,7 +236,7 @@ def test_copies_of_one_file_count_once_in_a_pool(tmp_path: Path, capsys: Capture
     write_device(folder / "two again.raw", values[half:])
     ran = study(capsys, folder, "--pool", "device", "--report-only")
     assert ran.code == 0
-    assert "two.raw: a copy of two again.raw, which counts once in the pool" in ran.err
+    assert "two.raw: a copy of two again.raw, which counts once" in ran.err
     (pool,) = (tmp_path / "out").glob("study.pool.*.json")
     made = report(pool)
     for section in ("calibration", "holdout", "fit", "coverage", "models_tried"):
@@ -244,6 +245,7 @@ def test_copies_of_one_file_count_once_in_a_pool(tmp_path: Path, capsys: Capture
     assert made["pool"]["copies"][0]["path"].endswith("two.raw")
     table = {row["path"]: row for row in rows(tmp_path / "out")}
     assert [row["pool_recordings"] for row in table.values()] == ["2"] * 3
-    assert "a copy of two again.raw" in table["two.raw"]["message"]
-    assert "copy" not in table["one.raw"]["message"]
+    assert {path: row["copy_of"] for path, row in table.items()} == {
+        "one.raw": "", "two again.raw": "", "two.raw": "two again.raw",
+    }  # fmt: skip
     assert "3 unchanged" in study(capsys, folder, "--pool", "device", "--report-only").err

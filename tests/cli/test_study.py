@@ -171,3 +171,21 @@ def test_json_gives_the_reports(tmp_path: Path, capsys: Capture) -> None:
     ran = study(capsys, study_folder(tmp_path / "in", NAMES[:2]), "--json", "-q")
     found = {json.loads(line)["recording"]["path"] for line in ran.lines}
     assert found == {str(tmp_path / "in" / name) for name in NAMES[:2]}
+
+
+def test_verdicts_14_copies_are_said_and_count_once(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in", NAMES[:2]), tmp_path / "out"
+    (folder / "again.raw").write_bytes((folder / NAMES[1]).read_bytes())
+    for suffix in ("layout.toml",):
+        (folder / f"again.{suffix}").write_bytes((folder / f"{NAMES[1][:-4]}.{suffix}").read_bytes())
+    ran = study(capsys, folder)
+    assert "accelcal: north/b.raw: a copy of again.raw, which counts once" in ran.err
+    assert "3 recordings: 2 calibrated, 1 copied from others, 1 no recording; see" in ran.err
+    assert {row["path"]: row["copy_of"] for row in rows(out)} == {
+        "again.raw": "",
+        "north/a.raw": "",
+        "north/b.raw": "again.raw",
+    }
+    counts = json.loads((out / "study.json").read_text())
+    assert (counts["recordings"], counts["copies"], counts["outcomes"]) == (3, 1, {"calibrated": 2})
+    assert counts["models"] == {"9": 2}

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from scipy import special
 
-from accelcal_cli.devices.review import DeviceReview, review
+from accelcal_cli.devices.findings import DeviceReview
+from accelcal_cli.devices.review import review
 from accelcal_cli.devices.trends import Rules
+from accelcal_cli.output.study_words import of_device
 from tests.devices.made import NOW_S, drifting, fitted, good_devices, refused, write
 
 
@@ -19,7 +21,12 @@ def units(tmp_path: Path, rows: list[dict], **rules: float) -> dict[str, DeviceR
 
 
 def told(unit: DeviceReview) -> list[tuple[str, bool]]:
-    return [(one.rule, one.certain) for one in unit.reasons]
+    found = [one for one in unit.findings if one.verdict != "unknown"]
+    return [(one.reason.code, one.verdict == "service") for one in found]
+
+
+def said(unit: DeviceReview) -> str:
+    return of_device(unit.findings[0].reason)
 
 
 def test_a_good_fleet_is_good(tmp_path: Path) -> None:
@@ -37,9 +44,9 @@ def test_a_known_drift_is_found(tmp_path: Path) -> None:
     assert x.drift.error == pytest.approx(
         0.1 / np.sqrt(((days - days.mean()) ** 2).sum()) * 30.4375 * max(1, x.drift.scatter) ** 0.5
     )
-    assert told(found["D"]) == [("drift", True)]
+    assert told(found["D"]) == [("device_drift", True)]
     assert found["D"].verdict == "service"
-    assert found["D"].reasons[0].text == "offset x drifts by +4.990 +- 0.016 mg a month"
+    assert said(found["D"]) == "offset x drifts by +4.990 +- 0.016 mg a month"
     assert told(found["slow"]) == []
     assert next(iter(found)) == "D"
 
@@ -50,10 +57,10 @@ def test_a_known_drift_is_found(tmp_path: Path) -> None:
 )
 def test_each_kind_drifts_in_its_unit(tmp_path: Path, name: str, per_month: float, label: str) -> None:
     unit = units(tmp_path, drifting("D", per_month, name=name))["D"]
-    assert told(unit) == [("drift", True)]
+    assert told(unit) == [("device_drift", True)]
     size = per_month * (1000 if name.startswith("offset") else 100)
-    said = unit.reasons[0].text.removeprefix(f"{label} drifts by ")
-    assert float(said.split()[0]) == pytest.approx(size, rel=0.02)
+    text = said(unit).removeprefix(f"{label} drifts by ")
+    assert float(text.split()[0]) == pytest.approx(size, rel=0.02)
 
 
 def test_few_recordings_make_no_drift_certain(tmp_path: Path) -> None:
@@ -62,7 +69,7 @@ def test_few_recordings_make_no_drift_certain(tmp_path: Path) -> None:
     found = units(tmp_path, [*drifting("A", 0.005, 2), *drifting("B", 0.005, 3), *noisy])
     assert [one.drift for one in found["A"].trends] == [None] * 9
     assert told(found["C"]) == []
-    assert told(found["B"]) == [("drift", False)]
+    assert told(found["B"]) == [("device_drift", False)]
     assert found["B"].verdict == "watch"
 
 
@@ -76,8 +83,8 @@ def test_significance_is_corrected_for_the_number_of_parameters(tmp_path: Path) 
         slope = factor * limit * error / 1000 / 30.4375
         rows += [fitted(serial, 30.0 * n, {"offset_x_g": slope * 30 * n}) for n in range(8)]
     found = units(tmp_path, rows, drift_mg=0.01)
-    assert told(found["above"]) == [("drift", True)]
-    assert told(found["below"]) == [("drift", False)]
+    assert told(found["above"]) == [("device_drift", True)]
+    assert told(found["below"]) == [("device_drift", False)]
 
 
 def test_levels_beyond_the_limits(tmp_path: Path) -> None:
@@ -85,22 +92,22 @@ def test_levels_beyond_the_limits(tmp_path: Path) -> None:
             fitted("C", 0, {"k_xx": 1.11, "k_yx": 0.12}), fitted("D", 0, {"offset_z_g": 0.1501})]  # fmt: skip
     found = units(tmp_path, rows)
     assert {name: told(unit) for name, unit in found.items()} == {
-        "A": [("level", True)],
+        "A": [("device_level", True)],
         "B": [],
-        "C": [("level", True)] * 2,
-        "D": [("level", False)],
+        "C": [("device_level", True)] * 2,
+        "D": [("device_level", False)],
     }
-    assert found["A"].reasons[0].text == "offset z is -151.00 +- 0.10 mg (limit 150 mg)"
-    assert found["C"].reasons[0].text == "misalignment yx is +12.000 +- 0.010 % (limit 10 %)"
+    assert said(found["A"]) == "offset z is -151.00 +- 0.10 mg (limit 150 mg)"
+    assert said(found["C"]) == "misalignment yx is +12.000 +- 0.010 % (limit 10 %)"
 
 
 def test_an_outlying_held_out_error(tmp_path: Path) -> None:
     bad = [fitted("bad", 30.0 * number, after_mg=6.0) for number in range(2)]
     once = [fitted("once", 0, after_mg=6.0)]
     found = units(tmp_path, [*good_devices(8), *bad, *once])
-    assert told(found["bad"]) == [("held out", True)]
-    assert told(found["once"]) == [("held out", False)]
-    assert found["bad"].reasons[0].text == "held-out error 6.0 mg (similar devices: 2.1 mg)"
+    assert told(found["bad"]) == [("device_held_out", True)]
+    assert told(found["once"]) == [("device_held_out", False)]
+    assert said(found["bad"]) == "held-out error 6.0 mg (similar devices: 2.1 mg)"
     assert told(units(tmp_path, [*good_devices(3), *bad])["bad"]) == []
     assert told(units(tmp_path, [*good_devices(8), *(row | {"format": "csv"} for row in bad)])["bad"]) == []
 
@@ -113,7 +120,7 @@ def test_what_is_usual_is_the_median_and_its_robust_deviation(
 ) -> None:
     """Of seven errors, the last beyond the others: the median distance is the fourth, but at least 0.5 mg."""
     rows = [fitted(f"{number}", 0, after_mg=float(error)) for number, error in enumerate(others)]
-    for error, found in ((limit - 0.01, []), (limit + 0.01, [("held out", False)])):
+    for error, found in ((limit - 0.01, []), (limit + 0.01, [("device_held_out", False)])):
         assert told(units(tmp_path, [*rows, fitted("x", 0, after_mg=error)])["x"]) == found
 
 
@@ -129,31 +136,32 @@ def test_slopes_have_limits_of_level_and_drift(tmp_path: Path) -> None:
         ]
     found = units(tmp_path, rows)
     assert {name: told(unit) for name, unit in found.items()} == {
-        "steep": [("level", True)], "flat": [], "moves": [("drift", True)], "stays": [],
+        "steep": [("device_level", True)], "flat": [], "moves": [("device_drift", True)], "stays": [],
     }  # fmt: skip
-    assert found["moves"].reasons[0].text.startswith("slope y drifts by +0.2100 +- ")
+    assert said(found["moves"]).startswith("slope y drifts by +0.2100 +- ")
 
 
-@pytest.mark.parametrize(("lost", "reasons"), [(0.09, []), (0.1, [("damaged", True)])])
+@pytest.mark.parametrize(("lost", "reasons"), [(0.09, []), (0.1, [("device_damaged", True)])])
 def test_a_little_damage_is_none(tmp_path: Path, lost: float, reasons: list[tuple[str, bool]]) -> None:
     rows = [*good_devices(2), *(fitted("x", 30.0 * number, lost_percent=lost) for number in range(2))]
     assert told(units(tmp_path, rows)["x"]) == reasons
 
 
 def test_repeated_refusals_and_damage(tmp_path: Path) -> None:
-    short = [refused("short", 30.0 * number) for number in range(3)]
-    rows = [*good_devices(4), *short, fitted("short", 99), refused("once", 0)]
+    odd = [refused("odd", 30.0 * number, postures=20) for number in range(3)]
+    rows = [*good_devices(4), *odd, fitted("odd", 99), refused("once", 0, postures=20)]
     rows += [fitted("wet", 30.0 * number, lost_percent=3.0 * number) for number in range(4)]
     found = units(tmp_path, rows)
-    assert told(found["short"]) == [("refused", True)]
-    assert found["short"].reasons[0].text == "3 of 4 recordings refused or borrowed (other devices: 3 %)"
+    assert told(found["odd"]) == [("device_refused", True)]
+    assert said(found["odd"]) == "3 of 4 recordings refused or borrowed (other devices: 3 %)"
     assert (told(found["once"]), found["once"].verdict) == ([], "unknown")
-    assert told(found["wet"]) == [("damaged", True)]
-    assert "damage in 3 of 4 recordings, up to 9 % lost" in found["wet"].reasons[0].text
+    assert told(found["wet"]) == [("device_damaged", True)]
+    assert "damage in 3 of 4 recordings, up to 9 % lost" in said(found["wet"])
 
 
 def test_where_all_are_refused_no_device_is_to_blame(tmp_path: Path) -> None:
-    found = units(tmp_path, [refused(serial, 30.0 * number) for serial in "ABC" for number in range(3)])
+    rows = [refused(serial, 30.0 * number, postures=20) for serial in "ABC" for number in range(3)]
+    found = units(tmp_path, rows)
     assert {str(unit.verdict) for unit in found.values()} == {"unknown"}
 
 

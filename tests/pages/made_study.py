@@ -63,20 +63,18 @@ def report_of(number: int, random: np.random.RandomState) -> tuple[int, dict[str
         drift = 0.003 * month if axis == 0 and device % DRIFTING == 0 else 0.0
         report["calibration"]["offset_g"][axis] += 1e-4 * random.randn() + drift
     after, before = float(np.exp(0.4 * random.randn() - 1)), float(np.exp(0.3 * random.randn() + 3.5))
-    report["sphere_mg"] = base["sphere_mg"] | {"mean": after, "ci95": [0.5 * after, 2 * after]}
-    report["sphere_mg"] |= {"worst_direction": 1.5 * after, "before": before}
-    report["message"] = f"model 9: {before:.1f} mg before, {after:.2f} mg after on postures it did not see"
+    error = {"mean": after, "ci95": [0.5 * after, 2 * after], "worst_direction": 1.5 * after}
+    report["calibration_error_mg"] = base["calibration_error_mg"] | error | {"before": before}
+    report["values"] = base["values"] | {"raw_mg": before, "error_mg": after}
     return _troubled(number, report)
 
 
 def _troubled(number: int, report: dict[str, Any]) -> tuple[int, dict[str, Any]]:
     if number % REFUSED == 1:
         postures = 2 + number % 5
-        report |= {"outcome": "refused", "calibration": None, "sphere_mg": None, "holdout": None}
-        report["message"] = (
-            f"stillness in only {postures} postures, at least 6 are needed; record longer, with more turns "
-            "of the wrist"
-        )
+        report |= {"outcome": "refused", "calibration": None, "calibration_error_mg": None, "holdout": None}
+        report |= {"reason": "too_few_orientations", "values": {"orientations": postures, "needed": 6}}
+        report |= {"notes": [], "cautions": [], "advice": [{"code": "record_longer", "values": {}}]}
         return 4, report
     if number % CHANGED == 2:
         size = 5 + number % 40
@@ -86,14 +84,10 @@ def _troubled(number: int, report: dict[str, Any]) -> tuple[int, dict[str, Any]]
             "size_mg": size,
             "unchecked": None,
         }
-        report["message"] += (
-            "; the sensor changes while it records: its offsets jump at 2025-01-10T14:00:00, by up to "
-            f"{size}.0 mg, and the calibration follows"
-        )
     if number % DAMAGED == 3:
         report["file_health"]["lost_percent"] = 0.1 + number % 17
     if number % UNCERTAIN == 4:
-        report["sphere_mg"]["ci95"][1] = 10.5 + number % 9
+        report["calibration_error_mg"]["ci95"][1] = 10.5 + number % 9
     return 0, report
 
 

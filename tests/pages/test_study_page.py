@@ -38,8 +38,15 @@ SHAPELESS = re.compile("[\u0000-\u0009\u000b-\u001f\u007f-\u009f\u200b-\u200f\u2
 
 def row(path: str, outcome: str = "calibrated", **more: Any) -> dict[str, Any]:
     """A row of a good recording."""
-    good = {"message": "fine", "before_mg": 30.0, "after_mg": 2.0, "sphere_mg": 1.0, "sphere_before_mg": 40.0}
-    good |= {"sphere_high_mg": 2.0, "lost_percent": 0.0, "change": "none", "misfits": "none", "model": "9"}
+    good = {"message": "fine", "before_mg": 30.0, "after_mg": 2.0, "calibration_error_mg": 1.0}
+    good |= {
+        "calibration_error_before_mg": 40.0,
+        "calibration_error_high_mg": 2.0,
+        "lost_percent": 0.0,
+        "change": "none",
+        "misfits": "none",
+        "model": "9",
+    }
     return dict.fromkeys(WANTED) | {"path": path, "outcome": outcome} | good | more
 
 
@@ -92,7 +99,7 @@ def test_the_table_holds_every_row(varied: str) -> None:
     assert cell_texts(table, "outcome") == [one["outcome"] for one in rows]
     assert cell_texts(table, "device") == [one["device_serial"] or "-" for one in rows]
     assert cell_texts(table, "after") == [
-        None if one["sphere_mg"] is None else float(f"{one['sphere_mg']:.4g}") for one in rows
+        None if (error := one["calibration_error_mg"]) is None else float(f"{error:.4g}") for one in rows
     ]
     found = cell_texts(table, "message")
     refused = [at for at, one in enumerate(rows) if one["outcome"] == "refused"]
@@ -118,17 +125,16 @@ def test_each_recording_is_listed_under_its_weightiest_problem_the_worst_first()
             "small step",
             change="step",
             change_mg=5.0,
-            message="m; the sensor changes while it records: small",
+            change_at="2025-01-10T14:00:00.000000",
         ),
         row(
-            "large step",
-            change="step",
+            "large drift",
+            change="drift",
             change_mg=20.0,
-            message="m; the sensor changes while it records: large",
         ),
         row("lost", lost_percent=0.5),
         row("hardly lost", lost_percent=0.09),
-        row("wide", sphere_high_mg=10.5, lost_percent=50.0),
+        row("wide", calibration_error_high_mg=10.5, lost_percent=50.0),
         row("bent", misfits="quadratic"),
         row("no", "refused", message="too short; record longer"),
         row("site/bad.cwa", "failed", message="/data/site/bad.cwa, byte 3: is empty; copy it again"),
@@ -138,33 +144,57 @@ def test_each_recording_is_listed_under_its_weightiest_problem_the_worst_first()
     listed = [
         [tuple(cell.text for cell in line.within("td")) for line in one.within("tr")[1:]] for one in tables
     ]
+    during = "The sensor changed during the recording"
     assert listed == [
-        [("site/bad.cwa", "-", "is empty; copy it again")],
-        [("large step", "-", "the sensor changes while it records: large"),
-         ("small step", "-", "the sensor changes while it records: small")],
+        [("site/bad.cwa", "-", "/data/site/bad.cwa, byte 3: is empty; copy it again")],
+        [("large drift", "-", f"{during}: its offsets drift, by up to 20.0 mg."),
+         ("small step", "-", f"{during}: its offsets jump at 2025-01-10T14:00:00, by up to 5.0 mg.")],
         [("no", "-", "too short; record longer")],
-        [("wide", "-", "1.0 mg over the whole sphere, but perhaps 10.5 mg (95 %)")],
-        [("lost", "-", "0.5 % of the file is lost; fine")],
-        [("bent", "-", "fine")],
+        [("wide", "-", "1.0 mg over all orientations, but perhaps 10.5 mg (95 %)")],
+        [("lost", "-", "0.5 % of the file is lost")],
+        [("bent", "-", "found: quadratic")],
     ]  # fmt: skip
     problems = cell_texts(data_of(root)["recordings"], "problem")
     assert problems[:4] == ["", "sensor changed", "sensor changed", "file damaged"]
     assert problems[4:] == ["", "uncertain", "not described", "refused", "failed"]
 
 
+def test_verdicts_14_copies_are_named_and_count_once() -> None:
+    bad = row("b", "refused", reason="fit_diverges")
+    root = elements(page(content(row("a"), bad, bad | {"path": "b2", "copy_of": "b"}, row("c", copy_of="a"))))
+    text = " ".join(root.text.split())
+    assert "A study of 2 recordings" in text and "2 (and 2 copied from them)" in text
+    assert "1 (50.0 %)" in text
+    table = data_of(root)["recordings"]
+    assert cell_texts(table, "problem") == ["", "refused", "copy", "copy"]
+    assert cell_texts(table, "message")[2:] == [
+        "a copy of b, which counts once",
+        "a copy of a, which counts once",
+    ]
+    (listed,) = [one for one in root.within("table") if one.attributes.get("class") == "problems"]
+    assert next(one.text for one in listed.within("td")) == "b" and len(listed.within("tr")) == 2
+
+
 def test_the_limit_of_the_settings_decides_what_is_uncertain() -> None:
-    one = row("wide", sphere_high_mg=6.0)
+    one = row("wide", calibration_error_high_mg=6.0)
     at_five = page(content(one, summary={"settings": {"max_error_mg": 5.0}}))
     assert "Calibrated, but uncertain" in at_five
     assert "Calibrated, but uncertain" not in page(content(one))
 
 
-def test_reasons_are_counted_without_their_numbers() -> None:
+def test_reasons_are_counted_by_their_codes_whatever_the_messages_say() -> None:
     rows = [
-        row(f"{number}", "refused", message=f"only {number} postures; record longer") for number in range(4)
+        row(f"{number}", "refused", reason="too_few_orientations", message=f"{number} words")
+        for number in range(4)
     ]
-    text = " ".join(elements(page(content(*rows, row("a", "refused", message="diverged")))).text.split())
-    assert "only … postures4 diverged1" in text.replace(" 4", "4").replace(" 1", "1")
+    rows += [
+        row("a", "refused", reason="fit_diverges"),
+        row("b", "refused"),
+        row("c", "failed", reason="bug"),
+    ]
+    text = " ".join(elements(page(content(*rows))).text.split())
+    for line in ("too few orientations4", "fit diverges1", "no reason is known1", "bug1"):
+        assert line in text.replace(" 4", "4").replace(" 1", "1")
 
 
 def test_the_list_of_problems_has_an_end_and_says_so() -> None:

@@ -85,7 +85,7 @@ def test_it_says_which_prior_was_used_and_the_error_is_smaller(
         run(capsys, "calibrate", base / f"in/{name}.raw", "-d", tmp_path, "--report-only")
         own, found = report(tmp_path, name), report(base / "out", name)
         assert error_mg(found) < error_mg(own) / 2
-        assert found["sphere_mg"]["ci95"][1] < own["sphere_mg"]["ci95"][1]
+        assert found["calibration_error_mg"]["ci95"][1] < own["calibration_error_mg"]["ci95"][1]
         assert table[name]["own_message"] == own["message"]
 
 
@@ -257,7 +257,7 @@ def row(serial: str | None, sha256: str, offset_g: float = 0.03, **more: Any) ->
     ideal = dict(zip(PARAMETERS, [1.0] * 3 + [0.0] * 3 + [offset_g] * 3 + [None] * 3, strict=True))
     errors = dict(zip(PARAMETERS, [0.00018] * 3 + [0.00013] * 3 + [0.00035] * 3 + [None] * 3, strict=True))
     held = {
-        "outcome": "calibrated", "change": "none", "sphere_high_mg": 4.0, "device_serial": serial,
+        "outcome": "calibrated", "change": "none", "calibration_error_high_mg": 4.0, "device_serial": serial,
         "device_model": "M1", "lsb_per_g": 256.0, "range_g": 8.0, "sha256": sha256, "cells": 20,
         "start_time": "2024-03-04T00:00:00", "duration_s": 3600.0, "reference_c": None,
     }  # fmt: skip
@@ -278,7 +278,7 @@ def test_each_other_device_counts_once_and_only_what_is_good() -> None:
     for bad in (
         row("N", "n", outcome="already_good"),
         row("N", "n", change="step"),
-        row("N", "n", sphere_high_mg=10.0),
+        row("N", "n", calibration_error_high_mg=10.0),
         row("N", "n", lsb_per_g=128.0),
         row("N", "n", range_g=16.0),
         row("N", "n", device_model="M2"),
