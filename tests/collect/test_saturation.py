@@ -86,7 +86,7 @@ def test_it_is_told_and_spoils_neither_fit_nor_claim(
     words = ("--prior", prior, "--windows", tmp_path / "w.csv", "--json", "-q", "--report-only")
     report = json.loads(run(capsys, "calibrate", saturated, *words).out)
     assert report["outcome"] == "calibrated"
-    assert report["message"].endswith("; z measures nothing beyond -0.90 g")
+    assert {"code": "axis_saturates", "values": {"axis": "z", "at_g": -0.8984}} in report["cautions"]
     assert report["coverage"]["saturated"] == [{"axis": "z", "at_g": round(-230 / 256, 4)}]
     table = pd.read_csv(tmp_path / "w.csv")
     left_out = table[table["role"] == "saturated"]
@@ -96,14 +96,14 @@ def test_it_is_told_and_spoils_neither_fit_nor_claim(
     error = true_errors_mg(report)
     assert error.mean() > 4 and error.max() > 100
     if prior == "population":
-        low, high = report["sphere_mg"]["ci95"]
+        low, high = report["calibration_error_mg"]["ci95"]
         assert low <= error.mean() <= high
-        assert report["sphere_mg"]["worst_direction"] == pytest.approx(error.max(), rel=0.1)
-        assert report["sphere_mg"]["worst_direction_at"][2] < -0.9
+        assert report["calibration_error_mg"]["worst_direction"] == pytest.approx(error.max(), rel=0.1)
+        assert report["calibration_error_mg"]["worst_direction_at"][2] < -0.9
     again = json.loads(run(capsys, "fit", tmp_path / "w.csv", "--prior", prior, "--json").out)
     report["coverage"]["subsets_full_after_h"] = None  # a table does not say when its windows were
-    assert [again[key] for key in ("coverage", "sphere_mg", "message")] == [
-        report[key] for key in ("coverage", "sphere_mg", "message")
+    assert [again[key] for key in ("coverage", "calibration_error_mg", "reason", "values")] == [
+        report[key] for key in ("coverage", "calibration_error_mg", "reason", "values")
     ]
     assert again["calibration"]["fixed_point"] == report["calibration"]["fixed_point"]
 

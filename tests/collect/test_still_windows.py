@@ -101,13 +101,12 @@ def test_a_recording_played_twice_gives_what_it_gives_once(tmp_path: Path, capsy
         path = write_raw(tmp_path / f"{name}.raw", held)
         reports.append(json.loads(run(capsys, "calibrate", path, "--json", "-q", "--report-only").out))
     one, two = reports
-    for key in ("outcome", "calibration", "sphere_mg", "holdout", "coverage"):
+    for key in ("outcome", "calibration", "calibration_error_mg", "reason", "values", "holdout", "coverage"):
         assert two[key] == one[key], key
     windows = two["fit"]["windows"]
     assert (windows["repeated"], windows["used"]) == (one["fit"]["windows"]["used"],) * 2
-    assert two["message"] == (
-        f"{one['message']}; {windows['repeated']} still windows repeat earlier ones exactly and were left out"
-    )
+    assert one["notes"] == []
+    assert two["notes"] == [{"code": "windows_repeated", "values": {"windows": windows["repeated"]}}]
     assert one["fit"]["windows"]["repeated"] == 0
 
 

@@ -130,7 +130,7 @@ def test_a_refusal_is_a_row_with_its_reason(tmp_path: Path, capsys: Capture) -> 
     path = write_csv(tmp_path / "few.csv", still_counts(directions(4)))
     ran = run(capsys, *METHODS, path, "--only", "fixed32")
     assert ran.code == 0
-    assert "fixed32: refused: stillness in only 4 postures" in ran.out
+    assert "fixed32: refused: The device was still in only 4 orientations" in ran.out
 
 
 def test_one_bad_recording_does_not_stop_the_rest(tmp_path: Path, capsys: Capture) -> None:

@@ -68,14 +68,21 @@ def test_a_report_is_read_with_its_numbers(tmp_path: Path) -> None:
     assert view.setting("profile", 1.0) == view.setting("no such", 1.0) == 1.0
 
 
+def parts_of(value: Any, names: list[str]) -> Iterator[dict[str, Any]]:
+    """Find the objects at the end of a path of keys, in lists too."""
+    for one in value if isinstance(value, list) else [value]:
+        if isinstance(one, dict):
+            yield from parts_of(one.get(names[0]), names[1:]) if names else [one]
+
+
 def test_an_older_report_lacks_what_came_later(tmp_path: Path) -> None:
     report = json.loads(donor(tmp_path, warm=True).read_text())
     for place in LATER:
         *outer, name = place.split(".")
-        inner = report
-        for key in outer:
-            inner = inner.get(key) or {}
-        inner.pop(name, None)
+        for part in parts_of(report, outer):
+            part.pop(name, None)
     view = report_view(report)
+    assert (view.reason, view.values, view.notes, view.cautions, view.advice) == ("", {}, (), None, None)
+    assert view.error_everywhere is view.rest_scatter_mg is None
     assert view.sphere_mg is view.change is view.misfits is view.file_health.rest is None
     assert view.coverage.saturated == () and view.recording.time_zone is None

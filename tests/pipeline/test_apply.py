@@ -220,8 +220,8 @@ def test_the_first_donor_that_proves_itself_lends(tmp_path: Path) -> None:
     assert found.result is not None
     assert str(found.result.outcome) == "borrowed"
     (reason,) = found.reasons
-    assert reason.startswith(f"with the coefficients of {read_coefficients(good).origin.path}, ")
-    assert reason.endswith(("which is no less", "10 mg is the limit"))
+    assert (reason.code, reason.values["path"]) == ("donor", read_coefficients(good).origin.path)
+    assert reason.values["why"]["code"] in ("not_less", "over_limit_here")
     assert found.result.report["coefficients"]["path"] == "../donor.calibration.json"
     assert found.result.report["coefficients"]["without_provenance"] is True
 
@@ -232,7 +232,8 @@ def test_a_recordings_own_coefficients_are_not_borrowed(tmp_path: Path) -> None:
     found = borrow(job, Request(), [report], must_be_better=False)
     origin = read_coefficients(report).origin.path
     assert found.result is None
-    assert found.reasons == (f"with the coefficients of {origin}, it is the same recording",)
+    same = Reason.of("not_tried", message="it is the same recording")
+    assert found.reasons == (Reason.of("donor", path=origin, why=same),)
     assert not list((tmp_path / "out").iterdir())
 
 
@@ -242,11 +243,11 @@ def test_a_good_calibration_of_its_own_is_preferred(tmp_path: Path) -> None:
     assert str(calibrate(job_of(other, tmp_path), Request()).outcome) == "calibrated"
     found = borrow(job_of(other, tmp_path / "out"), Request(), [report], must_be_better=True)
     assert found.result is None
-    assert "is no less beyond the uncertainty" in found.reasons[0]
+    assert found.reasons[0].values["why"]["code"] == "own_is_no_worse"
 
 
 def test_without_stillness_no_donor_can_be_tested(tmp_path: Path) -> None:
     report = donor(tmp_path)
     path = week(tmp_path / "other.raw", seed=2, poses=1)
     found = borrow(job_of(path, tmp_path / "out"), Request(), [report, report], must_be_better=False)
-    assert found.reasons == ("there is no stillness in 2 postures to test coefficients on",)
+    assert found.reasons == (Reason.of("untested", needed=2),)

@@ -111,7 +111,8 @@ def test_a_log_without_names_or_times(real_data: Path, name: str, tmp_path: Path
     assert np.abs(np.array(found["scale"]) - np.eye(3)).max() < 0.02
     wrong = calibrated(capsys, path, *words, *turning, "deg/s")["gyroscope"]
     assert (wrong["outcome"], wrong["scale"]) == ("refused", None)
-    assert wrong["message"] == "its rates are about 57 times too small for its turns: look at their unit"
+    assert wrong["reason"] == "wrong_unit_of_rates"
+    assert wrong["message"] == "The rates are about 57 times too small for the turns. Check their unit."
 
 
 def test_parquet_holds_what_the_report_says(xsens: Path, held: dict[str, Any]) -> None:
