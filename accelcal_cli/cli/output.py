@@ -19,7 +19,7 @@ from accelcal_cli.output.report_view import ReportView, error_columns
 from accelcal_cli.output.words import formatted, mg, outcome_words, parameters_of
 from accelcal_cli.pipeline.jobs import STDIN, Job, Progress, ProgressMaker, Result, no_progress, spooled
 
-ALWAYS_SAID = ("nothing_checks_poses", "roll_alone_checks_poses", "worse_here", "much_left")
+ALWAYS_SAID = ("cut_short", "nothing_checks_poses", "roll_alone_checks_poses", "worse_here", "much_left")
 """Codes of cautions that even a quiet run prints."""
 
 

@@ -25,6 +25,9 @@ FLOAT_LSB_PER_G = float(1 << 24)
 LARGEST_LSB_PER_G = 1e9
 """Most counts per g that a file may claim: 32 bits would hold no more than 2 g."""
 
+CUT_SHORT = "truncated"
+"""Code of the problem that all readers report for a file that breaks off."""
+
 METADATA_KEY = b"accelcal"
 """Key under which our Parquet files describe themselves in their metadata, as JSON."""
 
@@ -212,6 +215,8 @@ class Problem:
         count: number of units (pages, rows, bytes: as the message says) that are affected.
         lost_bytes: number of bytes of the (uncompressed) file that could not be used because they are
             damaged; 0 for what is missing, repeated or normal.
+        missing_bytes: number of bytes that are known to be missing from the file, since its header or its
+            parts announce them. A file that breaks off in any other way has 0 and the code CUT_SHORT.
     """
 
     code: str
@@ -220,6 +225,7 @@ class Problem:
     sample: int
     count: int = 1
     lost_bytes: int = 0
+    missing_bytes: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -311,7 +311,7 @@ class TimeRows:
         moving: number of windows that the other measured samples make.
         filled, clipped, recovered: samples of the device's idle sleep, at the sensor's range, and from
             damaged blocks.
-        lost_bytes: bytes of the (uncompressed) file that damage took there.
+        lost_bytes: bytes of the (uncompressed) file that damage took there, or that are missing.
         gap_us: time that is missing before its samples.
         temperature_mc: mean [thousandths of a degree C]; None without thermometer.
         worn: True if the device was worn, None if too little was measured to tell.
@@ -381,8 +381,9 @@ class Facts:
         rest: what its still windows measure.
         utc_offset_s: seconds that the device's clock is ahead of UTC; None if its zone or the time of the
             start is unknown.
-        lost_bytes, used_bytes: damaged bytes of the (uncompressed) file, and those that the samples were made
-            of.
+        damaged_bytes, missing_bytes, used_bytes: bytes of the (uncompressed) file that damage took, those
+            that are known to be missing from it, and those that the samples were made of.
+        cut_short: the file breaks off, whether or not it is known how much is missing.
         zone_change: change of the zone's offset from UTC during the recording; None if there is none, or
             unknown.
         gone_over: number of short jumps of its times that did not end a window.
@@ -402,14 +403,29 @@ class Facts:
     has_gyroscope: bool
     rest: Rest = Rest()
     utc_offset_s: int | None = None
-    lost_bytes: int = 0
+    damaged_bytes: int = 0
+    missing_bytes: int = 0
     used_bytes: int = 0
+    cut_short: bool = False
     jumps: Jumps = Jumps()
     zone_change: ZoneChange | None = None
     gone_over: int = 0
     windows: int = 0
     quietest: Quietest | None = None
 
+    @property
+    def lost_bytes(self) -> int:
+        """Bytes that are damaged or missing."""
+        return self.damaged_bytes + self.missing_bytes
+
     def lost_percent(self) -> float:
-        """Return the share of the recording's bytes that was lost to damage [%]."""
-        return 100 * self.lost_bytes / max(1, self.lost_bytes + self.used_bytes)
+        """Return the share of the recording's bytes that is damaged or known to be missing [%]."""
+        return _percent(self.lost_bytes, self.used_bytes)
+
+    def damaged_percent(self) -> float:
+        """Return the share of the bytes in the file that damage took [%]."""
+        return _percent(self.damaged_bytes, self.used_bytes)
+
+
+def _percent(part: int, rest: int) -> float:
+    return 100 * part / max(1, part + rest)

@@ -220,7 +220,9 @@ class _Rows:
             problems.append(Problem("truncated", text, offset, self._samples, left, lost))
         if stop is not None and stop > self.frame:
             missing = stop - self.frame
-            problems.append(Problem("truncated", f"{NEVER_CAME}: {missing}", offset, self._samples, missing))
+            lacking = missing * self._file.frame_bytes - left
+            text = f"{NEVER_CAME}: {missing}"
+            problems.append(Problem("truncated", text, offset, self._samples, missing, 0, lacking))
         return tuple(problems)
 
 

@@ -19,9 +19,6 @@ LONGER = Reason("record_longer")
 NOTHING_STILL = Reason("nothing_still")
 FAR_FROM_1_G = Reason("still_far_from_1_g")
 
-CUT_SHORT = "truncated"
-"""Code of the problem that all readers report for a file that breaks off."""
-
 NEAR_ONE_G = (0.7, 1.4)
 """Bounds of the median of |a| at rest [g] for any sensor whose unit and counts per g are right."""
 
@@ -46,6 +43,9 @@ NOISE_TIMES = 4
 def nothing_still(facts: Facts, recording: Recording, settings: Settings) -> tuple[Reason, Reason]:
     """Return the refusal that says what the quietest window measures, and advice."""
     quietest, length_s = facts.quietest, settings.segment_seconds
+    if quietest is None and facts.counts.filled_samples > facts.samples / 2:
+        share = 100 * facts.counts.filled_samples / facts.samples
+        return Reason.of("nothing_but_filled", filled_percent=share), Reason("check_sensor")
     if quietest is None:
         return Reason.of("nothing_measured", seconds=length_s), Reason("shorter_windows_or_longer_gaps")
     spread_g = quietest.spread / recording.lsb_per_g
@@ -127,16 +127,19 @@ def advised(verdict: Judgement, facts: Facts, recording: Recording, settings: Se
         verdict = replace(verdict, reason=reason, advice=(Reason("check_unit"),))
     if odd is not None:
         return replace(verdict, notes=(*verdict.notes, odd), advice=())
-    if any(problem.code == CUT_SHORT for problem in facts.problems) and LONGER in verdict.advice:
+    if facts.cut_short and LONGER in verdict.advice:
         return replace(verdict, advice=(Reason("copy_again"), *verdict.advice))
     return verdict
 
 
 def damage_verdict(facts: Facts, max_percent: float, coverage: Coverage) -> Judgement | None:
-    """Return the refusal of a recording that lost more than `max_percent` to damage, or None."""
-    share = facts.lost_percent()
+    """Return the refusal of a recording that lost more than `max_percent` to damage, or None.
+
+    What is missing does not count: it says nothing against what is there.
+    """
+    share = facts.damaged_percent()
     if share <= max_percent:
         return None
-    why = Reason.of("damaged", lost_percent=share, lost_bytes=facts.lost_bytes, limit_percent=max_percent)
+    why = Reason.of("damaged", lost_percent=share, lost_bytes=facts.damaged_bytes, limit_percent=max_percent)
     advice = (Reason("copy_again"), Reason("allow_damage"))
     return Judgement(Outcome.REFUSED, why, coverage, (), advice=advice)

@@ -24,6 +24,9 @@ MIN_ORIENTATIONS = 9
 RIGHT_G = (0.7, 1.4)
 """Bounds of the median of |a| at rest [g] if unit and scale are right."""
 
+FILLED_FROM_PERCENT = 10.0
+"""Share of filled samples [%] from which on means over what is left may not stand for the whole time."""
+
 MILD = ("sides_unchecked",)
 """Codes of cautions that a good result may have."""
 
@@ -31,7 +34,7 @@ MILD = ("sides_unchecked",)
 def completed(report: dict[str, Any], judgement: Judgement) -> dict[str, Any]:
     """Return a report with all its cautions, its advice and its message."""
     view = report_view(report)
-    found = [*judgement.cautions, *_cautions(view)]
+    found = [*_of_the_file(view), *judgement.cautions, *_cautions(view)]
     ways = _without_repeats([*judgement.advice, *_advice(view, judgement.notes)])
     return report | {
         "message": words.message(view),
@@ -44,7 +47,7 @@ def cautions(report: ReportView) -> tuple[Reason, ...]:
     """Return what speaks against trusting a result without a look."""
     if report.cautions is not None:
         return report.cautions
-    return (*_older_cautions(report), *_cautions(report))
+    return (*_of_the_file(report), *_older_cautions(report), *_cautions(report))
 
 
 def advice(report: ReportView) -> tuple[Reason, ...]:
@@ -65,6 +68,19 @@ def _cautions(report: ReportView) -> tuple[Reason, ...]:
         *doubts(*_interval(report), everywhere=report.error_everywhere is not None),
         *([Reason.of("sides_unchecked", sides=sides)] if sides else []),
     )
+
+
+def _of_the_file(report: ReportView) -> list[Reason]:
+    """Return what is missing from the file, and what was not measured."""
+    health, found = report.file_health, []
+    missing, lost = health.missing_bytes, health.lost_bytes
+    if missing != 0:
+        share = (health.lost_percent or 0) * missing / lost if missing and lost else None
+        found.append(Reason.of("cut_short", missing_bytes=missing, missing_percent=share))
+    filled = 100 * health.filled_samples / max(1, report.recording.samples)
+    if filled >= FILLED_FROM_PERCENT:
+        found.append(Reason.of("filled_share", filled_percent=filled, filled_samples=health.filled_samples))
+    return found
 
 
 def _older_cautions(report: ReportView) -> list[Reason]:
@@ -139,9 +155,10 @@ def _unchecked_poses(report: ReportView) -> list[Reason]:
 def _advice(report: ReportView, notes: tuple[Reason, ...]) -> tuple[Reason, ...]:
     """Return what else helps a refused recording; nothing where the notes explain its values."""
     health, cells = report.file_health, report.coverage.cells
-    if report.outcome != Outcome.REFUSED or (health.lost_percent or 0) > report.setting(
-        "max_damage_percent", 100
-    ):
+    damaged = report.reason == "damaged" or (
+        not report.reason and (health.lost_percent or 0) > report.setting("max_damage_percent", 100)
+    )
+    if report.outcome != Outcome.REFUSED or damaged:
         return ()
     if health.rest and not RIGHT_G[0] < health.rest.median_g < RIGHT_G[1]:
         return (Reason("check_unit"),)

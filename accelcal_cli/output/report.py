@@ -252,8 +252,12 @@ def problem_json(problem: Problem) -> dict[str, Any]:
 
 
 def damage_json(facts: Facts) -> dict[str, Any]:
-    """Return the keys of `file_health` that say how much damage has taken."""
-    return {"lost_bytes": facts.lost_bytes, "lost_percent": round(facts.lost_percent(), 4)}
+    """Return the keys of `file_health` that say how much is lost, and how much of that is missing."""
+    return {
+        "lost_bytes": facts.lost_bytes,
+        "lost_percent": round(facts.lost_percent(), 4),
+        "missing_bytes": None if facts.cut_short and not facts.missing_bytes else facts.missing_bytes,
+    }
 
 
 def clock_json(recording: Recording, facts: Facts, *, whole: bool = True) -> dict[str, Any]:
@@ -327,6 +331,7 @@ class FileHealth:
     rate_hz_measured: float | None = None
     lost_bytes: int = 0
     lost_percent: float = 0.0
+    missing_bytes: int | None = 0
     clock: dict[str, Any] | None = None
     rest: dict[str, Any] | None = None
 

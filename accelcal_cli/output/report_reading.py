@@ -70,6 +70,7 @@ LATER = {
     "fit.windows.repeated": "0.2.0",
     "coverage.subsets_full_after_h": "0.2.0",
     "effect.left_out_percent": "0.3.0",
+    "file_health.missing_bytes": "0.3.0",
 }
 """Keys that reports of versions before the given one may lack (docs/outputs.md)."""
 

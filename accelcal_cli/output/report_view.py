@@ -202,7 +202,11 @@ class RestView:
 
 @dataclass(frozen=True, slots=True)
 class HealthView:
-    """`file_health`: the state of the file."""
+    """`file_health`: the state of the file.
+
+    Attributes:
+        missing_bytes: None for a file that is cut short by an unknown amount.
+    """
 
     problems: tuple[ProblemView, ...]
     filled_samples: int
@@ -211,6 +215,7 @@ class HealthView:
     rate_hz_measured: float | None
     lost_bytes: int | None = None
     lost_percent: float | None = None
+    missing_bytes: int | None = 0
     clock: ClockView | None = None
     rest: RestView | None = None
 

@@ -193,6 +193,16 @@ def _learnt_from(values: Values) -> str:
     return listed(others)
 
 
+def _cut_short(values: Values) -> str:
+    if values["missing_bytes"] is None:
+        return "The file breaks off: it is cut short or damaged. Copy it again from the device."
+    share = "" if values["missing_percent"] is None else f" ({values['missing_percent']:.3g} %)"
+    return (
+        f"The file is cut short: at least {counted(values['missing_bytes'], 'byte')}{share} of it are "
+        "missing. Copy it again from the device."
+    )
+
+
 def _misfit(values: Values) -> str:
     sizes = zip("xyz", values["size"], strict=True)
     shown = ", ".join(f"{axis} {value:.2g}" for axis, value in sizes)
@@ -270,6 +280,8 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
         "The still windows are far from 1 g"
         + (f" (typically {values['median_g']:.3g} g)." if "median_g" in values else ".")
     ),
+    "nothing_but_filled": "No still window was found: {filled_percent:.1f} % of the samples are filled, "
+    "such as rows of zeros; the device did not measure then.",
     "nothing_near_quietest": "No other window comes near the quietest one of the recording.",
     "constant_values": "Every still window holds a single constant value: the sensor was probably off or "
     "asleep.",
@@ -380,6 +392,9 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "few_still_stretches": "The device was still in too few stretches of time to show a change of the "
     "sensor.",
     # cautions
+    "cut_short": _cut_short,
+    "filled_share": "{filled_percent:.1f} % of the samples are filled: the device did not measure then (idle "
+    "sleep, or rows of zeros). They take no part in the calibration or in means.",
     "axis_saturates": "The {axis} axis saturates at {at_g:.2f} g, below its stated range.",
     "misfit": _misfit,
     "sensor_changed": _changed,

@@ -18,7 +18,7 @@ from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
 from accelcal_cli.core.local_time import FOLLOWED, ZoneChange, zone_changes
 from accelcal_cli.core.points import PointSet, TimedMeans, Windows
-from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
+from accelcal_cli.core.recording import CUT_SHORT, Chunk, Problem, Recording, Validity
 from accelcal_cli.core.results import Facts, Gap, Jumps, SampleCounts, TimeRows
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.statistics import mean
@@ -80,7 +80,8 @@ class FactsObserver(Observer):
         self.gaps_omitted = self._gap_us = self._back = 0
         self.problems: list[Problem] = []
         self._problems_omitted = self._followed = 0
-        self._lost_bytes = self._used_bytes = 0
+        self._damaged_bytes = self._missing_bytes = self._used_bytes = 0
+        self._cut_short = False
         self._run_start_us = self._run_first = 0
         self._run_steps = self._run_us = 0
 
@@ -122,8 +123,10 @@ class FactsObserver(Observer):
             has_gyroscope=self.has_gyroscope,
             rest=self._rest.result(),
             utc_offset_s=utc_offset_s(self.recording.timezone, self.first_us or 0) if self._dated else None,
-            lost_bytes=self._lost_bytes,
+            damaged_bytes=self._damaged_bytes,
+            missing_bytes=self._missing_bytes,
             used_bytes=self._used_bytes,
+            cut_short=self._cut_short,
             jumps=Jumps(len(self.gaps) + self.gaps_omitted - self._back, self._gap_us, self._back),
             zone_change=self._zone_change(),
         )
@@ -170,7 +173,9 @@ class FactsObserver(Observer):
         left = MAX_PROBLEMS - len(self.problems)
         self.problems += problems[:left]
         self._problems_omitted += len(problems[left:])
-        self._lost_bytes += sum(problem.lost_bytes for problem in problems)
+        self._damaged_bytes += sum(problem.lost_bytes for problem in problems)
+        self._missing_bytes += sum(problem.missing_bytes for problem in problems)
+        self._cut_short |= any(problem.code == CUT_SHORT for problem in problems)
         if self.recording.stamped:
             self._followed += sum(problem.count for problem in problems if problem.code == FOLLOWED)
 
@@ -320,9 +325,9 @@ class Timeline(Observer):
 
     def _note_damage(self, problems: tuple[Problem, ...], end: int) -> None:
         for problem in problems:
-            if problem.lost_bytes:
+            if lost := problem.lost_bytes + problem.missing_bytes:
                 block = min(problem.sample, end) // self.block_samples
-                self._sums[block, _LOST_BYTES] += problem.lost_bytes
+                self._sums[block, _LOST_BYTES] += lost
 
     def _join_pairs(self) -> None:
         half = MAX_BLOCKS // 2

@@ -36,7 +36,7 @@ POORER_TIMES, POORER_MG = 2.0, 1.0
 best recording and POORER_MG [mg] more; otherwise a study of good recordings would be read twice."""
 
 
-def pools(rows: Mapping[str, Row], max_damage_percent: float) -> list[list[str]]:
+def pools(rows: Mapping[str, Row]) -> list[list[str]]:
     """Return the names of the recordings that are calibrated as one, by device and name, at least two each.
 
     They agree in serial, model, counts per g and range, are not too damaged, have a result of their own, and
@@ -51,7 +51,7 @@ def pools(rows: Mapping[str, Row], max_damage_percent: float) -> list[list[str]]
             refused = row["outcome"] == Outcome.REFUSED
             if _sensor_changed(row):
                 continue
-            if row["outcome"] in GOOD or (refused and not _damaged(row, max_damage_percent)):
+            if row["outcome"] in GOOD or (refused and not _damaged(row)):
                 key = (serial, row["device_model"] or "", row["lsb_per_g"], row["range_g"] or 0.0)
                 alike.setdefault(key, []).append(name)
     again = summary.copies(rows)
@@ -64,13 +64,11 @@ def _sensor_changed(row: Row) -> bool:
     return row.get("change") not in (None, "none")
 
 
-def _damaged(row: Row, max_percent: float) -> bool:
-    return bool(row["outcome"] == Outcome.REFUSED and row["lost_percent"] > max_percent)
+def _damaged(row: Row) -> bool:
+    return bool(row.get("reason") == "damaged")
 
 
-def donors(
-    rows: Mapping[str, Row], max_damage_percent: float, *, compare: bool, settled: Collection[str] = ()
-) -> dict[str, list[str]]:
+def donors(rows: Mapping[str, Row], *, compare: bool, settled: Collection[str] = ()) -> dict[str, list[str]]:
     """Return the possible donors of each recording that should borrow, the nearest in time first.
 
     A recording that should borrow does not lend, so that nothing is lent on.
@@ -83,9 +81,7 @@ def donors(
     found: dict[str, list[str]] = {}
     for device in _devices(rows).values():
         recipients = {
-            name
-            for name in device.keys() - set(settled)
-            if _borrows(name, device, max_damage_percent, compare=compare)
+            name for name in device.keys() - set(settled) if _borrows(name, device, compare=compare)
         }
         good = [name for name in device if name not in recipients and device[name]["outcome"] in GOOD]
         sound = {name: device[name] for name in good if not _sensor_changed(device[name])}
@@ -117,10 +113,10 @@ def _same_model(name: str, others: list[str], rows: Mapping[str, Row]) -> list[s
     ]
 
 
-def _borrows(name: str, device: Mapping[str, Row], max_damage_percent: float, *, compare: bool) -> bool:
+def _borrows(name: str, device: Mapping[str, Row], *, compare: bool) -> bool:
     row = device[name]
     if row["outcome"] == Outcome.REFUSED:
-        return not _damaged(row, max_damage_percent)
+        return not _damaged(row)
     if not compare or row["outcome"] not in GOOD:
         return False
     others = [device[one] for one in _same_model(name, list(device), device)]
@@ -173,7 +169,7 @@ def tasks(study: Study, known: StudyState) -> list[BorrowTask]:
     rows = {name: one.last.row for name, one in states.items() if one.last.row and not one.last.failed}
     settled = [name for name, one in states.items() if one.last is not one.own]
     compare = settings.profile == DEFAULT.profile
-    found = donors(rows, settings.max_damage_percent, compare=compare, settled=settled)
+    found = donors(rows, compare=compare, settled=settled)
 
     def task(name: str, names: list[str]) -> BorrowTask:
         own = states[name].own

@@ -70,12 +70,12 @@ class PoolTask:
 
 def pool_tasks(study: Study, known: StudyState) -> list[PoolTask]:
     """Return a task for each pool (see `Round`)."""
-    return [pool_of(study, known, members) for members in members_of(study, known.recordings)]
+    return [pool_of(study, known, members) for members in members_of(known.recordings)]
 
 
-def members_of(study: Study, standing: Mapping[str, RecordingState]) -> list[list[str]]:
+def members_of(standing: Mapping[str, RecordingState]) -> list[list[str]]:
     """Return the names of the recordings of each pool, without copies."""
-    return pools(_own_rows(standing), study.request.settings.max_damage_percent)
+    return pools(_own_rows(standing))
 
 
 def copies_of(standing: Mapping[str, RecordingState]) -> dict[str, str]:
@@ -165,7 +165,7 @@ class PooledTask(ReplacementTask):
 def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:
     """Return a task for each member of a pool that has coefficients (see `Round`)."""
     tasks, common, again = [], common_of(study), copies_of(known.recordings)
-    for members in members_of(study, known.recordings):
+    for members in members_of(known.recordings):
         one = pool_of(study, known, members)
         entry = known.pools.get(one.item.name)
         if entry is None or entry.row is None or entry.row["outcome"] not in GOOD:

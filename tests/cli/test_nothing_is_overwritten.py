@@ -219,7 +219,7 @@ def test_a_copy_is_known_by_device_and_content() -> None:
     }
     table |= {"f": row(None, "3"), "g": row(None, "3"), "h": row("A", "4", "borrowed")}
     assert copies(table) == {"c": "b", "e": "d", "g": "f"}
-    assert pools(table, 50.0) == [["a", "b"]]
+    assert pools(table) == [["a", "b"]]
 
 
 @pytest.mark.nightly

@@ -28,7 +28,7 @@ def at(day: int, hour: int = 0, zone: str = "", **more: Any) -> dict[str, Any]:
 
 
 def asked(rows: dict[str, dict[str, Any]], *, compare: bool = True) -> dict[str, list[str]]:
-    return donors(rows, 50.0, compare=compare)
+    return donors(rows, compare=compare)
 
 
 def test_the_nearest_lends_first_by_the_time_between_end_and_start() -> None:
@@ -87,7 +87,7 @@ def test_only_good_recordings_lend_and_who_borrows_does_not() -> None:
 
 
 def test_what_is_lost_to_damage_does_not_borrow() -> None:
-    rows = {"x": row("refused", lost_percent=50.1), "y": row("refused", lost_percent=50.0), "a": row()}
+    rows = {"x": row("refused", reason="damaged"), "y": row("refused", lost_percent=60.0), "a": row()}
     assert asked(rows) == {"y": ["a"]}
 
 
@@ -106,7 +106,7 @@ def test_at_most_three_are_asked() -> None:
 def test_pooled_recordings_stay_as_they_are_but_lend() -> None:
     rows = {"x": row("refused"), "a": row(after_mg=4.0), "b": row(after_mg=1.0)}
     assert asked(rows) == {"x": ["b"], "a": ["b"]}
-    assert donors(rows, 50.0, compare=True, settled=["a"]) == {"x": ["a", "b"]}
+    assert donors(rows, compare=True, settled=["a"]) == {"x": ["a", "b"]}
 
 
 def test_a_pool_agrees_in_device_counts_per_g_and_range() -> None:
@@ -118,15 +118,15 @@ def test_a_pool_agrees_in_device_counts_per_g_and_range() -> None:
         "wide": row(range_g=16.0),
         "other": row(device_serial="B2"),
         "none": row(device_serial=None),
-        "damaged": row("refused", lost_percent=60.0),
+        "damaged": row("refused", reason="damaged"),
         "less": row("already_good", lost_percent=40.0),
     }
     rows = {name: {**held, "sha256": name} for name, held in rows.items()}
-    assert pools(rows, 50.0) == [["a", "b", "less"]]
+    assert pools(rows) == [["a", "b", "less"]]
     finer = rows["fine"] | {"sha256": "finer"}
-    assert pools({**rows, "finer": finer}, 50.0) == [["a", "b", "less"], ["fine", "finer"]]
-    assert pools({**rows, "copy": rows["fine"], "again": rows["a"]}, 50.0) == [["a", "b", "less"]]
-    assert pools({"a": rows["a"]}, 50.0) == []
+    assert pools({**rows, "finer": finer}) == [["a", "b", "less"], ["fine", "finer"]]
+    assert pools({**rows, "copy": rows["fine"], "again": rows["a"]}) == [["a", "b", "less"]]
+    assert pools({"a": rows["a"]}) == []
 
 
 def test_any_change_of_a_result_is_another_identity() -> None:
@@ -139,7 +139,7 @@ def test_a_recording_whose_sensor_changed_lends_nothing_and_is_in_no_pool() -> N
     rows = {"x": row("refused"), **{name: row(change=kind) for name, kind in kinds.items()}}
     rows = {name: {**held, "sha256": name} for name, held in rows.items()}
     assert asked(rows, compare=False) == {"x": ["b", "c"]}
-    assert pools(rows, 50.0) == [["b", "c", "x"]]
+    assert pools(rows) == [["b", "c", "x"]]
 
 
 def test_verdicts_14_copies_of_a_donor_take_no_places_of_other_donors() -> None:

@@ -31,7 +31,7 @@ from accelcal_cli.core.errors import (
 )
 from accelcal_cli.core.input_files import files_of, is_no_part, size_of
 from accelcal_cli.core.local_time import NO_START
-from accelcal_cli.core.recording import Chunk, PlacedFile, Problem, Reader, Recording
+from accelcal_cli.core.recording import CUT_SHORT, Chunk, PlacedFile, Problem, Reader, Recording
 from accelcal_cli.core.system import new_folder, remove_folder
 from accelcal_cli.formats._parts import archive
 from accelcal_cli.formats._stamps import GAP_PERIODS
@@ -177,7 +177,7 @@ class PartsReader(FilesReader):
         self.parts = self._alike(path, self._described(path))
         self._sizes = [part.size for part in self.parts]
         if part_files.damage is not None:
-            lost = Problem("damaged_archive", part_files.damage, None, 0, lost_bytes=part_files.lost_bytes)
+            lost = Problem(CUT_SHORT, part_files.damage, None, 0, lost_bytes=part_files.lost_bytes)
             part_files.problems.append(lost)
         self.recording = _as_one(path, self.parts, part_files)
 
@@ -388,12 +388,13 @@ class _PartPlacer:
         self._reported[problem.code] = self._reported.get(problem.code, 0) + 1
         if self._reported[problem.code] <= LISTED:
             return True
-        more = self._unlisted.get(problem.code, replace(problem, count=0, lost_bytes=0))
+        more = self._unlisted.get(problem.code, replace(problem, count=0, lost_bytes=0, missing_bytes=0))
         text = "more of the same in later parts"
-        count, lost = more.count + problem.count, more.lost_bytes + problem.lost_bytes
-        self._unlisted[problem.code] = replace(
-            more, message=text, byte_offset=None, count=count, lost_bytes=lost
-        )
+        sums = {
+            name: getattr(more, name) + getattr(problem, name)
+            for name in ("count", "lost_bytes", "missing_bytes")
+        }
+        self._unlisted[problem.code] = replace(more, message=text, byte_offset=None, **sums)
         return False
 
 
@@ -471,7 +472,7 @@ class _FilePlacer:
             breaks = breaks if self._begun else np.union1d([0], breaks).astype(np.int64)
         self._dated &= all(problem.code != NO_START for problem in chunk.problems)
         self._problems += len(chunk.problems)
-        self._lost_bytes += sum(problem.lost_bytes for problem in chunk.problems)
+        self._lost_bytes += sum(one.lost_bytes + one.missing_bytes for one in chunk.problems)
         here = self._first_sample
         placed = replace(
             chunk,

@@ -377,7 +377,7 @@ class _Stream:
         self._times = RowTimes(stamps[0], plan.stamps, start, zone) if plan.stamps else None
         problems = plan.problems if start == 0 else ()
         self._log = ProblemLog(problems, _message, SINGLE, by_end=True)
-        self._sample = start
+        self._sample, self._lost_bytes = start, 0
         self._last_row: int | None = None
         self._last_time = 0
         sources = [*chain(self._accel, *self._channels.values(), stamps)]
@@ -395,6 +395,7 @@ class _Stream:
         breaks, clock_jumps = self._breaks(times, rows, selection)
         for event in selection.events(self._log, self._sample):
             self._log.add(event)
+            self._lost_bytes += event.lost_bytes
         chunk = Chunk(
             first_sample=self._sample,
             counts=selection.kept(counts),
@@ -416,7 +417,8 @@ class _Stream:
             return ()
         end = f"last {missing} bytes are" if missing > 0 else "end is"
         what = f"the file is cut short: its {end} missing"
-        return (Problem("truncated", what, total, self._sample + rows, max(1, missing)),)
+        more = max(0, missing - self._lost_bytes)  # rows that were announced are lost already
+        return (Problem("truncated", what, total, self._sample + rows, max(1, missing), 0, more),)
 
     def _channel_values(self, selection: RowSelection) -> Channels:
         channels: Channels = {

@@ -185,6 +185,11 @@ class Dialect:
         """The number of columns in every row."""
         return len(self.kinds)
 
+    def is_whole(self, line: bytes) -> bool:
+        """Return True if a line without its end has a cell in every column."""
+        cells = self.normaliser(line + b"\n").rstrip(b"\n").split(self.normaliser.delimiter.encode())
+        return len(cells) >= self.columns and bool(cells[-1].strip(b"\0 \r"))
+
     def columns_of(self, kind: CellKind) -> list[int]:
         """Return the numbers of the columns of a kind."""
         return [number for number, other in enumerate(self.kinds) if other is kind]

@@ -22,11 +22,21 @@ from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformCloc
 from accelcal_cli.core.errors import UnreadableError, counted
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.local_time import FOLLOWED, LocalStamps
-from accelcal_cli.core.recording import Channels, Chunk, Intake, Problem, Reader, Recording, Validity
+from accelcal_cli.core.recording import (
+    CUT_SHORT,
+    Channels,
+    Chunk,
+    Intake,
+    Problem,
+    Reader,
+    Recording,
+    Validity,
+)
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
 from accelcal_cli.formats._rows import RepeatedSamples
 from accelcal_cli.formats._stamps import GAP_PERIODS, IMPOSSIBLE, Pace, SharedStamps
 from accelcal_cli.formats.csv.detect import HEAD_BYTES, Detected, detect, last_timestamp
+from accelcal_cli.formats.csv.dialect import Dialect
 from accelcal_cli.formats.csv.lines import Block, LineCutter, LineFile, RepeatedHeads
 from accelcal_cli.formats.csv.rows import CsvRows, Fault, RowParser, joined_rows
 
@@ -46,6 +56,7 @@ ASLEEP = ("idle_sleep", "{rows} from line {line} on not measured: the device sle
 AHEAD = ("clock_gap", "the time jumps ahead{jump} before line {line}{repeated}")
 BACK = ("clock_back", "the time goes back{jump} before line {line}{repeated}")
 WITH_ITS_ZONE = (FOLLOWED, "the times follow a change of the clocks in {zone} before line {{line}}")
+NO_LINE_END = "no_line_end"
 BROKEN_OFF = "the compressed data ends early or is damaged; the rows before that were read"
 CODES = [code for code, _ in (MISSING, OUT_OF_RANGE, IMPOSSIBLE_TIME, ASLEEP, AHEAD, BACK, WITH_ITS_ZONE)]
 """The order of problems that only the end of the file completes."""
@@ -372,7 +383,7 @@ class CsvAssembler:
             np.empty((0, 3), np.int32),
             StampClock(np.empty(0, np.int64)),
             block.end_byte,
-            problems=(*left, *more, *_cut_short(block, self.samples)),
+            problems=(*left, *more, *_cut_short(block, self.samples, self._detected.parser.dialect)),
             used_bytes=0,
             **self._no_channels,
         )
@@ -484,13 +495,15 @@ def _joined_files(lines: Sequence[int], samples: int) -> tuple[Problem, ...]:
     return (Problem("repeated_head", text, None, samples, count=len(lines)),)
 
 
-def _cut_short(block: Block, samples: int) -> tuple[Problem, ...]:
-    text = BROKEN_OFF
+def _cut_short(block: Block, samples: int, dialect: Dialect) -> tuple[Problem, ...]:
+    """Return what is wrong with the end; more is missing unless the last line has all its cells."""
+    text, code = BROKEN_OFF, CUT_SHORT
     if not block.broken:
         if not block.tail.strip() and not block.zeros:
             return ()
         line = block.line + block.lines
         text = f"line {line}, the last one, has no end: it may be cut off and was left out"
+        code = NO_LINE_END if dialect.is_whole(block.tail) else CUT_SHORT
         if not block.tail.strip(b"\0"):
             text = f"the file ends in {block.zeros + len(block.tail)} bytes of zeros, which hold no rows"
-    return (Problem("truncated", text, block.end, samples, lost_bytes=len(block.tail) + block.zeros),)
+    return (Problem(code, text, block.end, samples, lost_bytes=len(block.tail) + block.zeros),)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
-from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
+from accelcal_cli.core.recording import CUT_SHORT, Chunk, Problem, Reader, Recording
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.files import PagedFile, RawBlock
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock
@@ -66,11 +66,14 @@ class RecordDecoder(PageDecoder[RawBlock]):
     def ending(self, raw: RawBlock, chunk: Chunk) -> tuple[Problem, ...]:
         """See PageDecoder."""
         records, seen = self._header.records, raw.next_position
-        if records in (None, seen):
+        if records is None or records == seen:
             return ()
         text = f"the header says {records} data records, and the file holds {seen}"
         sample = chunk.first_sample + len(chunk)
-        return (Problem("truncated", text, raw.offset(seen), sample),)
+        if seen > records:
+            return (Problem("wrong_count", text, raw.offset(seen), sample),)
+        missing = (records - seen) * self._header.record_bytes - len(raw.tail)
+        return (Problem(CUT_SHORT, text, raw.offset(seen), sample, missing_bytes=missing),)
 
     def onset_us(self, page: NDArray[np.uint8]) -> int | None:
         """Return the microseconds from the header's start to a record's; None if it does not say."""

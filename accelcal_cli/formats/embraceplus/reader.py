@@ -523,7 +523,7 @@ def problems_of(record: FirstRecord, accel: Sensor) -> Iterator[Problem]:
         yield Problem("no_start_time", "it has no start time; times count from 1970-01-01", None, 0)
     if accel.spare:
         text = f"x, y and z are not equally long; {accel.spare} values of the longest are left out"
-        yield Problem("truncated", text, None, rows, accel.spare)
+        yield Problem("unequal_lengths", text, None, rows, accel.spare)
     if not record.marked:
         text = "the marker behind the data is wrong or missing: some values may not be what was written"
         yield Problem("checksum", text, record.end, rows)

@@ -418,14 +418,14 @@ class TextDecoder(PageDecoder[TextPages]):
         if cut_at is not None:
             missing = SAMPLES - found.cut_samples
             text = f"the file ends within a page: {missing} of its {SAMPLES} samples are missing"
-            problems.append(Problem("truncated", text, cut_at, sample, missing))
+            problems.append(Problem("truncated", text, cut_at, sample, missing, 0, missing * SAMPLE_DIGITS))
         # damaged pages at the end, and one without a whole sample, are reported in another way
         damaged = found.next_position - 1 - self._last_position
         cut = cut_at is not None and found.cut_samples == 0
         lost = self._announced - (self._highest + 1) - damaged - cut
         if lost > 0:
             text = f"pages that the header announces are missing at the end of the file: {lost}"
-            problems.append(Problem("truncated", text, found.end, sample, lost))
+            problems.append(Problem("truncated", text, found.end, sample, lost, 0, lost * USUAL_BYTES))
         return tuple(problems)
 
     def _verdict(

@@ -309,10 +309,11 @@ class MemberStream(Closing):
             )
             return Problem("archive_checksum", text, None, sample)
         missing = (self.member.unpacked_bytes or 0) - self.size
-        lost_bytes = max(0, missing) if self.fault is Fault.DAMAGED else 0
-        lost = f"{missing} bytes of it are missing" if missing > 0 else "how much is missing is not known"
-        text = f"{name} breaks off, as {self.fault.value}: {lost}"
-        return Problem("truncated", text, self.size, sample, max(1, missing), lost_bytes)
+        lost = max(0, missing)
+        amounts = (lost, 0) if self.fault is Fault.DAMAGED else (0, lost)
+        how_much = f"{lost} bytes of it are missing" if lost else "how much is missing is not known"
+        text = f"{name} breaks off, as {self.fault.value}: {how_much}"
+        return Problem("truncated", text, self.size, sample, max(1, lost), *amounts)
 
     def _step(self, most: int) -> bytes:
         if self._inflater is None:

@@ -385,7 +385,8 @@ class PacketDecoder(PageDecoder[Packets]):
         lost = self._announced - found.next_position - found.empty - (found.cut_at is not None)
         if lost > 0:
             text = f"packets that the header announces are missing: {lost}"
-            problems.append(Problem("truncated", text, found.end, sample, lost))
+            missing = lost * self._first.rows * self._first.row_bytes
+            problems.append(Problem("truncated", text, found.end, sample, lost, 0, missing))
         if self._held:
             code, text = HELD
             problems.append(Problem(code, f"{text}: {self._held}", None, sample, self._held))

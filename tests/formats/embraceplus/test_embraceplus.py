@@ -120,7 +120,7 @@ def test_damage_that_can_be_read_is_told(tmp_path: Path) -> None:
     short = long(START_US) + struct.pack("<f", 64) + b"".join(map(long, RANGES)) + struct.pack("<d", 0.001)
     short += b"".join(array([long(5)] * count) for count in (30, 32, 31))
     with opened(tmp_path, container(session(short, sensor(NONE, RANGES, 1.0)), schema(True))) as reader:
-        assert (len(rows(reader)), problems(reader)) == (30, ["truncated"])
+        assert (len(rows(reader)), problems(reader)) == (30, ["unequal_lengths"])
 
 
 @pytest.mark.parametrize(

@@ -223,7 +223,7 @@ def test_an_archive_cut_short_keeps_the_parts_before(made: Path, tmp_path: Path,
         assert "damaged archive: nothing can be unpacked" in error.message
         assert suffix in (".tar.bz2", ".tar.xz"), "all of it is one block"
         return
-    (told,) = [one for one in result.report["file_health"]["problems"] if one["code"] == "damaged_archive"]
+    (told,) = [one for one in result.report["file_health"]["problems"] if one["code"] == "truncated"]
     number = next(n for n, file in enumerate(files, 1) if told["message"].endswith(file.name))
     assert result.report["recording"]["samples"] == 25 * PART_S * number
     alone = tmp_path / "alone"
