@@ -3,7 +3,8 @@
 A response that is bent, scales that change with temperature, offsets that do so on a curve, or that depend on
 the posture before: the fit absorbs the part that looks like its own parameters, and the rest looks like
 scatter of the postures, which underestimates the error where the wrist has not been. Each misfit is added to
-the fit in turn, linearly about the calibration, and believed if held-out postures confirm it.
+the fit in turn, linearly about the calibration, and believed if it is significant in enough postures, if
+held-out postures confirm it, and if parts of the postures show it, too.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, PointSet
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Misfit, MisfitKind
-from accelcal_cli.core.statistics import interval95, mean
+from accelcal_cli.core.statistics import mean, standard_error, student_t_probability
 from accelcal_cli.judge.errors import jacobian, residuals
 from accelcal_cli.judge.model_ladder import folds
 from accelcal_cli.judge.posterior import Bend, Posterior, largest_error_mg, noise
@@ -27,7 +28,21 @@ LEAST_MG = 3.0
 """Size [mg] that a misfit must reach in some direction to be believed."""
 
 LEAST_FALL = 0.15
-"""Share by which the error on held-out postures must clearly fall (95 % interval above 0)."""
+"""Share by which the error on held-out postures must fall."""
+
+CHANCE = 0.02
+"""Probability of such a fall by chance (Student's t, of either sign) above which it is not believed: five
+kinds are looked for in each recording."""
+
+FEWEST_POSTURES = 12
+"""Postures that a misfit needs to be believed: fewer hardly determine parameters and misfit together."""
+
+SURE = 2.0
+"""Standard errors that a misfit must exceed on some axis."""
+
+SURE_WITHOUT_A_FOLD, SURE_OF_A_HALF = 1.25, 0.5
+"""Standard errors that it must exceed on the same side of that axis by four folds of five, and by each half
+of the postures; chosen by simulation (docs/misfit.md)."""
 
 POWERS: dict[MisfitKind, int] = {"quadratic": 2, "cubic": 3}
 """Power of the acceleration in each kind of bend."""
@@ -116,24 +131,38 @@ class MisfitSearch:
 
     def _misfit(self, hypothesis: MisfitHypothesis) -> Misfit:
         after = self._held_out(hypothesis)
-        falls = [one - other for one, other in zip(self._still, after, strict=True)]
-        clearly = interval95(falls)[0] > 0
         together, c = self._together(hypothesis)
         errors = np.sqrt(np.diag(np.array(together.covariance))[-3:])
         largest = float(500 * np.abs(hypothesis.columns @ c).max())
         if hypothesis.kind in POWERS:
             largest = largest_error_mg(_bent(hypothesis.kind, together, c), self._known.found.fit.parameters)
-        before_mg, after_mg = mean(self._still), mean(after)
+        significant = self._postures >= FEWEST_POSTURES and self._lasts(hypothesis, together, c, errors)
         return Misfit(
             hypothesis.kind,
             hypothesis.unit,
             _three(-hypothesis.factor * c),
             _three(hypothesis.factor * errors),
-            before_mg,
-            after_mg,
+            mean(self._still),
+            mean(after),
             largest,
-            clearly and largest >= LEAST_MG and before_mg - after_mg >= LEAST_FALL * before_mg,
+            significant and largest >= LEAST_MG and _falls(self._still, after),
         )
+
+    def _lasts(self, hypothesis: MisfitHypothesis, together: Posterior, c: Floats, errors: Floats) -> bool:
+        """Return True if some axis is far from 0 by all postures, and on the same side by parts of them."""
+        side, far = np.sign(c), np.abs(c) > SURE * errors
+        for which, times in self._parts():
+            moved, around = self._fit(hypothesis, which, together.noise_g)
+            own = np.sqrt(self._unit(together.noise_g) * np.diag(np.linalg.inv(around))[-3:])
+            far &= side * moved[-3:] > times * own
+        return bool(far.any())
+
+    def _parts(self) -> Iterator[tuple[NDArray[np.bool_], float]]:
+        """Yield parts of the postures that must show a misfit, and in how many standard errors."""
+        for fold in sorted(set(self._fold.tolist())):
+            yield self._fold != fold, SURE_WITHOUT_A_FOLD
+        for half in (0, 1):
+            yield self._label % 2 == half, SURE_OF_A_HALF
 
     def _together(self, hypothesis: MisfitHypothesis) -> tuple[Posterior, Floats]:
         """Fit parameters and misfit together; return their posterior, with the noise that is left, and c."""
@@ -143,13 +172,11 @@ class MisfitSearch:
         for _ in range(ROUNDS):
             moved, around = self._fit(hypothesis, everything, noise_g)
             left = self._error - full @ moved
-            total = float(self._weights.sum())
-            squares = float((self._weights * left * left).sum()) / total
+            squares = float((self._weights * left * left).sum()) / float(self._weights.sum())
             curvature = (full * self._weights[:, np.newaxis]).T @ full
             used = float(np.trace(np.linalg.solve(around, curvature)))
             noise_g, freedom = noise(used, squares, self._postures, POPULATION)
-        unit = 4 * noise_g * noise_g / self._postures * total
-        covariance = unit * np.linalg.inv(around)
+        covariance = self._unit(noise_g) * np.linalg.inv(around)
         parameters = list(known.found.fit.parameters)
         for index, value in zip(self._free, moved.tolist(), strict=False):
             parameters[index] += round(value * ONE)
@@ -161,6 +188,10 @@ class MisfitSearch:
             covariance=tuple(map(tuple, covariance.tolist())),
         )
         return joint, np.asarray(moved[-3:])
+
+    def _unit(self, noise_g: float) -> float:
+        """Return the variance of |a|^2 of a point of weight 1: each posture is one observation."""
+        return 4 * noise_g * noise_g / self._postures * float(self._weights.sum())
 
     def _held_out(self, hypothesis: MisfitHypothesis | None) -> list[float]:
         """Return the mean error of each posture [mg] by a fit of the other folds."""
@@ -183,12 +214,18 @@ class MisfitSearch:
         strength = penalty / (1 << PENALTY_BITS) * (noise_g / known.noise_g) ** 2
         if hypothesis is not None:
             full = np.column_stack([full, hypothesis.columns])
-            unit = 4 * noise_g * noise_g / self._postures * float(self._weights.sum())
-            own = unit / (hypothesis.width * hypothesis.width)
+            own = self._unit(noise_g) / (hypothesis.width * hypothesis.width)
             strength, centre = np.append(strength, [own] * 3), np.append(centre, [0.0] * 3)
         weighted = full[which] * self._weights[which, np.newaxis]
         around = weighted.T @ full[which] + np.diag(strength)
         return np.linalg.solve(around, weighted.T @ self._error[which] + strength * centre), around
+
+
+def _falls(before: list[float], after: list[float]) -> bool:
+    """Return True if the errors of postures [mg] fall clearly, and by a share of LEAST_FALL or more."""
+    fall = [one - other for one, other in zip(before, after, strict=True)]
+    by_chance = student_t_probability(mean(fall) / max(standard_error(fall), 1e-9), len(fall) - 1)
+    return by_chance <= CHANCE and mean(fall) >= LEAST_FALL * mean(before)
 
 
 def _bent(kind: MisfitKind, together: Posterior, c: Floats) -> Posterior:

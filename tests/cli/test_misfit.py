@@ -35,9 +35,10 @@ def test_a_bend_is_said_and_counted(tmp_path: Path, capsys: Capture) -> None:
     assert quadratic["kind"] == "quadratic" and quadratic["found"]
     assert quadratic["size"] == pytest.approx([100 * BEND] * 3, abs=0.15)
     assert not any(one["found"] for one in others)
-    assert "the sensor's response is bent, with the square of the acceleration (x " in report["message"]
+    assert [one["values"]["kind"] for one in report["cautions"] if one["code"] == "misfit"] == ["quadratic"]
     assert report["outcome"] == "calibrated"
-    assert report["sphere_mg"]["worst_direction"] == pytest.approx(quadratic["largest_mg"], rel=0.1)
+    worst_mg = report["calibration_error_mg"]["worst_direction"]
+    assert worst_mg == pytest.approx(quadratic["largest_mg"], rel=0.1)
     assert report_of(capsys, "fit", windows)["misfits"] == report["misfits"]
     assert run(capsys, "verify", tmp_path / "bent.calibration.json", path).code == 0
 
@@ -53,7 +54,7 @@ def test_a_straight_response_is_not_called_bent(tmp_path: Path, capsys: Capture)
         "straight.raw": "none",
     }
     report = json.loads((tmp_path / "out/straight.calibration.json").read_text())
-    assert "bent" not in report["message"] and len(report["misfits"]) == 3
+    assert all(one["code"] != "misfit" for one in report["cautions"]) and len(report["misfits"]) == 3
 
 
 def test_nobody_looks_without_a_prior(tmp_path: Path, capsys: Capture) -> None:

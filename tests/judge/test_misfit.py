@@ -11,12 +11,13 @@ from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Misfit, SphereError
+from accelcal_cli.judge import misfit
 from accelcal_cli.judge.misfit import MisfitSearch
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.posterior import Posterior, posterior, sphere_errors
 from accelcal_cli.optimize.fixed32 import OPTIMIZER
 from tests.judge.made import NINE, WARM
-from tests.optimize.oracle import directions, measured, points
+from tests.optimize.oracle import directions, drawn_errors, measured, points, random_directions
 
 NOISE_G = 0.0015
 SQUARE, CUBE = np.array([0.02, -0.015, 0.01]), np.array([0.018, 0.02, -0.015])
@@ -102,6 +103,87 @@ def test_a_sensor_that_remembers_the_posture_before_is_found() -> None:
     held = of(measured(NINE, scattered(1)) + memory * previous, previous=previous)
     assert_size(misfits(held)["previous posture"], 1000 * memory)
     assert found(held) == {"previous posture"}
+
+
+def worn(seed: int, fewest: int, most: int, bend: float = 0.0, noise_g: float = 0.0018) -> PointSet:
+    """One rest in each of some orientations, at least 17 degrees apart, of a sensor with drawn errors."""
+    random = np.random.default_rng(seed)
+    poses = random_directions(random, 1)
+    number = int(random.integers(fewest, most + 1))
+    while len(poses) < number:
+        (pose,) = random_directions(random, 1)
+        if (poses @ pose).max() < np.cos(np.radians(17)):
+            poses = np.vstack([poses, pose])
+    rests = np.repeat(poses * (1 + noise_g * random.standard_normal((number, 1))), 3, axis=0)
+    raw = measured(drawn_errors(random), rests)
+    raw = raw + bend * random.choice((-1, 1), 3) * raw**2
+    return of(raw, previous=np.roll(raw, 3, axis=0))
+
+
+def alarms(sensors: int, first: int = 0) -> int:
+    """How many of so many sensors without any misfit, with 5 to 40 orientations, are said to have one."""
+    return sum(bool(found(worn(seed, 5, 40))) for seed in range(first, first + sensors))
+
+
+def test_verdicts_4_sensors_without_a_misfit_raise_no_alarm() -> None:
+    assert alarms(60) == 0
+
+
+@pytest.mark.nightly
+def test_verdicts_4_at_most_one_false_alarm_in_200_sensors() -> None:
+    assert alarms(200, 1000) <= 1
+
+
+def test_verdicts_4_bends_of_2_percent_are_found_in_25_and_more_orientations() -> None:
+    assert all("quadratic" in found(worn(seed, 25, 40, bend=0.02)) for seed in range(20))
+
+
+def test_verdicts_4_a_misfit_exceeds_two_of_its_standard_errors_in_12_orientations() -> None:
+    for seed in range(40):
+        held = worn(seed, 8, 24, bend=0.02)
+        for one in misfits(held).values():
+            certain = max(np.abs(one.size) / np.array(one.standard_errors)) > 2
+            assert not one.found or (certain and len(np.unique(postures(held, 15.0))) >= 12)
+
+
+@pytest.mark.parametrize(("orientations", "enough"), [(11, False), (12, True)])
+def test_verdicts_4_twelve_orientations_have_to_speak(orientations: int, enough: bool) -> None:
+    """Points all over the sphere of a sensor that is plainly bent, dealt out to so many orientations."""
+    assert OPTIMIZER.fit_penalized is not None
+    straight, label = measured(NINE, POSES), np.arange(len(POSES)) % orientations
+    held = of(straight + 0.8 * SQUARE * straight**2)
+    known = posterior(held, orientations, MODELS["9"], POPULATION, OPTIMIZER.fit_penalized)
+    square, _ = MisfitSearch(held, label, known, 5).misfits()
+    assert max(np.abs(square.size) / np.array(square.standard_errors)) > 3
+    assert square.after_mg < 0.8 * square.before_mg and square.found is enough
+
+
+def test_verdicts_4_no_axis_beyond_its_standard_errors_is_no_misfit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other conditions imply two standard errors in all cases that were tried, so more are asked for here."""
+    held = worn(3, 25, 40, bend=0.02)
+    square = misfits(held)["quadratic"]
+    certain = max(np.abs(square.size) / np.array(square.standard_errors))
+    monkeypatch.setattr(misfit, "SURE", certain * 1.01)
+    assert square.found and not found(held)
+    monkeypatch.setattr(misfit, "SURE", certain * 0.99)
+    assert "quadratic" in found(held)
+
+
+def test_verdicts_4_a_bend_of_less_than_3_mg_is_not_told() -> None:
+    square = misfits(worn(0, 40, 40, bend=0.003, noise_g=0.0003))["quadratic"]
+    assert 1 < square.largest_mg < 3 and square.after_mg < 0.5 * square.before_mg and not square.found
+
+
+def test_verdicts_4_a_fall_that_may_be_chance_is_no_misfit() -> None:
+    square = misfits(worn(25, 12, 40, bend=0.006))["quadratic"]
+    assert square.after_mg < 0.75 * square.before_mg and square.largest_mg > 4 and not square.found
+
+
+def test_verdicts_4_a_small_share_of_the_error_is_no_misfit() -> None:
+    lengths = 1 + 0.005 * np.random.RandomState(13).standard_normal((len(POSES), 1))
+    straight = measured(NINE, POSES * lengths)
+    square = misfits(of(straight + 0.4 * SQUARE * straight**2))["quadratic"]
+    assert 0.86 < square.after_mg / square.before_mg < 0.9 and square.largest_mg > 4 and not square.found
 
 
 def sphere(held: PointSet) -> tuple[SphereError, float]:
