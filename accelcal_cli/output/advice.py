@@ -31,6 +31,10 @@ MILD = ("sides_unchecked",)
 """Codes of cautions that a good result may have."""
 
 
+EXPLANATIONS = ("axes_alike", "axis_stuck", "gravity_is_zero", "rest_scatters")
+"""Codes of notes on values that no orientation would mend."""
+
+
 def completed(report: dict[str, Any], judgement: Judgement) -> dict[str, Any]:
     """Return a report with all its cautions, its advice and its message."""
     view = report_view(report)
@@ -153,17 +157,17 @@ def _unchecked_poses(report: ReportView) -> list[Reason]:
 
 
 def _advice(report: ReportView, notes: tuple[Reason, ...]) -> tuple[Reason, ...]:
-    """Return what else helps a refused recording; nothing where the notes explain its values."""
+    """Return what else helps a refused recording; nothing for poses, or where a note explains its values."""
     health, cells = report.file_health, report.coverage.cells
     damaged = report.reason == "damaged" or (
         not report.reason and (health.lost_percent or 0) > report.setting("max_damage_percent", 100)
     )
-    if report.outcome != Outcome.REFUSED or damaged:
+    if report.outcome != Outcome.REFUSED or damaged or report.poses is not None:
         return ()
     if health.rest and not RIGHT_G[0] < health.rest.median_g < RIGHT_G[1]:
         return (Reason("check_unit"),)
     points = report.settings.get("input", {}).get("format") == "points"
-    if not cells and (notes or points):
+    if any(note.code in EXPLANATIONS for note in notes) or (points and not cells):
         return ()
     if report.settings.get("profile") == PAPER.profile and report.reason != "subsets_not_full":
         return ()  # its sets are full: more orientations would not be used

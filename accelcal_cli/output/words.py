@@ -231,6 +231,8 @@ def _changed(values: Values) -> str:
     text = f"The sensor changed during the recording: {what}, by up to {values['size_mg']:.1f} mg."
     if values.get("followed") is None:
         return text
+    if "followed" not in values:  # in a study's table
+        return text
     if values["followed"]:
         return f"{text} The calibration follows it."
     return (
@@ -281,7 +283,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
         + (f" (typically {values['median_g']:.3g} g)." if "median_g" in values else ".")
     ),
     "nothing_but_filled": "No still window was found: {filled_percent:.1f} % of the samples are filled, "
-    "such as rows of zeros; the device did not measure then.",
+    "such as rows of zeros. The device did not measure then.",
     "nothing_near_quietest": "No other window comes near the quietest one of the recording.",
     "constant_values": "Every still window holds a single constant value: the sensor was probably off or "
     "asleep.",

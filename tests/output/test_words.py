@@ -13,6 +13,7 @@ import pytest
 import accelcal_cli
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
+from accelcal_cli.output.study_words import DEVICES, changed
 from accelcal_cli.output.words import (
     OUTCOMES,
     SENTENCES,
@@ -118,6 +119,11 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "check_unit": [{}],
     "constant_values": [{}],
     "copy_again": [{}],
+    "cut_short": [
+        {"missing_bytes": None, "missing_percent": None},
+        {"missing_bytes": 2841600, "missing_percent": None},
+        {"missing_bytes": 2841600, "missing_percent": 49.87},
+    ],
     "damaged": [{"lost_percent": 61.53, "lost_bytes": 1234567, "limit_percent": 50.0}],
     "donor": [{"path": "a.cwa", "why": {"code": "not_less", "values": HERE}}],
     "earlier_verdict": [
@@ -128,6 +134,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "factory_calibration_differs": [{"applied_here": here} for here in (False, True)],
     "few_orientations_differ_in_temperature": [{}],
     "few_still_stretches": [{}],
+    "filled_share": [{"filled_percent": 12.5, "filled_samples": 1234}],
     "fit_diverges": [{}],
     "gravity_is_zero": [{"of": "rest"}, {"of": "samples"}],
     "gravity_still_off": [{"after_deg": 12.5}],
@@ -156,6 +163,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "not_determined": [{}],
     "not_less": [HERE],
     "not_tried": [{"message": "it is the same recording"}],
+    "nothing_but_filled": [{"filled_percent": 95.5}],
     "nothing_checks_poses": [{}],
     "nothing_held_out": [{}],
     "nothing_measured": [{"seconds": 5.0}],
@@ -267,10 +275,12 @@ def constants(argument: ast.expr) -> Iterator[str]:
         yield from (code for value in argument.values for code in constants(value))
 
 
-def emitted() -> Iterator[tuple[str, set[str], bool]]:
+def emitted(pattern: str = "**/*.py", without: str = "devices") -> Iterator[tuple[str, set[str], bool]]:
     """Find each code that is emitted, the names of the values given with it, and whether there are more."""
-    for path in Path(accelcal_cli.__file__).parent.rglob("*.py"):
-        tree = ast.parse(path.read_text())
+    for path in sorted(PACKAGE.glob(pattern)):
+        if path.parent == PACKAGE / without:
+            continue
+        tree = ast.parse(path.read_text(encoding="utf-8"))
         imported = {
             name.name
             for node in ast.walk(tree)
@@ -291,12 +301,15 @@ def emitted() -> Iterator[tuple[str, set[str], bool]]:
                 yield from ((code, set(), False) for one in node.args[1:2] for code in constants(one))
 
 
+PACKAGE = Path(accelcal_cli.__file__).parent
 REASONS_FROM = ("accelcal_cli.core.reasons", "accelcal_cli.core.results")
 EMITTED = sorted(emitted(), key=str)
 
 
 def test_every_code_has_a_sentence_and_every_sentence_a_code() -> None:
     codes = {code for code, _, _ in EMITTED}
+    of_devices = {code for code, _, _ in emitted("devices/*.py", without="")}
+    assert of_devices <= DEVICES.keys() and not DEVICES.keys() & codes
     assert codes - SENTENCES.keys() == set(), "no sentence"
     assert SENTENCES.keys() - codes == set(), "never emitted"
     assert SENTENCES.keys() == EXAMPLES.keys(), "no example, or one too many"
@@ -345,6 +358,13 @@ def test_a_sentence_shows_its_values() -> None:
 )
 def test_a_reason_that_no_sentence_fits_is_shown_by_its_code(code: str, values: dict[str, Any]) -> None:
     assert sentence(Reason(code, values)) == code
+
+
+def test_a_study_s_table_says_how_a_sensor_changed() -> None:
+    text = (
+        "The sensor changed during the recording: its offsets jump at 2025-01-10T14:00:00, by up to 40.0 mg."
+    )
+    assert changed("step", "2025-01-10T14:00:00.000000", 40.0) == text
 
 
 def test_text_from_a_file_stays_on_its_line() -> None:

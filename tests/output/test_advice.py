@@ -1,0 +1,317 @@
+"""Cautions and advice that follow from a report, and how earlier reports get them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.results import Coverage, Judgement, Outcome
+from accelcal_cli.output.advice import advice, cautions, completed, doubts, is_doubtful, page_verdict
+from accelcal_cli.output.report_reading import read_document
+from accelcal_cli.output.report_view import ReportView, report_view
+from accelcal_cli.output.words import message
+from tests.device_recordings import donor
+from tests.schema import check_report
+
+ERROR = {
+    "mean": 1.2,
+    "ci95": [0.8, 2.0],
+    "worst_direction": 2.5,
+    "worst_direction_at": [0, 0, 1],
+    "before": 31,
+}
+SUMMARY = {"mean": 1.0, "median": 1.0, "p95": 2.0}
+HOLDOUT = {
+    "method": "5 folds",
+    "points": 60,
+    "postures": 40,
+    "before_mg": SUMMARY | {"mean": 30.0},
+    "after_mg": SUMMARY,
+    "improvement_percent": 3000.0,
+    "ci95_mg": [0.8, 1.2],
+}
+COVERED = {
+    "subsets": [[2] * 3] * 3,
+    "axis_min_g": [-1.0] * 3,
+    "axis_max_g": [1.0] * 3,
+    "cells": 60,
+    "condition_number": 2.0,
+    "distinct_orientations": 40,
+}
+HEALTH = {
+    "problems": [],
+    "filled_samples": 0,
+    "clipped_samples_before": 0,
+    "clipped_samples_after": 0,
+    "rate_hz_measured": 25.0,
+    "rest": {"median_g": 1.02},
+}
+CALIBRATION = {
+    "model": "9",
+    "gain": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "offset_g": [0, 0, 0],
+    "parameters": {},
+    "temperature": None,
+    "optimizer": {"name": "fixed32"},
+    "gravity": {"local_g": 1.0},
+}
+BASE = {
+    "accelcal_version": "0.3.0",
+    "recording": {"path": "a.bin", "sha256": "", "bytes": 1, "format": "raw"},
+    "settings": {"max_error_mg": 10.0, "min_postures": 9, "coverage_g": 0.3, "max_damage_percent": 50.0},
+    "outcome": "calibrated",
+    "message": "",
+    "calibration": CALIBRATION,
+    "holdout": HOLDOUT,
+    "fit": {"windows": {"used": 100}},
+    "coverage": COVERED,
+    "models_tried": [],
+    "file_health": HEALTH,
+    "reason": "not_determined",
+    "calibration_error_mg": ERROR,
+}
+
+
+def of(**changed: Any) -> ReportView:
+    """A good report with some sections changed."""
+    return report_view(BASE | changed)
+
+
+def refused(**changed: Any) -> ReportView:
+    return of(**{"outcome": "refused", "calibration": None, "calibration_error_mg": None} | changed)
+
+
+def codes(reasons: tuple[Reason, ...]) -> list[str]:
+    return [one.code for one in reasons]
+
+
+def test_nothing_speaks_against_a_good_result() -> None:
+    assert cautions(of()) == advice(of()) == ()
+    assert not is_doubtful(of()) and page_verdict(of()).level == "good"
+
+
+@pytest.mark.parametrize("outcome", ["borrowed", "provisional"])
+def test_some_outcomes_are_doubtful_in_themselves(outcome: str) -> None:
+    assert is_doubtful(of(outcome=outcome))
+    assert page_verdict(of(outcome=outcome)).level == "care"
+
+
+@pytest.mark.parametrize(
+    ("high", "before", "found"),
+    [
+        (None, 5.0, []),
+        (9.9, 31.0, []),
+        (10.0, 31.0, ["error_may_reach"]),
+        (9.9, 9.9, ["no_better_than_raw"]),
+        (12.0, 9.9, ["error_may_reach", "no_better_than_raw"]),
+        (12.0, None, ["error_may_reach"]),
+    ],
+)
+def test_what_an_interval_says(high: float | None, before: float | None, found: list[str]) -> None:
+    assert [one.code for one in doubts(high, before)] == found
+
+
+def test_the_interval_is_that_over_all_orientations_or_else_that_of_the_hold_out() -> None:
+    wide = ERROR | {"ci95": [1.0, 12.5]}
+    held_out = HOLDOUT | {"ci95_mg": [0.8, 12.5]}
+    assert cautions(of(calibration_error_mg=wide)) == (
+        Reason("error_may_reach", {"high_mg": 12.5, "everywhere": True}),
+    )
+    assert cautions(of(calibration_error_mg=None, holdout=held_out)) == (
+        Reason("error_may_reach", {"high_mg": 12.5, "everywhere": False}),
+    )
+    lenient = {"max_error_mg": 20.0}
+    assert cautions(of(calibration_error_mg=wide, settings=lenient)) == (), "the limit is the settings'"
+    assert cautions(refused(calibration_error_mg=wide)) == (), "nothing is calibrated"
+    as_good = ERROR | {"ci95": [1.0, 3.0], "before": 2.0}
+    assert codes(cautions(of(calibration_error_mg=as_good))) == ["no_better_than_raw"]
+    assert cautions(of(calibration_error_mg=as_good, outcome="already_good")) == ()
+
+
+def test_a_side_that_was_not_seen_is_a_mild_caution() -> None:
+    found = of(coverage=COVERED | {"axis_min_g": [-1.0, -1.0, -0.29], "axis_max_g": [1.0, 0.3, 1.0]})
+    assert cautions(found) == (Reason("sides_unchecked", {"sides": ["-z"]}),)
+    assert not is_doubtful(found)
+
+
+@pytest.mark.parametrize(("rolls", "code"), [((), "nothing_checks_poses"), ((1,), "roll_alone_checks_poses")])
+def test_poses_that_nothing_checks(rolls: tuple[int, ...], code: str) -> None:
+    level = {"before": {"mean": 1.0, "sd": 2.0}, "after": None}
+    section = {
+        "orientations": 4,
+        "holdout_vector_mg": None,
+        "unchecked": "nothing_held_out",
+        "rolls": [{"axis": "x", "start_s": 0.0, "end_s": 1.0, "level_mg": level} for _ in rolls],
+    }
+    assert code in codes(cautions(of(known_orientations=section)))
+    assert code not in codes(cautions(refused(known_orientations=section)))
+
+
+def test_what_a_report_says_is_not_found_again() -> None:
+    given = [{"code": "worse_here", "values": {}}]
+    report = of(cautions=given, advice=[], calibration_error_mg=ERROR | {"ci95": [1.0, 12.5]})
+    assert cautions(report) == (Reason("worse_here"),)
+    assert advice(refused(cautions=[], advice=[])) == ()
+
+
+FEW = COVERED | {"distinct_orientations": 5}
+ONE_SIDED = COVERED | {"axis_min_g": [-1.0, -1.0, -0.1]}
+NONE = COVERED | {"cells": 0, "distinct_orientations": 0, "axis_min_g": [0.0] * 3, "axis_max_g": [0.0] * 3}
+
+
+@pytest.mark.parametrize(
+    ("changed", "found"),
+    [
+        ({}, ["other_coefficients"]),
+        ({"coverage": FEW}, ["more_orientations", "other_coefficients"]),
+        ({"coverage": ONE_SIDED}, ["more_orientations", "rest_on_sides", "other_coefficients"]),
+        ({"coverage": NONE}, ["record_again", "other_coefficients"]),
+        ({"coverage": NONE, "reason": "constant_values"}, ["check_sensor", "other_coefficients"]),
+        (
+            {"coverage": NONE, "notes": [{"code": "axes_alike", "values": {}}]},
+            ["record_again", "other_coefficients"],
+        ),
+        ({"file_health": HEALTH | {"rest": {"median_g": 9.81}}}, ["check_unit"]),
+        ({"file_health": HEALTH | {"lost_percent": 50.1}}, ["other_coefficients"]),
+        ({"file_health": HEALTH | {"lost_percent": 50.1}, "reason": "damaged"}, []),
+        ({"file_health": HEALTH | {"lost_percent": 50.1}, "reason": ""}, []),
+        ({"file_health": HEALTH | {"lost_percent": 50.0}, "reason": ""}, ["other_coefficients"]),
+        ({"settings": {"input": {"format": "points"}}, "coverage": FEW}, ["more_orientations"]),
+        ({"settings": {"input": {"format": "points"}}, "coverage": NONE}, []),
+        ({"settings": {"profile": "paper"}, "coverage": FEW}, []),
+        (
+            {"settings": {"profile": "paper"}, "coverage": FEW, "reason": "subsets_not_full"},
+            ["more_orientations", "other_coefficients"],
+        ),
+        ({"poses": [], "coverage": FEW}, []),
+    ],
+)
+def test_advice_by_what_a_refused_recording_lacks(changed: dict[str, Any], found: list[str]) -> None:
+    assert codes(advice(refused(**changed))) == found
+
+
+def test_only_a_refused_recording_needs_advice() -> None:
+    assert advice(of(coverage=FEW)) == ()
+
+
+def judgement(outcome: Outcome, reason: Reason, **given: tuple[Reason, ...]) -> Judgement:
+    nowhere = (0.0, 0.0, 0.0)
+    return Judgement(outcome, reason, Coverage(((0,) * 3,) * 3, nowhere, nowhere, 0, 0), (), **given)
+
+
+def drafted(**changed: Any) -> dict[str, Any]:
+    """A report before its message, cautions and advice are known."""
+    order = ("outcome", "reason", "values", "message", "notes", "cautions", "advice")
+    report = BASE | {"values": {}, "notes": [], "cautions": [], "advice": []} | changed
+    return {name: report[name] for name in (*order, *(key for key in report if key not in order))}
+
+
+def test_completed_keeps_the_order_of_keys_and_all_else() -> None:
+    report = drafted()
+    made = completed(report, judgement(Outcome.CALIBRATED, Reason("not_determined")))
+    assert list(made) == list(report)
+    assert made == report | {"message": "The still windows do not determine it."}
+
+
+def test_completed_has_the_judges_reasons_first_and_each_advice_once() -> None:
+    report = drafted(outcome="refused", calibration=None, coverage=FEW)
+    given = (Reason("record_longer"), Reason.of("more_orientations", orientations=4))
+    verdict = judgement(Outcome.REFUSED, Reason("not_determined"), advice=given)
+    made = completed(report, verdict)
+    assert made["advice"] == [one.as_json() for one in (*given, Reason("other_coefficients"))]
+    saturated = Reason("axis_saturates", {"axis": "z", "at_g": -0.9})
+    wide = drafted(calibration_error_mg=ERROR | {"ci95": [1.0, 12.5]})
+    made = completed(wide, judgement(Outcome.CALIBRATED, Reason("not_determined"), cautions=(saturated,)))
+    assert [one["code"] for one in made["cautions"]] == ["axis_saturates", "error_may_reach"]
+
+
+def test_completed_gives_no_general_advice_where_notes_explain_the_values() -> None:
+    note = Reason("axis_stuck", {"axis": "x", "at_g": 0.03, "others": ["y"], "by_g": [2.0]})
+    learnt = Reason("prior_learnt", {"model": "AX3", "devices": 12, "own": 0})
+    report = drafted(outcome="refused", calibration=None, coverage=NONE)
+    verdict = judgement(Outcome.REFUSED, Reason("not_determined"), notes=(learnt,))
+    assert [one["code"] for one in completed(report, verdict)["advice"]] == [
+        "record_again",
+        "other_coefficients",
+    ]
+    assert (
+        completed(report, judgement(Outcome.REFUSED, Reason("not_determined"), notes=(note,)))["advice"] == []
+    )
+
+
+def test_a_message_follows_from_the_codes_alone(tmp_path: Path) -> None:
+    report = json.loads(donor(tmp_path).read_text())
+    check_report(report)
+    assert report["schema_version"] == 3
+    assert message(report_view(report | {"message": "changed"})) == report["message"]
+    bare = {name: report[name] for name in ("reason", "values", "notes")}
+    assert message(of(**bare)) == report["message"]
+    noted = report | {"notes": [{"code": "windows_repeated", "values": {"windows": 3}}]}
+    text = "3 still windows that repeat earlier ones exactly were left out."
+    assert message(report_view(noted)) == f"{report['message']} {text}"
+
+
+def earlier(report: Mapping[str, Any]) -> dict[str, Any]:
+    """The report as version 0.2.0 wrote it, with a change, a misfit and an axis that saturates."""
+    later = ("reason", "values", "notes", "cautions", "advice", "calibration_error_mg", "rest_scatter_mg")
+    held = {name: value for name, value in report.items() if name not in later}
+    held |= {"schema_version": 2, "accelcal_version": "0.2.0", "sphere_mg": report["calibration_error_mg"]}
+    held["message"] = "model 9: 31.2 mg before, 1.20 mg after on postures it did not see"
+    held["models_tried"] = [
+        {name: value for name, value in one.items() if name != "values"} for one in report["models_tried"]
+    ]
+    simpler = held["without_misalignment"]
+    held["without_misalignment"] = {
+        "sphere_mg" if name == "calibration_error_mg" else name: value for name, value in simpler.items()
+    }
+    held["change"] = {
+        "kind": "step",
+        "unchecked": None,
+        "at": "2024-03-04T16:00:00.000000",
+        "size_mg": 39.5,
+        "offset_mg": [39.5, 0.0, 0.0],
+        "scale_percent": None,
+        "holdout": {"constant_mg": 12.0, "changing_mg": 2.0},
+    }
+    first, *others = held["misfits"]
+    held["misfits"] = [first | {"found": True, "size": [1.0, 2.0, 3.0], "largest_mg": 12.5}, *others]
+    held["coverage"] = held["coverage"] | {"saturated": [{"axis": "z", "at_g": -0.9}]}
+    return held
+
+
+def test_a_report_of_schema_version_2_is_read_and_its_cautions_are_found(tmp_path: Path) -> None:
+    path = donor(tmp_path)
+    old = earlier(json.loads(path.read_text()))
+    path.write_text(json.dumps(old))
+    document = read_document(path)
+    assert document.first == old and document.report["schema_version"] == 3
+    view = report_view(document.report)
+    assert (view.reason, view.cautions, view.advice) == ("", None, None)
+    assert message(view) == old["message"], "as it is"
+    assert view.error_everywhere is not None and view.error_everywhere.mean == old["sphere_mg"]["mean"]
+    changed, misfit, saturated = cautions(view)
+    values = {"kind": "step", "at": "2024-03-04T16:00:00.000000", "size_mg": 39.5, "followed": False}
+    assert changed == Reason("sensor_changed", values | {"constant_mg": 12.0, "changing_mg": 2.0})
+    kind, unit = (old["misfits"][0][name] for name in ("kind", "unit"))
+    assert misfit == Reason.of("misfit", kind=kind, size=[1.0, 2.0, 3.0], unit=unit, largest_mg=12.5)
+    assert saturated == Reason("axis_saturates", {"axis": "z", "at_g": -0.9})
+    verdict = page_verdict(view)
+    assert verdict.level == "care" and verdict.reason == old["message"]
+    assert "its offsets jump at 2024-03-04T16:00:00, by up to 39.5 mg" in " ".join(verdict.to_do)
+
+
+def test_a_refused_report_of_schema_version_2_gets_its_advice(tmp_path: Path) -> None:
+    path = donor(tmp_path)
+    old = earlier(json.loads(path.read_text())) | {"outcome": "refused", "calibration": None}
+    old |= {"message": "stillness in only 5 postures, at least 6 are needed; record longer"}
+    old["coverage"] = old["coverage"] | {"distinct_orientations": 5}
+    path.write_text(json.dumps(old))
+    view = report_view(read_document(path).report)
+    assert message(view) == old["message"]
+    assert codes(advice(view)) == ["more_orientations", "other_coefficients"]
+    assert page_verdict(view).level == "bad"
