@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.reasons import Reason
-from accelcal_cli.output.words import Values, mg, sentence, with_error
+from accelcal_cli.output.words import Values, begun_small, mg, sentence, with_error
 
 DEVICES = {
     "two_sensors": "{label} differs by {size} between {paths[0]} and {paths[1]}: two sensors under one "
@@ -47,6 +47,19 @@ def _parts(values: Values) -> Values:
     parts["elsewhere"] = "" if usual is None else f" (other devices: {usual:.0f} %)"
     parts["best"] = "" if high is None else f": the best recording may be {mg(high)} mg off"
     return {**parts, "dates": [(start or "")[:10] for start in values.get("starts", ())]}
+
+
+KEPT = {
+    "not_pooled": "Not pooled",
+    "borrowed_nothing": "Borrowed nothing",
+    "prior_not_learnt": "Kept with the prior of the population",
+}
+"""Why a recording keeps its own result although a later round was to replace it, by code."""
+
+
+def kept(message: str, code: str, why: str) -> str:
+    """Add to a message why its result stays."""
+    return f"{message} {KEPT[code]}: {begun_small(why)}"
 
 
 def copied(first: str) -> str:

@@ -153,7 +153,7 @@ class BorrowTask(ReplacementTask):
 
     donors: tuple[tuple[str, Path], ...]
     round: ClassVar[str] = BORROW
-    refusal: ClassVar[str] = "Borrowed nothing"
+    refusal: ClassVar[str] = "borrowed_nothing"
 
     def is_current(self, entry: Entry) -> bool:
         """See `RoundTask`; if nothing was accepted, all donors must have been tried."""

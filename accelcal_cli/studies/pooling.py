@@ -132,7 +132,7 @@ def make_pool(task: PoolTask, report_progress: ProgressCallback) -> TaskResult:
     for member, before in zip(task.members, task.stamps, strict=True):
         check_unchanged(member.path, before)
     save_report(task.item.job.report, with_provenance(report, request.command))
-    return TaskResult(task.entry({"outcome": report["outcome"], "message": report["message"]}))
+    return TaskResult(task.entry({name: report[name] for name in ("outcome", "reason", "message")}))
 
 
 def remove_pools(out: Path, keep: Collection[str]) -> None:
@@ -159,7 +159,7 @@ class PooledTask(ReplacementTask):
 
     report: Path
     round: ClassVar[str] = POOLED
-    refusal: ClassVar[str] = "Not pooled"
+    refusal: ClassVar[str] = "not_pooled"
 
 
 def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:

@@ -246,7 +246,7 @@ class PriorTask(ReplacementTask):
 
     learnt: LearntPrior
     round: ClassVar[str] = PRIOR
-    refusal: ClassVar[str] = "Kept with the prior of the population"
+    refusal: ClassVar[str] = "prior_not_learnt"
 
 
 def _learning(study: Study, standing: Mapping[str, RecordingState]) -> Learning:

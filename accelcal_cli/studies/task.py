@@ -20,7 +20,7 @@ from accelcal_cli.core.errors import (
 )
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.system import keep_freed_memory
-from accelcal_cli.output.words import begun_small
+from accelcal_cli.output.study_words import kept
 from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.pipeline.jobs import FileStamp, Job, Progress, Request, Result, file_stamp
 from accelcal_cli.pipeline.outputs import applied_by_hand
@@ -177,7 +177,7 @@ class ReplacementTask:
         own: entry of its own result.
         inputs: hashes of its own result and of all else that decides, in the order of use.
         round: name of the round in its entries.
-        refusal: text in a row's message before the reason why the own result stays.
+        refusal: code among a row's cautions where the own result stays.
     """
 
     item: Item
@@ -221,8 +221,10 @@ class ReplacementTask:
         return Entry(item.name, item.stamps, self.common.asked, row, outputs, again, self.round, used)
 
     def kept(self, why: str) -> dict[str, Any]:
-        """Return the own result's row, with the reason why it stays, in sentences."""
-        return {**self.own_row, "message": f"{self.own_row['message']} {self.refusal}: {begun_small(why)}"}
+        """Return the own result's row, with the code and the sentences that say why it stays."""
+        row = self.own_row
+        cautions = " ".join(filter(None, (row["cautions"], self.refusal)))
+        return {**row, "cautions": cautions, "message": kept(row["message"], self.refusal, why)}
 
     def result(
         self, result: Result, row: dict[str, Any], inputs: tuple[str, ...] | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -71,7 +72,7 @@ def test_the_nearest_one_lends_and_the_error_is_that_of_the_recordings_own_windo
     row = line(out, "short.raw")
     assert (row["outcome"], row["exit_code"], row["borrowed_from"]) == ("borrowed", "0", "good/near.raw")
     assert (row["own_outcome"], row["own_after_mg"]) == ("refused", "")
-    assert row["own_message"].startswith("stillness in only ")
+    assert row["own_message"].startswith("The device was still in only ")
     assert row["parquet"] == "short.calibrated.parquet" and (out / row["parquet"]).exists()
 
 
@@ -94,7 +95,7 @@ def test_another_device_or_an_unknown_one_lends_nothing(out: Path, plain: Path) 
 
 
 @pytest.mark.parametrize(
-    ("name", "why"), [("perfect", "which is no less"), ("swapped", "10 mg is the limit")]
+    ("name", "why"), [("perfect", "which is no less"), ("swapped", "the limit is 10 mg")]
 )
 def test_coefficients_that_make_it_worse_are_refused_and_the_own_result_stays(
     folder: Path, out: Path, plain: Path, name: str, why: str
@@ -103,12 +104,16 @@ def test_coefficients_that_make_it_worse_are_refused_and_the_own_result_stays(
     assert {**report(out, name), "provenance": 0} == {**own, "provenance": 0}
     row = line(out, path.name)
     assert (row["outcome"], row["borrowed_from"], row["exit_code"]) == ("refused", "", "4")
-    said = row["message"].removeprefix(own["message"] + "; borrowed nothing: ").split("; ")
+    assert row["cautions"].split()[-1] == "borrowed_nothing"
+    said = row["message"].removeprefix(own["message"] + " Borrowed nothing: w").split(" W")
     for lender, part in zip(("near", "late", "far"), said, strict=True):
         before, after, postures = own_errors_mg(path, report(out, f"good/{lender}")["calibration"])
         assert after > 10
-        told = f"{before:.1f} mg become {after:.2f} mg on {postures} postures, {why}"
-        assert part == f"with the coefficients of {folder}/good/{lender}.raw, {told}"
+        start = f"ith the coefficients of {folder}/good/{lender}.raw: "
+        assert part.startswith(start) and part.endswith(f"{why}.")
+        told = re.match(r"([\d.]+) mg become ([\d.]+) mg in (\d+) orientations", part.removeprefix(start))
+        assert told is not None
+        assert [float(one) for one in told.groups()] == pytest.approx([before, after, postures], abs=0.06)
 
 
 def test_the_table_says_so_and_a_rerun_does_nothing(folder: Path, out: Path, capsys: Capture) -> None:

@@ -63,7 +63,7 @@ def test_a_pool_and_its_members_are_not_made(tmp_path: Path) -> None:
     first, second = pooled_tasks(study, held)
     grow(one)
     found = pooled(first, told).entry.row
-    assert found is not None and "not pooled" in found["message"] and SAID in found["message"]
+    assert found is not None and "not_pooled" in found["cautions"] and SAID in found["message"]
     assert (tmp_path / "out/one.calibrated.parquet").read_bytes() == own
     assert pooled(second, told).entry.row["pool_recordings"] == 2
     failed = make_pool(task, told).entry.row

@@ -61,7 +61,8 @@ def test_a_recording_that_contradicts_the_others_is_left_out(tmp_path: Path, pri
     row = rows(tmp_path / "out")[3]
     assert (row["path"], row["outcome"], row["pool"]) == ("swapped.raw", "refused", "")
     own = report(tmp_path / "out", "swapped")["message"]
-    assert row["message"] == f"{own}; not pooled: left out of the pool: {odd['reason']}"
+    assert odd["reason"] == "worse_than_usual" and row["cautions"].split()[-1] == "not_pooled"
+    assert row["message"].startswith(f"{own} Not pooled: it was left out of the pool: ")
     assert study(tmp_path, "--prior", prior, "--exclude", "swapped*", out="without").code == 0
     assert pool_of(tmp_path / "without")["calibration"] == made["calibration"]
 
@@ -71,7 +72,7 @@ def test_two_that_contradict_each_other_are_no_pool(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     write_device(tmp_path / "in/a.raw", rest(directions(120))[0])
     write_device(tmp_path / "in/b.raw", perfect())
-    assert "not pooled: its recordings contradict each other (in/b.raw: " in study(tmp_path).err
+    assert "not pooled: The recordings of the pool contradict each other" in study(tmp_path).err
     assert [row["outcome"] for row in rows(tmp_path / "out")] == ["calibrated", "refused"]
 
 

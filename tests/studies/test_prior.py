@@ -29,7 +29,7 @@ Capture = pytest.CaptureFixture[str]
 FEW = directions(12)[directions(12)[:, 2] > 0.2][:5]
 GOOD = "ABCDE"
 KINDS = dict.fromkeys([*GOOD, "far"], "population") | {"few1": "device", "few2": "study"}
-UNLIKE = "its points speak against what other recordings say of its sensor"
+UNLIKE = "its still windows contradict what other recordings say of its sensor."
 
 
 def study(here: Path, prior: str, *words: object, out: str = "out", jobs: int = 2) -> Ran:
@@ -97,20 +97,22 @@ def test_the_report_says_what_was_learnt_and_from_whom(base: Path) -> None:
     hashes = sorted(report(base / "out", name)["recording"]["sha256"] for name in GOOD)
     digest = hashlib.sha256("".join(hashes).encode()).hexdigest()
     assert said["model"] == {"name": "M1", "devices": 5, "recordings": 5, "sha256": digest}
-    assert found["message"].endswith("; prior learnt from 5 other devices of model M1")
+    assert found["message"].endswith(" The prior was learnt from 5 other devices of model M1.")
     assert np.abs(np.subtract([said["centre"][name] for name in ("ox", "oy", "oz")], OFFSET_G)).max() < 0.006
     of_device = report(base / "out", "few1")
     check_report(of_device)
     donor = report(base / "out", "A")["recording"]["sha256"]
     assert of_device["prior"]["device"] == [{"path": "A.raw", "sha256": donor}]
-    assert of_device["message"].endswith("; prior learnt from 1 other recording of the device")
+    assert of_device["message"].endswith(" The prior was learnt from 1 other recording of the device.")
     assert all("prior" not in report(base / "out", name) for name in ("far", *GOOD))
 
 
 def test_a_sensor_unlike_the_others_keeps_its_own_result(base: Path) -> None:
     """200 mg from them all, and five postures say so."""
     message = report(base / "out", "far")["message"]
-    assert of(base / "out")["far"]["message"] == f"{message}; kept with the prior of the population: {UNLIKE}"
+    row = of(base / "out")["far"]
+    assert row["message"] == f"{message} Kept with the prior of the population: {UNLIKE}"
+    assert row["cautions"].split()[-1] == "prior_not_learnt"
 
 
 def test_verify_repeats_it_from_report_and_recording_alone(
