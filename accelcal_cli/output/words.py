@@ -317,8 +317,12 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "not_less": "{before_mg:mg} mg become {after_mg:mg} mg in {orientations:n orientation}, which is no "
     "less.",
     "own_is_no_worse": lambda values: (
-        ("No error" if values["after_mg"] is None else f"{mg(values['after_mg'])} mg")
-        + f" instead of its own {mg(values['own_mg'])} mg is no less beyond the uncertainty."
+        f"Its own calibration leaves {mg(values['own_mg'])} mg, and "
+        + (
+            "nothing tells what these coefficients would leave."
+            if values["after_mg"] is None
+            else f"these coefficients {mg(values['after_mg'])} mg, no less beyond the uncertainty."
+        )
     ),
     "not_tried": "It could not be tried ({message}).",
     "donor": "With the coefficients of {path}: {why}",
@@ -353,7 +357,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "windows_repeated": "{windows:n still window} that repeat earlier ones exactly were left out.",
     "own_coefficients": "These are the recording's own coefficients.",
     "other_device": "This recording's device is {serial}.",
-    "other_model": "This recording's device is a {model} of the same serial.",
+    "other_model": "This recording's device is of model {model}, with the same serial.",
     "other_counts_per_g": "The recording has {here:.10g} counts per g, that of the coefficients "
     "{there:.10g}.",
     "factory_calibration_differs": lambda values: (
@@ -431,7 +435,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "use_options": "Use {options}, which calibrates this recording.",
     "use_optimizer": "Use --optimizer {optimizer}: the points are good enough for it.",
     "use_default_profile": "Use --profile default, which needs no full subsets.",
-    "copy_again": "The file is cut short: copy it again from the device.",
+    "copy_again": "Copy the file again from the device.",
     "allow_damage": "To use what is left, allow more damage with --max-damage.",
     "rest_on_faces": "Rest the device exactly on its faces, on a level surface.",
     "check_references": "Check the references and their times.",

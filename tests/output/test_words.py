@@ -369,3 +369,21 @@ def test_a_study_s_table_says_how_a_sensor_changed() -> None:
 
 def test_text_from_a_file_stays_on_its_line() -> None:
     assert "\n" not in sentence(Reason("other_device", {"serial": "A\n1"}))
+
+
+def documented_row(code: str) -> str:
+    """The row of docs/reasons.md on a code: the sentence of its last example, and all names of its values."""
+    examples = EXAMPLES[code]
+    text = sentence(Reason(code, examples[-1])).replace("|", r"\|")
+    names = dict.fromkeys(name for one in examples for name in one)
+    return f"| `{code}` | {text} | {' '.join(f'`{name}`' for name in names)} |".replace("  |", " |")
+
+
+def test_every_code_is_documented() -> None:
+    """Put the rows that are missing here into docs/reasons.md, in the order of the alphabet."""
+    lines = (PACKAGE.parent / "docs" / "reasons.md").read_text(encoding="utf-8").splitlines()
+    table = lines[lines.index("| code | as a sentence | values |") :]
+    rows = [line for line in table if line.startswith("| `")]
+    expected = [documented_row(code) for code in sorted(SENTENCES)]
+    assert set(expected) - set(rows) == set(), "missing"
+    assert rows == expected
