@@ -108,6 +108,7 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
         *_values(shown["values"]),
         f"  problems     {'; '.join(problems) or 'none found'}",
         f"  damage       {shown['file_health']['lost_percent']:g} % of what was read is lost",
+        *_filled(inspection),
         f"  clock        {_clock(shown['file_health']['clock'])}",
         f"  prediction   {shown['prediction']['outcome']}: {shown['prediction']['message']}",
     ]
@@ -130,6 +131,12 @@ def _values(values: dict[str, Any] | None) -> list[str]:
             f"  at rest      |a| {low:.3f} to {high:.3f} g in nine windows of ten, median {middle:.3f} g"
         ]
     return lines
+
+
+def _filled(inspection: Inspection) -> list[str]:
+    """Write a line about samples that were not measured; none without any."""
+    filled, samples = inspection.facts.counts.filled_samples, inspection.facts.samples
+    return [f"  filled       {100 * filled / samples:.3g} % of the samples that were read"] if filled else []
 
 
 def _known(text: str, value: float | None) -> str:

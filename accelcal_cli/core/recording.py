@@ -175,6 +175,8 @@ class Recording:
         factory: the maker's calibration, if the reader applied one: counts are calibrated by it.
         companion: another file that says how to read the recording, such as a layout.
         calibrated: origin of a file of ours with calibrated values.
+        zero_counts: counts of a row whose numbers in the file are all zero; not 0 where its reader takes away
+            offsets.
         notes: what a user should know about how the file was understood.
     """
 
@@ -196,6 +198,7 @@ class Recording:
     factory: FactoryCalibration | None = None
     companion: Path | None = None
     calibrated: Calibrated | None = None
+    zero_counts: tuple[int, int, int] = (0, 0, 0)
     notes: tuple[str, ...] = ()
 
     @property
@@ -312,6 +315,12 @@ class Chunk:
             **cut_columns(self, CHANNELS, np.arange(len(self))),
             clock=StampClock(self.time_us.copy()) if long else self.clock,
         )
+
+
+def first_row(counts: Counts) -> tuple[int, int, int]:
+    """Return the first row of counts (n, 3)."""
+    x, y, z = counts[0].tolist()
+    return x, y, z
 
 
 def in_columns(chunk: Chunk) -> Chunk:

@@ -190,16 +190,21 @@ def _health(report: ReportView) -> PageTable:
     facts = [
         ("Problems found", str(len(health.problems))),
         (
-            "Lost to damage",
+            "Lost to damage or missing",
             None if lost is None else f"{number(lost)} % ({counted(health.lost_bytes or 0, 'byte')})",
         ),
         ("Gaps", f"{gaps}, {number(gap_s)} s in all" if gap_s else gaps),
-        ("Filled samples", str(health.filled_samples)),
+        ("Filled samples", _share(health.filled_samples, report.recording.samples)),
         ("Samples at the sensor's range", str(health.clipped_samples_before)),
         ("Measured rate", None if rate is None else f"{number(rate, 6)} Hz"),
         ("Drift of the clock", None if drift is None else f"{number(drift)} s per day"),
     ]
     return PageTable("The file", ["", ""], [[name, value] for name, value in facts if value is not None])
+
+
+def _share(part: int, whole: int) -> str:
+    """Write a number of samples with its share of all."""
+    return f"{part} ({number(100 * part / whole)} %)" if part and whole else str(part)
 
 
 def _windows(report: ReportView) -> PageTable:

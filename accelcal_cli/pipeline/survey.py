@@ -168,7 +168,7 @@ class MarkingReader(Reader):
         self.reader.close()
 
     def _marked(self, chunks: Iterable[Chunk]) -> Iterator[Chunk]:
-        marks = ZeroRuns(self.recording.rate_hz)
+        marks = ZeroRuns(self.recording)
         for chunk in chunks:
             yield from marks.add(with_clipping(chunk, self.recording))
         yield from marks.finish()
@@ -179,7 +179,7 @@ class MarkingIntake(Intake):
 
     def __init__(self, intake: Intake, recording: Recording) -> None:
         self._intake, self._recording = intake, recording
-        self._zeros = ZeroRuns(recording.rate_hz)
+        self._zeros = ZeroRuns(recording)
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
         """See `Intake`."""
@@ -190,14 +190,15 @@ class MarkingIntake(Intake):
 
 
 class ZeroRuns:
-    """Marks long runs of rows that are exactly 0, 0, 0 as filled, wherever chunks end.
+    """Marks long runs of rows that are exactly 0, 0, 0, in counts or in the file, wherever chunks end.
 
     A device that sleeps, or software that lacks samples, writes such rows. A chunk that ends in a run that
     may still become long enough waits for the next ones.
     """
 
-    def __init__(self, rate_hz: float) -> None:
-        self._least = max(LEAST_ZEROS, ceil(ZERO_RUN_S * rate_hz))
+    def __init__(self, recording: Recording) -> None:
+        self._least = max(LEAST_ZEROS, ceil(ZERO_RUN_S * recording.rate_hz))
+        self._zeros = {(0, 0, 0), recording.zero_counts}
         self._waiting: list[tuple[Chunk, int]] = []
         self._run = 0
 
@@ -206,7 +207,7 @@ class ZeroRuns:
         if not len(chunk):
             yield from self._passed(chunk, 0 if self._waiting else None)
             return
-        starts, ends = zero_runs(chunk.counts, self._least)
+        starts, ends = zero_runs(chunk.counts, self._least, self._zeros)
         lengths = ends - starts
         leads, trails = (bool(len(ends)) and there for there in (starts[:1] == 0, ends[-1:] == len(chunk)))
         if leads:
@@ -235,27 +236,39 @@ class ZeroRuns:
             yield _filled(chunk, np.array([start]), np.array([len(chunk)])) if filled else chunk
 
 
-def zero_runs(counts: NDArray[Any], least: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return where runs of 0, 0, 0 begin and end; none if no run of `least` rows can be among them.
+def zero_runs(
+    counts: NDArray[Any], least: int, zeros: Iterable[tuple[int, int, int]] = ((0, 0, 0),)
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return where runs of zeros begin and end; none if no run of `least` rows can be among them.
 
     A run that long holds one of each `least` rows; a shorter one that matters reaches the first or last row.
+
+    Args:
+        zeros: rows that count as such.
     """
     looked = counts[::least], counts[-1:]
-    if all((x | y | z).all() for x, y, z in (rows.T for rows in looked)):
+    if not any(_equal(rows, row).any() for rows in looked for row in zeros):
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    x, y, z = counts.T
-    edges = np.flatnonzero(np.diff((x | y | z) == 0, prepend=False, append=False))
+    found = np.logical_or.reduce([_equal(counts, row) for row in zeros])
+    edges = np.flatnonzero(np.diff(found, prepend=False, append=False))
     return edges[::2], edges[1::2]
 
 
+def _equal(counts: NDArray[Any], row: tuple[int, int, int]) -> NDArray[np.bool_]:
+    """Mark the rows (n, 3) that equal one, (n,)."""
+    x, y, z = counts.T
+    equal: NDArray[np.bool_] = (x == row[0]) & (y == row[1]) & (z == row[2])
+    return equal
+
+
 def _filled(chunk: Chunk, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> Chunk:
-    """Return the chunk with the measured rows of some runs marked as filled."""
+    """Return the chunk with the rows of some runs marked as filled, unless they are of a damaged block."""
     if not len(starts):
         return chunk
     edges = np.zeros(len(chunk) + 1, np.int8)
     edges[starts], edges[ends] = 1, -1
     validity = np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity.copy()
-    validity[(np.cumsum(edges[:-1]) > 0) & (validity == Validity.MEASURED)] = Validity.FILLED
+    validity[(np.cumsum(edges[:-1]) > 0) & (validity != Validity.RECOVERED)] = Validity.FILLED
     return replace(chunk, validity=validity)
 
 

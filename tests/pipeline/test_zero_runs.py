@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import importlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from itertools import groupby
 from math import ceil
@@ -15,14 +15,17 @@ import pytest
 
 from accelcal_cli.core.clock import UniformClock, rate_fraction
 from accelcal_cli.core.formats import Format, ReadOptions
-from accelcal_cli.core.recording import Chunk, Problem, Validity, joined
+from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity, joined
 from accelcal_cli.formats import all_formats
 from accelcal_cli.pipeline.survey import MarkingIntake, ZeroRuns, open_marked
+from tests.formats import make_edf, make_geneactiv, make_raw, make_unisens
 from tests.recordings import directions, still_counts, write_csv
 
 RATE_HZ = 50.0
 LEAST = 25
 """Half a second."""
+
+ABOUT = Recording(Path("a"), "raw", RATE_HZ, 256.0, 1)
 
 CHUNK_SAMPLES = (1, 7, 300, 4096)
 
@@ -61,7 +64,7 @@ RUNS = {
 def test_runs_are_exact_wherever_chunks_end(runs: list[tuple[int, int]], size: int) -> None:
     counts = with_zeros(runs)
     chunks = [piece(counts, at, size) for at in range(0, len(counts), size)]
-    marked = [*marks(ZeroRuns(RATE_HZ), chunks)]
+    marked = [*marks(ZeroRuns(ABOUT), chunks)]
     assert [chunk.first_sample for chunk in marked] == [chunk.first_sample for chunk in chunks]
     assert [chunk.problems for chunk in marked] == [chunk.problems for chunk in chunks]
     assert validity(marked) == oracle(counts, LEAST)
@@ -94,7 +97,7 @@ def test_other_marks_stay_and_empty_chunks_keep_their_places() -> None:
     flags = np.zeros(100, np.uint8)
     flags[[5, 20, 60]] = Validity.RECOVERED, Validity.RECOVERED, Validity.CLIPPED
     first, rest = replace(chunk, validity=flags).part(0, 30), replace(chunk, validity=flags).part(30, 100)
-    found = [*marks(ZeroRuns(RATE_HZ), [chunk.part(0, 0), first, first.part(30, 30), rest])]
+    found = [*marks(ZeroRuns(ABOUT), [chunk.part(0, 0), first, first.part(30, 30), rest])]
     assert [len(one) for one in found] == [0, 30, 0, 70]
     whole = joined(found).validity
     assert whole is not None
@@ -106,7 +109,7 @@ def test_other_marks_stay_and_empty_chunks_keep_their_places() -> None:
 def test_a_run_counts_from_half_a_second_and_three_rows_on(rate_hz: float, least: int) -> None:
     for length, marked in ((least - 1, 0), (least, least)):
         counts = with_zeros([(3, length)], length + 10)
-        found = [*marks(ZeroRuns(rate_hz), [piece(counts, 0, len(counts))])]
+        found = [*marks(ZeroRuns(replace(ABOUT, rate_hz=rate_hz)), [piece(counts, 0, len(counts))])]
         assert sum(validity(found)) == marked
 
 
@@ -160,3 +163,53 @@ def test_a_growing_recording_is_marked_as_the_whole_one_is(tmp_path: Path) -> No
                 intake = copy.deepcopy(intake)
         found += intake.take(b"", last=True)
     assert validity(found) == oracle(counts, ceil(0.5 * 25))
+
+
+def of_geneactiv(folder: Path, counts: np.ndarray) -> Path:
+    """A device whose factory has found offsets."""
+    head = make_geneactiv.header(offset=(250, -130, 77), pages=len(counts) // 300)
+    return make_geneactiv.written(folder / "a.bin", make_geneactiv.pages(counts), head)
+
+
+def of_unisens(folder: Path, counts: np.ndarray) -> Path:
+    """Unsigned numbers around 2048."""
+    about = make_unisens.signal("acc.bin", "acc", sampleRate=50, baseline=2048, lsbValue=1 / 256)
+    numbers = np.where(counts.any(axis=1)[:, None], counts + 2048, 0)
+    return make_unisens.folder(
+        folder / "u", make_unisens.description(about), acc=numbers.astype("<i2").tobytes()
+    )
+
+
+def of_raw(folder: Path, counts: np.ndarray) -> Path:
+    """A converter of 12 bits whose middle is 2048, of a sensor whose range is known."""
+    path = make_raw.make(folder, counts, RATE_HZ, 256.0).path
+    numbers = np.where(counts.any(axis=1)[:, None], counts + 2048, 0)
+    path.write_bytes(b"HEADER" + numbers.astype("<u2").tobytes())
+    layout = folder / "dump.layout.toml"
+    layout.write_text(layout.read_text().replace('type = "int16"', 'type = "uint16", zero = 2048'))
+    return path
+
+
+def of_edf(folder: Path, counts: np.ndarray) -> Path:
+    """A digital zero that is not 0 g."""
+    path = make_edf.make(folder, counts, RATE_HZ, 256.0).path
+    data = bytearray(path.read_bytes())
+    at = 256 + 4 * (16 + 80 + 8)  # physical minimum and maximum of the four signals
+    for signal in range(3):
+        for place in (at + 8 * signal, at + 8 * (4 + signal)):
+            shifted = float(data[place : place + 8]) + 0.125
+            data[place : place + 8] = f"{shifted:g}".encode().ljust(8)
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("made", [of_geneactiv, of_unisens, of_raw, of_edf])
+def test_zeros_of_the_file_are_zeros_whatever_their_counts(
+    made: Callable[[Path, np.ndarray], Path], tmp_path: Path
+) -> None:
+    counts = with_zeros([(0, 30), (200, 24), (295, 40), (1100, 100)])
+    with open_marked(made(tmp_path, counts), ReadOptions()) as reader:
+        assert reader.recording.zero_counts != (0, 0, 0)
+        for size in (7, 4096):
+            found = np.array(validity([*reader.chunks(size)]))
+            assert (found == Validity.FILLED).tolist() == [one == 1 for one in oracle(counts, LEAST)]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
-from accelcal_cli.core.recording import CUT_SHORT, Chunk, Problem, Reader, Recording
+from accelcal_cli.core.recording import CUT_SHORT, Chunk, Problem, Reader, Recording, first_row
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.files import PagedFile, RawBlock
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock
@@ -197,5 +197,6 @@ def recording(scheme: FixedPages, header: Header, chosen: ChosenSignals, opening
         duration_s=duration_s,
         has_temperature=opening.first_values.get("temperature_mc") is not None,
         gyro_dps_per_lsb=None if gyro is None else (gyro, gyro, gyro),
+        zero_counts=first_row(chosen.accel.counts([np.zeros(1, np.int16)] * 3, None)),
         notes=tuple(notes),
     )

@@ -18,7 +18,7 @@ import numpy as np
 from accelcal_cli.core.clock import MICROSECONDS, WIDEST_OFFSET_H, iso_time
 from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
-from accelcal_cli.core.recording import Device, Problem, Reader, Recording
+from accelcal_cli.core.recording import Device, Problem, Reader, Recording, first_row
 from accelcal_cli.formats._pages.files import ScannedFile
 from accelcal_cli.formats._pages.pages import GOOD
 from accelcal_cli.formats._pages.reader import PagedReader, PageScheme
@@ -375,6 +375,7 @@ def describe(scheme: TextScheme, header: Header, options: ReadOptions, start_us:
         timezone=header.timezone,
         duration_s=duration_s(scheme, start_us),
         has_temperature=scheme.first_values["temperature_mc"] is not None,
+        zero_counts=first_row(settings.scale.table.T),
     )
 
 

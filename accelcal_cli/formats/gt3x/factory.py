@@ -26,6 +26,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import (
     FLOAT_LSB_PER_G,
     Chunk,
+    Counts,
     FactoryAcceleration,
     FactoryCalibration,
     FactoryTemperature,
@@ -44,6 +45,7 @@ LEAST_COUNTS, MOST_COUNTS = 10.0, 1e6
 
 FARTHEST_OFFSET = 32_768.0
 LARGEST_G = 127.0
+MOST_COUNTS = int(LARGEST_G * FLOAT_LSB_PER_G)
 """Largest calibrated value [g] on the grid; larger ones are cut off there, and marked as clipped."""
 
 COLDEST_C, WARMEST_C = -100.0, 200.0
@@ -215,12 +217,16 @@ def calibrated(chunk: Chunk, factory: FactoryAcceleration, limit: int | None) ->
     """
     if limit is not None:
         chunk = clipped_at(chunk, -limit, limit - 1)
-    x, y, z = (chunk.counts[:, axis] - factory.offset_counts[axis] for axis in range(3))
+    counts = calibrated_counts(chunk.counts, factory)
+    return clipped_at(replace(chunk, counts=counts), -MOST_COUNTS, MOST_COUNTS)
+
+
+def calibrated_counts(raw: Counts, factory: FactoryAcceleration) -> NDArray[np.int32]:
+    """Return raw counts (n, 3) as calibrated ones, `FLOAT_LSB_PER_G` in one g."""
+    x, y, z = (raw[:, axis] - factory.offset_counts[axis] for axis in range(3))
     rows = [[value * FLOAT_LSB_PER_G for value in row] for row in factory.g_per_count]
     steps = [np.rint(x * row[0] + y * row[1] + z * row[2]) for row in rows]
-    most = int(LARGEST_G * FLOAT_LSB_PER_G)
-    counts = np.stack([value.clip(-most, most) for value in steps], axis=1).astype(np.int32)
-    return clipped_at(replace(chunk, counts=counts), -most, most)
+    return np.stack([value.clip(-MOST_COUNTS, MOST_COUNTS) for value in steps], axis=1).astype(np.int32)
 
 
 def temperature_of(calibration_file: CalibrationFile) -> FactoryTemperature | None:

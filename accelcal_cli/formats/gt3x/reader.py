@@ -31,6 +31,7 @@ from accelcal_cli.core.recording import (
     Problem,
     Reader,
     Recording,
+    first_row,
 )
 from accelcal_cli.formats._problems import ProblemLog
 from accelcal_cli.formats.gt3x import records as log
@@ -50,6 +51,7 @@ from accelcal_cli.formats.gt3x.factory import (
     AppliedCalibration,
     CalibrationFiles,
     acceleration_of,
+    calibrated_counts,
     temperature_of,
     temperatures,
 )
@@ -57,6 +59,7 @@ from accelcal_cli.formats.gt3x.records import Key, RecordBatch, Span, batches
 from accelcal_cli.formats.gt3x.sensors import ActivityFile, Imu, Primary, Samples, Schema, Sensor, has_samples
 from accelcal_cli.formats.gt3x.timeline import ChunkPlace, RowSpan, Timeline, chunk_of, cut, groups
 
+ZEROS = np.zeros((1, 3), np.int16)
 IMU = "imu"
 SENSORS = ("accelerometer", IMU)
 START_SAMPLES = 1
@@ -434,6 +437,7 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
         has_temperature=description.has_temperature or beginning.first_mc is not None,
         gyro_dps_per_lsb=description.gyro_dps_per_lsb,
         factory=applied.factory,
+        zero_counts=first_row(ZEROS if uncalibrated is None else calibrated_counts(ZEROS, uncalibrated)),
         notes=description.notes + calibration_files.notes(applied),
     )
     return Gt3xReader(recording, file)

@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Channels, Counts, Device, Problem, Reader, Recording
+from accelcal_cli.core.recording import (
+    FLOAT_LSB_PER_G,
+    Channels,
+    Counts,
+    Device,
+    Problem,
+    Reader,
+    Recording,
+    first_row,
+)
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages import timeline as timelines
 from accelcal_cli.formats._pages.files import PagedFile, RawBlock
@@ -86,6 +95,12 @@ class FrameValues:
     def lsb_per_g(self) -> float:
         """Counts in one g."""
         return FLOAT_LSB_PER_G if self._float_axes else self._layout.lsb_per_g
+
+    @property
+    def zero_counts(self) -> tuple[int, int, int]:
+        """Counts of a frame of zeros."""
+        frames = np.zeros((1, self._layout.frame_bytes), np.uint8)
+        return first_row(self.counts(self.records(frames), np.zeros(1, np.bool_)))
 
     @property
     def dps_per_lsb(self) -> tuple[float, float, float] | None:
@@ -413,5 +428,6 @@ def recording(scheme: FixedPages, layout: Layout, opening: Opening) -> Recording
         duration_s=duration_s,
         has_temperature=opening.first_values.get("temperature_mc") is not None,
         gyro_dps_per_lsb=values.dps_per_lsb,
+        zero_counts=values.zero_counts,
         notes=ignored if stamped and start else (),
     )

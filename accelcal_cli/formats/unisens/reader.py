@@ -30,6 +30,7 @@ from accelcal_cli.core.recording import (
     Problem,
     Reader,
     Recording,
+    first_row,
 )
 from accelcal_cli.core.vocabulary import PER_G, UNISENS
 from accelcal_cli.formats._bytes import ByteSource
@@ -321,6 +322,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         has_temperature=first.get("temperature_mc") is not None,
         gyro_dps_per_lsb=None if gyro is None else (gyro.signal.lsb,) * 3,
         companion=data if is_description else xml,
+        zero_counts=first_row(decoder(np.zeros((1, frame_bytes(signal)), np.uint8), 0).counts),
         notes=notes,
     )
     problems = () if start_us is not None else (Problem("no_start_time", NO_START, None, 0),)
