@@ -292,3 +292,42 @@ EDF = _vocabulary(In.EDF)
 
 UNISENS = _vocabulary(In.UNISENS)
 """Descriptions of Unisens recordings understand these names."""
+
+OWNERS = frozenset({
+    *("sensor", "device", "imu", "accelerometer", "node", "serial", "mac", "watch", "subject", "subj"),
+    *("sub", "participant", "person", "patient", "user", "wearer", "volunteer", "child", "infant"),
+    *("animal", "dog", "pid", "sid", "uid", "uuid", "sn", "ppt", "ppid"),
+})  # fmt: skip
+"""Words in the name of a column that tells whose its rows are."""
+
+PLACES = frozenset({
+    *("id", "location", "loc", "position", "pos", "placement", "place", "site", "side", "limb", "body"),
+    *("bodypart", "part", "segment", "channel", "source", "stream", "group", "module", "board", "port"),
+    *("joint", "who", "hand", "wrist", "arm", "foot", "leg", "ankle", "name", "file", "filename"),
+    *("recording", "tag"),
+})  # fmt: skip
+"""Words in the name of a column that may tell whose its rows are, or where their wearer was."""
+
+LABELS = frozenset({
+    *("activity", "label", "class", "event", "marker", "mark", "button", "annotation", "state", "status"),
+    *("flag", "wear", "worn", "nonwear", "sleep", "wake", "posture", "behavior", "behaviour", "motion"),
+    *("mode", "valid", "validity", "quality", "task", "condition", "exercise", "phase", "period", "block"),
+    *("session", "trial", "window", "bout", "lap", "rep", "set", "day", "weekday", "date", "week", "month"),
+    *("year", "night", "hour", "minute", "run", "visit", "stage", "target", "moving", "charging"),
+    *("comment", "note"),
+})  # fmt: skip
+"""Words in the name of a column that tells what went on, or in which part of a recording its rows are."""
+
+NEUTRAL = frozenset({"id", "name", "number", "n", "nr", "no", "num", "label", "class", "type", "code", "key"})
+"""Words in the name of a column that say nothing beside others."""
+
+MEASURES = frozenset({
+    *("temp", "temperature", "light", "lux", "battery", "bat", "batt", "voltage", "volt", "vbat"),
+    *("pressure", "humidity", "hr", "heart", "heartrate", "bpm", "ppg", "eda", "gsr", "ecg", "emg", "ibi"),
+    *("rssi", "steps", "gyro", "gyr", "gyroscope", "mag", "magnetometer", "magnitude", "vm", "enmo", "lat"),
+    *("latitude", "lon", "longitude", "altitude", "speed", "index", "idx", "row", "sample", "samples"),
+    *("count", "counter", "packet", "seq", "sequence", "frame", "line", "number", "n", "nr", "checksum"),
+    *("crc", "time", "timestamp", "step", "second", "seconds", "ms", "millis", "tick", "ticks", "roll"),
+    *("pitch", "yaw", "qw", "qx", "qy", "qz"),
+})  # fmt: skip
+"""Words in the name of a column that measures or counts something."""

@@ -17,7 +17,15 @@ from accelcal_cli.core.recording import Chunk, Problem, Reader
 from accelcal_cli.core.vocabulary import normalized
 from accelcal_cli.formats._bytes import PackedStream, PlainStream
 from accelcal_cli.formats._tables.reader import ReadingPlan, TableReader
-from accelcal_cli.formats._tables.table import Attributes, SensorTable, Track, track_of_shape
+from accelcal_cli.formats._tables.table import (
+    TEXT,
+    Attributes,
+    RowSource,
+    SensorTable,
+    TextRows,
+    Track,
+    track_of_shape,
+)
 
 Stream = PackedStream | PlainStream
 HIGHEST_RATIO = 1100
@@ -67,6 +75,15 @@ def array_of(
     return Array(track, types[0], by_row, stream, offset)
 
 
+def text_array_of(
+    path: str, shape: tuple[int, ...], dtype: np.dtype[Any], stream: Callable[[], Stream], offset: int | None
+) -> Array | None:
+    """Return an array of one text a row as a track; None if it is no such array."""
+    if len(shape) != 1 or dtype.kind not in "US" or not dtype.itemsize:
+        return None
+    return Array(Track(path, shape[0], 1, 0, TEXT), dtype, True, stream, offset)
+
+
 class ArrayRows:
     """Rows of an array, in order; those behind damage, or behind the end of the file, are lost."""
 
@@ -105,7 +122,10 @@ class ArrayRows:
         self._row = stop
         rows = min(map(len, parts)) // self._plane_row_bytes
         good = np.arange(stop - start) < rows
-        values = np.zeros((stop - start, self._array.track.width), self._array.track.dtype)
+        track = self._array.track
+        values = np.zeros(
+            (stop - start, track.width), self._array.stored if track.dtype == TEXT else track.dtype
+        )
         across = self._array.track.width // self._planes
         for plane, part in enumerate(parts):
             numbers = np.frombuffer(part, self._array.stored, rows * across).reshape(rows, across)
@@ -130,6 +150,7 @@ class ArrayTable(SensorTable):
         missing: bytes that a file that was cut short lacks, -1 if that is not known.
         damaged: number of entries that cannot be read.
         unknown: names of entries of kinds that cannot be read.
+        numbers: of the texts of tracks of texts, as far as they were read.
     """
 
     path: Path
@@ -138,12 +159,26 @@ class ArrayTable(SensorTable):
     missing: int = 0
     damaged: int = 0
     unknown: list[str] = field(default_factory=list)
+    numbers: dict[str, dict[str, int]] = field(default_factory=dict)
     word = "array"
 
     @property
     def tracks(self) -> tuple[Track, ...]:
-        """All tracks, by path."""
-        return tuple(self.arrays[path].track for path in sorted(self.arrays))
+        """All tracks of numbers, by path."""
+        return tuple(track for track in self._tracks if track.dtype != TEXT)
+
+    @property
+    def text_tracks(self) -> tuple[Track, ...]:  # type: ignore[override]
+        """All tracks of texts, by path."""
+        return tuple(track for track in self._tracks if track.dtype == TEXT)
+
+    @property
+    def _tracks(self) -> list[Track]:
+        return [self.arrays[path].track for path in sorted(self.arrays)]
+
+    def texts_of(self, track: Track) -> list[str] | None:
+        """See `SensorTable`."""
+        return list(self.numbers.get(track.path, {})) if track.dtype == TEXT else None
 
     def add(self, array: Array, size: int) -> None:
         """Take an array in; raise UnreadableError if the file, of `size` bytes, cannot hold it."""
@@ -181,9 +216,10 @@ class ArrayTable(SensorTable):
         unit = next((one for one in siblings if normalized(basename(one)) in known), None)
         return {} if unit is None else {"unit": self.scalars[unit]}
 
-    def rows(self, track: Track) -> ArrayRows:
+    def rows(self, track: Track) -> RowSource:
         """Return the rows of an array."""
-        return ArrayRows(self.arrays[track.path])
+        rows = ArrayRows(self.arrays[track.path])
+        return TextRows(rows, self.numbers.setdefault(track.path, {})) if track.dtype == TEXT else rows
 
 
 class ArrayReader(TableReader):

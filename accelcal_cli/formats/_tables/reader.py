@@ -35,9 +35,18 @@ from accelcal_cli.formats._tables.channels import (
     find_channels,
     physical_scale,
 )
+from accelcal_cli.formats._tables.divided import (
+    ChosenRows,
+    Divided,
+    SensorRowsTable,
+    chosen_rows,
+    dividing_tracks,
+)
 from accelcal_cli.formats._tables.table import (
+    BLOCK_ROWS,
     REFUSE_ABOVE_BYTES,
     Attributes,
+    Group,
     RowSelection,
     SensorTable,
     TableSource,
@@ -48,7 +57,14 @@ from accelcal_cli.formats._tables.table import (
     readable,
     split_unit,
 )
-from accelcal_cli.formats._tables.times import RowTimes, Stamps, TableTimeline, checked_rate, find_timeline
+from accelcal_cli.formats._tables.times import (
+    RowTimes,
+    Stamps,
+    TableTimeline,
+    checked_rate,
+    find_timeline,
+    stored_stamps,
+)
 
 LEAST_LSB = 1e-9
 """Smallest believable number of counts in one g."""
@@ -82,6 +98,8 @@ class ReadingPlan:
     Attributes:
         problems: go with the first rows.
         missing_bytes: of a file cut short; its problem goes with the last rows.
+        chosen: the rows of the sensor that is read, None for all.
+        divided: tracks that may tell of several sensors.
     """
 
     recording: Recording
@@ -91,6 +109,8 @@ class ReadingPlan:
     channels: dict[str, Channel] = field(default_factory=dict)
     problems: tuple[Problem, ...] = ()
     missing_bytes: int = 0
+    chosen: ChosenRows | None = None
+    divided: Divided = field(default_factory=Divided)
 
     @property
     def tracks(self) -> tuple[Track, ...]:
@@ -98,6 +118,10 @@ class ReadingPlan:
         groups = (self.accel.tracks, *(channel.tracks for channel in self.channels.values()))
         stamps = () if self.stamps is None else (self.stamps.track,)
         return (*(track for group in groups for track in group), *stamps)
+
+    def of_sensor(self, table: SensorTable) -> SensorTable:
+        """Return the table with the rows that are read."""
+        return table if self.chosen is None else SensorRowsTable(table, self.chosen)
 
 
 def source_of(
@@ -109,11 +133,31 @@ def source_of(
         UnreadableError: nothing is known as acceleration, or several things are.
         UsageError: an option names nothing.
     """
-    if options.columns is not None:
-        group = chosen_axes(tracks, options.columns, table)
-    else:
-        group = find_accel(tracks, table, options.sensor)
+    group = _group_of(table, tracks, options)
+    if options.sensor is not None and not _is_group(options.sensor, tracks):
+        dividing = dividing_tracks(table, tracks, group[0], group)
+        if not dividing:
+            find_accel(tracks, table, options.sensor)
+        elif (chosen := chosen_rows(table, dividing, options.sensor)) is not None:
+            long = tuple(track for track in tracks if track.rows == group[0].rows)
+            table = SensorRowsTable(table, chosen)
+            tracks = table.shortened(long)
+            group = _group_of(table, tracks, options)
     return TableSource(table, options, tracks, group, table.stated(group[0].path), damaged)
+
+
+def _group_of(table: SensorTable, tracks: tuple[Track, ...], options: ReadOptions) -> Group:
+    """Return the tracks of the acceleration."""
+    if options.columns is not None:
+        return chosen_axes(tracks, options.columns, table)
+    sensor = options.sensor
+    return find_accel(tracks, table, sensor if sensor is not None and _is_group(sensor, tracks) else None)
+
+
+def _is_group(sensor: str, tracks: tuple[Track, ...]) -> bool:
+    """Return True if --sensor names a group of the file."""
+    name = sensor.strip("/").lower()
+    return any(name in track.path.lower().split("/")[:-1] for track in tracks)
 
 
 def plan_of(source: TableSource, format_name: str) -> ReadingPlan:
@@ -128,16 +172,36 @@ def plan_of(source: TableSource, format_name: str) -> ReadingPlan:
     scale, scale_notes = _scale(source)
     accel = Axes(source.group, scale)
     channels, notes = find_channels(source.table, source.tracks, source.accel, source.options)
+    chosen = source.table.chosen if isinstance(source.table, SensorRowsTable) else None
+    about = () if chosen is None else (chosen.note,)
     recording = _recording(source, format_name, timeline, rate, accel, channels)
-    return ReadingPlan(
-        recording=replace(recording, notes=timeline.notes + scale_notes + notes + recording.notes),
+    plan = ReadingPlan(
+        recording=replace(recording, notes=about + timeline.notes + scale_notes + notes + recording.notes),
         rows=source.accel.rows,
         accel=accel,
         stamps=timeline.stamps,
         channels=channels,
         problems=timeline.problems + header_problems(source.attributes, source.damaged),
         missing_bytes=source.table.missing_bytes(),
+        chosen=chosen,
     )
+    return replace(plan, divided=_divided(source, plan))
+
+
+def _divided(source: TableSource, plan: ReadingPlan) -> Divided:
+    """Return what tells of several sensors, but not in the first rows; raise UnreadableError if these do."""
+    wanted, stamps = source.options.sensor, plan.stamps
+    if wanted is not None and plan.chosen is None:
+        return Divided()
+    tracks = dividing_tracks(source.table, source.tracks, source.accel, plan.tracks)
+    divided = Divided(tracks, stamps is not None and plan.recording.start_us is not None, wanted)
+    if (watch := divided.watch(source.table)) is None:
+        return divided
+    rows, times = min(source.accel.rows, BLOCK_ROWS), None
+    if stamps is not None:
+        times = stored_stamps(source.table.rows(stamps.track), stamps.scale, 0, rows)
+    watch.see(0, rows, times)
+    return watch.worth_watching()
 
 
 def _recording(
@@ -344,7 +408,7 @@ class TableReader(Reader):
             with table.explaining(), table.guard(f"{table.word}s"):
                 # the zone that counts is known after the file was opened, and is not the plan's
                 zone = self.recording.timezone if self.recording.stamped else None
-                stream = _Stream(table, self._plan, start, zone)
+                stream = _Stream(self._plan.of_sensor(table), self._plan, start, zone)
                 self._refuse_unbounded(stream.kept_bytes, table.word)
             step = max(1, min(chunk_samples, PIECE_BYTES // stream.row_bytes))
             for row in range(start, stop, step):
@@ -377,6 +441,7 @@ class _Stream:
         self._times = RowTimes(stamps[0], plan.stamps, start, zone) if plan.stamps else None
         problems = plan.problems if start == 0 else ()
         self._log = ProblemLog(problems, _message, SINGLE, by_end=True)
+        self._watch = plan.divided.watch(table) if start == 0 else None
         self._sample, self._lost_bytes = start, 0
         self._last_row: int | None = None
         self._last_time = 0
@@ -390,6 +455,8 @@ class _Stream:
         counts = self._plan.accel.values(self._accel, selection)
         channels = self._channel_values(selection)
         times = None if self._times is None else self._times.next(selection)
+        if self._watch is not None:
+            self._watch.see(start, stop, None if self._times is None else self._times.stamps)
         rows = selection.rows()
         clock = self._clock(times, rows, selection)
         breaks, clock_jumps = self._breaks(times, rows, selection)

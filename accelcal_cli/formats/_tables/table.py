@@ -40,6 +40,9 @@ VALUE_NAMES = frozenset({"data", "values", "value", "samples", "xyz"})
 OTHER_SENSORS = ("gyr", "mag", "angular", "orient", "quat")
 """Beginnings of names that rule out acceleration."""
 
+TEXT = np.dtype(object)
+"""Type of a track of texts."""
+
 Offset = Callable[[int], int | None]
 
 
@@ -179,15 +182,55 @@ class RowSource(Protocol):
         """Return the byte in the file of the part that holds a row; None if that is not known."""
 
 
+def text_codes(texts: Sequence[str], numbers: dict[str, int]) -> NDArray[np.int32]:
+    """Return the numbers of texts, given as they are met, and -1 at the end; -1 for empty ones as well."""
+    clean = [readable(text).strip("\0 ") for text in texts]
+    return np.array(
+        [*(numbers.setdefault(text, len(numbers)) if text else -1 for text in clean), -1], np.int32
+    )
+
+
+class TextRows:
+    """Rows of a track of texts, as numbers of the texts, -1 for empty ones.
+
+    Args:
+        source: gives the texts.
+        numbers: of the texts; it grows with them.
+    """
+
+    kept_bytes = 0
+
+    def __init__(self, source: RowSource, numbers: dict[str, int]) -> None:
+        self._source, self._numbers = source, numbers
+        self.path, self.row_bytes, self.chunk_offset = source.path, source.row_bytes, source.chunk_offset
+
+    def read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return rows start..stop-1 (n, 1), and flags of those that are not lost."""
+        values, good = self._source.read(start, stop)
+        column = values[:, 0]
+        if len(column) and (column == column[0]).all():
+            found, codes = column[:1], np.zeros(len(column), np.int64)
+        else:
+            found, codes = np.unique(column, return_inverse=True)
+        texts = [text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text) for text in found]
+        return text_codes(texts, self._numbers)[codes].reshape(-1, 1), good
+
+
 class SensorTable:
     """An open file whose tracks are known.
 
     Attributes:
         word: the word for a track in messages.
+        text_tracks: columns of texts; their rows are numbers of the texts that `texts_of` returns.
     """
 
     path: Path
     word = "column"
+    text_tracks: tuple[Track, ...] = ()
+
+    def texts_of(self, track: Track) -> list[str] | None:
+        """Return the texts of a column that were read so far; None for one of numbers."""
+        return None
 
     def missing_bytes(self) -> int:
         """Return the number of bytes that a file that was cut short lacks; -1 if that is not known."""

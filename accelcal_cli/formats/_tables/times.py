@@ -162,7 +162,7 @@ class Stamps:
     step_us: float | None
 
 
-def _stored_stamps(rows: RowSource, scale: StampScale, start: int, stop: int) -> NDArray[np.int64]:
+def stored_stamps(rows: RowSource, scale: StampScale, start: int, stop: int) -> NDArray[np.int64]:
     """Return times (n,) of rows start..stop-1 [us], NO_TIME where they cannot be believed."""
     values, good = rows.read(start, stop)
     times, believable = scale.times(values[:, 0])
@@ -180,7 +180,7 @@ def measured_stamps(
         UnreadableError: its first rows hold no time at all, or the rate cannot be worked with.
     """
     rows, path = table.rows(track), table.path
-    head = _stored_stamps(rows, scale, 0, min(track.rows, BLOCK_ROWS))
+    head = stored_stamps(rows, scale, 0, min(track.rows, BLOCK_ROWS))
     times = head[head > LOST]
     if not len(times):
         raise UnreadableError(
@@ -192,7 +192,7 @@ def measured_stamps(
     rate = checked_rate(shown_hz if stated_hz is None and step else stated_hz, path)
     pace = stamp_pace(times, stated_hz, rate)
     begin = spread(head, pace)
-    end = spread(_stored_stamps(rows, scale, max(0, track.rows - BLOCK_ROWS), track.rows), pace)
+    end = spread(stored_stamps(rows, scale, max(0, track.rows - BLOCK_ROWS), track.rows), pace)
     first, last = int(begin[0]), int(end[-1] if len(end) else begin[-1])
     return Stamps(track, scale, pace, first, max(last, first), step), rate
 
@@ -410,6 +410,9 @@ class RowTimes:
     Args:
         start: the first row that is wanted.
         zone: whose daylight saving the times may follow.
+
+    Attributes:
+        stamps: of the rows that `next` returned last, before they were spread.
     """
 
     def __init__(self, source: RowSource, stamps: Stamps, start: int, zone: str | None) -> None:
@@ -419,13 +422,14 @@ class RowTimes:
         self._first = self._next = max(0, start - self._reach)
         self._stamps = self._times = np.empty(0, np.int64)
         self._running, self._with_its_zone = LocalStamps(zone), (FOLLOWED, WITH_ITS_ZONE.format(zone))
-        self._followed = np.empty(0, np.int64)
+        self._followed = self.stamps = np.empty(0, np.int64)
 
     def next(self, selection: RowSelection) -> NDArray[np.int64]:
         """Return times (n,) [us] of the next rows, those of a selection; rows without a time are left out."""
         self._read(min(selection.stop + self._reach, self._rows))
         begin, end = selection.start - self._first, selection.stop - self._first
         stamps, times = self._stamps[begin:end], self._times[begin:end]
+        self.stamps = stamps
         self._first, self._stamps, self._times = selection.stop, self._stamps[end:], self._times[end:]
         if len(stamps) and stamps.min() <= LOST:
             selection.lose(self._source, stamps == LOST)
@@ -438,7 +442,7 @@ class RowTimes:
         """Read the next stamps, up to a row, and settle times."""
         if stop <= self._next:
             return
-        stamps = _stored_stamps(self._source, self._scale, self._next, stop)
+        stamps = stored_stamps(self._source, self._scale, self._next, stop)
         known = np.flatnonzero(stamps > LOST)
         if len(known) == len(stamps):
             stamps, followed = self._running.running_on(stamps)

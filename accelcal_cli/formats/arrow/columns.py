@@ -19,7 +19,15 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from accelcal_cli.formats._tables.channels import EMPTY
-from accelcal_cli.formats._tables.table import BLOCK_ROWS, READ_ERRORS, Attributes, Track, readable
+from accelcal_cli.formats._tables.table import (
+    BLOCK_ROWS,
+    READ_ERRORS,
+    TEXT,
+    Attributes,
+    Track,
+    readable,
+    text_codes,
+)
 
 ARROW_ERRORS = (pa.ArrowException, *READ_ERRORS)
 """Errors that pyarrow raises for damaged files."""
@@ -73,11 +81,18 @@ def _leaves(field: Any, column: str, fields: tuple[str, ...], path: str, rows: i
     if pa.types.is_fixed_size_list(kind) and kind.list_size != 3:
         return
     dtype = _dtype(number)
+    if width == 1 and is_text(number):
+        yield Leaf(Track(path, rows, 1, 0, TEXT), column, fields, kind, {})
     if dtype is not None:
         clock = pa.types.is_timestamp(number) and number.tz is None
         timed = pa.types.is_timestamp(number) or pa.types.is_duration(number)
         own = {**_texts(field.metadata), **({"units": number.unit} if timed else {})}
         yield Leaf(Track(path, rows, width, 0, dtype, clock), column, fields, kind, own)
+
+
+def is_text(kind: Any) -> bool:
+    """Return True for a type of texts."""
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
 
 
 def _part(name: str) -> str:
@@ -130,16 +145,50 @@ def attributes(leaf: Leaf, *around: Mapping[str, object]) -> Attributes:
     return Attributes([leaf.own, *around])
 
 
-def values_of(leaf: Leaf, batch: Any) -> NDArray[Any]:
-    """Return the values (n, width) of a leaf in a record batch."""
+class Columns:
+    """The leaves of a table, and the texts that were read of those that hold texts."""
+
+    def __init__(self, schema: Any, rows: int) -> None:
+        self.leaves, self.doubtful = leaves_of(schema, rows)
+        tracks = sorted((leaf.track for leaf in self.leaves.values()), key=lambda one: one.path)
+        self.tracks = tuple(track for track in tracks if track.dtype != TEXT)
+        self.text_tracks = tuple(track for track in tracks if track.dtype == TEXT)
+        self._numbers: dict[str, dict[str, int]] = {track.path: {} for track in self.text_tracks}
+
+    def texts_of(self, track: Track) -> list[str] | None:
+        """Return the texts of a column of texts that were read so far."""
+        numbers = self._numbers.get(track.path)
+        return None if numbers is None else list(numbers)
+
+    def values_of(self, leaf: Leaf, batch: Any) -> NDArray[Any]:
+        """Return the values (n, width) of a leaf in a record batch, those of texts as their numbers."""
+        numbers = self._numbers.get(leaf.track.path)
+        array = _array_of(leaf, batch)
+        return _values(array) if numbers is None else _codes(array, numbers)
+
+
+def _codes(array: Any, numbers: dict[str, int]) -> NDArray[np.int32]:
+    """Return texts as numbers (n, 1), which are given as they are met; -1 where a cell is empty."""
+    if not len(array):
+        return np.empty((0, 1), np.int32)
+    coded = _unwrapped(array).dictionary_encode()
+    codes = text_codes(coded.dictionary.to_pylist(), numbers)
+    found: NDArray[np.int32] = codes[_numbers(coded.indices.fill_null(len(codes) - 1))]
+    return found.reshape(-1, 1)
+
+
+def _array_of(leaf: Leaf, batch: Any) -> Any:
+    """Return the cells of a leaf in a record batch."""
     array = batch.column(batch.schema.get_field_index(leaf.column))
     for name in leaf.fields:
         array = _unwrapped(array)
         array = array.flatten()[array.type.get_field_index(name)]
-    array = _unwrapped(array)
-    if not _is_list(array.type):
-        return _numbers(array).reshape(-1, 1)
-    return _triples(array)
+    return _unwrapped(array)
+
+
+def _values(array: Any) -> NDArray[Any]:
+    """Return numbers, or lists of three, as (n, width)."""
+    return _triples(array) if _is_list(array.type) else _numbers(array).reshape(-1, 1)
 
 
 def _unwrapped(array: Any) -> Any:

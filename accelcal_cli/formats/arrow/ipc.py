@@ -33,11 +33,11 @@ from accelcal_cli.formats._tables.table import BLOCK_ROWS, Attributes, SensorTab
 from accelcal_cli.formats.arrow import CONTINUATION, FEATHER_MAGIC, OLD_FEATHER_MAGIC
 from accelcal_cli.formats.arrow.columns import (
     ARROW_ERRORS,
+    Columns,
     PartRows,
     attributes,
-    leaves_of,
+    is_text,
     stated_of,
-    values_of,
 )
 
 AGAIN = "copy it again from its source"
@@ -306,10 +306,10 @@ class IpcTable(SensorTable):
         if not sum(rows):
             raise UnreadableError("holds no rows", path=path, hint=AGAIN)
         self._first_rows = np.cumsum([0, *rows], dtype=np.int64)
-        self._leaves, doubtful = leaves_of(self._schema, int(self._first_rows[-1]))
-        self.damaged = doubtful + messages.damaged
+        self._columns = Columns(self._schema, int(self._first_rows[-1]))
+        self.damaged = self._columns.doubtful + messages.damaged
         self._stated = stated_of(self._schema)
-        self.tracks = tuple(sorted((leaf.track for leaf in self._leaves.values()), key=lambda one: one.path))
+        self.tracks, self.text_tracks = self._columns.tracks, self._columns.text_tracks
 
     def missing_bytes(self) -> int:
         """Return the number of bytes that are missing at the end; -1 if that is not known."""
@@ -326,19 +326,23 @@ class IpcTable(SensorTable):
                 raise type(error)(what, path=self.path, hint=error.hint or AGAIN) from error
             raise
 
+    def texts_of(self, track: Track) -> list[str] | None:
+        """Return the texts of a column that were read so far; None for one of numbers."""
+        return self._columns.texts_of(track)
+
     def own(self, path: str) -> Attributes:
         """Return the metadata of a column."""
-        return attributes(self._leaves[path])
+        return attributes(self._columns.leaves[path])
 
     def stated(self, path: str) -> Attributes:
         """Return the metadata of a column, then those of the file."""
-        return attributes(self._leaves[path], self._stated)
+        return attributes(self._columns.leaves[path], self._stated)
 
     def rows(self, track: Track) -> PartRows:
         """Return the rows of a column."""
-        leaf = self._leaves[track.path]
+        leaf = self._columns.leaves[track.path]
         kind = self._schema.field(leaf.column).type
-        nested = pa.types.is_nested(kind) or pa.types.is_dictionary(kind)
+        nested = pa.types.is_nested(kind) or pa.types.is_dictionary(kind) or is_text(kind)
         source = self._open([self._schema.get_field_index(leaf.column)])
 
         def batches(first: int, end: int) -> Iterator[NDArray[Any]]:
@@ -346,7 +350,7 @@ class IpcTable(SensorTable):
                 batch = source.batch(number)
                 batch.validate(full=nested)  # pyarrow ends the process over lengths and places that cannot be
                 for start in range(0, len(batch), BLOCK_ROWS):
-                    yield values_of(leaf, batch.slice(start, BLOCK_ROWS))
+                    yield self._columns.values_of(leaf, batch.slice(start, BLOCK_ROWS))
 
         def offset(number: int) -> int:
             return self._messages.batches[number].offset

@@ -27,11 +27,10 @@ from accelcal_cli.formats._tables.table import BLOCK_ROWS, Attributes, SensorTab
 from accelcal_cli.formats.arrow import ENCRYPTED_MAGIC, PARQUET_MAGIC
 from accelcal_cli.formats.arrow.columns import (
     ARROW_ERRORS,
+    Columns,
     PartRows,
     attributes,
-    leaves_of,
     stated_of,
-    values_of,
 )
 from accelcal_cli.parquet import row_group_offsets
 
@@ -117,11 +116,12 @@ class ParquetTable(SensorTable):
             self._metadata.row_group(number).num_rows for number in range(self._metadata.num_row_groups)
         ]
         self._first_rows = self._checked(groups)
-        self._leaves, self.damaged = leaves_of(schema, int(self._first_rows[-1]))
+        self._columns = Columns(schema, int(self._first_rows[-1]))
+        self.damaged = self._columns.doubtful
         self._stated = stated_of(schema)
         self.is_ours, self.calibrated = self._origin(schema)
         self.longest = max(groups, default=0)
-        self.tracks = tuple(sorted((leaf.track for leaf in self._leaves.values()), key=lambda one: one.path))
+        self.tracks, self.text_tracks = self._columns.tracks, self._columns.text_tracks
 
     def _checked(self, groups: list[int]) -> NDArray[np.int64]:
         rows = sum(groups)
@@ -158,17 +158,21 @@ class ParquetTable(SensorTable):
             float(error) if isinstance(error, int | float) and abs(error) < LARGEST_MG else None,
         )
 
+    def texts_of(self, track: Track) -> list[str] | None:
+        """Return the texts of a column that were read so far; None for one of numbers."""
+        return self._columns.texts_of(track)
+
     def own(self, path: str) -> Attributes:
         """Return the metadata of a column."""
-        return attributes(self._leaves[path])
+        return attributes(self._columns.leaves[path])
 
     def stated(self, path: str) -> Attributes:
         """Return the metadata of a column, then those of the file."""
-        return attributes(self._leaves[path], self._stated)
+        return attributes(self._columns.leaves[path], self._stated)
 
     def rows(self, track: Track) -> PartRows:
         """Return the rows of a column."""
-        leaf, whole, paged = self._leaves[track.path], self._again(0), self._again(PAGES_BYTES)
+        leaf, whole, paged = self._columns.leaves[track.path], self._again(0), self._again(PAGES_BYTES)
         names = [".".join((leaf.column, *leaf.fields))]
 
         def batches(first: int, end: int) -> Iterator[NDArray[Any]]:
@@ -176,7 +180,7 @@ class ParquetTable(SensorTable):
             large = any(self._metadata.row_group(group).total_byte_size > WHOLE_BYTES for group in groups)
             file = paged if large else whole
             for batch in file.iter_batches(BLOCK_ROWS, groups, names, use_threads=False):
-                yield values_of(leaf, batch)
+                yield self._columns.values_of(leaf, batch)
 
         return PartRows(track, self._first_rows, batches, self._offset, self._pool)
 

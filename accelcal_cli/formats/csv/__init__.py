@@ -47,5 +47,5 @@ FORMAT = Format(
     SUFFIXES,
     sniff,
     reader="accelcal_cli.formats.csv.reader:open_recording",
-    ignores=("layout", "sensor"),
+    ignores=("layout",),
 )

@@ -61,6 +61,7 @@ from accelcal_cli.formats.csv.columns import (
 from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
 from accelcal_cli.formats.csv.lines import Block, LineFile, RepeatedHeads, lone_block
 from accelcal_cli.formats.csv.rows import ParsedTable, TableParser
+from accelcal_cli.formats.csv.sensors import SensorWatch, dividing_columns, rows_of_sensor
 from accelcal_cli.formats.csv.vendors import ExportDescription, Start, export_description
 
 HEAD_BYTES = 1 << 20
@@ -91,6 +92,7 @@ class Detected:
         first_values: the first value of each channel; a column that the head leaves empty is none.
         gyro: how rotation rates become counts, None without a gyroscope; gyro_notes: how it was understood.
         head: the file up to its first row.
+        watch: over columns that may tell of several sensors, with the head seen; None without such columns.
     """
 
     export: ExportDescription
@@ -104,6 +106,7 @@ class Detected:
     head: bytes
     gyro: CountScale | None = None
     gyro_notes: tuple[str, ...] = ()
+    watch: SensorWatch | None = None
 
     @property
     def has_dates(self) -> bool:
@@ -126,6 +129,7 @@ class Detected:
         if roles.time is not None:
             dates = "" if roles.date is None else f"{dialect.column_name(roles.date)} and "
             notes.append(f"time: {dates}{dialect.column_name(roles.time)}")
+        notes += [self.watch.note] if self.parser.sensor and self.watch else []
         notes += [*self.gyro_notes, *self.pace.notes]
         headings = (dialect.names is not self.export.names) + (dialect.units is not None)
         above = dialect.skipped - self.export.preamble - headings
@@ -156,11 +160,19 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     above = head[: dialect.offset]
     block = RepeatedHeads(above).without(_head_block(head, dialect))
     roles = find_roles(dialect, options, path, export.xyz, export.time)
-    parser = _table_parser(block, dialect, roles, export, options, path)
     gyro, gyro_notes = find_gyroscope(dialect, roles, export, options, path)
-    if gyro is not None:
-        parser = replace(parser, roles=replace(roles, gyro=gyro.xyz))
+    all_roles = roles if gyro is None else replace(roles, gyro=gyro.xyz)
+    dividing = dividing_columns(dialect, all_roles)
+    sensor = rows_of_sensor(options.sensor, dialect, dividing, path)
+    if sensor is not None:
+        block, dialect = RepeatedHeads(above).without(sensor.block), sensor.sample_of(dialect)
+    parser = _table_parser(block, dialect, roles, export, options, path)
+    parser = replace(parser, roles=all_roles, sensor=() if sensor is None else sensor.texts)
     table = parser.parse(block)
+    watch = None
+    if dividing and (options.sensor is None or sensor is not None):
+        watch = SensorWatch(parser, dividing, options.sensor)
+        watch.see(watch.all_of(block, table), table.time_us)
     if table.rates is not None and (fault := why_not_read(table.values, table.rates)):
         gyro, gyro_notes, parser = None, (fault,), replace(parser, roles=roles)
     scale, guessed = _find_scale(table.values, roles, export, options, path)
@@ -172,7 +184,7 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     turns = None if gyro is None else gyro.scale
     first = _first_values(table)
     return Detected(
-        export, start_us, parser, scale, pace, first, line_bytes, guessed, above, turns, gyro_notes
+        export, start_us, parser, scale, pace, first, line_bytes, guessed, above, turns, gyro_notes, watch
     )
 
 
@@ -402,8 +414,9 @@ def last_timestamp(parser: TableParser) -> int | None:
             return None
         size = file.seek(0, 2)
         file.seek(max(parser.dialect.offset, size - TAIL_BYTES))
-        lines = file.read().splitlines(keepends=True)[-3:]
-    whole = [line for line in lines if line.endswith((b"\n", b"\r")) and line.strip()][-1:]
+        lines = file.read().splitlines(keepends=True)[1 if parser.sensor else -3 :]
+    whole = [line for line in lines if line.endswith((b"\n", b"\r")) and line.strip()]
+    whole = whole if parser.sensor else whole[-1:]
     try:
         stamps = parser.parse(lone_block(b"".join(whole), 1, 0)).time_us
     except UnreadableError:

@@ -289,7 +289,7 @@ class _DelimiterTrial:
         if first is None:
             return None
         names, units, names_line = self._names(first)
-        sample = _numbered_rows(self.raw_lines[first : first + SAMPLE_ROWS], self.normaliser, first + 1)
+        sample = numbered_rows(self.raw_lines[first : first + SAMPLE_ROWS], self.normaliser, first + 1)
         whole = [(line, tuple(row)) for line, row in sample if len(row) == len(self.kinds)]
         lines, rows = zip(*whole, strict=True)
         offset += sum(map(len, self.raw_lines[:first]))
@@ -344,10 +344,10 @@ class _DelimiterTrial:
 
 def _rows(raw_lines: list[bytes], normaliser: Normaliser) -> list[list[str]]:
     """Return the cells of all lines that are not blank, as they are written."""
-    return [row for _, row in _numbered_rows(raw_lines, normaliser, 1)]
+    return [row for _, row in numbered_rows(raw_lines, normaliser, 1)]
 
 
-def _numbered_rows(raw_lines: list[bytes], normaliser: Normaliser, first: int) -> list[tuple[int, list[str]]]:
+def numbered_rows(raw_lines: list[bytes], normaliser: Normaliser, first: int) -> list[tuple[int, list[str]]]:
     """Return these cells, each row with its line number; `first` is that of the first."""
     plain = replace(normaliser, decimal_comma=False, slash_dates=False)
     rows = [split_line(decode(plain(line)).rstrip("\r\n"), normaliser.delimiter) for line in raw_lines]

@@ -138,7 +138,8 @@ class RowStream:
     """
 
     def __init__(self, detected: Detected, zone: str | None = None) -> None:
-        self._parser = RowParser(detected.parser, detected.scale, detected.first_values, detected.gyro)
+        watch = None if detected.watch is None else detected.watch.again()
+        self._parser = RowParser(detected.parser, detected.scale, detected.first_values, detected.gyro, watch)
         self.heads = RepeatedHeads(detected.head)
         changes = FollowedChanges(zone)
         self.followed = changes.rows
@@ -236,7 +237,7 @@ class CsvReader(Reader):
             for chunk in assembler.chunks(rows, block, max(samples, 1)):
                 if len(chunk):
                     return int(chunk.clock.times(0, 1)[0]) if self._detected.has_dates else None
-            if block.offset > 16 * HEAD_BYTES:
+            if assembler.rows and block.offset > 16 * HEAD_BYTES:
                 break
         raise _unusable(self._detected, f"none of its first {assembler.rows} rows holds usable values")
 

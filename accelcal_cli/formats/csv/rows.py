@@ -5,12 +5,12 @@ Single lines are looked at only where a block cannot be parsed, to name the firs
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
@@ -24,6 +24,7 @@ from accelcal_cli.core.system import process_is_ours
 from accelcal_cli.core.vocabulary import COUNTS, PHYSICAL_UNITS
 from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME
 from accelcal_cli.formats._tables.channels import CountScale
+from accelcal_cli.formats._tables.sensors import CellTexts
 from accelcal_cli.formats.csv.cells import (
     MISSING,
     AccelScale,
@@ -32,6 +33,7 @@ from accelcal_cli.formats.csv.cells import (
     TimeFormat,
     cell_kind,
     decode,
+    filled,
     floats,
     split_line,
 )
@@ -45,7 +47,7 @@ PARSER_BYTES = 1 << 20
 if process_is_ours():  # else Arrow starts a thread for signals, and ends the process where it is given none
     pa.enable_signal_handlers(False)
 
-DATES = pa.dictionary(pa.int32(), pa.string())
+DATES, TEXTS = (pa.dictionary(pa.int32(), kind) for kind in (pa.string(), pa.binary()))
 PADDING = frozenset(b" \t\r\n")
 SHOWN = 40
 """Letters of a line that a message shows."""
@@ -109,6 +111,7 @@ class ParsedTable:
         time_us: (n,), or None without a time column.
         channels: (n,) each, as `values`.
         rates: (n, 3) rotation rates, as `values`, or None.
+        wanted: flags of the rows of the block that these are, None for all.
     """
 
     line: NDArray[np.int64]
@@ -116,17 +119,28 @@ class ParsedTable:
     time_us: NDArray[np.int64] | None
     channels: Channels
     rates: NDArray[np.float64] | None = None
+    wanted: NDArray[np.bool_] | None = None
+
+    def only(self, wanted: NDArray[np.bool_]) -> ParsedTable:
+        """Return some of the rows."""
+        columns = cut_columns(self, ("line", "values", "time_us", "rates"), wanted)
+        return replace(self, channels=cut_channels(self.channels, wanted), wanted=wanted, **columns)
 
 
 @dataclass(frozen=True)
 class TableParser:
-    """Turns blocks of lines into columns."""
+    """Turns blocks of lines into columns.
+
+    Attributes:
+        sensor: texts of columns, one of each of which the rows that are read have; of none to read all.
+    """
 
     path: Path
     dialect: Dialect
     roles: Roles
     time: TimeFormat | None
     date: DateColumn | None = None
+    sensor: tuple[tuple[int, frozenset[str]], ...] = ()
 
     @property
     def used(self) -> list[int]:
@@ -145,13 +159,7 @@ class TableParser:
             types[str(self.roles.time)] = kind
         if self.date is not None:
             types |= {str(self.roles.time): pa.string(), str(self.date.column): DATES}
-        return pa_csv.ConvertOptions(
-            column_types=types,
-            include_columns=list(types),
-            null_values=list(MISSING),
-            strings_can_be_null=True,
-            quoted_strings_can_be_null=True,
-        )
+        return _converting(types)
 
     def parse(self, block: Block) -> ParsedTable:
         """Return the rows of a block's whole lines.
@@ -171,7 +179,28 @@ class TableParser:
             stamps[impossible] = IMPOSSIBLE
         channels = {name: floats(table[str(column)]) for name, column in self.roles.channels.items()}
         rates = None if self.roles.gyro is None else _xyz(table, self.roles.gyro)
-        return ParsedTable(line, values, stamps, channels, rates)
+        parsed = ParsedTable(line, values, stamps, channels, rates)
+        return parsed.only(self._of_sensor(block)) if self.sensor else parsed
+
+    def values(self, block: Block, columns: Sequence[int]) -> tuple[CellTexts, ...]:
+        """Return columns of a block that can be parsed, as texts."""
+        converting = _converting({str(column): TEXTS for column in columns})
+        try:
+            table = self._read(self.dialect.normaliser(block.data), converting)
+        except pa.ArrowException:
+            thorough = replace(self.dialect.normaliser, thorough=True)
+            table = self._read(thorough(block.data), converting)
+        return tuple(_text_values(table[str(column)]) for column in columns)
+
+    def _of_sensor(self, block: Block) -> NDArray[np.bool_]:
+        """Return flags of the rows of a block that are of the sensor."""
+        columns = self.values(block, [column for column, _ in self.sensor])
+        flags = [
+            np.isin(column.codes, [code for code, text in enumerate(column.texts) if text in texts])
+            for column, (_, texts) in zip(columns, self.sensor, strict=True)
+        ]
+        wanted: NDArray[np.bool_] = np.logical_and.reduce(flags)
+        return wanted
 
     def _table(self, data: bytes, block: Block) -> tuple[Any, bytes, NDArray[np.bool_] | None]:
         """Return the parsed columns, the text of the same lines behind them, and impossible times."""
@@ -224,7 +253,10 @@ class TableParser:
         Args:
             times_as: another type for the column of times.
         """
-        converting = self._converting if times_as is None else self._converting_times(times_as)
+        table = self._read(data, self._converting if times_as is None else self._converting_times(times_as))
+        return table if self.date is None or not len(table) else self._with_moments(table, times_as)
+
+    def _read(self, data: bytes, converting: Any) -> Any:
         if PADDING.issuperset(data):
             types = converting.column_types
             return pa.table({name: pa.array([], kind) for name, kind in types.items()})
@@ -232,8 +264,7 @@ class TableParser:
         reading = pa_csv.ReadOptions(column_names=names, block_size=PARSER_BYTES, use_threads=False)
         parsing = pa_csv.ParseOptions(delimiter=self.dialect.normaliser.delimiter, newlines_in_values=False)
         pool = pa.system_memory_pool()
-        table = pa_csv.read_csv(pa.BufferReader(data), reading, parsing, converting, memory_pool=pool)
-        return table if self.date is None else self._with_moments(table, times_as)
+        return pa_csv.read_csv(pa.BufferReader(data), reading, parsing, converting, memory_pool=pool)
 
     def _with_moments(self, table: Any, times_as: Any) -> Any:
         """Return a table with dates and times of day joined in the column of the latter."""
@@ -242,6 +273,39 @@ class TableParser:
         moments = self.date.moments(table[str(self.date.column)], table[name])
         column = moments.cast(times_as or self.time.arrow_type)
         return table.set_column(table.schema.get_field_index(name), name, column)
+
+
+def _converting(types: dict[str, Any]) -> Any:
+    """Return how pyarrow makes values of the cells of these columns."""
+    return pa_csv.ConvertOptions(
+        column_types=types,
+        include_columns=list(types),
+        null_values=list(MISSING),
+        strings_can_be_null=True,
+        quoted_strings_can_be_null=True,
+    )
+
+
+def _text_values(column: Any) -> CellTexts:
+    """Return a chunked column of texts, whose chunks have a dictionary each."""
+    numbers: dict[str, int] = {}
+    parts = [np.empty(0, np.int32)]
+    for chunk in column.chunks:
+        texts = [decode(text).strip() for text in chunk.dictionary.to_pylist()]
+        own = [numbers.setdefault(text, len(numbers)) if text else -1 for text in texts]
+        indices = pa.chunked_array([chunk.indices.cast(pa.int64())])
+        parts.append(np.array([*own, -1], np.int32)[filled(indices, np.int64, -1)])
+    return CellTexts(tuple(numbers), np.concatenate(parts))
+
+
+class RowWatch(Protocol):
+    """Looks at blocks for what only all rows together show."""
+
+    def look(self, block: Block, table: ParsedTable) -> Any:
+        """Return what is seen of a block; this may run in any order."""
+
+    def see(self, seen: Any, times: NDArray[np.int64] | None) -> None:
+        """Take what was seen of the next block, and the times of its rows; raise AccelcalError to refuse."""
 
 
 class Fault(IntEnum):
@@ -308,6 +372,7 @@ class RowParser:
     Args:
         first_values: the file's first value of each channel that is wanted, for rows before it.
         gyro: how rotation rates become counts, None without.
+        watch: looks at every block, None if nothing does.
     """
 
     def __init__(
@@ -316,8 +381,9 @@ class RowParser:
         scale: AccelScale,
         first_values: dict[str, int],
         gyro: CountScale | None = None,
+        watch: RowWatch | None = None,
     ) -> None:
-        self._parser = parser
+        self._parser, self._watch = parser, watch
         self._scale = scale
         self._gyro = gyro
         self._last_values = dict(first_values)
@@ -332,7 +398,9 @@ class RowParser:
         Raises:
             UnreadableError: a line is no row of the file, or counts are not whole.
         """
-        for rows, block in parallel_map(self._rows_of, blocks, threads):
+        for rows, block, seen in parallel_map(self._rows_of, blocks, threads):
+            if self._watch is not None:
+                self._watch.see(seen, rows.time_us)
             yield self._placed(rows), block
 
     def _placed(self, rows: CsvRows) -> CsvRows:
@@ -344,8 +412,8 @@ class RowParser:
             self._last_values[name] = int(values[-1])
         return replace(rows, first_row=first)
 
-    def _rows_of(self, block: Block) -> tuple[CsvRows, Block]:
-        """Return the rows of a block by themselves; this may run in any order."""
+    def _rows_of(self, block: Block) -> tuple[CsvRows, Block, Any]:
+        """Return the rows of a block by themselves, and what the watch saw; this may run in any order."""
         table = self._table(block)
         self._refuse_fractions(table)
         counts, fault = self._counts(table.values)
@@ -359,7 +427,8 @@ class RowParser:
             channels["gyro_counts"], faults = self._gyro.counts(table.rates)
             fault[faults["missing_value"] & (fault == Fault.NONE)] = Fault.MISSING
             fault[faults["out_of_range"] & (fault == Fault.NONE)] = Fault.OUT_OF_RANGE
-        return CsvRows(0, table.line, counts, fault, table.time_us, channels), block.without_lines()
+        seen = None if self._watch is None else self._watch.look(block, table)
+        return CsvRows(0, table.line, counts, fault, table.time_us, channels), block.without_lines(), seen
 
     def _table(self, block: Block) -> ParsedTable:
         """Parse a block; the error is that of its first wrong line, however long the block is."""

@@ -9,12 +9,22 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
+from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.formats._tables.reader import ReadingPlan, TableReader, plan_of, source_of
-from accelcal_cli.formats._tables.table import Attributes, SensorTable, Track, track_of_shape
+from accelcal_cli.formats._tables.table import (
+    TEXT,
+    Attributes,
+    RowSource,
+    SensorTable,
+    TextRows,
+    Track,
+    track_of_shape,
+)
 from accelcal_cli.formats.hdf5.file import (
     H5PY_ERRORS,
     NodeAttributes,
@@ -27,6 +37,26 @@ from accelcal_cli.formats.hdf5.rows import ChunkIndex, TrackRows
 
 MATLAB_EMPTY = "MATLAB_empty"
 """Attribute of an empty array of MATLAB, whose numbers are the lengths of its axes."""
+
+
+class TextDataset:
+    """Rows of a dataset of texts, in order; a block that cannot be read is lost."""
+
+    kept_bytes, row_bytes = 0, 16
+
+    def __init__(self, dataset: Any, path: str) -> None:
+        self._dataset, self.path = dataset, path
+
+    def chunk_offset(self, row: int) -> int | None:
+        """Return None: where texts are stored is not known."""
+        return None
+
+    def read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return rows start..stop-1 (n, 1), and flags of those that are not lost."""
+        try:
+            return np.asarray(self._dataset[start:stop]).reshape(-1, 1), np.ones(stop - start, np.bool_)
+        except H5PY_ERRORS:
+            return np.full((stop - start, 1), ""), np.zeros(stop - start, np.bool_)
 
 
 class Hdf5Table(SensorTable):
@@ -50,6 +80,7 @@ class Hdf5Table(SensorTable):
         indexes: dict[str, ChunkIndex | None] | None = None,
     ) -> None:
         self.path, self.file, self._pool, self._indexes = path, file, pool, indexes
+        self._numbers: dict[str, dict[str, int]] = {}
 
     def missing_bytes(self) -> int:
         """Return the number of bytes that a file that was cut short lacks at its end."""
@@ -66,8 +97,15 @@ class Hdf5Table(SensorTable):
         """Return the attributes of a dataset, then of the groups that hold it, up to the file."""
         return attributes_of(self.file, path)
 
-    def rows(self, track: Track) -> TrackRows:
+    def texts_of(self, track: Track) -> list[str] | None:
+        """See `SensorTable`."""
+        return list(self._numbers.get(track.path, {})) if track.dtype == TEXT else None
+
+    def rows(self, track: Track) -> RowSource:
         """Return the rows of a dataset."""
+        if track.dtype == TEXT:
+            texts = TextDataset(self.file[track.path], track.path)
+            return TextRows(texts, self._numbers.setdefault(track.path, {}))
         return TrackRows(self.file, track, self.path, self._pool, self._indexes)
 
     @contextmanager
@@ -108,7 +146,7 @@ def as_track(path: str, dataset: Any) -> Track | None:
 
 
 def all_tracks(file: Any) -> tuple[tuple[Track, ...], int]:
-    """Return every dataset that can be read as rows of 1 or 3 numbers, by path, and how many are damaged."""
+    """Return every dataset of rows of 1 or 3 numbers, or of a text, by path, and how many are damaged."""
     found: list[Track] = []
     damaged = 0
     seen: set[int] = set()
@@ -131,6 +169,8 @@ def all_tracks(file: Any) -> tuple[tuple[Track, ...], int]:
 
 def _track(path: str, dataset: Any) -> Track | None:
     try:
+        if dataset.ndim == 1 and h5py.check_string_dtype(dataset.dtype) is not None:
+            return Track(path, len(dataset), 1, 0, TEXT)
         return as_track(path, dataset)
     except H5PY_ERRORS:
         return None
@@ -148,6 +188,8 @@ def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
         table = Hdf5Table(file, path)
         with table.guard("list of datasets"):
             tracks, damaged = all_tracks(file)
+            table.text_tracks = tuple(track for track in tracks if track.dtype == TEXT)
+            tracks = tuple(track for track in tracks if track.dtype != TEXT)
         with table.explaining(damaged), table.guard("description of the recording"):
             return Hdf5Reader(plan_of(source_of(table, tracks, options, damaged), "hdf5"))
 

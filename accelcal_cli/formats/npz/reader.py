@@ -20,7 +20,14 @@ import numpy as np
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats._bytes import PIECE_BYTES, ByteSource, PackedStream, PlainStream
-from accelcal_cli.formats._tables.arrays import Array, ArrayReader, ArrayTable, Stream, array_of
+from accelcal_cli.formats._tables.arrays import (
+    Array,
+    ArrayReader,
+    ArrayTable,
+    Stream,
+    array_of,
+    text_array_of,
+)
 from accelcal_cli.formats._tables.reader import plan_of, source_of
 from accelcal_cli.formats._tables.table import readable
 
@@ -92,7 +99,9 @@ def _add(table: ArrayTable, name: str, member: zipfile.ZipInfo, size: int) -> No
 
     offset = None if member.compress_type else _offset(table.path, member) + length
     read_as = dtype.newbyteorder("=")
-    array: Array | None = array_of(name, shape, (dtype, read_as), column_major, begin, offset)
+    array: Array | None = text_array_of(name, shape, dtype, begin, offset) or array_of(
+        name, shape, (dtype, read_as), column_major, begin, offset
+    )
     if array is not None:
         true = partial(_is_true, table.path, member)
         table.add(replace(array, track=replace(array.track, clock=clock), is_true=true), size)

@@ -1,0 +1,310 @@
+"""Several sensors or people in one table: the column that tells their rows apart, and which are wanted.
+
+A column of texts or whole numbers can say whose each row is, or what its wearer did. `Division` sees its
+values with the times of the rows, and takes them for sensors by one of these: the times repeat or go back as
+the value changes, and are in order for each value alone; each value alone has a steady rate, and all together
+have none; or the column has the name of a device, a person or a place, and the values take turns, or the
+times jump as they change. A label that changes while the times go on divides nothing.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.errors import UnreadableError, UsageError, printable
+from accelcal_cli.core.vocabulary import LABELS, MEASURES, NEUTRAL, OWNERS, PLACES
+from accelcal_cli.formats._stamps import LOST
+
+EVERY_ROW = "all"
+"""The value of --sensor for a table whose rows are of one sensor, whatever its columns say."""
+
+LEAST_ROWS = 3
+"""A value in fewer rows is taken for damage."""
+
+MOST_VALUES, ROWS_A_VALUE = 64, 8
+"""Sensors are at most so many, and have at least so many rows on average; people may be more."""
+
+LONGEST_TURN_S, LONGEST_TURN_ROWS = 2.0, 64
+"""Sensors that take turns are read for at most so long on average; activities last longer."""
+
+GAP_STEPS = 5
+"""A step of more than so many usual ones is a jump of the times."""
+
+NEAR, NEARER = 0.5, 0.2
+"""Steps whose length is within these shares of the usual one are near it, and nearer."""
+
+SHOWN = 12
+"""CellTexts that a message names."""
+
+WHOLE = re.compile(r"[+-]?\d+(\.0*)?")
+
+
+class Meaning(IntEnum):
+    """What the name of a column says of its values."""
+
+    MEASURED = 0
+    LABEL = 1
+    UNKNOWN = 2
+    PLACE = 3
+    OWNER = 4
+
+
+def meaning_of(name: str) -> Meaning:
+    """Return the meaning of a name: `sensorID`, `device_id` and `Subject No` are owners."""
+    words = {word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)}
+    words |= {word.removesuffix(end) for word in words for end in ("id", "name", "no", "s") if word != end}
+    words = words - NEUTRAL or words
+    for known, meaning in (
+        (MEASURES, Meaning.MEASURED),
+        (LABELS, Meaning.LABEL),
+        (OWNERS, Meaning.OWNER),
+        (PLACES, Meaning.PLACE),
+    ):
+        if known & words:
+            return meaning
+    return Meaning.UNKNOWN
+
+
+class CellTexts(NamedTuple):
+    """A column of consecutive rows: its texts, and for each row (n,) the number of its text, -1 if empty."""
+
+    texts: Sequence[str]
+    codes: NDArray[np.int32]
+
+
+class _Steps:
+    """Counts steps between times: those ahead, those near the usual one, and those that are not ahead."""
+
+    def __init__(self) -> None:
+        self.ahead = self.near = self.nearer = self.others = 0
+
+    def add(self, steps: NDArray[np.int64]) -> None:
+        """Take some steps [us]."""
+        ahead = steps[steps > 0]
+        self.ahead += len(ahead)
+        self.others += len(steps) - len(ahead)
+        if len(ahead):
+            off = np.abs(ahead / float(np.median(ahead)) - 1)
+            self.near += int(np.count_nonzero(off <= NEAR))
+            self.nearer += int(np.count_nonzero(off <= NEARER))
+
+
+@dataclass(slots=True)
+class _OneValue:
+    """The rows of one value: how many were seen, and the time of the last [us]."""
+
+    rows: int = 0
+    last_us: int | None = None
+
+
+class Division:
+    """Sees the values of one column in the order of the rows, and tells whether they are several sensors.
+
+    Args:
+        name: of the column, or its number.
+        since_1970: the times are moments; else they count from some start, and may do so more than once.
+    """
+
+    def __init__(self, name: str, since_1970: bool) -> None:
+        self.name, self.meaning = name, meaning_of(name)
+        self._since_1970 = since_1970
+        self._streams: dict[str, _OneValue] = {}
+        self._whole, self._each = _Steps(), _Steps()
+        self._rows = self._changes = self._not_ahead = self._jumps = self._again = 0
+        self._last: tuple[str, int | None] | None = None
+        self._first_us = self._begin_us = 0
+        self._usual_us = 0.0
+
+    @property
+    def texts(self) -> list[str]:
+        """The values that have been seen, but those of a few rows."""
+        return [text for text, stream in self._streams.items() if stream.rows >= LEAST_ROWS]
+
+    def add(self, values: CellTexts, times: NDArray[np.int64] | None) -> None:
+        """Take the next rows with their times (n,) [us], None where they have none."""
+        codes = values.codes
+        known = codes >= 0 if times is None else (codes >= 0) & (times > LOST)
+        if not known.all():
+            codes, times = codes[known], None if times is None else times[known]
+        if not len(codes):
+            return
+        self._rows += len(codes)
+        present = np.unique(codes)
+        if times is not None:
+            self._add_times(values.texts, codes, times, present)
+        else:
+            before = None if self._last is None else self._last[0]
+            self._changes += int(np.count_nonzero(np.diff(codes)))
+            self._changes += before not in (None, values.texts[codes[0]])
+        for code in present.tolist():
+            stream = self._streams.setdefault(values.texts[code], _OneValue())
+            stream.rows += int(np.count_nonzero(codes == code))
+        self._last = (values.texts[codes[-1]], None if times is None else int(times[-1]))
+
+    def _add_times(
+        self,
+        texts: Sequence[str],
+        codes: NDArray[np.int32],
+        times: NDArray[np.int64],
+        present: NDArray[np.int32],
+    ) -> None:
+        if self._last is None or self._last[1] is None:
+            self._first_us = self._begin_us = int(times[0])
+            before, changed = int(times[0]) - 1, False  # a first step that goes ahead
+        else:
+            before, changed = self._last[1], self._last[0] != texts[codes[0]]
+        steps = np.diff(times, prepend=before)
+        changes = np.diff(codes, prepend=codes[:1]) != 0
+        changes[0] = changed
+        self._usual_us = self._usual_us or (float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0)
+        jumps = (steps <= 0) | (steps > GAP_STEPS * self._usual_us)
+        self._changes += int(np.count_nonzero(changes))
+        self._not_ahead += int(np.count_nonzero(changes & (steps <= 0)))
+        self._jumps += int(np.count_nonzero(changes & jumps))
+        self._whole.add(steps)
+        self._see_times_again(times, steps, jumps, changes)
+        for code in present.tolist():
+            own = times[codes == code]
+            stream = self._streams.setdefault(texts[code], _OneValue())
+            self._each.add(np.diff(own) if stream.last_us is None else np.diff(own, prepend=stream.last_us))
+            stream.last_us = int(own[-1])
+
+    def _see_times_again(
+        self,
+        times: NDArray[np.int64],
+        steps: NDArray[np.int64],
+        jumps: NDArray[np.bool_],
+        changes: NDArray[np.bool_],
+    ) -> None:
+        """Count the changes at which the times go back into the stretch without jumps before them."""
+        for row in np.flatnonzero(jumps & (steps != 0)).tolist():
+            self._again += bool(changes[row] and steps[row] < 0 and times[row] >= self._begin_us)
+            self._begin_us = int(times[row])
+
+    def is_several(self) -> bool:
+        """Return True if the values are those of several sensors or people."""
+        texts, most = self.texts, max(MOST_VALUES, self._rows if self.meaning is Meaning.OWNER else 0)
+        if self.meaning is Meaning.MEASURED or len(texts) < 2 or len(self._streams) > most:
+            return False
+        if len(self._streams) * ROWS_A_VALUE > max(self._rows, 2 * ROWS_A_VALUE):
+            return False
+        if self._last is None or self._last[1] is None:
+            return self.meaning >= Meaning.PLACE
+        in_turn = LONGEST_TURN_ROWS * self._changes >= self._rows
+        if self.meaning is Meaning.LABEL:
+            return self._contradict and (in_turn or (self._since_1970 and 2 * self._again >= self._changes))
+        found = self.meaning is Meaning.OWNER or self._contradict or self._steady_apart
+        return found or (self.meaning is Meaning.PLACE and (self._take_turns or self._is_cut))
+
+    @property
+    def _contradict(self) -> bool:
+        """True if times do not go ahead where the value changes, and do for each value alone."""
+        return (
+            5 * self._not_ahead >= 2 * max(self._changes, 1)
+            and 10 * self._each.others <= self._whole.others
+            and 10 * self._each.near >= 6 * self._each.ahead
+        )
+
+    @property
+    def _steady_apart(self) -> bool:
+        """True if values that take turns have a steady rate each, and none together."""
+        steady = 10 * self._each.nearer >= 9 * self._each.ahead > 0
+        return steady and 4 * self._changes >= self._rows and 10 * self._whole.nearer <= 6 * self._whole.ahead
+
+    @property
+    def _take_turns(self) -> bool:
+        assert self._last is not None and self._last[1] is not None
+        return abs(self._last[1] - self._first_us) <= LONGEST_TURN_S * MICROSECONDS * self._changes
+
+    @property
+    def _is_cut(self) -> bool:
+        """True if the times jump at most changes of the value."""
+        return self._changes > 0 and 2 * self._jumps >= self._changes
+
+    def is_worth_watching(self) -> bool:
+        """Return True if more rows may show several sensors; a column that always changes did already."""
+        several = len(self._streams) > MOST_VALUES or LONGEST_TURN_ROWS * self._changes > self._rows
+        return self.meaning is not Meaning.MEASURED and not several
+
+    def fault(self, path: Path, chosen: str | None) -> UnreadableError:
+        """Return the error that asks for one of the sensors; `chosen` is what was given before."""
+        texts = self.texts
+        given = "" if chosen is None else f"{chosen},"
+        options = [f"--sensor {shlex.quote(printable(given + text))}" for text in texts[:2]]
+        return UnreadableError(
+            f"holds several sensors or people: column {printable(self.name)!r} has {_shown(texts)}",
+            path=path,
+            hint=f"choose one: {' or '.join(options)} (--sensor {EVERY_ROW} if all are of one sensor)",
+        )
+
+
+def most_telling(divisions: Iterable[Division]) -> Division | None:
+    """Return the column that divides the rows best: by its name, then with the fewest values."""
+    several = [one for one in divisions if one.is_several()]
+    return max(several, key=lambda one: (one.meaning, -len(one.texts)), default=None)
+
+
+def refuse_several(divisions: Iterable[Division], path: Path, chosen: str | None) -> None:
+    """Raise UnreadableError if a column shows several sensors."""
+    if (found := most_telling(divisions)) is not None:
+        raise found.fault(path, chosen)
+
+
+def is_same(text: str, wanted: str) -> bool:
+    """Return True if a cell has the wanted value; 1 is 1.0."""
+    if text == wanted:
+        return True
+    return bool(WHOLE.fullmatch(text) and WHOLE.fullmatch(wanted)) and float(text) == float(wanted)
+
+
+def matched(wanted: str, columns: Mapping[str, Sequence[str]]) -> dict[str, set[str]] | None:
+    """Return which texts of which columns a value of --sensor chooses; None if it is not among them.
+
+    Args:
+        wanted: a value, or several of different columns with commas between them.
+        columns: the texts of each column.
+    """
+    for parts in ([wanted], wanted.split(",")):
+        found = [_column_with(part.strip(), columns) for part in parts]
+        if all(found) and len({one[0] for one in found if one}) == len(parts):
+            return dict(one for one in found if one)
+    return None
+
+
+def _column_with(wanted: str, columns: Mapping[str, Sequence[str]]) -> tuple[str, set[str]] | None:
+    having = {
+        name: texts
+        for name, all_texts in columns.items()
+        if (texts := {text for text in all_texts if is_same(text, wanted)})
+    }
+    best = max(having, key=meaning_of, default=None)
+    return None if best is None else (best, having[best])
+
+
+def no_such_sensor(wanted: str, columns: Mapping[str, Sequence[str]], path: Path) -> UsageError:
+    """Return the error for a value that no column has."""
+    known = "; ".join(_described(columns))
+    return UsageError(
+        f"no row is of the sensor {wanted!r}",
+        path=path,
+        hint=f"give --sensor a value of a column: {known}" if known else "omit --sensor",
+    )
+
+
+def _described(columns: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    for name in sorted(columns, key=lambda name: (-meaning_of(name), name)):
+        yield f"{printable(name)} has {_shown(columns[name])}"
+
+
+def _shown(texts: Sequence[str]) -> str:
+    return ", ".join(map(printable, texts[:SHOWN])) + ", ..." * (len(texts) > SHOWN)

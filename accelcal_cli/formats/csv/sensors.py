@@ -1,0 +1,214 @@
+"""The rows of one sensor in a text file of several, and the watch over columns that may tell of several.
+
+The head of a file is looked at as a whole. Behind it, one line in every `LOOK_BYTES` is looked at, and a
+block of lines as a whole only where these show that a column changes: most never do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from accelcal_cli.formats._tables.sensors import (
+    EVERY_ROW,
+    WHOLE,
+    CellTexts,
+    Division,
+    Meaning,
+    matched,
+    meaning_of,
+    no_such_sensor,
+    refuse_several,
+)
+from accelcal_cli.formats.csv.cells import MISSING, CellKind, decode
+from accelcal_cli.formats.csv.columns import Roles
+from accelcal_cli.formats.csv.dialect import SAMPLE_ROWS, Dialect, numbered_rows
+from accelcal_cli.formats.csv.lines import Block, LineFile, lone_block
+from accelcal_cli.formats.csv.rows import ParsedTable, TableParser
+
+LOOK_BYTES = 1 << 14
+"""One line is looked at in so many bytes of the file."""
+
+SEARCH_BYTES = 1 << 20
+"""Bytes that are read at a time to find the first rows of a sensor."""
+
+
+def dividing_columns(dialect: Dialect, roles: Roles) -> tuple[int, ...]:
+    """Return the columns of texts or whole numbers that may tell whose each row is."""
+    used = {*roles.xyz, roles.time, roles.date, *roles.channels.values(), *(roles.gyro or ())}
+    return tuple(
+        column for column in range(dialect.columns) if column not in used and _may_divide(dialect, column)
+    )
+
+
+def _may_divide(dialect: Dialect, column: int) -> bool:
+    if dialect.names and meaning_of(dialect.names[column]) is Meaning.MEASURED:
+        return False
+    cells = {cell.strip() for cell in dialect.cells(column)} - {*MISSING}
+    kind = dialect.kinds[column]
+    return kind is CellKind.TEXT or (kind is CellKind.NUMBER and all(map(WHOLE.fullmatch, cells)))
+
+
+def _names(dialect: Dialect, columns: Sequence[int]) -> list[str]:
+    """Return the names of columns, each once; numbers where the file has none."""
+    names = dialect.names or ()
+    own = [names[column] if names else "" for column in columns]
+    return [
+        name if name and names.count(name) == 1 else str(column)
+        for name, column in zip(own, columns, strict=True)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class SensorRows:
+    """The rows of a file that --sensor chooses.
+
+    Attributes:
+        block: the first lines of the file among which they are.
+        texts: of columns, one of each of which they have.
+    """
+
+    block: Block
+    texts: tuple[tuple[int, frozenset[str]], ...]
+
+    def sample_of(self, dialect: Dialect) -> Dialect:
+        """Return the layout with a sample of these rows."""
+        lines = self.block.data.splitlines(keepends=True)
+        rows = [
+            (line, tuple(row))
+            for line, row in numbered_rows(lines, dialect.normaliser, self.block.line)
+            if len(row) == dialect.columns
+            and all(row[column].strip() in texts for column, texts in self.texts)
+        ][:SAMPLE_ROWS]
+        numbers, cells = zip(*rows, strict=True) if rows else (dialect.lines, dialect.sample)
+        return replace(dialect, sample=cells, lines=numbers)
+
+
+def rows_of_sensor(
+    wanted: str | None, dialect: Dialect, columns: Sequence[int], path: Path
+) -> SensorRows | None:
+    """Find the rows of a sensor, however far from the beginning; None if all rows are wanted.
+
+    Args:
+        columns: that may tell whose each row is.
+
+    Raises:
+        UsageError: no row is of that sensor.
+    """
+    if wanted is None or (wanted == EVERY_ROW and not columns):
+        return None
+    names = _names(dialect, columns)
+    texts: dict[str, list[str]] = {name: [] for name in names}
+    for first, second in _pairs_of_blocks(dialect, path):
+        for name, values in zip(names, _texts(first, dialect, columns, path), strict=True):
+            texts[name] += [text for text in values.texts if text not in texts[name]]
+        if (found := matched(wanted, texts)) is not None:
+            number_of = dict(zip(names, columns, strict=True))
+            chosen = tuple((number_of[name], frozenset(some)) for name, some in found.items())
+            return SensorRows(lone_block(first.data + second, first.line, first.offset), chosen)
+        if wanted == EVERY_ROW:
+            return None
+    raise no_such_sensor(wanted, texts, path)
+
+
+def _pairs_of_blocks(dialect: Dialect, path: Path) -> Iterator[tuple[Block, bytes]]:
+    """Yield each block of a file with the lines of the next one."""
+    with LineFile(path, dialect.bare_returns) as file:
+        before = None
+        for block in file.blocks(dialect.offset, dialect.skipped + 1, SEARCH_BYTES):
+            if before is not None:
+                yield before, block.data
+            before = block
+        if before is not None:
+            yield before, b""
+
+
+def _texts(block: Block, dialect: Dialect, columns: Sequence[int], path: Path) -> tuple[CellTexts, ...]:
+    """Return columns of a block; no values where a line is no row, of which others will say so."""
+    parser = TableParser(path, dialect, Roles((0, 0, 0), None, {}), None)
+    try:
+        return parser.values(block, columns) if columns else ()
+    except pa.ArrowException:
+        return (CellTexts((), np.empty(0, np.int32)),) * len(columns)
+
+
+class SensorWatch:
+    """Refuses a file whose rows turn out to be of several sensors.
+
+    Args:
+        columns: that may tell whose each row is.
+        wanted: what --sensor has chosen.
+    """
+
+    def __init__(self, parser: TableParser, columns: Sequence[int], wanted: str | None) -> None:
+        self._parser, self.columns, self._wanted = parser, columns, wanted
+        since_1970 = parser.time is not None and parser.time.since_1970
+        names = _names(parser.dialect, columns)
+        self._divisions = [Division(name, since_1970) for name in names]
+
+    def again(self) -> SensorWatch | None:
+        """Return a watch from the beginning over the columns that are worth it; None if none is."""
+        pairs = zip(self.columns, self._divisions, strict=True)
+        columns = [column for column, division in pairs if division.is_worth_watching()]
+        return SensorWatch(self._parser, columns, self._wanted) if columns else None
+
+    @property
+    def note(self) -> str:
+        """Says which rows are read."""
+        chosen = self._parser.sensor
+        names = _names(self._parser.dialect, [column for column, _ in chosen])
+        pairs = zip(names, chosen, strict=True)
+        return "only rows of " + ", ".join(
+            f"{name} {' or '.join(sorted(texts))}" for name, (_, texts) in pairs
+        )
+
+    def look(self, block: Block, table: ParsedTable) -> tuple[CellTexts, ...]:
+        """Return the columns of a block, as far as one line in many shows that they have to be read."""
+        constant = self._constant_cells(block) if table.wanted is None else {}
+        changing = [column for column in self.columns if column not in constant]
+        read = dict(zip(changing, self._read(block, table, changing), strict=True)) if changing else {}
+        rows = np.zeros(len(table.line), np.int32)
+        alike = {column: CellTexts((text,), rows - (text in MISSING)) for column, text in constant.items()}
+        return tuple((read | alike)[column] for column in self.columns)
+
+    def all_of(self, block: Block, table: ParsedTable) -> tuple[CellTexts, ...]:
+        """Return the columns of a block, all of them read."""
+        return self._read(block, table, self.columns)
+
+    def _read(self, block: Block, table: ParsedTable, columns: Sequence[int]) -> tuple[CellTexts, ...]:
+        values = self._parser.values(block, columns)
+        if table.wanted is None:
+            return values
+        return tuple(CellTexts(texts, codes[table.wanted]) for texts, codes in values)
+
+    def see(self, seen: tuple[CellTexts, ...], times: NDArray[np.int64] | None) -> None:
+        """Take the columns of the next block; raise UnreadableError if they show several sensors."""
+        for division, values in zip(self._divisions, seen, strict=True):
+            division.add(values, times)
+        refuse_several(self._divisions, self._parser.path, self._wanted)
+
+    def _constant_cells(self, block: Block) -> dict[int, str]:
+        """Return the cell of each column that is the same in all lines that are looked at."""
+        first = -block.offset % LOOK_BYTES
+        starts = [
+            0,
+            *(block.data.find(b"\n", place) + 1 for place in range(first, len(block.data), LOOK_BYTES)),
+        ]
+        starts.append(block.data.rfind(b"\n", 0, len(block.data) - 1) + 1)
+        delimiter = self._parser.dialect.normaliser.delimiter.encode()
+        found: list[set[bytes]] = [set() for _ in self.columns]
+        for start in starts:
+            line = block.data[start : block.data.find(b"\n", start)].rstrip(b"\r")
+            cells = line.split(delimiter)
+            if len(cells) != self._parser.dialect.columns or b'"' in line:
+                return {}
+            for column, cells_of in zip(self.columns, found, strict=True):
+                cells_of.add(cells[column])
+        pairs = zip(self.columns, found, strict=True)
+        clean = self._parser.dialect.normaliser
+        return {column: decode(clean(cells.pop())).strip() for column, cells in pairs if len(cells) == 1}

@@ -1,0 +1,346 @@
+"""Tables of several sensors or people: refused with the column and its values; --sensor chooses."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from pyarrow import feather
+
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.formats import open_recording
+from accelcal_cli.formats._tables import reader as divided_reader
+from accelcal_cli.formats.csv import detect as csv_detect
+from accelcal_cli.formats.csv import reader as csv_reader
+from tests.formats import make_npz
+
+RNG = np.random.default_rng(46)
+START_US = 1_709_548_900_000_000
+PERIOD_US = 40_000
+ROWS = 1500
+
+Columns = dict[str, Any]
+
+
+def stream(
+    value: Any, rows: int = ROWS, after_us: int = 0, name: str = "sensor", tilt: float = 0.0
+) -> Columns:
+    """One sensor: times [us], x, y, z in g, and its value in a column of this name."""
+    angles = np.repeat(RNG.uniform(0, 2 * np.pi, -(-rows // 200)), 200)[:rows]
+    xyz = np.stack([np.cos(angles), np.sin(angles), np.full(rows, tilt)], axis=1)
+    xyz += RNG.normal(0, 0.003, xyz.shape)
+    times = START_US + after_us + PERIOD_US * np.arange(rows)
+    return {"time": times, **dict(zip("xyz", xyz.T, strict=True)), name: np.full(rows, value)}
+
+
+def stacked(*streams: Columns) -> Columns:
+    """Streams one after the other."""
+    return {name: np.concatenate([one[name] for one in streams]) for name in streams[0]}
+
+
+def by_time(table: Columns) -> Columns:
+    """The rows in the order of their times."""
+    order = np.argsort(table["time"], kind="stable")
+    return {name: values[order] for name, values in table.items()}
+
+
+def with_column(table: Columns, name: str, values: Any) -> Columns:
+    return {**table, name: np.asarray(values)}
+
+
+def without(table: Columns, name: str) -> Columns:
+    return {key: values for key, values in table.items() if key != name}
+
+
+def csv_bytes(table: Columns, delimiter: str = ",", comma: bool = False, seconds: bool = False) -> bytes:
+    """A table as text, times in seconds or milliseconds since 1970."""
+
+    def cell(name: str, value: Any) -> str:
+        if name == "time":
+            return f"{value / 1e6:.3f}" if seconds else str(int(value) // 1000)
+        text = f"{value:.5f}" if isinstance(value, float) else str(value)
+        return text.replace(".", ",") if comma and isinstance(value, float) else text
+
+    names = list(table)
+    rows = zip(*(table[name].tolist() for name in names), strict=True)
+    lines = [delimiter.join(names)]
+    lines += [
+        delimiter.join(cell(name, value) for name, value in zip(names, row, strict=True)) for row in rows
+    ]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def as_csv(path: Path, table: Columns) -> Path:
+    path.write_bytes(csv_bytes(table))
+    return path
+
+
+def as_gzip(path: Path, table: Columns) -> Path:
+    path.write_bytes(gzip.compress(csv_bytes(table, seconds=True)))
+    return path
+
+
+def as_semicolons(path: Path, table: Columns) -> Path:
+    path.write_bytes(csv_bytes(table, ";", comma=True))
+    return path
+
+
+def arrow(table: Columns) -> pa.Table:
+    columns = {name: pa.array(values) for name, values in table.items()}
+    if "time" in columns:
+        columns["time"] = columns["time"].cast(pa.timestamp("us", "UTC"))
+    return pa.table(columns)
+
+
+def as_parquet(path: Path, table: Columns) -> Path:
+    pq.write_table(arrow(table), path, row_group_size=700)
+    return path
+
+
+def as_feather(path: Path, table: Columns) -> Path:
+    feather.write_feather(arrow(table), path, chunksize=600)
+    return path
+
+
+def seconds_since_1970(table: Columns) -> Columns:
+    return {**table, "time": table["time"] / 1e6} if "time" in table else table
+
+
+def as_npz(path: Path, table: Columns) -> Path:
+    return make_npz.write(path, {**seconds_since_1970(table), "unit": "g"}, packed=True)
+
+
+def as_hdf5(path: Path, table: Columns) -> Path:
+    with h5py.File(path, "w") as file:
+        for name, values in seconds_since_1970(table).items():
+            text = values.dtype.kind == "U"
+            data = file.create_dataset(name, data=[str(one) for one in values] if text else values)
+            if name in "xyz":
+                data.attrs["units"] = "g"
+    return path
+
+
+def as_mat(path: Path, table: Columns) -> Path:
+    scipy_io = pytest.importorskip("scipy.io")
+    scipy_io.savemat(path, {**seconds_since_1970(table), "unit": "g"}, do_compression=True)
+    return path
+
+
+Writer = Callable[[Path, Columns], Path]
+TEXTS: dict[str, Writer] = {
+    "a.csv": as_csv,
+    "b.csv.gz": as_gzip,
+    "c.txt": as_semicolons,
+    "a.parquet": as_parquet,
+    "a.feather": as_feather,
+    "a.npz": as_npz,
+    "a.h5": as_hdf5,
+}
+NUMBERS: dict[str, Writer] = {**TEXTS, "a.mat": as_mat}
+
+
+def read(path: Path, chunk_samples: int = 256, **options: Any) -> tuple[Any, np.ndarray, np.ndarray]:
+    """The recording, its counts in g, and its times."""
+    with open_recording(path, ReadOptions(unit="g", **options)) as reader:
+        chunks = [chunk for chunk in reader.chunks(chunk_samples) if len(chunk)]
+        counts = np.concatenate([chunk.counts for chunk in chunks]) / reader.recording.lsb_per_g
+        times = np.concatenate([chunk.clock.times(0, len(chunk)) for chunk in chunks])
+        return reader.recording, counts, times
+
+
+def refusal(path: Path, **options: Any) -> str:
+    with pytest.raises(UnreadableError) as error:
+        read(path, **options)
+    return str(error.value)
+
+
+LEFT_RIGHT = stacked(stream("left"), stream("right", tilt=0.1))
+ONE_TWO = stacked(stream(1), stream(2, tilt=0.1))
+SEVERAL = {
+    "in turn": by_time(LEFT_RIGHT),
+    "one after the other, times again": LEFT_RIGHT,
+    "one after the other, an hour later": stacked(
+        stream("lw", name="location"), stream("rw", after_us=3_600_000_000, name="location")
+    ),
+    "people, one after the other without a pause": stacked(
+        stream("s1", name="Subject ID"), stream("s2", after_us=ROWS * PERIOD_US, name="Subject ID")
+    ),
+    "in turn, clocks of their own": by_time(stacked(stream("a", name="q"), stream("b", 1500, 9_000, "q"))),
+    "any name, in turn": by_time(stacked(stream("a", name="q"), stream("b", name="q"))),
+    "any name, times again": stacked(stream("a", name="q"), stream("b", name="q")),
+    "three, packets of ten": None,
+    "without times": without(LEFT_RIGHT, "time"),
+    "without times, in turn": without(
+        by_time(stacked(stream("a", name="id"), stream("b", name="id"))), "time"
+    ),
+}
+packets = stacked(*(stream(value, name="node") for value in ("n1", "n2", "n3")))
+order = np.lexsort((packets["time"], packets["node"], (packets["time"] - START_US) // (10 * PERIOD_US)))
+SEVERAL["three, packets of ten"] = {name: values[order] for name, values in packets.items()}
+
+
+@pytest.mark.parametrize("kind", SEVERAL)
+@pytest.mark.parametrize("name", TEXTS)
+def test_verdicts_13_several_sensors_in_one_table_are_refused(tmp_path: Path, name: str, kind: str) -> None:
+    table = SEVERAL[kind]
+    path = TEXTS[name](tmp_path / name, table)
+    rate = {} if "time" in table else {"rate_hz": 25.0}
+    column = next(key for key in table if key not in ("time", *"xyz"))
+    first, second = dict.fromkeys(table[column].tolist()) if kind[:5] != "three" else ("n1", "n2")
+    text = refusal(path, **rate)
+    assert f"column '{column}' has {first}, {second}" in text
+    assert f"--sensor {first} or --sensor {second}" in text
+    chosen = table[column] == first
+    recording, counts, times = read(path, **rate, sensor=first)
+    assert recording.rate_hz == 25.0
+    assert np.allclose(counts, np.stack([table[axis][chosen] for axis in "xyz"], axis=1), atol=2e-5)
+    if "time" in table:
+        assert np.abs(times - table["time"][chosen]).max() < 1000
+    assert any(f"{column} {first}" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("table", [by_time(ONE_TWO), ONE_TWO], ids=["in turn", "stacked"])
+def test_numbers_tell_sensors_apart_as_well(tmp_path: Path, name: str, table: Columns) -> None:
+    path = NUMBERS[name](tmp_path / name, table)
+    assert "'sensor' has 1, 2" in refusal(path)
+    assert len(read(path, sensor="2")[1]) == ROWS
+
+
+ONE = without(stream("one", 3000), "sensor")
+SECOND = np.arange(3000) // 25
+NOT_SEVERAL = {
+    "constant": ("sensor", np.full(3000, "left")),
+    "constant number": ("id", np.full(3000, 7)),
+    "activity": ("activity", np.repeat(["walking", "sitting", "walking", "lying"], 750)),
+    "place without a pause": ("location", np.repeat(["home", "work", "home"], 1000)),
+    "any text along time": ("q", np.repeat(["a", "b", "c"], 1000)),
+    "marker": ("marker", (np.arange(3000) % 611 == 3).astype(int)),
+    "button as text": ("button", np.where(np.arange(3000) % 500 < 5, "1", "0")),
+    "day": ("day", np.repeat([1, 2, 3], 1000)),
+    "block": ("block", np.repeat(np.arange(30), 100)),
+    "temperature as text": ("Temp sensor", np.where(RNG.random(3000) < 0.5, "22 C", "23 C")),
+    "light": ("lux", RNG.integers(0, 3, 3000)),
+    "wear": ("worn", np.repeat(["yes", "no"], 1500)),
+    "flicker of any name": ("q", RNG.integers(0, 2, 3000)),
+    "noise of any name": ("q", RNG.integers(0, 20, 3000)),
+    "packet": ("packet_id", np.arange(3000) // 10),
+    "row": ("id", np.arange(3000)),
+    "damaged cell": ("sensor", np.where(np.arange(3000) == 700, "lefx", "left")),
+}
+
+
+@pytest.mark.parametrize("kind", NOT_SEVERAL)
+@pytest.mark.parametrize("name", ["a.csv", "a.parquet"])
+def test_verdicts_13_what_is_one_recording_stays_one(tmp_path: Path, name: str, kind: str) -> None:
+    column, values = NOT_SEVERAL[kind]
+    plain, _, times = read(TEXTS[name](tmp_path / f"p{name}", ONE))
+    found, counts, own = read(TEXTS[name](tmp_path / name, with_column(ONE, column, values)))
+    assert (len(counts), found.rate_hz, found.start_us) == (3000, plain.rate_hz, plain.start_us)
+    assert np.array_equal(own, times)
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.parquet"])
+@pytest.mark.parametrize("column", ["activity", "q", "light_level"])
+def test_shared_or_repeated_stamps_do_not_make_sensors_of_labels(
+    tmp_path: Path, name: str, column: str
+) -> None:
+    """Whole seconds, pairs of rows with one stamp, and an hour that comes again."""
+    flicker = RNG.integers(0, 12, 3000)
+    label = np.repeat(["walking", "sitting", "lying"], 1000)
+    seconds = {**ONE, "time": ONE["time"] // 1_000_000 * 1_000_000}
+    pairs = {**ONE, "time": START_US + np.arange(3000) // 2 * 2 * PERIOD_US}
+    again = {**ONE, "time": ONE["time"] - 30_000_000 * (np.arange(3000) >= 1700)}
+    for number, times in enumerate((seconds, pairs, again)):
+        for values in (flicker, label):
+            path = TEXTS[name](tmp_path / f"{number}{name}", with_column(times, column, values))
+            assert len(read(path)[1]) == 3000
+
+
+def test_sections_of_one_device_may_begin_again(tmp_path: Path) -> None:
+    """Trials that count from their own start are labels; the same times for two values of `q` are not."""
+    times = np.tile(np.arange(1000), 3) * PERIOD_US
+    table = {**ONE, "time": times}
+    for name, refused in (("trial", False), ("day", False), ("q", True), ("subject", True)):
+        data = csv_bytes(with_column(table, name, np.repeat(["a", "b", "c"], 1000)), seconds=True)
+        path = tmp_path / "a.csv"
+        path.write_bytes(data)
+        if refused:
+            assert f"column '{name}' has a, b, c" in refusal(path)
+        else:
+            assert len(read(path)[1]) == 3000
+
+
+@pytest.mark.parametrize("name", ["a.csv", "b.csv.gz", "a.parquet", "a.npz"])
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("kind", ["stacked", "in turn", "later"])
+def test_sensors_behind_the_head_are_found_in_the_pass(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, threads: int, kind: str
+) -> None:
+    monkeypatch.setattr(csv_reader, "BLOCK_BYTES", 1 << 16)
+    monkeypatch.setattr(csv_detect, "HEAD_BYTES", 1 << 15)
+    monkeypatch.setattr(divided_reader, "BLOCK_ROWS", 500)
+    left, right = stream("left", 6000), stream("right", 3000, 0 if kind == "stacked" else 3000 * PERIOD_US)
+    if kind == "later":
+        right = stream("right", 3000, 9_000_000_000)
+    table = stacked(left, right) if kind != "in turn" else by_time(stacked(left, right))
+    path = TEXTS[name](tmp_path / name, table)
+    with open_recording(path, ReadOptions(unit="g")) as reader:
+        reader.threads = threads
+        with pytest.raises(UnreadableError, match="'sensor' has left, right"):
+            list(reader.chunks(500))
+    assert len(read(path, 500, sensor="right")[1]) == 3000
+
+
+def test_people_with_sensors_are_chosen_by_both(tmp_path: Path) -> None:
+    parts = [
+        with_column(stream(side, 600, 0, "side"), "subject", np.full(600, who))
+        for who in ("s1", "s2")
+        for side in ("left", "right")
+    ]
+    for name, writer in (("a.csv", as_csv), ("a.parquet", as_parquet)):
+        path = writer(tmp_path / name, stacked(*parts))
+        assert "--sensor s1 or --sensor s2" in refusal(path)
+        assert "--sensor s2,left or --sensor s2,right" in refusal(path, sensor="s2")
+        assert len(read(path, sensor="s2,right")[1]) == 600
+
+
+def test_all_rows_can_be_read_as_those_of_one_sensor(tmp_path: Path) -> None:
+    for name in ("a.csv", "a.parquet"):
+        assert len(read(TEXTS[name](tmp_path / name, LEFT_RIGHT), sensor="all")[1]) == 2 * ROWS
+
+
+def test_a_sensor_that_is_not_there_is_refused_with_those_that_are(tmp_path: Path) -> None:
+    for name in ("a.csv", "a.parquet"):
+        with pytest.raises(UsageError, match=r"no row is of the sensor 'up'; .*sensor has left, right"):
+            read(TEXTS[name](tmp_path / name, LEFT_RIGHT), sensor="up")
+
+
+def test_gyroscope_and_temperature_are_those_of_the_sensor(tmp_path: Path) -> None:
+    table = by_time(LEFT_RIGHT)
+    right = table["sensor"] == "right"
+    for axis in "xyz":
+        table[f"gyro_{axis}_dps"] = np.where(right, 30.0, -10.0)
+    table["temperature_c"] = np.where(right, 25.0, 20.0)
+    for name in ("a.csv", "a.parquet"):
+        path = TEXTS[name](tmp_path / name, table)
+        with open_recording(path, ReadOptions(unit="g", sensor="right")) as reader:
+            for chunk in reader.chunks(300):
+                assert set(chunk.temperature_mc.tolist()) <= {25_000}
+                assert set(np.unique(chunk.gyro_counts * reader.recording.gyro_dps_per_lsb[0])) <= {30.0}
+
+
+def test_latin_letters_quotes_and_blanks_are_values_too(tmp_path: Path) -> None:
+    table = by_time(stacked(stream("Müller, A", name="person"), stream("b", name="person")))
+    path = tmp_path / "a.csv"
+    path.write_bytes(csv_bytes(table, ";").decode().replace("Müller, A", '"Müller, A"').encode("latin-1"))
+    assert "--sensor 'Müller, A'" in refusal(path)
+    assert len(read(path, sensor="Müller, A")[1]) == ROWS
