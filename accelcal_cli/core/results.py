@@ -100,17 +100,26 @@ class Coverage:
 class SphereError:
     """Mean | |a| - 1 g | over all directions, also those where the wrist has not been [mg].
 
+    It is the error of the coefficients, without the scatter of rests.
+
     Attributes:
-        ci95: from 2.5 % for a wrist that spends an unknown share of its time where it has been, to 97.5 % for
-            one that goes everywhere.
+        mean: the expected error; ci95: it lies there in 95 of 100 cases.
         worst_direction: the expected error in the direction where it is largest.
         worst_direction_at: that direction, a unit vector of the true acceleration.
+        better_everywhere, better_where_worn: probability that the error is lower than that of the raw
+            values, over all directions and in the postures that were seen.
     """
 
     mean: float
     ci95: tuple[float, float]
     worst_direction: float
     worst_direction_at: tuple[float, float, float]
+    better_everywhere: float = 0.0
+    better_where_worn: float = 0.0
+
+    def probably_better(self) -> float:
+        """Return the lower of the two probabilities."""
+        return min(self.better_everywhere, self.better_where_worn)
 
 
 @dataclass(frozen=True, slots=True)

@@ -167,7 +167,7 @@ class MisfitSearch:
     def _together(self, hypothesis: MisfitHypothesis) -> tuple[Posterior, Floats]:
         """Fit parameters and misfit together; return their posterior, with the noise that is left, and c."""
         known, everything = self._known, np.ones(len(self._label), np.bool_)
-        noise_g, freedom = known.noise_g, known.freedom
+        noise_g = known.noise_g
         full = np.column_stack([self._rows, hypothesis.columns])
         for _ in range(ROUNDS):
             moved, around = self._fit(hypothesis, everything, noise_g)
@@ -175,7 +175,7 @@ class MisfitSearch:
             squares = float((self._weights * left * left).sum()) / float(self._weights.sum())
             curvature = (full * self._weights[:, np.newaxis]).T @ full
             used = float(np.trace(np.linalg.solve(around, curvature)))
-            noise_g, freedom = noise(used, squares, self._postures, POPULATION)
+            noise_g = noise(used, squares, self._postures, POPULATION)
         covariance = self._unit(noise_g) * np.linalg.inv(around)
         parameters = list(known.found.fit.parameters)
         for index, value in zip(self._free, moved.tolist(), strict=False):
@@ -184,7 +184,6 @@ class MisfitSearch:
             known,
             found=replace(known.found, fit=replace(known.found.fit, parameters=tuple(parameters))),
             noise_g=noise_g,
-            freedom=freedom,
             covariance=tuple(map(tuple, covariance.tolist())),
         )
         return joint, np.asarray(moved[-3:])

@@ -7,7 +7,7 @@ the parameters.
 
 Held-out postures say how wrong a calibration is where the wrist has been. Its error over the whole sphere
 follows from the posterior: sensors are drawn from it, and each is calibrated, to first order, and compared
-with 1 g.
+with 1 g. The scatter of rests is no error of the calibration, and is left out.
 
 The fit is integers; noise and penalties are computed by additions, multiplications, divisions and roots in a
 fixed order, so that they are the same bits on every machine.
@@ -18,13 +18,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from math import erf, exp, log, pi, sqrt
+from math import log, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.arithmetic import ONE, inverse
-from accelcal_cli.core.calibration import IDENTITY
+from accelcal_cli.core.calibration import IDENTITY, PARAMETER_NAMES
 from accelcal_cli.core.points import (
     PENALTY_BITS,
     WEIGHT_ONE,
@@ -37,7 +37,7 @@ from accelcal_cli.core.points import (
     Saturated,
 )
 from accelcal_cli.core.prior import Prior
-from accelcal_cli.core.results import SphereError
+from accelcal_cli.core.results import Outcome, SphereError
 from accelcal_cli.core.statistics import quantile
 from accelcal_cli.judge.errors import directions, jacobian, worst_direction_mg
 from accelcal_cli.judge.model_ladder import FitFunction
@@ -51,11 +51,20 @@ PENALTY_DIGITS = 10
 ODD_ONES = 20
 """Number of sensors among which one is assumed to be unlike the others of its model or its own past."""
 
+FAR = 2.0
+"""Widths of the prior beyond which a sensor is unlike most; other parameters may then be as far off."""
+
+_SCALES_AND_OFFSETS = (0, 1, 2, 6, 7, 8)
+
 NOISE_RANGE = 50
 """Factor by which the noise may be larger or smaller than the usual one."""
 
-DRAWS = 1000
-"""Sensors drawn from the posterior: their number gives the ends of the interval to about 2 % of its width."""
+CHAINS, SETTLING, KEPT = 250, 10, 4
+"""Chains by which sensors are drawn from the posterior, and steps of each that are left out and kept: 1000
+draws give the ends of the interval to about 3 % of its width."""
+
+SURE = 0.95
+"""Probability to be better than raw values, everywhere and where the wrist has been, of a provisional fit."""
 
 SEED = 20181
 TAIL = 0.025
@@ -63,15 +72,6 @@ TAIL = 0.025
 
 BEND_ROUNDS = 4
 """Iterations that invert a bend of a few percent to 1e-7 g."""
-
-LARGEST_RATIO = 6.0
-"""Error in standard deviations of the noise beyond which noise does not change a mean error."""
-
-STEPS = 100
-"""Entries of the table of mean errors in one standard deviation."""
-
-TOGETHER = 50
-"""Draws that are worked on at a time, so that intermediate values stay in the processor's cache."""
 
 Floats = NDArray[np.float64]
 
@@ -95,9 +95,10 @@ class Posterior:
     Attributes:
         found: the fit, with the curvature there.
         postures: number of postures that were fitted.
+        prior: what was known of sensors beforehand.
         penalty: the prior at these parameters, as the fit used it; fits to parts of the points use the same.
+        held: the precision of the free parameters by that penalty alone (slopes per scaled degree).
         noise_g: standard deviation of |a| from posture to posture [g].
-        freedom: degrees of freedom of that noise.
         covariance: that of the free parameters (slopes per scaled degree), and of the bend if there is one.
         bend: None for a sensor with a linear response.
     """
@@ -105,9 +106,10 @@ class Posterior:
     model: Model
     found: PenalizedFit
     postures: int
+    prior: Prior
     penalty: Penalty
+    held: tuple[float, ...]
     noise_g: float
-    freedom: float
     covariance: tuple[tuple[float, ...], ...]
     bend: Bend | None = None
 
@@ -128,6 +130,17 @@ class Posterior:
         for place, index in enumerate(self.model.free):
             errors[index] = sqrt(self.covariance[place][place])
         return tuple(errors)
+
+    def rest_scatter_mg(self) -> float:
+        """Return the mean | |a| - 1 g | that the scatter of rests makes, without any error of the sensor."""
+        return 1000 * self.noise_g * sqrt(2 / pi)
+
+    def far_off(self) -> list[list[str]]:
+        """Return the names of scales and offsets beyond FAR widths of the prior, if there are any."""
+        found, centre = self.found.fit.parameters, self.penalty.centre
+        kinds = [index for index in self.model.free if index in _SCALES_AND_OFFSETS]
+        far = [j for j in kinds if abs(found[j] - centre[j]) > FAR * self.prior.width[j] * ONE]
+        return [[PARAMETER_NAMES[index] for index in far]] if far else []
 
     def worst_direction_mg(self) -> float:
         """Return the largest standard error of |a| over directions of the sphere [mg]."""
@@ -162,11 +175,12 @@ def posterior(
         pairs = zip(found.curvature, zip(*spread, strict=True), strict=True)
         # trace(H), with H the projection of the residuals on the fit: the postures that parameters use up
         used = sum(one * other for row, column in pairs for one, other in zip(row, column, strict=True))
-        noise_g, freedom = noise(used, found.mean_square, postures, prior)
+        noise_g = noise(used, found.mean_square, postures, prior)
     found = fitter(points, model, penalty, IDENTITY)
     unit = 4 * noise_g * noise_g / postures
     covariance = tuple(tuple(unit * value for value in row) for row in _inverse(points, found, penalty))
-    return Posterior(model, found, postures, penalty, noise_g, freedom, covariance)
+    held = tuple(value / unit for value in _strengths(points, model, penalty))
+    return Posterior(model, found, postures, prior, penalty, held, noise_g, covariance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,23 +256,26 @@ def _penalty(
 
 def _inverse(points: PointSet, found: PenalizedFit, penalty: Penalty) -> list[list[float]]:
     """Return the inverse of the curvature with the prior: the covariance up to its scale."""
-    total = sum(points.weights.tolist()) / WEIGHT_ONE
     around = [list(row) for row in found.curvature]
-    for place, index in enumerate(found.model.free):
-        around[place][place] += penalty.strength[index] / (1 << PENALTY_BITS) / total
+    for place, strength in enumerate(_strengths(points, found.model, penalty)):
+        around[place][place] += strength
     return inverse(around)
 
 
-def noise(used: float, mean_square: float, postures: int, prior: Prior) -> tuple[float, float]:
-    """Return the most probable noise [g], given residuals and prior, and its degrees of freedom.
+def _strengths(points: PointSet, model: Model, penalty: Penalty) -> list[float]:
+    """Return the curvature of a penalty along each free parameter, with points that weigh 1 in all."""
+    total = sum(points.weights.tolist()) / WEIGHT_ONE
+    return [penalty.strength[index] / (1 << PENALTY_BITS) / total for index in model.free]
+
+
+def noise(used: float, mean_square: float, postures: int, prior: Prior) -> float:
+    """Return the most probable noise [g], given residuals and prior.
 
     Args:
         used: number of postures that the parameters use up.
         mean_square: weighted mean of (|a|^2 - 1)^2.
     """
-    surplus = postures - used
-    noise_g = _noise_g(surplus, postures * mean_square / 4, prior)
-    return noise_g, max(1.0, max(surplus, 0.0) + _pull(noise_g, prior)[1] / 2)
+    return _noise_g(postures - used, postures * mean_square / 4, prior)
 
 
 def _noise_g(surplus: float, squares: float, prior: Prior) -> float:
@@ -302,8 +319,8 @@ def sphere_errors(
 ) -> list[SphereError]:
     """Return mean | |a| - 1 g | of calibrations over all directions, at the points' mean temperature.
 
-    The interval allows for where the wrist will go: its low end (2.5 %) is for one that spends an unknown
-    share of its time in the postures where it has been, its high end (97.5 %) for one that goes everywhere.
+    It is the error of the coefficients, without the scatter of rests. Raw values have the same sensors drawn,
+    so that the probability to be better than they are is known.
 
     Args:
         points: those of the posterior; label: posture number of each, (n,).
@@ -311,19 +328,33 @@ def sphere_errors(
             or of the ideal sensor.
         saturated: axes that measure nothing beyond a value.
     """
-    noise, drawn = _drawn(known)
+    drawn = _drawn(known, _independent(points))
     best, bend = known.found.fit.parameters, known.bend
     visited = _posture_means(points, label)
     true = (_raw_directions(best), _straight(visited, bend))
     raw = (_as_measured(_bent(true[0], bend), saturated), _as_measured(visited, saturated))
-    scatter = [drawn @ (_columns(where, known) / 2).T for where in raw]
-    lengths = [_lengths(where, best) for where in true]
-    found = []
-    for parameters in judged:
-        shifts = [_lengths(where, parameters) - length for where, length in zip(raw, lengths, strict=True)]
-        means = [_mean_error(shift - moved, noise) for shift, moved in zip(shifts, scatter, strict=True)]
-        found.append(_summary(*means))
-    return found
+    moved = [
+        _lengths(where, best) + drawn @ (_columns(at, known) / 2).T
+        for where, at in zip(true, raw, strict=True)
+    ]
+    errors = [
+        [np.abs(_lengths(where, parameters) - ideal) for where, ideal in zip(raw, moved, strict=True)]
+        for parameters in (IDENTITY, *judged)
+    ]
+    return [_summary(*of_one, *errors[0]) for of_one in errors[1:]]
+
+
+def outcome_by_error(sphere: SphereError, before: SphereError, limit_mg: float, *, clearly: bool) -> Outcome:
+    """Return the outcome of a fit with a prior, by its error over all directions and that of raw values.
+
+    Args:
+        clearly: True if held-out postures show that it is better than they are.
+    """
+    if clearly and sphere.mean < limit_mg:
+        return Outcome.CALIBRATED
+    if sphere.probably_better() >= SURE:
+        return Outcome.PROVISIONAL
+    return Outcome.ALREADY_GOOD if before.mean < limit_mg else Outcome.REFUSED
 
 
 def largest_error_mg(known: Posterior, judged: tuple[int, ...]) -> float:
@@ -356,20 +387,19 @@ def _columns(measured: Floats, known: Posterior) -> Floats:
     return np.column_stack([own, rows[:, 6:9] * measured**known.bend.power])
 
 
-def _summary(everywhere: Floats, visited: Floats) -> SphereError:
-    """Summarise mean errors [g] of draws, in all directions (DRAWS, 162) and in the postures (DRAWS, p)."""
+def _summary(everywhere: Floats, visited: Floats, raw_everywhere: Floats, raw_visited: Floats) -> SphereError:
+    """Summarise errors [g] of draws in all directions, (DRAWS, 162), and in the postures, (DRAWS, p)."""
     of_directions, of_draws = everywhere.mean(axis=0), everywhere.mean(axis=1)
     worst = int(of_directions.argmax())
-    share = _normal()[1]
-    partly = share * visited.mean(axis=1) + (1 - share) * of_draws
-    low = min(quantile(sorted(draws.tolist()), TAIL) for draws in (partly, of_draws))
-    high = quantile(sorted(of_draws.tolist()), 1 - TAIL)
+    ordered = sorted(of_draws.tolist())
     x, y, z = directions()[worst].tolist()
     return SphereError(
-        mean=1000 * float(of_directions.mean()),
-        ci95=(1000 * low, 1000 * high),
+        mean=1000 * float(of_draws.mean()),
+        ci95=(1000 * quantile(ordered, TAIL), 1000 * quantile(ordered, 1 - TAIL)),
         worst_direction=1000 * float(of_directions[worst]),
         worst_direction_at=(x, y, z),
+        better_everywhere=float((of_draws < raw_everywhere.mean(axis=1)).mean()),
+        better_where_worn=float((visited.mean(axis=1) < raw_visited.mean(axis=1)).mean()),
     )
 
 
@@ -400,25 +430,92 @@ def _posture_means(points: PointSet, label: NDArray[np.int64]) -> Floats:
     return np.asarray(rows)
 
 
-def _drawn(known: Posterior) -> tuple[Floats, Floats]:
-    """Draw sensors: their noise, (DRAWS, 1) in g, and free parameters less the best ones, (DRAWS, free).
+def _independent(points: PointSet) -> float:
+    """Return the number of points, or fewer if some weigh more than others."""
+    weights = points.weights.astype(np.float64)
+    return float(weights.sum() ** 2 / (weights**2).sum())
 
-    The noise is drawn by the cube-root approximation of a chi-squared variable (Wilson, Hilferty 1931).
+
+def _drawn(known: Posterior, most: float) -> Floats:
+    """Draw free parameters less the best ones, (DRAWS, free), by Gibbs sampling.
+
+    The prior is the fit's, but its width is drawn: by one factor for all parameters, with the tails of
+    Student's t, so that a sensor whose fitted parameters are far off may be as far off in what the points
+    leave open. The noise is drawn, too. Whether rests of one posture share their error is not known: half of
+    the chains take each posture for one observation, as the fit does, the others each point.
+
+    The parameters are turned so that points and prior are independent along each of them; `share` is the
+    prior's part of what is known there.
+
+    Args:
+        most: number of observations if rests of one posture do not share their error.
     """
-    normal, _ = _normal()
-    share = 2 / (9 * known.freedom)
-    ratio = np.maximum(1 - share + normal[:, :1] * sqrt(share), 0.1) ** 3
-    covariance = np.array(known.covariance)
-    free = normal[:, 1 : 1 + len(covariance)] @ np.linalg.cholesky(covariance).T
-    return known.noise_g / np.sqrt(ratio), free
+    factor = np.linalg.cholesky(np.array(known.covariance))
+    free, held, away = known.model.free, np.zeros(len(factor)), np.zeros(len(factor))
+    held[: len(free)] = known.held
+    away[: len(free)] = [(known.found.fit.parameters[j] - known.penalty.centre[j]) / ONE for j in free]
+    share, turn = np.linalg.eigh(factor.T * held @ factor)
+    share = np.clip(share, 0, 1)
+    basis = factor @ turn
+    pull, apart = basis.T @ (held * away), float(held @ (away * away))
+    noise = _NoiseDraws.of(known, float((1 - share).sum()), most)
+    moved, found, ratio = np.zeros((CHAINS, len(factor))), [], noise.observed
+    for normal, chi2 in zip(*_random(known.prior.freedom + len(free)), strict=True):
+        width = chi2 / (known.prior.freedom + apart + (moved * (share * moved + 2 * pull)).sum(axis=1))
+        width, ratio = width[:, np.newaxis], ratio[:, np.newaxis]
+        precision = ratio * (1 - share) + width * share
+        moved = (ratio - width) * pull / precision + normal[:, : len(factor)] @ turn / np.sqrt(precision)
+        squares = (moved * ((1 - share) * moved - 2 * pull)).sum(axis=1)
+        ratio = noise.ratio(squares, normal[:, -1])
+        found.append(moved)
+    return np.asarray(np.concatenate(found[SETTLING:]) @ basis.T)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _NoiseDraws:
+    """What each chain knows of the noise, whose best value is 1 here.
+
+    Attributes:
+        observed: (CHAINS,) number of observations, relative to postures.
+        left: sum of the squared residuals of the fit.
+        freedom, squares: the prior as more observations, and the sum of their squares.
+    """
+
+    postures: int
+    observed: Floats
+    left: float
+    freedom: float
+    squares: float
+
+    @classmethod
+    def of(cls, known: Posterior, used: float, most: float) -> _NoiseDraws:
+        """Match the prior of the noise by its slope and curvature at the best one."""
+        slope, curvature = _pull(known.noise_g, known.prior)
+        squares = max(curvature, 0.0) / 2
+        times = np.where(np.arange(CHAINS) % 2, max(1.0, most / known.postures), 1.0)
+        left = max(known.postures - used + slope, 0.0)
+        return cls(known.postures, times, left, slope + squares, squares)
+
+    def ratio(self, squares: Floats, normal: Floats) -> Floats:
+        """Draw the noise of each chain; return observations over its square, (CHAINS,).
+
+        A chi-squared variable is drawn by its cube root (Wilson, Hilferty 1931).
+
+        Args:
+            squares: by how much the draw's sum of squares is above that of the fit; normal: (CHAINS,).
+        """
+        freedom = np.maximum(self.observed * self.postures + self.freedom, 1.0)
+        part = 2 / (9 * freedom)
+        chi2 = freedom * np.maximum(1 - part + normal * np.sqrt(part), 0.1) ** 3
+        total = self.observed * np.maximum(self.left + squares, 0.0) + self.squares
+        return np.asarray(self.observed * chi2 / np.maximum(total, 1e-9))
 
 
 @cache
-def _normal() -> tuple[Floats, Floats]:
-    """Return standard normal numbers, (DRAWS, 16), and uniform ones, (DRAWS,); always the same."""
-    random = np.random.RandomState(SEED)
-    normal, uniform = random.standard_normal((DRAWS, 13)), random.uniform(size=DRAWS)
-    return np.column_stack([normal, random.standard_normal((DRAWS, 3))]), uniform
+def _random(freedom: float) -> tuple[Floats, Floats]:
+    """Return normal and chi-squared numbers, (steps, CHAINS, 16) and (steps, CHAINS); always the same."""
+    random, steps = np.random.RandomState(SEED), SETTLING + KEPT
+    return random.standard_normal((steps, CHAINS, 16)), random.chisquare(freedom, (steps, CHAINS))
 
 
 def _lengths(raw: Floats, parameters: tuple[int, ...]) -> Floats:
@@ -427,33 +524,3 @@ def _lengths(raw: Floats, parameters: tuple[int, ...]) -> Floats:
     x, y, z = (raw[:, axis] + p[6 + axis] for axis in range(3))
     ax, ay, az = p[0] * x, p[3] * x + p[1] * y, p[4] * x + p[5] * y + p[2] * z
     return np.asarray(np.sqrt(ax * ax + ay * ay + az * az))
-
-
-def _mean_error(deviations: Floats, noise: Floats) -> Floats:
-    """Return the mean of |d + noise| for each deviation d, (DRAWS, n): folded normal distributions."""
-    found = np.empty_like(deviations)
-    for first in range(0, len(deviations), TOGETHER):
-        rows = slice(first, first + TOGETHER)
-        ratio = np.abs(deviations[rows]) / noise[rows]
-        found[rows] = np.where(ratio < LARGEST_RATIO, _tabulated(ratio), ratio) * noise[rows]
-    return found
-
-
-def _tabulated(ratio: Floats) -> Floats:
-    """Interpolate linearly in the table of mean errors; not valid beyond its end.
-
-    The bits are those of np.interp, which would search for the place that the even steps already tell.
-    """
-    places, values, slopes = _mean_error_table()
-    before = (np.fmin(ratio, LARGEST_RATIO) * STEPS + 0.5).astype(np.intp)  # the nearest place
-    before -= places[before] > ratio
-    np.minimum(before, len(slopes) - 1, out=before)
-    return np.asarray(slopes[before] * (ratio - places[before]) + values[before])
-
-
-@cache
-def _mean_error_table() -> tuple[Floats, Floats, Floats]:
-    """Return t from 0 to LARGEST_RATIO, means of |t + a standard normal number|, and the slopes between."""
-    places = np.linspace(0, LARGEST_RATIO, round(LARGEST_RATIO * STEPS) + 1)
-    means = [sqrt(2 / pi) * exp(-t * t / 2) + t * erf(t / sqrt(2)) for t in places.tolist()]
-    return places, np.array(means), np.diff(means) / np.diff(places)

@@ -11,7 +11,9 @@ on the same postures, so that its cost is known.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from math import floor
 from typing import Any
 
 import numpy as np
@@ -39,7 +41,7 @@ from accelcal_cli.judge.errors import Uncertainty, deviations_mg, per_posture, u
 from accelcal_cli.judge.errors import coverage as coverage_of
 from accelcal_cli.judge.misfit import MisfitSearch
 from accelcal_cli.judge.model_ladder import FEWEST_POSTURES, Evidence, Fitting, Sample, blocked, postures
-from accelcal_cli.judge.posterior import Posterior, posterior, speaks_against, sphere_errors
+from accelcal_cli.judge.posterior import Posterior, outcome_by_error, posterior, speaks_against, sphere_errors
 from accelcal_cli.judge.refusal import LONGER, NOTHING_STILL
 
 SIMPLER = {"9": "6", "9T": "6T"}
@@ -91,13 +93,19 @@ def judge(
         else:
             verdict, truth = _most_probable(sample, trials, coverage, how, how.penalized)
         verdict = with_simpler(verdict, sample, how, truth)
-    beyond = [Reason.of("axis_saturates", axis="xyz"[axis], at_g=at) for axis, at in saturated]
-    misfits = [
-        Reason.of("misfit", kind=one.kind, size=one.size, unit=one.unit, largest_mg=one.largest_mg)
-        for one in verdict.misfits or ()
-        if one.found
-    ]
-    return replace(verdict, cautions=(*verdict.cautions, *beyond, *misfits))
+    return replace(verdict, cautions=(*verdict.cautions, *_doubts(verdict, how.settings)))
+
+
+def _doubts(verdict: Judgement, settings: Settings) -> Iterator[Reason]:
+    """Yield what the points say against trusting a verdict without a look."""
+    scatter_mg = verdict.rest_scatter_mg
+    if scatter_mg is not None and scatter_mg >= settings.max_error_mg and verdict.calibration is not None:
+        yield Reason.of("scatter_over_limit", scatter_mg=scatter_mg)
+    for axis, at in verdict.coverage.saturated:
+        yield Reason.of("axis_saturates", axis="xyz"[axis], at_g=at)
+    for one in verdict.misfits or ():
+        if one.found:
+            yield Reason.of("misfit", kind=one.kind, size=one.size, unit=one.unit, largest_mg=one.largest_mg)
 
 
 def _too_few(points: PointSet, how: Fitting, why_none: Reason, coverage: Coverage) -> Judgement | None:
@@ -161,8 +169,10 @@ def _most_probable(
         candidate=calibration_of_fit(name, fitted, points, settings.gravity),
         sphere=sphere,
         sphere_before=before,
+        rest_scatter_mg=truth.rest_scatter_mg(),
         misfits=misfits,
         unlike=unlike,
+        notes=tuple(Reason.of("unlike_most_sensors", parameters=names) for names in known.far_off()),
     )
     decided = _outcome_of_sphere(verdict, settings)
     verdict, outcome = decided.applied_to(verdict), decided.outcome
@@ -242,22 +252,20 @@ def _outcome_of_sphere(verdict: Judgement, settings: Settings) -> Decision:
     sphere, holdout, before = verdict.sphere, verdict.holdout, verdict.sphere_before
     assert sphere is not None and holdout is not None and before is not None
     raw, *_, fitted = verdict.trials
-    if model_ladder.choose((raw, fitted)) is raw:
-        if before.mean < settings.max_error_mg:
-            return Decision(Outcome.ALREADY_GOOD, _not_clearly_better(holdout))
-        return Decision(Outcome.REFUSED, _not_clearly_better(holdout), _missing(verdict, settings))
-    low, high = sphere.ci95
-    values: dict[str, Any] = {
-        "error_mg": sphere.mean,
-        "low_mg": low,
-        "high_mg": high,
-        "limit_mg": settings.max_error_mg,
-    }
-    if sphere.mean >= settings.max_error_mg:
-        too_uncertain = Reason.of("calibration_error_over_limit", **values)
-        return Decision(Outcome.REFUSED, too_uncertain, _missing(verdict, settings))
-    values |= {"model": fitted.model, "raw_mg": before.mean} | _held_out_values(holdout)
-    return Decision(Outcome.CALIBRATED, Reason.of("calibrated", **values))
+    clearly = model_ladder.choose((raw, fitted)) is not raw
+    limit_mg, (low, high) = settings.max_error_mg, sphere.ci95
+    values: dict[str, Any] = {"error_mg": sphere.mean, "low_mg": low, "high_mg": high, "limit_mg": limit_mg}
+    with_model = values | {"model": fitted.model, "raw_mg": before.mean} | _held_out_values(holdout)
+    outcome = outcome_by_error(sphere, before, limit_mg, clearly=clearly)
+    if outcome is Outcome.CALIBRATED:
+        return Decision(outcome, Reason.of("calibrated", **with_model))
+    if outcome is Outcome.PROVISIONAL:
+        with_model["percent"] = float(floor(100 * sphere.probably_better()))
+        return Decision(outcome, Reason.of("provisional", **with_model), _missing(verdict, settings))
+    if outcome is Outcome.ALREADY_GOOD:
+        return Decision(outcome, _not_clearly_better(holdout))
+    why = Reason.of("calibration_error_over_limit", **values) if clearly else _not_clearly_better(holdout)
+    return Decision(outcome, why, _missing(verdict, settings))
 
 
 def _not_clearly_better(holdout: Holdout) -> Reason:

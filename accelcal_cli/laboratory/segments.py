@@ -27,10 +27,10 @@ from accelcal_cli.core.errors import DivergedError, UsageError, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
-from accelcal_cli.core.results import Judgement
+from accelcal_cli.core.results import Judgement, Outcome
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.statistics import mean
-from accelcal_cli.judge.model_ladder import held_out
+from accelcal_cli.judge.model_ladder import FEWEST_POSTURES, held_out
 from accelcal_cli.laboratory.sensors import Population, Track, sphere_error_mg, track
 from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
@@ -71,8 +71,9 @@ class Segment:
         true_mg: the same with the segment's calibration, None without one.
         claimed_mg, ci95_mg: headline of the report, and its interval; None without one.
         holdout_mg: held-out error within the segment.
+        orientations: number of orientations with stillness.
+        rest_scatter_mg: mean | |a| - 1 g | that the scatter of rests makes, by the report.
         sensor: number of the simulated sensor; None for the recording's own.
-        measured_mg: `true_mg` of a simulated sensor as rests on a wrist would show it, whose |a| scatters.
     """
 
     hours: float
@@ -84,16 +85,22 @@ class Segment:
     claimed_mg: float | None
     ci95_mg: tuple[float, float] | None
     holdout_mg: float | None
+    orientations: int = 0
+    rest_scatter_mg: float | None = None
     sensor: int | None = None
-    measured_mg: float | None = None
 
     @property
     def holds(self) -> bool | None:
-        """True if the interval contains the error, with the scatter of rests where it is known."""
-        error_mg = self.true_mg if self.measured_mg is None else self.measured_mg
-        if self.ci95_mg is None or error_mg is None:
+        """True if the interval holds the true error, or with the scatter of rests is not below it.
+
+        The error on the rest has that scatter, and may be small where the wrist was in few directions.
+        """
+        if self.ci95_mg is None or self.true_mg is None:
             return None
-        return self.ci95_mg[0] <= error_mg <= self.ci95_mg[1]
+        low, high = self.ci95_mg
+        if self.sensor is None:
+            return self.true_mg <= high + (self.rest_scatter_mg or 0)
+        return low <= self.true_mg <= high
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,23 +108,24 @@ class Summary:
     """Several segments together; values are None without segments to compute them from.
 
     Attributes:
-        usable: number with a calibration.
+        tried: number with stillness in two orientations or more.
+        usable: number with a calibration; provisional: with one that is to be used with care.
         true_mg, raw_mg: mean error of these on the rest, with and without calibration.
         above_limit: number with an error on the rest of `max_error_mg` or more.
         worse: number with a larger error on the rest than without calibration.
-        holds: share of the intervals that contain the error on the rest.
-        measured_mg: mean error of simulated sensors as rests show it.
+        holds: share of the intervals that hold the error (`Segment.holds`).
     """
 
     segments: int
+    tried: int
     usable: int
+    provisional: int
     raw_mg: float | None
     true_mg: float | None
     claimed_mg: float | None
     above_limit: int
     worse: int
     holds: float | None
-    measured_mg: float | None = None
 
 
 def stillness(
@@ -217,6 +225,8 @@ def claimed(
         claimed_mg=claimed,
         ci95_mg=interval,
         holdout_mg=None if holdout is None else holdout.after.mean,
+        orientations=judgement.coverage.distinct_orientations,
+        rest_scatter_mg=judgement.rest_scatter_mg,
     )
 
 
@@ -258,8 +268,9 @@ def simulated(
 def rests_of(still: Stillness, settings: Settings) -> Track:
     """Return the rests of a recording by the calibration of all of them; raises DivergedError without one."""
     every = np.ones(len(still.windows), np.bool_)
-    calibration = collected(still, every, settings).judge(fitting(settings)).calibration
-    if calibration is None:
+    verdict = collected(still, every, settings).judge(fitting(settings))
+    calibration = verdict.calibration
+    if calibration is None or verdict.outcome is Outcome.PROVISIONAL:
         raise DivergedError(
             "all of its rests give no calibration, so that their true directions are not known",
             hint="take a recording that `accelcal calibrate` calibrates",
@@ -290,11 +301,7 @@ def _worn(
     if judgement.calibration is None:
         return found
     best = judgement.calibration.gain(), judgement.calibration.offset_g()
-    return replace(
-        found,
-        true_mg=sphere_error_mg(sensor, *best, local_g),
-        measured_mg=sphere_error_mg(sensor, *best, local_g, simulation.population.scatter_g),
-    )
+    return replace(found, true_mg=sphere_error_mg(sensor, *best, local_g))
 
 
 def summary(found: list[Segment], limit_mg: float) -> Summary:
@@ -303,14 +310,15 @@ def summary(found: list[Segment], limit_mg: float) -> Summary:
     holds = [item.holds for item in usable if item.holds is not None]
     return Summary(
         segments=len(found),
+        tried=sum(item.orientations >= FEWEST_POSTURES for item in found),
         usable=len(usable),
+        provisional=sum(item.outcome == Outcome.PROVISIONAL for item in usable),
         raw_mg=_mean([item.raw_mg for item in usable]),
         true_mg=_mean([item.true_mg for item in usable]),
         claimed_mg=_mean([item.claimed_mg for item in usable]),
         above_limit=sum((item.true_mg or 0) >= limit_mg for item in usable),
         worse=sum((item.true_mg or 0) > (item.raw_mg or 0) for item in usable),
         holds=sum(holds) / len(holds) if holds else None,
-        measured_mg=_mean([item.measured_mg for item in usable]),
     )
 
 
@@ -321,7 +329,9 @@ def _mean(values: list[float | None]) -> float | None:
 
 FIGURES = {
     "segments": "d",
+    "tried": "d",
     "usable": "d",
+    "provisional": "d",
     "raw_mg": ".2f",
     "true_mg": ".2f",
     "claimed_mg": ".2f",
@@ -330,9 +340,6 @@ FIGURES = {
     "holds": ".3f",
 }
 """Columns of the table and how their values are shown."""
-
-OF_SENSORS = {"measured_mg": ".2f"}
-"""Further columns for simulated sensors."""
 
 ERRORS = ("gain_percent", "misalignment_percent", "offset_mg", "one_misalignment_percent")
 
@@ -392,13 +399,14 @@ def _error_option(name: str, unit: str, text: str, largest: int) -> Callable[[An
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate segments of each RECORDING, and compare their error estimates with the rest of it.
 
-    For each length: how many segments there are and how many have a calibration, then for these the mean
-    error on the rest of the recording without and with it, the mean that their reports claim, how many are
-    above the limit or worse than raw data, and the share of the 95 % intervals that hold the error.
+    For each length: how many segments there are, how many have two orientations and more, a calibration, and
+    a provisional one; then, for those with one, the mean error on the rest of the recording without and with
+    it, the mean that their reports claim, how many are above the limit or worse than raw data, and the share
+    of the 95 % intervals that hold the error (with the scatter of rests, which the error on the rest has).
 
     With --sensors, what the sensor measured in its still windows is replaced by what simulated ones would
-    have measured, each in one of the segments. The errors are then the true ones over all orientations;
-    `measured` adds the scatter of rests, and the intervals are compared with that.
+    have measured, each in one of the segments. The errors are then the true ones over all directions, without
+    any scatter.
     """
 
     def work(path: Path, bars: ProgressMaker) -> tuple[str, list[Segment]]:
@@ -453,11 +461,10 @@ def _shown(results: dict[str, list[Segment]], chosen: Settings, *, as_json: bool
 
 def _table(found: list[Segment], limit_mg: float) -> str:
     """Return a table with a row for each length, and one for all."""
-    shown = FIGURES | (OF_SENSORS if any(item.sensor is not None for item in found) else {})
     lengths = dict.fromkeys(item.hours for item in found)
     groups = {f"{hours:g}": [item for item in found if item.hours == hours] for hours in lengths}
     rows = []
     for name, group in {**groups, "all": found}.items():
         row = asdict(summary(group, limit_mg))
-        rows.append([name, *(formatted(row[key], form) for key, form in shown.items())])
-    return aligned(["hours", *(key.replace("_", " ") for key in shown)], rows)
+        rows.append([name, *(formatted(row[key], form) for key, form in FIGURES.items())])
+    return aligned(["hours", *(key.replace("_", " ") for key in FIGURES)], rows)

@@ -7,7 +7,7 @@ and only its sensor is replaced by one that is drawn, whose true error is known 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import erf, exp, pi, sqrt
+from math import pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,11 +43,6 @@ class Population:
     one_misalignment_percent: float | None = None
     bout_mg: float = 1.8
     window_mg: float = 0.6
-
-    @property
-    def scatter_g(self) -> float:
-        """Standard deviation of |a| of a window [g]."""
-        return sqrt(self.bout_mg**2 + self.window_mg**2) / 1000
 
     def draw(self, random: np.random.Generator) -> WornSensor:
         """Draw a sensor."""
@@ -134,27 +129,16 @@ def bouts(directions: Floats, posture_degrees: float) -> NDArray[np.int64]:
     return number
 
 
-def sphere_error_mg(
-    sensor: WornSensor, gain: Floats, offset_g: Floats, local_g: float = 1.0, scatter_g: float = 0.0
-) -> float:
+def sphere_error_mg(sensor: WornSensor, gain: Floats, offset_g: Floats, local_g: float = 1.0) -> float:
     """Return the mean | |a| - 1 | of rest in all directions [thousandths of local gravity].
 
     Args:
         gain, offset_g: calibration, (3, 3) and (3,) in standard g; the identity and 0 for raw data.
         local_g: acceleration at rest.
-        scatter_g: standard deviation of |a| of the rests.
     """
     raw_g = local_g * sensor.raw(sphere(DIRECTIONS))
     deviation = np.linalg.norm((raw_g + offset_g) @ gain.T, axis=1) / local_g - 1
-    if not scatter_g:
-        return 1000 * float(np.abs(deviation).mean())
-    return 1000 * float(np.mean([_mean_size(one, scatter_g) for one in deviation.tolist()]))
-
-
-def _mean_size(deviation: float, scatter: float) -> float:
-    """Return the mean of |d + e|, where e is normal with standard deviation `scatter`."""
-    ratio = deviation / scatter
-    return scatter * (sqrt(2 / pi) * exp(-ratio * ratio / 2) + ratio * erf(ratio / sqrt(2)))
+    return 1000 * float(np.abs(deviation).mean())
 
 
 def sphere(number: int) -> Floats:

@@ -64,8 +64,7 @@ OUTCOMES = {
     "calibrated": OutcomeWords("calibrated", "Use the calibrated recording.", "use them"),
     "provisional": OutcomeWords(
         "calibrated provisionally",
-        "Use the calibrated recording with care: it is expected to be better than the raw data, but its "
-        "error may exceed the limit.",
+        "Use the calibrated recording with care: it beats the raw data, but its error may exceed the limit.",
         "use them with care: better than the raw data, but the error may exceed the limit",
     ),
     "reduced_model": OutcomeWords(
@@ -254,6 +253,9 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "calibrated": "Calibration error over all orientations: {raw_mg:mg} mg before, {error_mg:mg} mg after "
     "(95 % interval {low_mg:mg} to {high_mg:mg} mg). In the recorded orientations, held out: {before_mg:mg} "
     "mg before, {after_mg:mg} mg after.",
+    "provisional": "Calibration error over all orientations: {raw_mg:mg} mg before, {error_mg:mg} mg after "
+    "(95 % interval {low_mg:mg} to {high_mg:mg} mg, the limit is {limit_mg:g} mg). The coefficients beat the "
+    "raw data in {orientations:n recorded orientation} and in all others (probability {percent:.0f} %).",
     "calibrated_held_out": "{model_asked_for}: {before_mg:mg} mg before, {after_mg:mg} mg after, on "
     "held-out {held_out}.",
     "calibrated_in_part": "{model_asked_for}: {before_mg:mg} mg before, {after_mg:mg} mg after, on held-out "
@@ -285,8 +287,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "nothing_but_filled": "No still window was found: {filled_percent:.1f} % of the samples are filled, "
     "such as rows of zeros. The device did not measure then.",
     "nothing_near_quietest": "No other window comes near the quietest one of the recording.",
-    "constant_values": "Every still window holds a single constant value: the sensor was probably off or "
-    "asleep.",
+    "constant_values": "Every still window holds one constant value: the sensor was off or asleep.",
     "too_few_orientations": "The device was still in only {orientations:n orientation}, and at least "
     "{needed} are needed.",
     "fit_diverges": "The fit diverges, since the still windows do not determine the parameters.",
@@ -339,6 +340,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "optimizer_never_fits": "Optimizer {optimizer} fits no {what}.",
     "nothing_held_out": "Nothing was held out, so the error is not known.",
     # notes
+    "unlike_most_sensors": "The sensor is farther off than most ({parameters:list}): the interval is wider.",
     "axes_alike": "The axes {axes:list} hold the same values throughout. Give each axis its own "
     "column or field.",
     "axis_stuck": _stuck,
@@ -395,12 +397,12 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "too_short": "The recording is too short to show a change of the sensor.",
     "too_many_cells": "The recording holds too many orientations and temperatures to compare them along "
     "time.",
-    "few_still_stretches": "The device was still in too few stretches of time to show a change of the "
-    "sensor.",
+    "few_still_stretches": "The device was still in too few stretches of time to show a change.",
     # cautions
     "cut_short": _cut_short,
     "filled_share": "{filled_percent:.1f} % of the samples are filled: the device did not measure then (idle "
     "sleep, or rows of zeros). They take no part in the calibration or in means.",
+    "scatter_over_limit": "The still windows scatter by {scatter_mg:mg} mg. Check --stillness.",
     "axis_saturates": "The {axis} axis saturates at {at_g:.2f} g, below its stated range.",
     "misfit": _misfit,
     "sensor_changed": _changed,

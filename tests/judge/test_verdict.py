@@ -11,11 +11,12 @@ from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.reasons import Reason, significant
-from accelcal_cli.core.results import Judgement, Outcome
+from accelcal_cli.core.results import Judgement, Outcome, SphereError
 from accelcal_cli.core.settings import DEFAULT, PAPER, Settings
 from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.errors import deviations_mg, per_posture, uncertainty
 from accelcal_cli.judge.model_ladder import LADDER, FitFunction, Fitting, postures
+from accelcal_cli.judge.posterior import outcome_by_error
 from accelcal_cli.judge.verdict import judge, judge_paper
 from accelcal_cli.laboratory.optimizers.regressions import ELLIPSOID_MODELS, fit_ellipsoid
 from accelcal_cli.optimize import fixed32
@@ -33,6 +34,8 @@ from tests.optimize.oracle import (
 )
 
 LADDER_ONLY = replace(DEFAULT, prior="none")
+WITH_PRIOR = Fitting(DEFAULT, fixed32.fit_each, penalized=fixed32.OPTIMIZER.fit_penalized)
+OFF_40 = 0.04 * np.eye(len(IDEAL))[6:9].sum(axis=0)
 BELOW = Reason.of("no_stillness_on_sides", sides=["z below -0.3 g"])
 NO_MISALIGNMENT = Reason.of("optimizer_never_fits", optimizer="ellipsoid", what="misalignment")
 
@@ -152,14 +155,72 @@ def test_a_sensor_that_nothing_helps_is_refused() -> None:
     assert found.advice == (Reason("record_longer"),)
 
 
+def test_rests_that_scatter_more_than_rest_does_are_told() -> None:
+    found = judge(spread(NINE, noise=0.03, seed=4), WITH_PRIOR)
+    assert found.calibration is not None and found.rest_scatter_mg is not None
+    assert found.rest_scatter_mg == pytest.approx(1000 * 0.03 * np.sqrt(2 / np.pi), rel=0.2)
+    assert [one.code for one in found.cautions] == ["scatter_over_limit"]
+    assert not judge(spread(NINE, noise=0.001, seed=4), WITH_PRIOR).cautions
+
+
 def test_postures_that_disagree_are_not_told_to_be_more() -> None:
-    held = spread(NINE, noise=0.03, seed=4)
-    how = Fitting(DEFAULT, fixed32.fit_each, penalized=fixed32.OPTIMIZER.fit_penalized)
-    found = judge(held, how)
-    assert found.outcome is Outcome.REFUSED
+    found = judge(spread(NINE, noise=0.06, seed=4), WITH_PRIOR)
+    assert found.outcome is Outcome.PROVISIONAL
     (advice,) = found.advice
     assert advice.code == "orientations_disagree"
     assert advice.values["orientations"] == found.coverage.distinct_orientations
+
+
+def few(sensor: np.ndarray, number: int = 4) -> PointSet:
+    """Postures about +x, +y and +z, with 1 mg of scatter."""
+    poses = directions(200)
+    poses = poses[(poses.min(axis=1) > 0)][:: max(1, 24 // number)][:number]
+    scatter = 1 + 0.001 * np.random.default_rng(2).standard_normal((len(poses), 1))
+    return points(measured(sensor, poses * scatter))
+
+
+def test_verdicts_1_coefficients_that_beat_raw_values_are_given_with_a_warning() -> None:
+    """40 mg of offset, one side of the sphere: more than 10 mg is left, of 40, and that is known."""
+    held = few(IDEAL + OFF_40)
+    found = judge(held, WITH_PRIOR)
+    assert found.outcome is Outcome.PROVISIONAL and found.calibration is not None
+    assert found.sphere is not None and found.sphere_before is not None and found.penalty is not None
+    assert found.sphere.probably_better() >= 0.95
+    assert found.reason.code == "provisional" and found.reason.values["percent"] >= 95
+    assert [one.code for one in found.advice][-1] == "record_longer"
+    assert found.calibration == found.candidate
+
+
+def test_verdicts_1_what_is_not_expected_to_be_better_is_refused_or_left_alone() -> None:
+    far = SphereError(12.0, (5.0, 30.0), 20.0, (0, 0, 1), 0.94, 1.0)
+    sure, near = replace(far, better_everywhere=0.96), replace(far, mean=9.0)
+    raw, good = replace(far, mean=30.0), replace(far, mean=8.0)
+    for fit, before, clearly, outcome in (
+        (near, raw, True, Outcome.CALIBRATED),
+        (near, raw, False, Outcome.REFUSED),
+        (sure, raw, False, Outcome.PROVISIONAL),
+        (replace(sure, better_where_worn=0.9), raw, True, Outcome.REFUSED),
+        (far, raw, True, Outcome.REFUSED),
+        (far, good, True, Outcome.ALREADY_GOOD),
+        (near, good, False, Outcome.ALREADY_GOOD),
+    ):
+        assert outcome_by_error(fit, before, 10.0, clearly=clearly) is outcome
+
+
+def test_verdicts_6_the_limit_is_held_against_the_error_without_the_scatter_of_rests() -> None:
+    """Counts of 1/16 g: rests are 18 mg off, their mean error in 60 directions a few."""
+    fine = measured(NINE, directions(60))
+    found = judge(points(np.rint(16 * fine) / 16), WITH_PRIOR)
+    assert found.outcome is Outcome.CALIBRATED and found.sphere is not None
+    assert found.rest_scatter_mg is not None and found.sphere.mean < 10 < found.rest_scatter_mg
+
+
+def test_verdicts_5_a_sensor_that_is_far_off_is_noted() -> None:
+    far = IDEAL.copy()
+    far[[0, 7]] += (0.05, 0.1)
+    (note,) = judge(few(far, 12), WITH_PRIOR).notes
+    assert note.code == "unlike_most_sensors" and "oy" in note.values["parameters"]
+    assert not judge(few(IDEAL + OFF_40), WITH_PRIOR).notes
 
 
 def test_an_error_above_the_limit_is_refused_with_the_figure() -> None:

@@ -46,8 +46,9 @@ def test_the_error_on_the_rest_is_that_of_the_scatter_and_the_claim_holds_it(sti
     assert (found.outcome, found.model) == ("calibrated", "9")
     assert found.raw_mg is not None and found.raw_mg > 20
     assert found.true_mg == pytest.approx(1.0 * np.sqrt(2 / np.pi), rel=0.15)
-    assert found.claimed_mg == pytest.approx(found.true_mg, rel=0.2), "each row is a rest of its own"
-    assert found.ci95_mg is not None and found.true_mg < found.ci95_mg[1]
+    assert found.rest_scatter_mg == pytest.approx(found.true_mg, rel=0.2), "each row is a rest of its own"
+    assert found.claimed_mg is not None and found.claimed_mg < 0.3 * found.true_mg
+    assert found.ci95_mg is not None and found.holds
 
 
 def test_without_a_prior_the_claim_is_the_held_out_error(still: Stillness) -> None:
@@ -62,12 +63,15 @@ def test_only_the_default_profile_has_segments(still: Stillness) -> None:
 
 def test_the_summary_by_hand() -> None:
     def one(raw: float | None, true: float | None, ci: tuple[float, float] | None = (1.0, 3.0)) -> Segment:
-        return Segment(3.0, 0.0, "calibrated", "9", raw, true, 2.0, ci, 1.0)
+        return Segment(3.0, 0.0, "calibrated", "9", raw, true, 2.0, ci, 1.0, orientations=2)
 
     found = summary([one(10.0, 2.0), one(10.0, 12.0), one(None, None), one(4.0, 1.0, None)], 10.0)
-    assert (found.segments, found.usable, found.above_limit, found.worse) == (4, 3, 1, 1)
+    assert (found.segments, found.tried, found.usable, found.provisional) == (4, 4, 3, 0)
+    assert (found.above_limit, found.worse) == (1, 1)
     assert (found.raw_mg, found.true_mg, found.claimed_mg) == (8.0, 5.0, 2.0)
     assert found.holds == 0.5
+    scatters = replace(one(10.0, 3.5), rest_scatter_mg=1.0)
+    assert scatters.holds and not replace(scatters, sensor=1).holds, "the true error of a sensor has none"
 
 
 def test_the_command(tmp_path: Path, capsys: Capture) -> None:
@@ -77,10 +81,11 @@ def test_the_command(tmp_path: Path, capsys: Capture) -> None:
     assert ran.code == 0
     head, _, *lines = ran.lines[1:]
     assert head.split() == [
-        *("hours", "segments", "usable", "raw", "mg", "true", "mg"),
+        *("hours", "segments", "tried", "usable", "provisional", "raw", "mg", "true", "mg"),
         *("claimed", "mg", "above", "limit", "worse", "holds"),
     ]
     assert [line.split()[:3] for line in lines] == [["6", "2", "2"], ["12", "2", "2"], ["all", "4", "4"]]
+    assert {line.split()[4] for line in lines} == {"0"}, "none is provisional"
     items = [json.loads(line) for line in run(capsys, *words, "--json").lines]
     assert [item["start_h"] for item in items] == [0.0, 18.0, 0.0, 12.0]
     assert {item["recording"] for item in items} == {str(path)}

@@ -89,6 +89,8 @@ LEVEL = {"mean": -3.25, "sd": 0.5}
 VECTORS = {"before_mg": 35.0, "after_mg": 4.5, "norm_before_mg": 30.0, "norm_after_mg": 1.5}
 REST = {"of": "rest", "median_g": 9.81}
 
+FIT = {"error_mg": 1.2, "low_mg": 0.8, "high_mg": 2.0, "limit_mg": 10.0, "model": "9", "raw_mg": 31.0}
+
 EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "accelerometer_not_calibrated": [{}],
     "adaptive_rule": [{}],
@@ -99,10 +101,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "borrowed": [
         {"path": "a.cwa", "sha256": "0123456789ab", "device": "AX3 42", **here} for here in (HERE, NOT_HERE)
     ],
-    "calibrated": [
-        {"error_mg": 1.2, "low_mg": 0.8, "high_mg": 2.0, "limit_mg": 10.0, "model": "9", "raw_mg": 31.0}
-        | HELD_OUT
-    ],
+    "calibrated": [FIT | HELD_OUT],
     "calibrated_before": [{"origin": "a table of calibrated values", "before_mg": 2.0, "orientations": 9}],
     "calibrated_before_unchecked": [{"origin": "a table of calibrated values"}],
     "calibrated_held_out": [
@@ -206,6 +205,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
         {"model": "AX3", "devices": 0, "own": 2},
         {"model": "AX3", "devices": 1, "own": 1},
     ],
+    "provisional": [FIT | HELD_OUT | {"percent": 97.0}],
     "raw_no_worse": [HELD_OUT],
     "record_again": [{}],
     "record_longer": [{}],
@@ -217,6 +217,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "rest_scatters": [{"low_g": 0.36, "high_g": 1.05}],
     "roll_alone_checks_poses": [{}],
     "rolled": [{"axis": "z", "before_mg": LEVEL, "after_mg": after} for after in (None, LEVEL)],
+    "scatter_over_limit": [{"scatter_mg": 24.0}],
     "scale_no_better": [{"before_deg": 0.25}],
     "scale_not_determined": [{}],
     "sensor_changed": [
@@ -248,6 +249,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "too_short": [{}],
     "turns_miss_an_axis": [{"axis": "x"}],
     "uncertain_somewhere": [{"by_mg": 51.04}],
+    "unlike_most_sensors": [{"parameters": ["k_xx", "oy"]}],
     "unlike_prior": [{}],
     "untested": [{"needed": 2}],
     "use_default_profile": [{}],
