@@ -35,7 +35,7 @@ from accelcal_cli.pipeline.options import read_options, with_values
 @options.printing_options
 @options.reading_options
 @options.parts_option
-@options.damage_option
+@options.limit_options
 @options.gravity_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Apply known coefficients to each RECORDING; `-` reads standard input.

@@ -55,7 +55,7 @@ WORDS = {"without_misalignment": "no misalignment"}
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
 @options.reading_options
 @options.parts_option
-@options.damage_option
+@options.limit_options
 @options.method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Show how the calibration of each RECORDING changes measures of activity; `-` reads standard input.

@@ -11,7 +11,7 @@ import click
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.help import Command
-from accelcal_cli.cli.options import FILE, fitting_options
+from accelcal_cli.cli.options import FILE, error_option, fitting_options, strict_option
 from accelcal_cli.cli.output import say_refused, show_result
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.report_view import report_view
@@ -35,6 +35,8 @@ from accelcal_cli.pipeline.windows import fit_points
 @click.option("--tsv", is_flag=True, help="Print tab-separated fields, even at a terminal.")
 @click.option("--force", is_flag=True, help="Overwrite a file that accelcal did not write.")
 @fitting_options
+@error_option
+@strict_option
 def command(points: Path, output: Path | None, as_json: bool, force: bool, **values: Any) -> int:
     """Calibrate from still-window means found by another tool, such as GGIR.
 

@@ -16,6 +16,7 @@ from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printab
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.formats import refuse_unused
+from accelcal_cli.output.words import sentence
 from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect
 from accelcal_cli.pipeline.jobs import STDIN, Request
 from accelcal_cli.pipeline.options import chosen_settings, read_options
@@ -41,7 +42,8 @@ CLOCKS_S_PER_DAY = 86.4
 @options.reading_options
 @options.config_option
 @options.parts_option
-@options.damage_option
+@options.limit_options
+@options.strict_option
 @options.method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Show what each RECORDING holds and predict the outcome of calibrating it; `-` reads standard input.
@@ -111,6 +113,8 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
         *_filled(inspection),
         f"  clock        {_clock(shown['file_health']['clock'])}",
         f"  prediction   {shown['prediction']['outcome']}: {shown['prediction']['message']}",
+        *(f"  caution      {sentence(one)}" for one in inspection.prediction.cautions),
+        *(f"  what to do   {sentence(one)}" for one in inspection.prediction.advice),
     ]
     return "\n".join(map(printable, lines + [f"  note         {note}" for note in about["notes"]]))
 

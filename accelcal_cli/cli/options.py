@@ -297,7 +297,9 @@ printing_options = _decorate(_PRINTING)
 reading_options = _decorate([*_READING, _CHUNK])
 stream_options = _decorate(_READING)
 chunk_option = _decorate([_CHUNK])
-damage_option = _decorate(_settings_options("max_damage_percent"))
+limit_options = _decorate(_settings_options("max_damage_percent", "max_error_mg"))
+error_option = _decorate(_settings_options("max_error_mg"))
+strict_option = _decorate(_settings_options("strict"))
 precision_option = _decorate(_settings_options("precision_mg"))
 gravity_options = _decorate(_GRAVITY)
 fitting_options = _decorate([*_FITTING, _PRIOR, *_GRAVITY])
@@ -353,7 +355,8 @@ def study_options(command: Command) -> Command:
 
 
 def _calibrating(command: Command) -> Command:
-    for decorator in (recalibrate_option, damage_option, config_option, reading_options, printing_options):
+    limits = (recalibrate_option, limit_options, strict_option)
+    for decorator in (*limits, config_option, reading_options, printing_options):
         command = decorator(command)
     return _REPORT_ONLY(_KEEP_REFUSED(_INTEGERS(_EFFECT(command))))
 

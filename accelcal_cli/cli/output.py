@@ -270,8 +270,8 @@ def _caution(result: Result, values: dict[str, Any]) -> str | None:
 
 
 def _why_refused(report: ReportView) -> str:
-    """Return why a recording was refused, with the first piece of advice."""
-    return " ".join([report.message, *map(words.sentence, advice(report)[:1])])
+    """Return why a recording was refused, with the first two pieces of advice."""
+    return " ".join([report.message, *map(words.sentence, advice(report)[:2])])
 
 
 def _comment(result: Result, values: dict[str, Any]) -> None:

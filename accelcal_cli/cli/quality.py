@@ -14,7 +14,7 @@ from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import aligned, bytes_of, progress_bars
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.output.coefficients import read_coefficients
-from accelcal_cli.output.words import formatted
+from accelcal_cli.output.words import begun_small, formatted
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recipient_settings
 from accelcal_cli.pipeline.quality import Quality, QualityState, as_json, quality
@@ -51,7 +51,7 @@ WORN = {True: "yes", False: "no", None: "-"}
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
 @options.reading_options
 @options.parts_option
-@options.damage_option
+@options.limit_options
 @options.method_options
 def command(recording: Path, **values: Any) -> int:
     """Check, hour by hour, whether a calibration still fits RECORDING; `-` reads standard input.
@@ -110,4 +110,4 @@ def _lines(columns: dict[str, list[Any]]) -> list[list[str]]:
 
 
 def _sentence(judged: Quality) -> str:
-    return printable(f"{judged.path}: {WORDS[judged.state]}: {judged.message}")
+    return printable(f"{judged.path}: {WORDS[judged.state]}: {begun_small(judged.message)}")

@@ -49,7 +49,7 @@ KINDS = ("arrow", "csv")
               help="Rows as an Arrow IPC stream or as CSV.  [default: csv for .csv and `-`]")  # fmt: skip
 @options.recalibrate_option
 @options.method_options
-@options.damage_option
+@options.limit_options
 @options.precision_option
 @options.stream_options
 def command(recording: Path, **values: Any) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from math import fsum
@@ -94,6 +95,16 @@ class Coverage:
     worst_direction_mg: float | None = None
     saturated: Saturated = ()
     subsets_full_after_h: float | None = None
+
+
+def sides_not_up(low_g: Sequence[float], high_g: Sequence[float], reach_g: float) -> list[str]:
+    """Return directions of axes, such as `-z`, that no point comes near, by the extreme values of x, y, z."""
+    return [
+        f"{sign}{axis}"
+        for axis, low, high in zip("xyz", low_g, high_g, strict=True)
+        for sign, there in (("-", low <= -reach_g), ("+", high >= reach_g))
+        if not there
+    ]
 
 
 @dataclass(frozen=True, slots=True)

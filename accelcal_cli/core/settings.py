@@ -169,7 +169,9 @@ class Settings:
         min_postures: fewest postures for nine unknowns (F II.B.1: nine distinct points).
         coverage_g: raw values [g] that a scale needs on both sides of every axis (van Hees et al. 2014:
             0.3 g).
-        max_error_mg: held-out error that a usable calibration stays below [mg] (van Hees: 10 mg).
+        max_error_mg: error over all orientations, without a prior on held-out ones, that a calibration stays
+            below [mg] (van Hees: 10 mg).
+        strict: True to refuse what would be provisional: better than raw, but perhaps above that error.
         min_temperature_range_c: smallest range of temperatures for a slope [degrees C].
         temperature_block_c: range of temperatures within which a posture is one block when models are
             compared [degrees C], so that a slope shows where one posture had different temperatures.
@@ -283,7 +285,16 @@ class Settings:
     folds: int = setting(5, 2, 1000)
     min_postures: int = setting(9, 2, 1_000_000)
     coverage_g: float = setting(0.3, 0, 4)
-    max_error_mg: float = setting(10.0, 0, 1e6)
+    max_error_mg: float = setting(
+        10.0,
+        0,
+        1e6,
+        Option("--max-error", "Largest error of a usable calibration.", "MG", above=0),
+    )
+    strict: bool = setting(
+        False,
+        option=Option("--strict", "Refuse a calibration that would be provisional, see --max-error."),
+    )
     min_temperature_range_c: float = setting(2.0, 0, 1e3)
     temperature_block_c: float = setting(2.0, 1e-3, 1e3)
     precision_mg: float | None = setting(

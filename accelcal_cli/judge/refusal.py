@@ -127,7 +127,7 @@ def advised(verdict: Judgement, facts: Facts, recording: Recording, settings: Se
         verdict = replace(verdict, reason=reason, advice=(Reason("check_unit"),))
     if odd is not None:
         return replace(verdict, notes=(*verdict.notes, odd), advice=())
-    if facts.cut_short and LONGER in verdict.advice:
+    if facts.cut_short:
         return replace(verdict, advice=(Reason("copy_again"), *verdict.advice))
     return verdict
 

@@ -33,6 +33,7 @@ from accelcal_cli.core.results import (
     Outcome,
     Trial,
     WithoutMisalignment,
+    sides_not_up,
 )
 from accelcal_cli.core.settings import DEFAULT, PAPER, Settings
 from accelcal_cli.core.statistics import interval95, mean
@@ -261,7 +262,10 @@ def _outcome_of_sphere(verdict: Judgement, settings: Settings) -> Decision:
         return Decision(outcome, Reason.of("calibrated", **with_model))
     if outcome is Outcome.PROVISIONAL:
         with_model["percent"] = float(floor(100 * sphere.probably_better()))
-        return Decision(outcome, Reason.of("provisional", **with_model), _missing(verdict, settings))
+        why, missing = Reason.of("provisional", **with_model), _missing(verdict, settings)
+        if settings.strict:
+            return Decision(Outcome.REFUSED, why, (Reason("omit_strict"), *missing))
+        return Decision(outcome, why, missing)
     if outcome is Outcome.ALREADY_GOOD:
         return Decision(outcome, _not_clearly_better(holdout))
     why = Reason.of("calibration_error_over_limit", **values) if clearly else _not_clearly_better(holdout)
@@ -287,7 +291,7 @@ def _missing(verdict: Judgement, settings: Settings) -> tuple[Reason, ...]:
     coverage, holdout = verdict.coverage, verdict.holdout
     number = coverage.distinct_orientations
     if number < settings.min_postures:
-        return (Reason.of("more_orientations", orientations=number), LONGER)
+        return (Reason.of("more_orientations", orientations=number),)
     one_sided = model_ladder.one_sided_axes(coverage, settings.coverage_g)
     if one_sided or holdout is None or holdout.after.mean < settings.max_error_mg / 2:
         return _advice(coverage, settings)
@@ -480,8 +484,8 @@ def _no_model(
 def _advice(coverage: Coverage, settings: Settings) -> tuple[Reason, ...]:
     if settings.profile == PAPER.profile:  # its sets are full: a longer recording has the same points
         return ANOTHER_PROFILE
-    missing = model_ladder.one_sided_axes(coverage, settings.coverage_g)
-    return (Reason.of("no_stillness_on_sides", sides=missing) if missing else LONGER,)
+    missing = sides_not_up(coverage.axis_min_g, coverage.axis_max_g, settings.coverage_g)
+    return (Reason.of("rest_on_sides", sides=missing) if missing else LONGER,)
 
 
 def with_errors_before(followed: Judgement, raw: Judgement) -> Judgement:

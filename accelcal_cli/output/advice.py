@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from accelcal_cli.core.reasons import Reason
-from accelcal_cli.core.results import Judgement, Outcome
+from accelcal_cli.core.results import Judgement, Outcome, sides_not_up
 from accelcal_cli.core.settings import DEFAULT, PAPER
 from accelcal_cli.output import words
 from accelcal_cli.output.report_view import ReportView, report_view
@@ -27,19 +27,27 @@ RIGHT_G = (0.7, 1.4)
 FILLED_FROM_PERCENT = 10.0
 """Share of filled samples [%] from which on means over what is left may not stand for the whole time."""
 
+ODD_REST = (
+    *("axes_alike", "axis_stuck", "gravity_is_zero", "not_1_g", "rest_scatters"),
+    *("wrong_counts_per_g", "wrong_unit"),
+)
+"""Codes of notes on values that say themselves what to do; no orientation would mend them."""
+
 MILD = ("sides_unchecked",)
 """Codes of cautions that a good result may have."""
-
-
-EXPLANATIONS = ("axes_alike", "axis_stuck", "gravity_is_zero", "rest_scatters")
-"""Codes of notes on values that no orientation would mend."""
 
 
 def completed(report: dict[str, Any], judgement: Judgement) -> dict[str, Any]:
     """Return a report with all its cautions, its advice and its message."""
     view = report_view(report)
-    found = [*_of_the_file(view), *judgement.cautions, *_cautions(view)]
-    ways = _without_repeats([*judgement.advice, *_advice(view, judgement.notes)])
+    of_file, given = _of_the_file(view), judgement.cautions  # which may be all those of an earlier report
+    codes = [one.code for one in given]
+    found = [
+        *of_file,
+        *(one for one in given if one not in of_file),
+        *(one for one in _cautions(view) if one.code not in codes),
+    ]
+    ways = _without_repeats([*judgement.advice, *_advice(view)])
     return report | {
         "message": words.message(view),
         "cautions": [one.as_json() for one in found],
@@ -56,7 +64,7 @@ def cautions(report: ReportView) -> tuple[Reason, ...]:
 
 def advice(report: ReportView) -> tuple[Reason, ...]:
     """Return what would make a refused recording one that can be used, as far as the report shows."""
-    return _advice(report, ()) if report.advice is None else report.advice
+    return _advice(report) if report.advice is None else report.advice
 
 
 def is_doubtful(report: ReportView) -> bool:
@@ -156,8 +164,10 @@ def _unchecked_poses(report: ReportView) -> list[Reason]:
     return [Reason("roll_alone_checks_poses" if known.rolls else "nothing_checks_poses")]
 
 
-def _advice(report: ReportView, notes: tuple[Reason, ...]) -> tuple[Reason, ...]:
+def _advice(report: ReportView) -> tuple[Reason, ...]:
     """Return what else helps a refused recording; nothing for poses, or where a note explains its values."""
+    if any(note.code in ODD_REST for note in report.notes):
+        return ()
     health, cells = report.file_health, report.coverage.cells
     damaged = report.reason == "damaged" or (
         not report.reason and (health.lost_percent or 0) > report.setting("max_damage_percent", 100)
@@ -167,7 +177,7 @@ def _advice(report: ReportView, notes: tuple[Reason, ...]) -> tuple[Reason, ...]
     if health.rest and not RIGHT_G[0] < health.rest.median_g < RIGHT_G[1]:
         return (Reason("check_unit"),)
     points = report.settings.get("input", {}).get("format") == "points"
-    if any(note.code in EXPLANATIONS for note in notes) or (points and not cells):
+    if points and not cells:
         return ()
     if report.settings.get("profile") == PAPER.profile and report.reason != "subsets_not_full":
         return ()  # its sets are full: more orientations would not be used
@@ -179,8 +189,9 @@ def _advice(report: ReportView, notes: tuple[Reason, ...]) -> tuple[Reason, ...]
 def _orientations(report: ReportView) -> tuple[Reason, ...]:
     """Return which orientations are missing."""
     found, sides = [], _sides(report)
-    number = report.coverage.distinct_orientations
-    if number is not None and (sides or number < report.setting("min_postures", MIN_ORIENTATIONS)):
+    number, said = report.coverage.distinct_orientations, report.reason == "too_few_orientations"
+    few = number is not None and (sides or number < report.setting("min_postures", MIN_ORIENTATIONS))
+    if few and not said:
         found.append(Reason.of("more_orientations", orientations=number))
     if sides:
         found.append(Reason.of("rest_on_sides", sides=sides))
@@ -189,13 +200,8 @@ def _orientations(report: ReportView) -> tuple[Reason, ...]:
 
 def _sides(report: ReportView) -> list[str]:
     """Return directions of axes, such as `-z`, that no point comes near."""
-    coverage, reach = report.coverage, report.setting("coverage_g", 0.3)
-    return [
-        f"{sign}{axis}"
-        for axis, low, high in zip("xyz", coverage.axis_min_g, coverage.axis_max_g, strict=True)
-        for sign, there in (("-", low <= -reach), ("+", high >= reach))
-        if not there
-    ]
+    coverage = report.coverage
+    return sides_not_up(coverage.axis_min_g, coverage.axis_max_g, report.setting("coverage_g", 0.3))
 
 
 def _without_repeats(reasons: list[Reason]) -> list[Reason]:

@@ -46,6 +46,7 @@ LATER = {
     "settings.prior": "0.2.0",
     "calibration_error_mg": "0.3.0",
     "rest_scatter_mg": "0.3.0",
+    "settings.strict": "0.3.0",
     "reason": "0.3.0",
     "values": "0.3.0",
     "notes": "0.3.0",
@@ -210,13 +211,17 @@ def load_report(path: Path) -> dict[str, Any] | None:
 def upgraded(report: dict[str, Any]) -> dict[str, Any]:
     """Return a report of an earlier schema version with this one's names; any other as it is.
 
-    What only this version has (reasons as codes, the error without the scatter of rests) stays missing.
+    What only this version has (reasons as codes, the error without the scatter of rests) stays missing; the
+    sentence on a model that was not used takes the place of its code.
     """
     version = report.get("schema_version")
     if version not in (1, 2) or isinstance(version, bool):
         return report
     old = version == 1 and "calibration" in report
-    renamed = {"calibration": with_new_names(report["calibration"])} if old else {}
+    renamed: dict[str, Any] = {"calibration": with_new_names(report["calibration"])} if old else {}
+    tried = report.get("models_tried")
+    if isinstance(tried, list):
+        renamed["models_tried"] = [{"values": {}} | one if isinstance(one, dict) else one for one in tried]
     return report | {"schema_version": SCHEMA_VERSION} | renamed
 
 

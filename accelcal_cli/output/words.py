@@ -422,8 +422,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "much_left": "{limit_mg:g} mg or more are left.",
     # advice
     "record_longer": "Record longer, with more turns of the wrist.",
-    "more_orientations": "The device was still in only {orientations:n orientation}: more turns of the "
-    "wrist, and a longer recording, help.",
+    "more_orientations": "The device was still in only {orientations:n orientation}: turn it more often.",
     "rest_on_sides": "The device never rested with {sides:list} pointing up. Take it off and leave it in "
     "{that} for a minute.",
     "orientations_disagree": "{orientations:n orientation} disagree by {by_mg:mg} mg: slow movement may "
@@ -439,6 +438,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "use_default_profile": "Use --profile default, which needs no full subsets.",
     "copy_again": "Copy the file again from the device.",
     "allow_damage": "To use what is left, allow more damage with --max-damage.",
+    "omit_strict": "To use the calibration provisionally, omit --strict.",
     "rest_on_faces": "Rest the device exactly on its faces, on a level surface.",
     "check_references": "Check the references and their times.",
     "record_again": "Record again: the device has to lie still for some seconds, in different orientations.",

@@ -50,6 +50,10 @@ from accelcal_cli.pipeline.report_settings import settings_from_report
 READING = ("unit", "columns", "sensor", "lsb_per_g", "layout_sha256")
 """Reading options that change the values themselves."""
 
+OF_THE_RECIPIENT = ("precision_mg", "max_damage_percent", "max_error_mg", "strict")
+"""Settings that coefficients do not bring along: those of the recording that they are applied to."""
+
+VERDICT = ("outcome", "reason", "values", "message", "notes", "cautions")
 KNOWN = "known_orientations"
 ANY_DEVICE = "use --any-device to apply them anyway"
 SHOWN_HASH = 12
@@ -122,7 +126,7 @@ class DonorCoefficients(Judge):
     def method(self, recording: Recording) -> Method:
         """Return the method; raises UnreadableError if the recording's own report is damaged."""
         if self.relation is Relation.OWN:
-            check_sections(self.donor.document, (*COPIED, KNOWN))
+            check_sections(self.donor.document, (*COPIED, KNOWN, *VERDICT))
         return make_method(recording, self.settings)
 
     def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
@@ -139,8 +143,16 @@ class DonorCoefficients(Judge):
         why = Reason.of("earlier_verdict", message=printable(report["message"]))
         if "reason" in report:
             why = Reason(report["reason"], report["values"])
-        notes, outcome = (Reason("own_coefficients"),), Outcome(report["outcome"])
-        return Judgement(outcome, why, found.coverage, (), self.donor.calibration, notes=notes)
+        notes, cautions = ([Reason(**one) for one in report.get(name, ())] for name in ("notes", "cautions"))
+        return Judgement(
+            Outcome(report["outcome"]),
+            why,
+            found.coverage,
+            (),
+            self.donor.calibration,
+            notes=(Reason("own_coefficients"), *notes),
+            cautions=tuple(cautions),
+        )
 
     def _borrowed_judgement(self, found: Survey) -> Judgement:
         settings, calibration = self.settings, self.calibration
@@ -264,21 +276,20 @@ def settings_for(donor: Coefficients, relation: Relation, wanted: Settings) -> S
     known = isinstance(section, dict) and section.get("profile") != SIX_POSE
     settings = settings_from_report(donor.document).settings if known else DEFAULT
     base = settings if isinstance(settings, Settings) else DEFAULT
-    base = replace(base, precision_mg=wanted.precision_mg)
+    limits = {name: getattr(wanted, name) for name in OF_THE_RECIPIENT}
     if relation is Relation.OWN:
-        return replace(base, max_damage_percent=wanted.max_damage_percent)
+        return replace(base, **limits)
     base = base if base.profile == DEFAULT.profile else DEFAULT
     place = wanted.gravity if wanted.latitude is not None else donor.calibration.gravity
     return replace(
         base,
         optimizer=DEFAULT.optimizer,
-        precision_mg=wanted.precision_mg,
         model=DEFAULT.model,
         prior=DEFAULT.prior if base.prior in LEARNT_PRIORS else base.prior,
         temperature=wanted.temperature and donor.calibration.temperature is not None,
         latitude=place.latitude,
         altitude_m=place.altitude_m,
-        max_damage_percent=wanted.max_damage_percent,
+        **limits,
     )
 
 

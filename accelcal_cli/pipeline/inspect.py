@@ -202,6 +202,8 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
             "reason": prediction.reason.code,
             "values": dict(prediction.reason.values),
             "message": explained(prediction.reason, prediction.notes),
+            "cautions": [one.as_json() for one in prediction.cautions],
+            "advice": [one.as_json() for one in prediction.advice],
             "holdout": None if prediction.holdout is None else holdout_json(prediction.holdout),
         },
     }

@@ -21,7 +21,7 @@ from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.change import LEAST_MG, ChangeSearch, ComparedErrors, change_reason
 from accelcal_cli.judge.quality import Period, check, far_off
 from accelcal_cli.output.quality import QualityInput, rows_json
-from accelcal_cli.output.words import clause, explained, sentence
+from accelcal_cli.output.words import clause, explained
 from accelcal_cli.pipeline.apply import with_coefficients
 from accelcal_cli.pipeline.calibrate import FirstPass, Judge, OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress
@@ -150,7 +150,7 @@ def _by_periods(start: Quality, found: FirstPass, calibration: Calibration, *, o
     """Return the verdict by errors in periods of the recording, or by the hold-out if it is too short."""
     along = compared_along_time(calibration, found.method.procedure)
     if along.compared is None:
-        return _by_holdout(start, sentence(Reason(along.change.unchecked or "too_short")), LEAST_MG)
+        return _by_holdout(start, clause(Reason(along.change.unchecked or "too_short")), LEAST_MG)
     limit_mg = start.made.data.settings.method.max_error_mg
     checked = check(along.compared, along.change, along.blocks, limit_mg)
     start = replace(start, periods=_periods_by_row(checked.periods, start.made, along.block_samples))

@@ -31,6 +31,9 @@ MOST_DONORS = 3
 """Number of donors that are tried before a recording keeps its own result."""
 
 GOOD = (Outcome.CALIBRATED, Outcome.REDUCED_MODEL, Outcome.ALREADY_GOOD)
+OPEN = (Outcome.REFUSED, Outcome.PROVISIONAL)
+"""Outcomes of recordings that borrow wherever they can: their own stillness does not determine enough."""
+
 POORER_TIMES, POORER_MG = 2.0, 1.0
 """A calibrated recording borrows only if its held-out error is at least POORER_TIMES that of the device's
 best recording and POORER_MG [mg] more; otherwise a study of good recordings would be read twice."""
@@ -48,10 +51,9 @@ def pools(rows: Mapping[str, Row]) -> list[list[str]]:
     alike: dict[tuple[Any, ...], list[str]] = {}
     for serial, device in _devices(rows).items():
         for name, row in device.items():
-            refused = row["outcome"] == Outcome.REFUSED
             if _sensor_changed(row):
                 continue
-            if row["outcome"] in GOOD or (refused and not _damaged(row)):
+            if row["outcome"] in (*GOOD, *OPEN) and not _damaged(row):
                 key = (serial, row["device_model"] or "", row["lsb_per_g"], row["range_g"] or 0.0)
                 alike.setdefault(key, []).append(name)
     again = summary.copies(rows)
@@ -115,7 +117,7 @@ def _same_model(name: str, others: list[str], rows: Mapping[str, Row]) -> list[s
 
 def _borrows(name: str, device: Mapping[str, Row], *, compare: bool) -> bool:
     row = device[name]
-    if row["outcome"] == Outcome.REFUSED:
+    if row["outcome"] in OPEN:
         return not _damaged(row)
     if not compare or row["outcome"] not in GOOD:
         return False
@@ -184,7 +186,7 @@ def tasks(study: Study, known: StudyState) -> list[BorrowTask]:
 def borrowed(task: BorrowTask, report_progress: ProgressCallback) -> TaskResult:
     """Try one donor after another."""
     item, request, progress = task.item, task.common.request, StageProgress(report_progress).stage
-    poorer = task.own_row["outcome"] != Outcome.REFUSED
+    poorer = task.own_row["outcome"] not in OPEN
     reports = [report for _, report in task.donors]
     loan = borrow(item.job, request, reports, progress, must_be_better=poorer, before=item.stamps[0])
     if loan.result is None:

@@ -7,7 +7,7 @@ import os
 import resource
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +17,8 @@ import pytest
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.main import cli
+from accelcal_cli.core.reasons import Reason
+from accelcal_cli.output.words import sentence
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,23 @@ def assert_one_line(ran: Ran, *parts: str) -> None:
     assert "Traceback" not in ran.err
     for part in parts:
         assert part in ran.err, ran.err
+
+
+def codes(reasons: Iterable[dict[str, Any]]) -> list[str]:
+    """The codes of `notes`, `cautions` or `advice` of a report."""
+    return [one["code"] for one in reasons]
+
+
+def told(report: dict[str, Any], code: str) -> str:
+    """The sentence of a code that the report has as its reason, or among its notes, cautions and advice."""
+    every = [
+        {"code": report["reason"], "values": report["values"]},
+        *report["notes"],
+        *report["cautions"],
+        *report["advice"],
+    ]
+    (found,) = [one for one in every if one["code"] == code]
+    return sentence(Reason(**found))
 
 
 def verify(

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from accelcal_cli.output.report_reading import LATER
-from tests.cli.run import assert_one_line, run, run_process
+from tests.cli.run import assert_one_line, codes, run, run_process, told
 from tests.device_recordings import donor, edit, rest, set_coefficients, week, write_device
 from tests.recordings import directions, good_csv
 from tests.schema import check_report
@@ -53,19 +53,21 @@ def test_its_own_coefficients_give_the_values_of_calibrate(
     for key in ("provenance", "message"):
         del then[key], now[key]
     used = now.pop("coefficients")
+    assert codes(now.pop("notes")) == ["own_coefficients"] and then.pop("notes") == []
     assert now == then
     assert used["recording_sha256"] == then["recording"]["sha256"]
 
 
 def older(report: dict) -> None:
     """Take out what reports of version 0.1.0 did not say."""
-    report["accelcal_version"] = "0.1.0"
+    report |= {"accelcal_version": "0.1.0", "schema_version": 2}
     for place in LATER:
         *outer, name = place.split(".")
         held = report
         for key in outer:
             held = held.get(key) or {}
-        held.pop(name, None)
+        for one in held if isinstance(held, list) else [held]:
+            one.pop(name, None)
 
 
 def test_its_own_coefficients_of_an_older_version_are_applied(tmp_path: Path, capsys: Capture) -> None:
@@ -74,7 +76,7 @@ def test_its_own_coefficients_of_an_older_version_are_applied(tmp_path: Path, ca
     assert ran.code == 0, ran
     now = report_of(tmp_path / "out" / "donor.calibration.json")
     assert now["calibration"]["fixed_point"] == json.loads(report.read_text())["calibration"]["fixed_point"]
-    assert now["sphere_mg"] is None
+    assert now["calibration_error_mg"] is None
 
 
 def test_another_recording_of_the_device_is_judged_by_its_own_stillness(
@@ -144,13 +146,13 @@ def test_a_recording_without_stillness_is_calibrated_all_the_same(tmp_path: Path
     assert ran.lines[0].split("\t")[3:6] == ["-", "-", "-"]
     report = report_of(tmp_path / "s.calibration.json")
     assert report["holdout"] is None
-    assert "no two postures of stillness" in report["message"]
+    assert (report["reason"], report["values"]["orientations"]) == ("borrowed", None)
     assert len(pd.read_parquet(tmp_path / "s.calibrated.parquet")) == 2000
 
 
-@pytest.mark.parametrize(("gain", "word"), [(0.94, "10 mg or more are left"), (1.3, "larger with them")])
+@pytest.mark.parametrize(("gain", "code"), [(0.94, "much_left"), (1.3, "worse_here")])
 def test_coefficients_that_do_not_fit_are_applied_with_a_warning(
-    tmp_path: Path, capsys: Capture, gain: float, word: str
+    tmp_path: Path, capsys: Capture, gain: float, code: str
 ) -> None:
     coefficients = donor(tmp_path)
     edit(coefficients, lambda report: set_coefficients(report, gain * np.eye(3), np.zeros(3)))
@@ -158,8 +160,8 @@ def test_coefficients_that_do_not_fit_are_applied_with_a_warning(
     for _ in range(2):
         ran = run(capsys, "apply", "-q", "--coefficients", coefficients, other)
         assert ran.code == 0
-        assert_one_line(ran, str(other), "warning", word)
-    assert word in report_of(tmp_path / "other.calibration.json")["message"]
+        caution = told(report_of(tmp_path / "other.calibration.json"), code)
+        assert_one_line(ran, str(other), "caution", caution)
 
 
 def test_other_counts_per_g_are_noted(tmp_path: Path, capsys: Capture) -> None:
@@ -167,7 +169,8 @@ def test_other_counts_per_g_are_noted(tmp_path: Path, capsys: Capture) -> None:
     other = week(tmp_path / "other.raw", seed=2, lsb_per_g=512.0)
     assert run(capsys, "apply", "--coefficients", coefficients, other).code == 0
     report = report_of(tmp_path / "other.calibration.json")
-    assert "512 counts per g here, 256 there" in report["message"]
+    note = {"code": "other_counts_per_g", "values": {"here": 512.0, "there": 256.0}}
+    assert note in report["notes"]
     assert report["holdout"]["after_mg"]["mean"] < 0.5
 
 

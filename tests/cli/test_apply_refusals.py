@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.cli.run import Ran, assert_one_line, run
+from tests.cli.run import Ran, assert_one_line, run, told
 from tests.device_recordings import REFERENCE_C, SLOPE_G_PER_C, donor, edit, rest, week, write_device
 from tests.recordings import GAIN, OFFSET_G, directions
 
@@ -55,8 +55,9 @@ def test_another_device_needs_any_device(
     other = week(tmp_path / "other.raw", seed=2, poses=12, serial=ours)
     refuse(capsys, 2, [str(other), "--any-device", *parts], coefficients, other)
     assert apply(capsys, coefficients, other, "--any-device").code == 0
-    message = json.loads((tmp_path / "other.calibration.json").read_text())["message"]
-    assert f"this recording's device is {ours or 'unknown'}" in message
+    report = json.loads((tmp_path / "other.calibration.json").read_text())
+    assert {"code": "other_device", "values": {"serial": ours or "unknown"}} in report["notes"]
+    assert told(report, "other_device") in report["message"]
 
 
 def test_an_unknown_device_passes_for_the_very_same_recording(tmp_path: Path, capsys: Capture) -> None:
@@ -105,7 +106,8 @@ def test_slopes_need_temperature_or_a_word(tmp_path: Path, capsys: Capture) -> N
     assert (report["calibration"]["model"], report["calibration"]["temperature"]) == ("9", None)
     assert report["calibration"]["offset_g"] == given["offset_g"]
     assert "sx" not in report["calibration"]["standard_errors"]
-    assert f"used as at {at_c}" in report["message"]
+    (left_out,) = [one for one in report["notes"] if one["code"] == "slopes_left_out"]
+    assert left_out["values"]["at_c"] == pytest.approx(given["temperature"]["reference_c"], abs=0.01)
     assert report["settings"]["temperature"] is False
     again = ("-d", tmp_path / "out")
     assert apply(capsys, tmp_path / "other.calibration.json", other, *again).code == 0

@@ -198,7 +198,7 @@ def test_refused_has_a_reason_a_report_and_no_parquet(tmp_path: Path, capsys: Ca
     path = write_csv(tmp_path / "few.csv", still_counts(directions(4)))
     ran = run(capsys, "calibrate", path)
     assert ran.code == 4
-    assert_one_line(ran, str(path), "refused", "4 postures")
+    assert_one_line(ran, str(path), "refused", "4 orientations")
     outcome, model, before, *others = ran.lines[0].split("\t")[1:]
     assert (outcome, model, others) == ("refused", "-", ["-", "-", "-"]) and float(before) > 10
     assert files(tmp_path) == ["few.calibration.json", "few.csv", "few.quality.json"]

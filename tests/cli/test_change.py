@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from accelcal_cli.cli.main import cli
-from tests.cli.run import assert_one_line, run
+from tests.cli.run import assert_one_line, run, told
 from tests.recordings import GAIN, LSB_PER_G, OFFSET_G, directions, write_raw
 
 Capture = pytest.CaptureFixture[str]
@@ -72,18 +72,20 @@ def test_a_step_in_the_offsets_is_told_and_followed(jumped: Path) -> None:
     change = report["change"]
     assert (change["kind"], change["at"]) == ("step", "2024-03-04T14:00:00.000000")
     assert change["offset_mg"] == pytest.approx((12, -10, 12), abs=1)
-    text = "the sensor changes while it records: its offsets jump at 2024-03-04T14:00:00"
-    assert text in report["message"] and report["message"].endswith("and the calibration follows")
+    text = told(report, "sensor_changed")
+    assert "its offsets jump at 2024-03-04T14:00:00," in text and text.endswith("The calibration follows it.")
     course = report["calibration"]["course"]
     assert (course["between"], [knot["sample"] for knot in course["knots"]]) == ("jumps", [0, 14 * HOUR])
     assert still_errors_mg(jumped / "jumps.calibrated.parquet").mean() < 0.7
-    assert report["sphere_mg"]["mean"] < 1.5
+    assert report["calibration_error_mg"]["mean"] < 1.5
 
 
 def test_never_only_tells(tmp_path: Path, capsys: Capture) -> None:
     report = calibrated(capsys, jumping(tmp_path / "jumps.raw"), "--recalibrate", "never")
     assert report["change"]["kind"] == "step" and report["calibration"]["course"] is None
-    assert "one calibration for all of it leaves" in report["message"]
+    (change,) = [one["values"] for one in report["cautions"] if one["code"] == "sensor_changed"]
+    assert change["followed"] is False and change["constant_mg"] > 2 * change["changing_mg"]
+    assert "One calibration for all of the recording leaves" in told(report, "sensor_changed")
     assert still_errors_mg(tmp_path / "jumps.calibrated.parquet").mean() > 3
 
 
@@ -102,7 +104,15 @@ def test_the_length_of_chunks_makes_no_difference(tmp_path: Path, capsys: Captur
     first = calibrated(capsys, path)
     table = pq.read_table(tmp_path / "a.calibrated.parquet")
     again = calibrated(capsys, path, "--chunk-samples", "499")
-    for section in ("calibration", "change", "message", "holdout", "sphere_mg"):
+    for section in (
+        "calibration",
+        "change",
+        "reason",
+        "values",
+        "cautions",
+        "holdout",
+        "calibration_error_mg",
+    ):
         assert again[section] == first[section], section
     assert pq.read_table(tmp_path / "a.calibrated.parquet").equals(table)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.run import assert_one_line, run, verify
+from tests.cli.run import assert_one_line, codes, run, told, verify
 from tests.formats import make_flash
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
 from tests.schema import check_report
@@ -35,7 +35,7 @@ def test_more_than_the_limit_is_refused_with_a_report(tmp_path: Path, capsys: Ca
     path = dump(tmp_path / "a.bin", 6)
     ran = run(capsys, "calibrate", path, "-q")
     assert ran.code == 4
-    assert_one_line(ran, "lost to damage", "50 % is the limit", "--max-damage")
+    assert_one_line(ran, "lost to damage", "50 %", "--max-damage")
     assert sorted(item.name for item in tmp_path.iterdir()) == [
         "a.bin",
         "a.calibration.json",
@@ -46,7 +46,8 @@ def test_more_than_the_limit_is_refused_with_a_report(tmp_path: Path, capsys: Ca
     lost = sum(1 for index in range(563) if index // 57 % 10 < 6)
     assert health["lost_bytes"] == lost * 512
     assert health["lost_percent"] == pytest.approx(100 * lost / 563, abs=1e-4)
-    assert (report["outcome"], report["calibration"]) == ("refused", None)
+    assert (report["outcome"], report["reason"], report["calibration"]) == ("refused", "damaged", None)
+    assert codes(report["advice"]) == ["copy_again", "allow_damage"]
     assert report["settings"]["max_damage_percent"] == 50.0
 
 
@@ -101,11 +102,14 @@ def test_a_stump_is_told_to_be_copied_again_and_a_short_recording_is_not(
     if kind == "raw":
         stump.with_name("stump.layout.toml").write_text(whole.with_name("whole.layout.toml").read_text())
     for path, cut in ((whole, False), (stump, True)):
-        told = run(capsys, "calibrate", path, "--report-only")
-        assert (told.code, "record longer" in told.err) == (4, True)
-        assert ("the file is cut short: copy it again from the device, or record longer" in told.err) == cut
+        ran = run(capsys, "calibrate", path, "--report-only")
+        report = report_of(path.with_name(f"{path.name.partition('.')[0]}.calibration.json"))
+        advice = codes(report["advice"])
+        assert (ran.code, "more_orientations" in advice, "copy_again" in advice) == (4, True, cut)
+        assert told(report, advice[0]) in ran.err and (advice[0] == "copy_again") == cut
         if kind == "gt3x":
-            assert ("copy it again" in run(capsys, "inspect", path).out) == cut
+            again = told(report, "copy_again") if cut else "copy it again"
+            assert (again in run(capsys, "inspect", path).out) == cut
 
 
 def test_gaps_that_run_past_the_year_9999_are_reported(tmp_path: Path, capsys: Capture) -> None:

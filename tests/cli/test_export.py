@@ -47,7 +47,7 @@ def test_json_has_both_and_each_report_a_line(tmp_path: Path, capsys: Capture) -
     ran = run(capsys, "export", report, report, "--to", "json")
     assert ran.code == 0 and ran.err == "" and len(ran.lines) == 2
     shown, held = json.loads(ran.lines[0]), json.loads(report.read_text())
-    for name in ("sphere_mg", "holdout", "without_misalignment", "outcome"):
+    for name in ("calibration_error_mg", "holdout", "without_misalignment", "outcome"):
         assert shown[name] == held[name]
     assert {name: held["calibration"][name] for name in shown["calibration"]} == shown["calibration"]
     assert (shown["calibration"]["model"], shown["recording"]["sha256"]) == ("9", held["recording"]["sha256"])
@@ -81,7 +81,9 @@ def test_borrowed_coefficients_bring_theirs_along_held_out_here(tmp_path: Path, 
     held, now = (json.loads(one.read_text()) for one in (report, out / "next.calibration.json"))
     section = now["without_misalignment"]
     assert section["calibration"] == held["without_misalignment"]["calibration"]
-    assert section["holdout"]["method"] == now["holdout"]["method"] and section["sphere_mg"] is None
+    assert (
+        section["holdout"]["method"] == now["holdout"]["method"] and section["calibration_error_mg"] is None
+    )
     assert section["holdout"]["after_mg"]["mean"] > now["holdout"]["after_mg"]["mean"]
     assert run(capsys, "verify", out / "next.calibration.json", path).code == 0
     row = run(capsys, "export", out / "next.calibration.json", "--to", "ggir").lines[1]

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.run import run
+from accelcal_cli.output.words import begun_small
+from tests.cli.run import codes, run, told
 from tests.recordings import GAIN, OFFSET_G, directions
 from tests.schema import check_report
 
@@ -77,23 +78,24 @@ def flat(number: int = 60) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("g", "said"),
+    ("g", "code"),
     [
-        (flat(), "no stillness with z beyond +-0.3 g"),
-        (np.tile([[0.0, 0.0, 1.0]], (50, 1)), "only 1 posture"),
-        (9.81 * directions(50), "no point is anywhere near 1 g; x, y and z must be in g"),
-        (np.empty((0, 3)), "the table holds no points"),
-        (directions(60) * np.linspace(0.8, 1.2, 60)[:, None], "mg"),
+        (flat(), "no_model_tried"),
+        (np.tile([[0.0, 0.0, 1.0]], (50, 1)), "too_few_orientations"),
+        (9.81 * directions(50), "no_point_near_1_g"),
+        (np.empty((0, 3)), "no_points"),
+        (directions(60) * np.linspace(0.8, 1.2, 60)[:, None], "no_model_tried"),
     ],
     ids=["rank deficient", "one posture", "far from the sphere", "empty", "no sphere"],
 )
 def test_points_that_cannot_be_fitted_are_refused_and_nothing_is_written(
-    tmp_path: Path, capsys: Capture, g: np.ndarray, said: str
+    tmp_path: Path, capsys: Capture, g: np.ndarray, code: str
 ) -> None:
     path = rows(tmp_path / "points.csv", g)
     ran = run(capsys, "fit", path, "-o", tmp_path / "out.json", "--prior", "none")
     assert ran.code == 4
-    assert said in ran.err and ran.err.count("\n") == 1
+    shown = json.loads(run(capsys, "fit", path, "--json", "--prior", "none").out)
+    assert shown["reason"] == code and begun_small(told(shown, code)) in ran.err and ran.err.count("\n") == 1
     assert ran.lines[0].split("\t")[1:3] == ["refused", "-"]
     assert not (tmp_path / "out.json").exists()
 
@@ -108,6 +110,11 @@ def test_with_a_prior_points_in_a_plane_are_calibrated_provisionally(tmp_path: P
         high > 3 * low and report["calibration_error_mg"]["mean"] < report["calibration_error_mg"]["before"]
     )
     assert report["values"]["percent"] >= 95
+    strict = run(capsys, "fit", tmp_path / "points.csv", "--strict", "--json")
+    refused = json.loads(strict.out)
+    assert (strict.code, refused["outcome"], refused["calibration"]) == (4, "refused", None)
+    assert codes(refused["advice"])[0] == "omit_strict"
+    assert {"code": "rest_on_sides", "values": {"sides": ["-z", "+z"]}} in refused["advice"]
 
 
 def test_a_value_that_is_no_number_is_an_error_with_its_line(tmp_path: Path, capsys: Capture) -> None:
@@ -177,5 +184,13 @@ def test_a_posture_without_plausible_rows_is_as_if_it_were_not_there(tmp_path: P
         path = tmp_path / f"{name}.csv"
         path.write_text("x,y,z,posture\n" + "".join(f"{x},{y},{z},{pose}\n" for x, y, z, pose in held))
         found.append(json.loads(run(capsys, "fit", path, "--json").out))
-    for key in ("outcome", "calibration", "sphere_mg", "holdout", "misfits", "coverage", "models_tried"):
+    for key in (
+        "outcome",
+        "calibration",
+        "calibration_error_mg",
+        "holdout",
+        "misfits",
+        "coverage",
+        "models_tried",
+    ):
         assert found[0][key] == found[1][key], key

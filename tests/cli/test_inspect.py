@@ -17,7 +17,7 @@ Capture = pytest.CaptureFixture[str]
 def test_people_see_rate_duration_and_prediction(tmp_path: Path, capsys: Capture) -> None:
     ran = run(capsys, "inspect", write_raw(tmp_path / "a.raw", still_counts(directions(60))))
     assert (ran.code, ran.err) == (0, "")
-    for part in ("25 Hz", "256 counts per g", "45000 samples", "0.50 h", "prediction   calibrated: model 9"):
+    for part in ("25 Hz", "256 counts per g", "45000 samples", "0.50 h", "prediction   calibrated: "):
         assert part in ran.out
 
 

@@ -68,7 +68,7 @@ def test_the_same_rows_give_the_same_calibration_however_their_stamps_jitter(
 ) -> None:
     even = calibrated(capsys, recording(tmp_path, None, "even.csv"))
     found = calibrated(capsys, recording(tmp_path, stamps))
-    for key in ("calibration", "fit", "sphere_mg", "coverage"):
+    for key in ("calibration", "fit", "calibration_error_mg", "coverage"):
         assert found[key] == even[key]
     assert found["recording"]["sample_rate_hz"] == 25.0
     clock = found["file_health"]["clock"]

@@ -64,7 +64,7 @@ def test_each_recording_is_read_as_the_folder_s_file_says(mixed: Path, capsys: C
     assert done.code == 0, done.err
     found = by_name(mixed.parent / "out")
     assert [row["outcome"] for row in found.values()] == ["calibrated"] * 4
-    afters = {row["path"]: float(row["sphere_mg"]) for row in found.values()}
+    afters = {row["path"]: float(row["calibration_error_mg"]) for row in found.values()}
     assert max(afters.values()) < 1.05 * min(afters.values()), "the same values in four units"
     assert {row["time_zone"] for row in found.values()} == {"UTC"}
     report = json.loads((mixed.parent / "out/phone/odd.calibration.json").read_text())

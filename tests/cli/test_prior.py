@@ -28,7 +28,7 @@ def test_by_default_all_parameters_are_fitted_with_a_prior(tmp_path: Path, capsy
     report = made(capsys, tmp_path)
     check_report(report)
     assert report["settings"]["prior"] == "population"
-    sphere = report["sphere_mg"]
+    sphere = report["calibration_error_mg"]
     low, high = sphere["ci95"]
     assert low <= sphere["mean"] <= sphere["worst_direction"] and sphere["mean"] <= high < sphere["before"]
     *ladder, last = report["models_tried"]
@@ -42,7 +42,7 @@ def test_without_one_the_ladder_decides_and_nothing_is_known_of_the_sphere(
 ) -> None:
     report = made(capsys, tmp_path, "--prior", "none")
     check_report(report)
-    assert report["settings"]["prior"] == "none" and report["sphere_mg"] is None
+    assert report["settings"]["prior"] == "none" and report["calibration_error_mg"] is None
     assert [one["model"] for one in report["models_tried"]] == ["0", "3", "6", "9"]
 
 

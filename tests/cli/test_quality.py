@@ -18,7 +18,9 @@ from jsonschema import Draft202012Validator
 
 from accelcal_cli.collect import cells
 from accelcal_cli.core.points import PointSet
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.output.quality import BlockErrors, PointErrors, QualityInput, dumps_quality, quality_json
+from accelcal_cli.output.words import clause
 from accelcal_cli.pipeline.calibrate import RecordingRun
 from tests.cli.run import Ran, assert_one_line, exit_code, run
 from tests.cli.test_change import HOUR, HOURS, jumping, long_raw
@@ -391,7 +393,7 @@ def test_short_recordings_say_what_was_not_checked(tmp_path: Path, capsys: Captu
     path = good_raw(tmp_path)
     ran, found = checked(capsys, path)
     assert (ran.code, found["state"]) == (0, "holds")
-    assert "not checked along time: the recording is too short to show a change" in found["message"]
+    assert f"not checked along time: {clause(Reason('too_short'))}" in found["message"]
 
 
 def test_hours_are_told_where_windows_are_not_kept_apart_by_them(
@@ -403,9 +405,7 @@ def test_hours_are_told_where_windows_are_not_kept_apart_by_them(
     run(capsys, "simulate", path, "--format", "cwa", "--days", 1, "--rate", 12.5, "--seed", 3, "-q")
     assert run(capsys, "calibrate", path, "--report-only", "--html", "-q").code == 0
     report = json.loads((tmp_path / "day.calibration.json").read_text())
-    assert report["change"]["unchecked"] == (
-        "it holds too many orientations and temperatures to look at it along time"
-    )
+    assert report["change"]["unchecked"] == "too_many_cells"
     found = document(tmp_path / "day.quality.json")
     rows = found["rows"]
     assert len(rows["start"]) == 24 and sum(rows["samples"]) == 86_400 * 25 // 2

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
+import json
 from pathlib import Path
 
 import pytest
 
-from tests.cli.run import run
+from tests.cli.run import run, told
 from tests.recordings import directions, good_csv, good_raw, still_counts, write_csv
 
 Capture = pytest.CaptureFixture[str]
@@ -16,20 +16,20 @@ Capture = pytest.CaptureFixture[str]
 @pytest.mark.parametrize("lsb_per_g", [128, 512])
 def test_wrong_counts_per_g(tmp_path: Path, capsys: Capture, lsb_per_g: int) -> None:
     ran = run(capsys, "calibrate", good_raw(tmp_path), "--lsb-per-g", lsb_per_g)
-    assert (ran.code, "record longer" in ran.err) == (4, False)
-    found = re.search(
-        r"rest measures (\S+) g instead of 1 g; (\S+) counts per g would fit instead of (\S+):", ran.err
-    )
-    assert found is not None, ran.err
-    measured, fits, given = map(float, found.groups())
-    assert measured == pytest.approx(256 / lsb_per_g, rel=0.03)
-    assert (fits, given) == (pytest.approx(256, rel=0.03), lsb_per_g)
+    report = json.loads((tmp_path / "good.calibration.json").read_text())
+    note, advice = report["notes"][-1], report["advice"]
+    assert (ran.code, note["code"], advice) == (4, "wrong_counts_per_g", [])
+    assert note["values"]["median_g"] == pytest.approx(256 / lsb_per_g, rel=0.03)
+    assert note["values"]["fits"] == pytest.approx(256, rel=0.03)
+    assert note["values"]["lsb_per_g"] == lsb_per_g and told(report, "wrong_counts_per_g") in ran.err
 
 
 def test_a_wrong_unit(tmp_path: Path, capsys: Capture) -> None:
     ran = run(capsys, "calibrate", good_csv(tmp_path), "--unit", "m/s2")
     assert ran.code == 4
-    assert "as if values in g were read as m/s2; check the unit (--unit)" in ran.err
+    report = json.loads((tmp_path / "good.calibration.json").read_text())
+    assert told(report, "wrong_unit") in ran.err and report["advice"] == []
+    assert "as if values in g were read as m/s2. Use --unit g." in ran.err
 
 
 def test_an_axis_that_is_another_field(tmp_path: Path, capsys: Capture) -> None:
@@ -37,10 +37,15 @@ def test_an_axis_that_is_another_field(tmp_path: Path, capsys: Capture) -> None:
     counts[:, 0] = 8
     ran = run(capsys, "calibrate", write_csv(tmp_path / "a.csv", counts))
     assert ran.code == 4
-    assert "x stays at 0.03 g at rest while gravity moves y by " in ran.err
+    report = json.loads((tmp_path / "a.calibration.json").read_text())
+    values = report["notes"][-1]["values"]
+    assert (values["axis"], values["at_g"], values["others"]) == ("x", 0.03, ["y", "z"])
+    assert told(report, "axis_stuck") in ran.err and report["advice"] == [], "more stillness is no help"
     counts[:, 0] = counts[:, 1]
     ran = run(capsys, "calibrate", write_csv(tmp_path / "b.csv", counts))
-    assert "x and y hold the same values throughout" in ran.err
+    report = json.loads((tmp_path / "b.calibration.json").read_text())
+    assert report["notes"][-1] == {"code": "axes_alike", "values": {"axes": ["x", "y"]}}
+    assert told(report, "axes_alike") in ran.err
 
 
 def test_inspect_says_two_rates_instead_of_a_drift_and_no_counts_for_decimals(

@@ -89,7 +89,7 @@ def test_reports_of_other_commands_have_pages(tmp_path: Path, capsys: Capture) -
     assert (ran.code, ran.err) == (0, "")
     assert ran.lines == [str(tmp_path / f"{name}.html") for name in ("points", "six_faces", "other")]
     said = [check(Path(one).read_text("utf-8")).one("p", kind="headline").text for one in ran.lines]
-    assert said[0].startswith("Good: calibrated. Error over the whole sphere")
+    assert said[0].startswith("Good: calibrated. Calibration error over all orientations ")
     assert "direction included" in said[1]
     assert said[2].startswith("Use with care: calibrated with another recording's coefficients.")
 
@@ -116,7 +116,7 @@ def test_a_page_of_an_older_report(tmp_path: Path, capsys: Capture) -> None:
     """Keys that came later may be missing, and parameters have their first names."""
     report = donor(tmp_path)
     held = json.loads(report.read_text())
-    for name in ("sphere_mg", "change", "misfits"):
+    for name in ("calibration_error_mg", "change", "misfits"):
         del held[name]
     for section, name in (("coverage", "saturated"), ("coverage", "distinct_orientations"),
                           ("recording", "time_zone"), ("file_health", "clock"), ("file_health", "rest"),
@@ -126,12 +126,14 @@ def test_a_page_of_an_older_report(tmp_path: Path, capsys: Capture) -> None:
     for name in ("parameters", "standard_errors"):
         old = held["calibration"][name].items()
         held["calibration"][name] = {BEFORE.get(key, key): value for key, value in old}
+    for name in ("rest_scatter_mg", "reason", "values", "notes", "cautions", "advice"):
+        del held[name]
     held |= {"schema_version": 1, "accelcal_version": "0.0.9"}
     report.write_text(json.dumps(held))
     (tmp_path / "donor.quality.json").unlink()
     assert run(capsys, "report", report).code == 0
     root = check((tmp_path / "donor.html").read_text("utf-8"))
-    assert "There is no STEM.quality.json" in root.whole() and "k_yx" in root.whole()
+    assert "There is no NAME.quality.json" in root.whole() and "k_yx" in root.whole()
 
 
 @pytest.mark.parametrize(

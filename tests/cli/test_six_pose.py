@@ -12,7 +12,7 @@ from accelcal_cli.core.calibration import PARAMETER_NAMES, UPPER_NAMES
 from accelcal_cli.core.clock import UniformClock, rate_fraction
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.formats.flash.writer import ENCODER
-from tests.cli.run import run, run_process
+from tests.cli.run import run, run_process, told
 from tests.schema import check_report
 from tests.six_pose.made import (
     LSB_PER_G,
@@ -64,9 +64,10 @@ def test_a_session_gives_a_report_and_one_line(tmp_path: Path, capsys: Capture) 
     assert float(fields[4]) < 0.5
     assert files(tmp_path) == ["session.calibration.json", "session.csv"]
     report = report_of(tmp_path / "session.calibration.json")
-    assert report["message"].startswith(
-        f"model 12: {float(fields[3]):.1f} mg before, {float(fields[4]):.2f} mg after"
-    )
+    values = report["values"]
+    assert report["message"] == told(report, "poses_calibrated")
+    assert values["norm_before_mg"] == pytest.approx(float(fields[3]), rel=1e-3)
+    assert values["norm_after_mg"] == pytest.approx(float(fields[4]), abs=6e-4)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -35,7 +35,7 @@ def test_what_damage_took_too_much_of_is_refused(tmp_path: Path, capsys: Capture
     assert study(capsys, folder).code == 0
     assert float(rows(out)[0]["lost_percent"]) > 0
     assert study(capsys, folder, "--max-damage", 0).code == 4
-    assert "--max-damage" in rows(out)[0]["message"]
+    assert rows(out)[0]["reason"] == "damaged"
     assert not (out / "north/a.calibrated.parquet").exists()
 
 

@@ -29,11 +29,11 @@ ROW = {
 UNCERTAIN = "Caution: This may be no better than the raw values: their 13.5 mg lie within the interval."
 REACH = "Caution: The error may reach {} mg {}: do not rely on it where a few mg matter."
 SPHERE = {
-    "sphere_mg": 4.1,
-    "sphere_low_mg": 1.5,
-    "sphere_high_mg": 9.9,
-    "sphere_worst_mg": 7.0,
-    "sphere_before_mg": 20.0,
+    "calibration_error_mg": 4.1,
+    "calibration_error_low_mg": 1.5,
+    "calibration_error_high_mg": 9.9,
+    "calibration_error_worst_mg": 7.0,
+    "calibration_error_before_mg": 20.0,
 }
 
 
@@ -71,11 +71,13 @@ def test_with_a_prior_the_interval_is_that_of_the_sphere(shown: Shown) -> None:
     """The raw error on postures left out, 13.5 mg, lies in their own interval, which is not shown."""
     start = "a.cwa: calibrated with nine parameters: 13.5 -> 9.8 mg held out; "
     assert shown(ROW | SPHERE) == f"{start}4.1 mg over the whole sphere, 95 % 1.5-9.9\n"
-    wide = shown(ROW | SPHERE | {"sphere_high_mg": 12.0})
+    wide = shown(ROW | SPHERE | {"calibration_error_high_mg": 12.0})
     assert wide.endswith(f"  {REACH.format(12, 'in postures that are not in the recording')}\n")
-    doubtful = shown(ROW | SPHERE | {"sphere_before_mg": 9.5})
+    doubtful = shown(ROW | SPHERE | {"calibration_error_before_mg": 9.5})
     assert doubtful.endswith(f"\n  {UNCERTAIN.replace('13.5', '9.5')}\n")
-    assert "no better" not in shown(ROW | SPHERE | {"sphere_before_mg": 9.5, "outcome": "already_good"})
+    assert "no better" not in shown(
+        ROW | SPHERE | {"calibration_error_before_mg": 9.5, "outcome": "already_good"}
+    )
 
 
 def test_models_are_said_in_words(shown: Shown) -> None:

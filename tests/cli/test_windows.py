@@ -64,7 +64,7 @@ def test_fit_reads_them_back_to_the_same_integers(
     again = json.loads(run(capsys, "fit", table, "--json", *fitting).out)
     assert again["calibration"]["fixed_point"] == report["calibration"]["fixed_point"]
     report["coverage"]["subsets_full_after_h"] = None  # a table does not say when its windows were
-    for key in ("holdout", "coverage", "sphere_mg", "models_tried"):
+    for key in ("holdout", "coverage", "calibration_error_mg", "models_tried"):
         assert again[key] == report[key], key
     held = read(table)
     assert len(held) == again["recording"]["samples"] == still(report)

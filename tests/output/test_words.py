@@ -95,6 +95,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "accelerometer_not_calibrated": [{}],
     "adaptive_rule": [{}],
     "allow_damage": [{}],
+    "omit_strict": [{}],
     "axes_alike": [{"axes": ["x", "y"]}],
     "axis_saturates": [{"axis": "z", "at_g": -0.9}],
     "axis_stuck": [{"axis": "x", "at_g": 0.03, "others": ["y", "z"], "by_g": [2.0, 1.5]}],
