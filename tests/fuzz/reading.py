@@ -118,10 +118,18 @@ def gathered(chunks: list[Chunk], reader: Reader) -> Rows:
     assert recording.lsb_per_g > 0
     if chunks and not any(SHARED in note for note in recording.notes):
         check_jumps(chunks, recording.rate_hz)
-    own = [c.counts if c.validity is None else c.counts[c.validity != Validity.FILLED] for c in chunks]
+    own = [in_file(chunk, recording.zero_counts) for chunk in chunks]
     counts = np.concatenate([np.empty((0, 3), np.int32), *own])
     told = any(chunk.problems for chunk in chunks) or any(NOT_USED in note for note in recording.notes)
     return Rows(counts / recording.lsb_per_g, told, sum(map(len, chunks)))
+
+
+def in_file(chunk: Chunk, zeros: tuple[int, int, int]) -> np.ndarray:
+    """Counts of the rows that stand in the file: those that are zero as well, though nothing measured them."""
+    if chunk.validity is None:
+        return chunk.counts
+    zero = ~chunk.counts.any(axis=1) | (chunk.counts == zeros).all(axis=1)
+    return chunk.counts[(chunk.validity != Validity.FILLED) | zero]
 
 
 def look_round(reader: Reader) -> None:
