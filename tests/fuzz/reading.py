@@ -125,7 +125,7 @@ def gathered(chunks: list[Chunk], reader: Reader) -> Rows:
 
 
 def in_file(chunk: Chunk, zeros: tuple[int, int, int]) -> np.ndarray:
-    """Counts of the rows that stand in the file: those that are zero as well, though nothing measured them."""
+    """Counts of the rows that stand in the file, zeros that nothing measured among them."""
     if chunk.validity is None:
         return chunk.counts
     zero = ~chunk.counts.any(axis=1) | (chunk.counts == zeros).all(axis=1)

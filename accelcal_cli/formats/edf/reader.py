@@ -197,6 +197,6 @@ def recording(scheme: FixedPages, header: Header, chosen: ChosenSignals, opening
         duration_s=duration_s,
         has_temperature=opening.first_values.get("temperature_mc") is not None,
         gyro_dps_per_lsb=None if gyro is None else (gyro, gyro, gyro),
-        zero_counts=first_row(chosen.accel.counts([np.zeros(1, np.int16)] * 3, None)),
+        zero_counts=first_row(chosen.accel.counts([np.zeros(1, np.int16)] * 3, np.zeros(1, np.bool_))),
         notes=tuple(notes),
     )
