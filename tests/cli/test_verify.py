@@ -18,6 +18,17 @@ from tests.recordings import directions, still_counts, write_csv
 Capture = pytest.CaptureFixture[str]
 
 
+def test_a_reworded_report_is_identical(tmp_path: Path, capsys: Capture) -> None:
+    """Sentences are for people; reason and values are compared."""
+    report, recording = donor(tmp_path), tmp_path / "donor.raw"
+    edit(report, lambda held: held.update(message="Other words."))
+    ran, found = verify(capsys, report, recording)
+    assert (ran.code, found["result"]) == (0, "identical")
+    edit(report, lambda held: held.update(reason="not_clearly_better"))
+    ran, found = verify(capsys, report, recording)
+    assert (ran.code, found["differs"]) == (1, ["reason"])
+
+
 @pytest.mark.parametrize(
     "words",
     [
