@@ -23,8 +23,8 @@ from accelcal_cli.devices.review import Review, as_json, columns, review, row
 from accelcal_cli.devices.table import OFFSETS, PARAMETERS, Kind, Usage
 from accelcal_cli.devices.trends import Rules, Trend
 from accelcal_cli.output.files import csv_text
+from accelcal_cli.output.numbers import formatted, with_error
 from accelcal_cli.output.study_words import in_words, of_device
-from accelcal_cli.output.words import formatted, with_error
 
 HEAD = ("device", "recordings", "used", "refused", "first", "last", "held out mg", "mg/month", "%/month")
 DETAIL = ("parameter", "value", "+-", "a month", "+-", "scatter", "recordings", "certain")

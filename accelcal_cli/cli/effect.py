@@ -15,7 +15,7 @@ from accelcal_cli.cli.output import aligned, bytes_of, each_recording, refuse_bo
 from accelcal_cli.cli.quality import measuring_request
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.output.files import csv_text
-from accelcal_cli.output.words import formatted
+from accelcal_cli.output.numbers import formatted
 from accelcal_cli.pipeline.activity import EPOCH_S, LONGEST_EPOCH_S
 from accelcal_cli.pipeline.jobs import ProgressMaker
 

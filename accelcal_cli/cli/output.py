@@ -15,8 +15,9 @@ from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output import words
 from accelcal_cli.output.advice import advice, cautions, doubts
+from accelcal_cli.output.numbers import formatted, mg
 from accelcal_cli.output.report_view import ReportView, error_columns
-from accelcal_cli.output.words import formatted, mg, outcome_words, parameters_of
+from accelcal_cli.output.words import outcome_words, parameters_of
 from accelcal_cli.pipeline.jobs import STDIN, Job, Progress, ProgressMaker, Result, no_progress, spooled
 
 ALWAYS_SAID = ("cut_short", "nothing_checks_poses", "roll_alone_checks_poses", "worse_here", "much_left")

@@ -14,7 +14,8 @@ from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import aligned, bytes_of, progress_bars
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.output.coefficients import read_coefficients
-from accelcal_cli.output.words import begun_small, formatted
+from accelcal_cli.output.numbers import formatted
+from accelcal_cli.output.words import begun_small
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recipient_settings
 from accelcal_cli.pipeline.quality import Quality, QualityState, as_json, quality

@@ -32,7 +32,8 @@ from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.recording import Chunk, Validity
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.files import csv_text
-from accelcal_cli.output.words import explained, figure, formatted
+from accelcal_cli.output.numbers import figure, formatted
+from accelcal_cli.output.words import explained
 from accelcal_cli.pipeline.activity import LEAST_MEASURED, MG, fixed, lengths, versions_of
 from accelcal_cli.pipeline.calibrate import OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress

@@ -24,7 +24,8 @@ from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.output.files import csv_text
-from accelcal_cli.output.words import explained, formatted
+from accelcal_cli.output.numbers import formatted
+from accelcal_cli.output.words import explained
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 from accelcal_cli.pipeline.procedures import Procedure, fitting, make_method

@@ -32,7 +32,7 @@ from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.model_ladder import FEWEST_POSTURES, held_out
 from accelcal_cli.laboratory.sensors import Population, Track, sphere_error_mg, track
-from accelcal_cli.output.words import formatted
+from accelcal_cli.output.numbers import formatted
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 from accelcal_cli.pipeline.procedures import CellProcedure, fitting, local_lsb_per_g, make_method

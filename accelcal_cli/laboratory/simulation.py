@@ -37,7 +37,7 @@ from accelcal_cli.laboratory.cases import USUAL, Case, CasePlan, Method, Selecti
 from accelcal_cli.laboratory.descent import NAME, Convergence, DescentNumbers, Objective, convergence, descent
 from accelcal_cli.laboratory.descent import as_json as convergence_json
 from accelcal_cli.output.files import csv_text
-from accelcal_cli.output.words import figure, formatted
+from accelcal_cli.output.numbers import figure, formatted
 
 Real = NDArray[np.float64]
 Step = Callable[[int], None]

@@ -30,8 +30,8 @@ from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.errors import deviations_mg, per_posture
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.output.files import csv_text
+from accelcal_cli.output.numbers import formatted
 from accelcal_cli.output.report import rounded
-from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 from accelcal_cli.pipeline.options import fit_settings, read_options, recording_options
 from accelcal_cli.pipeline.procedures import fitting, make_method

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.reasons import Reason
-from accelcal_cli.output.words import Values, begun_small, mg, sentence, with_error
+from accelcal_cli.output.numbers import mg, with_error
+from accelcal_cli.output.words import Values, begun_small, sentence
 
 DEVICES = {
     "two_sensors": "{label} differs by {size} between {paths[0]} and {paths[1]}: two sensors under one "

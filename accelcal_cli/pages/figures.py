@@ -16,8 +16,8 @@ from markupsafe import Markup
 
 from accelcal_cli.core.errors import counted, listed
 from accelcal_cli.core.statistics import weighted_percentile
+from accelcal_cli.output.numbers import number
 from accelcal_cli.output.report_view import ChangeView, ReportRecording, ReportView
-from accelcal_cli.output.words import number
 from accelcal_cli.pages import svg
 from accelcal_cli.pages.svg import LEFT, RIGHT, WIDTH, label, path
 from accelcal_cli.pages.time_series import TimeSeries

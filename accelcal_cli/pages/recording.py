@@ -12,6 +12,7 @@ from typing import Any
 
 from accelcal_cli.core.errors import counted
 from accelcal_cli.output.advice import cautions, page_verdict
+from accelcal_cli.output.numbers import millionths, number
 from accelcal_cli.output.report_view import (
     CalibrationView,
     GyroscopeView,
@@ -21,14 +22,7 @@ from accelcal_cli.output.report_view import (
     RollView,
     report_view,
 )
-from accelcal_cli.output.words import (
-    PARAMETERS,
-    corrections_of,
-    methods_paragraph,
-    millionths,
-    number,
-    sentence,
-)
+from accelcal_cli.output.words import PARAMETERS, corrections_of, methods_paragraph, sentence
 from accelcal_cli.pages.figures import NEAR, figures_of
 from accelcal_cli.pages.rendering import PageTable, Rows, rendered
 from accelcal_cli.pages.time_series import UnfitError, hourly_table, time_series

@@ -24,7 +24,8 @@ from accelcal_cli.core.errors import counted, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output import study_words
 from accelcal_cli.output.advice import LIMIT_MG
-from accelcal_cli.output.words import OUTCOMES, mg_of_two_digits, outcome_words
+from accelcal_cli.output.numbers import mg_of_two_digits
+from accelcal_cli.output.words import OUTCOMES, outcome_words
 from accelcal_cli.pages import study_figures as figures
 from accelcal_cli.pages.rendering import rendered
 

@@ -15,7 +15,7 @@ from math import atan2, ceil, cos, floor, hypot, log10, pi, sin, sqrt
 from markupsafe import Markup
 
 from accelcal_cli.core.errors import printable
-from accelcal_cli.output.words import number
+from accelcal_cli.output.numbers import number
 
 WIDTH = 760
 LEFT, RIGHT = 70, 26

@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 
 from accelcal_cli.collect.cells import MAX_BLOCKS
 from accelcal_cli.collect.grid import MAX_POINTS
+from accelcal_cli.output.numbers import number
 from accelcal_cli.output.report_view import ReportRecording, ReportView
-from accelcal_cli.output.words import number
 
 Value = float | None
 Column = list[Value]

@@ -13,19 +13,9 @@ import pytest
 import accelcal_cli
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
+from accelcal_cli.output.numbers import figure, formatted, mg, number, with_error
 from accelcal_cli.output.study_words import DEVICES, changed
-from accelcal_cli.output.words import (
-    OUTCOMES,
-    SENTENCES,
-    clause,
-    figure,
-    formatted,
-    mg,
-    number,
-    outcome_words,
-    sentence,
-    with_error,
-)
+from accelcal_cli.output.words import OUTCOMES, SENTENCES, clause, outcome_words, sentence
 
 
 @pytest.mark.parametrize(
