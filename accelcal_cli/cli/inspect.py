@@ -13,6 +13,7 @@ from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import bytes_of
 from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.formats import refuse_unused
@@ -110,10 +111,10 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
         *_values(shown["values"]),
         f"  problems     {'; '.join(problems) or 'none found'}",
         f"  damage       {shown['file_health']['lost_percent']:g} % of what was read is lost",
-        *_filled(inspection),
         f"  clock        {_clock(shown['file_health']['clock'])}",
         f"  prediction   {shown['prediction']['outcome']}: {shown['prediction']['message']}",
         *(f"  caution      {sentence(one)}" for one in inspection.prediction.cautions),
+        *(f"  caution      {sentence(Reason(**one))}" for one in shown["prediction"]["cautions"]),
         *(f"  what to do   {sentence(one)}" for one in inspection.prediction.advice),
     ]
     return "\n".join(map(printable, lines + [f"  note         {note}" for note in about["notes"]]))
@@ -135,12 +136,6 @@ def _values(values: dict[str, Any] | None) -> list[str]:
             f"  at rest      |a| {low:.3f} to {high:.3f} g in nine windows of ten, median {middle:.3f} g"
         ]
     return lines
-
-
-def _filled(inspection: Inspection) -> list[str]:
-    """Write a line about samples that were not measured; none without any."""
-    filled, samples = inspection.facts.counts.filled_samples, inspection.facts.samples
-    return [f"  filled       {100 * filled / samples:.3g} % of the samples that were read"] if filled else []
 
 
 def _known(text: str, value: float | None) -> str:

@@ -438,6 +438,11 @@ class Facts:
         """Bytes that are damaged or missing."""
         return self.damaged_bytes + self.missing_bytes
 
+    @property
+    def told_missing(self) -> int | None:
+        """Bytes that are known to be missing; None for a file that breaks off by an unknown amount."""
+        return None if self.cut_short and not self.missing_bytes else self.missing_bytes
+
     def lost_percent(self) -> float:
         """Return the share of the recording's bytes that is damaged or known to be missing [%]."""
         return _percent(self.lost_bytes, self.used_bytes)

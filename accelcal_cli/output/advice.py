@@ -83,15 +83,26 @@ def _cautions(report: ReportView) -> tuple[Reason, ...]:
 
 
 def _of_the_file(report: ReportView) -> list[Reason]:
-    """Return what is missing from the file, and what was not measured."""
-    health, found = report.file_health, []
-    missing, lost = health.missing_bytes, health.lost_bytes
+    health = report.file_health
+    lost = (health.lost_bytes or 0, health.lost_percent or 0.0)
+    return of_file(health.missing_bytes, *lost, health.filled_samples, report.recording.samples)
+
+
+def of_file(
+    missing: int | None, lost_bytes: int, lost_percent: float, filled: int, samples: int
+) -> list[Reason]:
+    """Return the cautions that more is missing from a file, and that much was not measured.
+
+    Args:
+        missing: bytes that are known to be missing; None: the file breaks off, by an unknown amount.
+    """
+    found = []
     if missing != 0:
-        share = (health.lost_percent or 0) * missing / lost if missing and lost else None
+        share = lost_percent * missing / lost_bytes if missing and lost_bytes else None
         found.append(Reason.of("cut_short", missing_bytes=missing, missing_percent=share))
-    filled = 100 * health.filled_samples / max(1, report.recording.samples)
-    if filled >= FILLED_FROM_PERCENT:
-        found.append(Reason.of("filled_share", filled_percent=filled, filled_samples=health.filled_samples))
+    share = 100 * filled / max(1, samples)
+    if share >= FILLED_FROM_PERCENT:
+        found.append(Reason.of("filled_share", filled_percent=share, filled_samples=filled))
     return found
 
 

@@ -256,7 +256,7 @@ def damage_json(facts: Facts) -> dict[str, Any]:
     return {
         "lost_bytes": facts.lost_bytes,
         "lost_percent": round(facts.lost_percent(), 4),
-        "missing_bytes": None if facts.cut_short and not facts.missing_bytes else facts.missing_bytes,
+        "missing_bytes": facts.told_missing,
     }
 
 

@@ -13,6 +13,7 @@ from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.local_time import zone_changes, zone_of_times
 from accelcal_cli.core.points import WindowCounts
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import DEFAULT, NO_PRIOR, Settings
@@ -22,6 +23,7 @@ from accelcal_cli.judge.model_ladder import Fitting, postures
 from accelcal_cli.judge.refusal import advised, damage_verdict
 from accelcal_cli.judge.verdict import judge_calibrated
 from accelcal_cli.output import report as reports
+from accelcal_cli.output.advice import of_file
 from accelcal_cli.output.report import (
     clock_json,
     damage_json,
@@ -202,11 +204,16 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
             "reason": prediction.reason.code,
             "values": dict(prediction.reason.values),
             "message": explained(prediction.reason, prediction.notes),
-            "cautions": [one.as_json() for one in prediction.cautions],
+            "cautions": [one.as_json() for one in (*_of_the_file(facts), *prediction.cautions)],
             "advice": [one.as_json() for one in prediction.advice],
             "holdout": None if prediction.holdout is None else holdout_json(prediction.holdout),
         },
     }
+
+
+def _of_the_file(facts: Facts) -> list[Reason]:
+    lost = (facts.lost_bytes, facts.lost_percent())
+    return of_file(facts.told_missing, *lost, facts.counts.filled_samples, facts.samples)
 
 
 def _values(inspection: Inspection) -> dict[str, Any] | None:

@@ -183,6 +183,7 @@ def test_half_a_recording_of_zeros_is_used_with_care(
         "values": {"filled_percent": 50.0, "filled_samples": len(rows) // 2},
     }
     assert "50.0 % of the samples are filled" in (tmp_path / "a.html").read_text()
+    assert "  caution      50.0 % of the samples are filled" in run(capsys, "inspect", path).out
 
 
 def test_zeros_alone_are_refused_as_such(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
