@@ -15,7 +15,7 @@ from accelcal_cli.cli.output import aligned, bytes_of, progress_bars
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.output.coefficients import read_coefficients
 from accelcal_cli.output.numbers import formatted
-from accelcal_cli.output.words import begun_small
+from accelcal_cli.output.words import begun_small, explained
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recipient_settings
 from accelcal_cli.pipeline.quality import Quality, QualityState, as_json, quality
@@ -111,4 +111,5 @@ def _lines(columns: dict[str, list[Any]]) -> list[list[str]]:
 
 
 def _sentence(judged: Quality) -> str:
-    return printable(f"{judged.path}: {WORDS[judged.state]}: {begun_small(judged.message)}")
+    why = begun_small(explained(judged.reasons[0], judged.reasons[1:]))
+    return printable(f"{judged.path}: {WORDS[judged.state]}: {why}")

@@ -176,7 +176,7 @@ def _misfit(values: Values) -> str:
 
 
 def _changed(values: Values) -> str:
-    when = (values["at"] or "").partition(".")[0]
+    when = _to_second(values["at"])
     what = {
         "drift": "its offsets drift",
         "step": f"its offsets jump at {when}",
@@ -203,6 +203,21 @@ def _rolled(values: Values) -> str:
     if after is not None:
         shown += f" before and {after['mean']:.1f} mg (SD {after['sd']:.1f}) after calibration"
     return f"Rolled with {values['axis']} level, {values['axis']} shows {shown}."
+
+
+def _fits(values: Values) -> str:
+    """Say how well a calibration fits along time, or from when to when it no longer does."""
+    error, new = f"error is {mg(values['error_mg'])} mg", values["new_mg"]
+    better = "" if new is None else f" A new calibration would leave {mg(new)} mg."
+    if "stretches" in values:
+        return f"Its {error} (held out, {values['stretches']} stretches of time).{better}"
+    since, until = (_to_second(values[name]) for name in ("since", "until"))
+    span = f"From {since}" if since else "From the beginning"
+    return f"{span} {f'to {until}' if until else 'on'} its {error}.{better} Find new coefficients."
+
+
+def _to_second(time: str | None) -> str:
+    return (time or "").partition(".")[0]
 
 
 SENTENCES: dict[str, str | Callable[[Values], str]] = {
@@ -350,6 +365,15 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "too_few_turns": "There are only {turns:n turn} of at least {least_deg:g} degrees from one rest to "
     "another within 30 s, and {needed} are needed.",
     "turns_miss_an_axis": "The turns do not span all axes: there are hardly any about {axis}.",
+    # whether a calibration still fits
+    "still_fits": _fits,
+    "no_longer_fits": _fits,
+    "error_rises": "From {since:time} on its error is {error_mg:mg} mg, before that {before_mg:mg} mg. That "
+    "is too short to tell a change of the sensor from a new orientation.",
+    "never_fits": "Its error is {error_mg:mg} mg in {orientations:n orientation}, over the limit of "
+    "{limit_mg:g} mg. Find new coefficients.",
+    "fits_held_out": "Its error is {error_mg:mg} mg in {orientations:n orientation} (95 % interval up to "
+    "{high_mg:mg} mg). It was not checked along time.",
     # no change was looked for
     "too_short": "The recording is too short to show a change of the sensor.",
     "too_many_cells": "The recording holds too many orientations and temperatures to compare them along "
@@ -411,6 +435,8 @@ class _Words(Formatter):
     def format_field(self, value: Any, format_spec: str) -> Any:
         if format_spec.startswith("n "):
             return counted(value, format_spec[2:])
+        if format_spec == "time":
+            return _to_second(value)
         if format_spec == "list":
             return listed(list(map(str, value)))
         return mg(value) if format_spec == "mg" else super().format_field(value, format_spec)

@@ -13,7 +13,7 @@ from typing import Any
 
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import iso_time
-from accelcal_cli.core.errors import UsageError, counted, printable
+from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Change, Judgement, Outcome
 from accelcal_cli.core.settings import Settings
@@ -21,13 +21,11 @@ from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.change import LEAST_MG, ChangeSearch, ComparedErrors, change_reason
 from accelcal_cli.judge.quality import Period, check, far_off
 from accelcal_cli.output.quality import QualityInput, rows_json
-from accelcal_cli.output.words import clause, explained
+from accelcal_cli.output.words import explained
 from accelcal_cli.pipeline.apply import with_coefficients
 from accelcal_cli.pipeline.calibrate import FirstPass, Judge, OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress
 from accelcal_cli.pipeline.procedures import Procedure, TimedCellProcedure
-
-RENEW = "find new coefficients"
 
 
 class QualityState(StrEnum):
@@ -45,7 +43,7 @@ class Quality:
 
     Attributes:
         made: the rows of its blocks of time, and its judgement.
-        message: one sentence.
+        reasons: why it is what it is, the first thing first.
         since, until: times between which the calibration does not hold; None: from the first sample, or to
             the last one, on.
         periods: the parts of the recording that were judged.
@@ -54,7 +52,7 @@ class Quality:
     path: Path
     made: QualityInput
     state: QualityState
-    message: str
+    reasons: tuple[Reason, ...]
     since: str | None = None
     until: str | None = None
     periods: tuple[Period, ...] = ()
@@ -88,7 +86,7 @@ def quality(
     made = found.quality()
     assert made is not None
     judgement = made.data.judgement
-    start = Quality(path, made, QualityState.REFUSED, explained(judgement.reason, judgement.notes))
+    start = Quality(path, made, QualityState.REFUSED, (judgement.reason, *judgement.notes))
     if judgement.outcome is Outcome.REFUSED:
         return start
     if request.coefficients is not None:
@@ -112,8 +110,8 @@ def _by_donor(start: Quality, found: FirstPass, settings: Settings) -> Quality:
     assert judgement.calibration is not None
     postures = judgement.coverage.distinct_orientations
     if postures < settings.min_postures:
-        least = f"at least {settings.min_postures} are needed"
-        return _by_holdout(start, f"stillness in only {counted(postures, 'posture')}, {least}", None)
+        few = Reason.of("too_few_orientations", orientations=postures, needed=settings.min_postures)
+        return _by_holdout(start, few, None)
     return _by_periods(start, found, judgement.calibration, own=False)
 
 
@@ -150,7 +148,7 @@ def _by_periods(start: Quality, found: FirstPass, calibration: Calibration, *, o
     """Return the verdict by errors in periods of the recording, or by the hold-out if it is too short."""
     along = compared_along_time(calibration, found.method.procedure)
     if along.compared is None:
-        return _by_holdout(start, clause(Reason(along.change.unchecked or "too_short")), LEAST_MG)
+        return _by_holdout(start, Reason(along.change.unchecked or "too_short"), LEAST_MG)
     limit_mg = start.made.data.settings.method.max_error_mg
     checked = check(along.compared, along.change, along.blocks, limit_mg)
     start = replace(start, periods=_periods_by_row(checked.periods, start.made, along.block_samples))
@@ -179,21 +177,21 @@ def _holding(start: Quality, along: ComparedAlongTime, *, own: bool) -> Quality:
         mean([float(errors[compared.stretch == number].mean()) for number in numbers])
         for errors in (compared.given_mg, compared.unseen_mg)
     )
-    seen = f"{unseen_mg:.2f} mg on {len(numbers)} stretches of time, none of which its fit had seen"
-    if not own:
-        seen = f"{given_mg:.2f} mg; a calibration of the recording itself would leave {seen}"
-    elif along.change.kind == "none":
-        seen = f"{seen}, and no change of the sensor"
-    return replace(start, state=QualityState.HOLDS, message=_with_change(seen, start, along.change))
+    why = Reason.of(
+        "still_fits",
+        error_mg=unseen_mg if own else given_mg,
+        new_mg=None if own else unseen_mg,
+        stretches=len(numbers),
+    )
+    return replace(start, state=QualityState.HOLDS, reasons=(why, *_change(start, along.change)))
 
 
 def _rising(start: Quality) -> Quality:
     """State that the error rises at the end, too short to say why."""
     before, late = start.periods[0], start.periods[-1]
     since = start.when(late.first)
-    text = f"from {_seconds(since)} on it leaves {late.given_mg:.1f} mg, before that {before.given_mg:.1f} mg"
-    text = f"{text}; that is too short to tell a sensor that changed from a posture that is new"
-    return replace(start, state=QualityState.UNCHECKED, message=text, since=since)
+    why = Reason.of("error_rises", since=since, error_mg=late.given_mg, before_mg=before.given_mg)
+    return replace(start, state=QualityState.UNCHECKED, reasons=(why,), since=since)
 
 
 def _degraded(start: Quality, change: Change) -> Quality:
@@ -206,24 +204,20 @@ def _degraded(start: Quality, change: Change) -> Quality:
     worst = max(periods[first : last + 1], key=lambda one: one.given_mg - one.unseen_mg)
     since = start.when(periods[first].first) if first else None
     until = start.when(periods[last].end)
-    span = f"from {_seconds(since)}" if since else "from the beginning"
-    span = f"{span} to {_seconds(until)}" if until else f"{span} on"
-    new = f"a new calibration would leave {worst.unseen_mg:.1f} mg"
-    text = _with_change(f"{span} it leaves {worst.given_mg:.1f} mg, {new}; {RENEW}", start, change)
-    return replace(start, state=QualityState.DEGRADED, message=text, since=since, until=until)
+    why = Reason.of(
+        "no_longer_fits", since=since, until=until, error_mg=worst.given_mg, new_mg=worst.unseen_mg
+    )
+    reasons = (why, *_change(start, change))
+    return replace(start, state=QualityState.DEGRADED, reasons=reasons, since=since, until=until)
 
 
-def _with_change(text: str, start: Quality, change: Change) -> str:
-    """Append to a sentence how the sensor changed."""
-    changed = change_reason(change, start.made.data.facts.utc_offset_s, followed=True)
-    return text if changed is None else f"{text}; {clause(changed)}"
+def _change(start: Quality, change: Change) -> tuple[Reason, ...]:
+    """Return how the sensor changed, if it did."""
+    changed = change_reason(change, start.made.data.facts.utc_offset_s, followed=False)
+    return () if changed is None else (changed,)
 
 
-def _seconds(time: str | None) -> str:
-    return "" if time is None else time.partition(".")[0]
-
-
-def _by_holdout(start: Quality, why: str, small_mg: float | None) -> Quality:
+def _by_holdout(start: Quality, why: Reason, small_mg: float | None) -> Quality:
     """Return the verdict where stretches of time cannot be compared, by errors on postures not fitted.
 
     Args:
@@ -232,14 +226,15 @@ def _by_holdout(start: Quality, why: str, small_mg: float | None) -> Quality:
     """
     judgement, settings = start.made.data.judgement, start.made.data.settings.method
     holdout = judgement.holdout
-    seen = "" if holdout is None else f"{holdout.after.mean:.2f} mg on {counted(holdout.postures, 'posture')}"
+    if holdout is None:
+        return replace(start, state=QualityState.UNCHECKED, reasons=(why,))
+    seen = {"error_mg": holdout.after.mean, "high_mg": holdout.ci95[1], "orientations": holdout.postures}
     if far_off(holdout, settings.max_error_mg):
-        text = f"from the beginning on it leaves {seen}, {settings.max_error_mg:g} mg is the limit; {RENEW}"
-        return replace(start, state=QualityState.DEGRADED, message=text)
-    if holdout is not None and small_mg is not None and holdout.ci95[1] < small_mg:
-        text = f"{seen}, 95 % interval up to {holdout.ci95[1]:.2f} mg; not checked along time: {why}"
-        return replace(start, state=QualityState.HOLDS, message=text)
-    return replace(start, state=QualityState.UNCHECKED, message=f"{why}{seen and f'; {seen}'}")
+        over = Reason.of("never_fits", **seen, limit_mg=settings.max_error_mg)
+        return replace(start, state=QualityState.DEGRADED, reasons=(over,))
+    holds = small_mg is not None and holdout.ci95[1] < small_mg
+    state = QualityState.HOLDS if holds else QualityState.UNCHECKED
+    return replace(start, state=state, reasons=(Reason.of("fits_held_out", **seen), why))
 
 
 def as_json(found: Quality) -> dict[str, Any]:
@@ -250,7 +245,8 @@ def as_json(found: Quality) -> dict[str, Any]:
         "recording": printable(found.path),
         "coefficients": None if donor is None else donor["path"],
         "state": str(found.state),
-        "message": found.message,
+        "reasons": [one.as_json() for one in found.reasons],
+        "message": explained(found.reasons[0], found.reasons[1:]),
         "since": found.since,
         "until": found.until,
         "periods": [_period_json(found, one) for one in found.periods],
