@@ -40,7 +40,7 @@ def report(path: Path) -> dict[str, Any]:
         (("--unit", "mg"), "--unit", "raw"),
         (("--columns", "x,y,z"), "--columns", "raw"),
         (("--time-column", "t", "--date-format", "dmy"), "--time-column and --date-format", "raw"),
-        (("--sensor", "imu"), "--sensor", "csv"),
+        (("--sensor", "imu"), "--sensor", "raw"),
     ],
 )
 @pytest.mark.parametrize("command", ["calibrate", "inspect", "six-pose"])
@@ -90,14 +90,17 @@ def test_in_a_study_too_whatever_was_there_before(tmp_path: Path, capsys: Captur
 
 
 def test_in_a_study_they_must_mean_something_for_one(tmp_path: Path, capsys: Capture) -> None:
-    folder = mixed(tmp_path / "in")
+    folder = tmp_path / "in"
+    folder.mkdir()
+    raw = good_raw(folder, "a.raw")
+    cwa = make_cwa.make(folder, still_counts(directions(2)), RATE_HZ, 256.0).path
     ran = study(capsys, folder, "--sensor", "imu")
     assert ran.code == 2
-    assert_one_line(ran, "--sensor means nothing for formats csv and raw")
+    assert_one_line(ran, "--sensor means nothing for formats cwa and raw")
     assert not list((tmp_path / "out").glob("*.json"))
-    ran = run(capsys, "calibrate", *sorted(folder.glob("[ab].[rc]*")), "--sensor", "imu")
+    ran = run(capsys, "calibrate", raw, cwa, "--sensor", "imu")
     assert ran.code == 2
-    assert_one_line(ran, "--sensor means nothing for formats csv and raw")
+    assert_one_line(ran, "--sensor means nothing for formats cwa and raw")
 
 
 def test_reports_of_before_that_hold_such_an_option_are_still_verified(
