@@ -15,8 +15,8 @@ from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output import words
 from accelcal_cli.output.advice import advice, cautions, doubts
-from accelcal_cli.output.numbers import formatted, mg
-from accelcal_cli.output.report_view import ReportView, error_columns
+from accelcal_cli.output.numbers import formatted, mg, percent, times_smaller
+from accelcal_cli.output.report_view import ReportView, error_columns, factor_columns
 from accelcal_cli.output.words import outcome_words, parameters_of
 from accelcal_cli.pipeline.jobs import STDIN, Job, Progress, ProgressMaker, Result, no_progress, spooled
 
@@ -48,7 +48,7 @@ def show_result(report: ReportView, source: Path, written: Path | None, values: 
     if holdout is not None and calibrated:
         low, high = holdout.ci95_mg
         row |= {"after_mg": holdout.after_mg.mean, "ci95_low_mg": low, "ci95_high_mg": high}
-        row["improvement_percent"] = holdout.improvement_percent
+        row |= {"improvement_percent": holdout.improvement_percent} | factor_columns(holdout)
     row |= error_columns(report.error_everywhere if calibrated else None)
     show_row(row, source, written, values, () if values.get("quiet", False) else _remarks(report))
 
@@ -100,14 +100,19 @@ def say_refused(message: str, source: Path, values: dict[str, Any], *, shown: bo
 
 
 def _fields(row: dict[str, Any], source: Path, written: Path | None) -> str:
-    """Write path, outcome, model, errors before and after [mg], improvement [%], output; `-` for nothing."""
+    """Write the fields of a result; `-` for nothing.
+
+    Path, outcome, model, held-out errors before and after [mg], improvement [%], output; then the calibration
+    error over all orientations and the ends of its interval [mg].
+    """
     fields = [
         str(source),
         row["outcome"],
         row["model"] or "-",
         *(formatted(row.get(name), ".3f") for name in ("before_mg", "after_mg")),
-        formatted(row["improvement_percent"], ".0f"),
+        percent(row["improvement_percent"]),
         "-" if written is None else str(written),
+        *(formatted(row.get(f"calibration_error_{name}"), ".3f") for name in ("mg", "low_mg", "high_mg")),
     ]
     return "\t".join(map(printable, fields))
 
@@ -136,13 +141,16 @@ def _errors(row: dict[str, Any]) -> list[str]:
     before, after, everywhere = row["before_mg"], row.get("after_mg"), row.get("calibration_error_mg")
     held_out = "on its own still windows" if row["outcome"] == Outcome.BORROWED else "held out"
     change = f"{mg(after)} mg" if after == before else f"{mg(before)} -> {mg(after)} mg"
+    interval = row.get("improvement_factor_low"), row.get("improvement_factor_high")
+    smaller = "" if after == before else times_smaller(row.get("improvement_factor"), interval)
     if everywhere is None:
-        return [f"{change} {held_out}, 95 % {mg(row['ci95_low_mg'])}-{mg(row['ci95_high_mg'])}"]
+        low, high = mg(row["ci95_low_mg"]), mg(row["ci95_high_mg"])
+        return [f"|r - 1| {change} {held_out} (95 % interval {low} to {high}){smaller}"]
     low, high = mg(row["calibration_error_low_mg"]), mg(row["calibration_error_high_mg"])
     raw = row.get("calibration_error_before_mg")
     return [
         f"error over all orientations {mg(raw)} -> {mg(everywhere)} mg (95 % interval {low} to {high})",
-        f"{change} {held_out}",
+        f"|r - 1| {change} {held_out}{smaller}",
     ]
 
 

@@ -13,6 +13,7 @@ from accelcal_cli.core.local_time import ZoneChange
 from accelcal_cli.core.points import Fit, Penalty, Quietest, Saturated
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Problem
+from accelcal_cli.core.statistics import ratio_uncertainty95
 
 
 class Outcome(StrEnum):
@@ -63,6 +64,12 @@ class Holdout:
     def improvement_factor(self) -> float:
         """Return the error before calibration over that after it."""
         return self.before.mean / self.after.mean if self.after.mean else float("inf")
+
+    def improvement_ci95(self) -> tuple[float, float] | None:
+        """Return the confidence interval of the factor; None for fewer than two postures."""
+        by = ratio_uncertainty95(self.per_posture)
+        factor = self.improvement_factor()
+        return None if by is None else (factor / by, factor * by)
 
     def improvement_percent(self) -> float:
         """Return R of F eq. 21: the factor in percent, so that 100 means no change."""

@@ -281,6 +281,8 @@ def _held_out_values(holdout: Holdout) -> dict[str, Any]:
     return {
         "before_mg": holdout.before.mean,
         "after_mg": holdout.after.mean,
+        "factor": holdout.improvement_factor(),
+        "factor_ci95": holdout.improvement_ci95(),
         "orientations": holdout.postures,
         "held_out": "control points" if holdout.method.startswith("control") else "orientations",
     }
@@ -493,11 +495,10 @@ def with_errors_before(followed: Judgement, raw: Judgement) -> Judgement:
     holdout, errors, reason = followed.holdout, followed.fit_errors, followed.reason
     before = raw.sphere_before or followed.sphere_before
     if holdout is not None and raw.holdout is not None:
-        corrected = {"before_mg": raw.holdout.before.mean}
-        corrected |= {} if before is None else {"raw_mg": before.mean}
+        holdout = replace(holdout, before=raw.holdout.before)
+        corrected = _held_out_values(holdout) | ({} if before is None else {"raw_mg": before.mean})
         known = {name: value for name, value in corrected.items() if name in reason.values}
         reason = Reason.of(reason.code, **{**reason.values, **known})
-        holdout = replace(holdout, before=raw.holdout.before)
     if errors is not None and raw.fit_errors is not None:
         errors = replace(errors, before_mg=raw.fit_errors.before_mg)
     simpler = followed.without_misalignment

@@ -24,8 +24,8 @@ from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.output.files import csv_text
-from accelcal_cli.output.numbers import formatted
-from accelcal_cli.output.words import explained
+from accelcal_cli.output.numbers import formatted, percent
+from accelcal_cli.output.words import begun_small, explained
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 from accelcal_cli.pipeline.procedures import Procedure, fitting, make_method
@@ -254,7 +254,9 @@ def _tables(rows: list[MethodRow]) -> list[str]:
     tables = []
     for recording in dict.fromkeys(row.recording for row in rows):
         own = [row for row in rows if row.recording == recording]
-        refusals = [f"{row.optimizer}: {row.outcome}: {row.message}" for row in own if row.model is None]
+        refusals = [
+            f"{row.optimizer}: {row.outcome}: {begun_small(row.message)}" for row in own if row.model is None
+        ]
         rule = f" ({own[0].stillness})" if own[0].stillness else ""
         tables.append("\n".join([recording + rule, aligned(HEAD, [_cells(row) for row in own]), *refusals]))
     return tables
@@ -268,7 +270,7 @@ def _means(rows: list[MethodRow]) -> list[str]:
             str(one.recordings),
             formatted(one.before_mg, ".3f"),
             formatted(one.after_mg, ".3f"),
-            formatted(one.improvement_percent, ".0f"),
+            percent(one.improvement_percent),
         ]
         for one in means(rows)
     ]
@@ -282,7 +284,7 @@ def _cells(row: MethodRow) -> list[str]:
         row.model or row.outcome,
         formatted(row.before_mg, ".3f"),
         formatted(row.after_mg, ".3f"),
-        formatted(row.improvement_percent, ".0f"),
+        percent(row.improvement_percent),
         formatted(row.iterations, "d"),
         formatted(counted, "d"),
         formatted(None if row.seconds is None else row.seconds * 1000, ".1f"),

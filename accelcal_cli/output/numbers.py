@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import floor, log10
+
+from accelcal_cli.core.reasons import significant
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -35,6 +38,24 @@ def formatted(value: float | None, form: str) -> str:
 def mg(value: float | None) -> str:
     """Write an error [mg] in a sentence: three digits, without zeros at the end; `-` for none."""
     return "-" if value is None else f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def percent(value: float | None) -> str:
+    """Write R of F eq. 21 [%] with three digits; `-` for none."""
+    return figure(None if value is None else significant(value, 3))
+
+
+def times_smaller(factor: float | None, ci95: Sequence[float | None] | None) -> str:
+    """Write how many times smaller an error became, to follow the two errors; nothing if it is not known."""
+    if not factor:
+        return ""
+    low, high = ci95 or (None, None)
+    word = "smaller"
+    if factor < 1:
+        factor, word = 1 / factor, "larger"
+        low, high = (None if not end else 1 / end for end in (high, low))
+    interval = "" if low is None or high is None else f" (95 % interval {mg(low)} to {mg(high)})"
+    return f", {mg(factor)} times {word}{interval}"
 
 
 def mg_of_two_digits(value: float) -> str:

@@ -79,8 +79,19 @@ def holdout_json(holdout: results.Holdout) -> dict[str, Any]:
         "before_mg": summary_json(holdout.before),
         "after_mg": summary_json(holdout.after),
         "improvement_percent": round(holdout.improvement_percent(), 1) if holdout.after.mean else None,
-        "improvement_factor": significant(holdout.improvement_factor()) if holdout.after.mean else None,
+        "improvement_factor": factor_json(holdout),
         "ci95_mg": [round(value, 4) for value in holdout.ci95],
+    }
+
+
+def factor_json(holdout: results.Holdout) -> dict[str, Any] | None:
+    """Return the `improvement_factor` object; None where nothing is left after calibration."""
+    if not holdout.after.mean:
+        return None
+    interval = holdout.improvement_ci95()
+    return {
+        "value": significant(holdout.improvement_factor()),
+        "ci95": None if interval is None else [significant(value) for value in interval],
     }
 
 

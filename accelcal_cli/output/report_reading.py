@@ -43,6 +43,8 @@ LATER = {
     "file_health.lost_percent": "0.1.0",
     "file_health.rest": "0.2.0",
     "holdout.improvement_factor": "0.2.0",
+    "holdout.improvement_factor.ci95": "0.3.0",
+    "without_misalignment.holdout.improvement_factor.ci95": "0.3.0",
     "settings.prior": "0.2.0",
     "calibration_error_mg": "0.3.0",
     "rest_scatter_mg": "0.3.0",
@@ -222,7 +224,18 @@ def upgraded(report: dict[str, Any]) -> dict[str, Any]:
     tried = report.get("models_tried")
     if isinstance(tried, list):
         renamed["models_tried"] = [{"values": {}} | one if isinstance(one, dict) else one for one in tried]
+    renamed |= {"holdout": _with_factor(report["holdout"])} if "holdout" in report else {}
+    if simpler := section(report, "without_misalignment"):
+        renamed["without_misalignment"] = simpler | {"holdout": _with_factor(simpler.get("holdout"))}
     return report | {"schema_version": SCHEMA_VERSION} | renamed
+
+
+def _with_factor(holdout: Any) -> Any:
+    """Return a `holdout` whose factor, a plain number before schema version 3, is an object."""
+    factor = holdout.get("improvement_factor") if isinstance(holdout, dict) else None
+    if not isinstance(factor, int | float):
+        return holdout
+    return holdout | {"improvement_factor": {"value": factor}}
 
 
 def with_new_names(calibration: Any) -> Any:

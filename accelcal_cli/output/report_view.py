@@ -15,6 +15,7 @@ from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import ErrorSummary, Outcome
 
+FACTOR_COLUMNS = ("improvement_factor", "improvement_factor_low", "improvement_factor_high")
 ERROR_COLUMNS = (
     "calibration_error_mg",
     "calibration_error_low_mg",
@@ -100,6 +101,14 @@ class CalibrationErrorView:
 
 
 @dataclass(frozen=True, slots=True)
+class FactorView:
+    """`holdout.improvement_factor`: error before over error after; reports before 0.3.0 have no interval."""
+
+    value: float
+    ci95: Sequence[float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class HoldoutView:
     """`holdout`: errors on postures that took no part in the fit [mg]."""
 
@@ -110,6 +119,7 @@ class HoldoutView:
     after_mg: ErrorSummary
     improvement_percent: float | None
     ci95_mg: Sequence[float]
+    improvement_factor: FactorView | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -456,6 +466,15 @@ class ReportView:
 def report_view(report: Mapping[str, Any]) -> ReportView:
     """Make the typed view of a report."""
     return record(ReportView, report)
+
+
+def factor_columns(holdout: HoldoutView) -> dict[str, float | None]:
+    """Return the columns of tables that say how many times smaller the held-out error is."""
+    factor = holdout.improvement_factor
+    if factor is None:
+        return dict.fromkeys(FACTOR_COLUMNS)
+    low, high = factor.ci95 or (None, None)
+    return dict(zip(FACTOR_COLUMNS, (factor.value, low, high), strict=True))
 
 
 def error_columns(error: CalibrationErrorView | None) -> dict[str, float | None]:

@@ -12,8 +12,8 @@ from typing import Any
 
 from accelcal_cli.core.errors import counted, listed, printable
 from accelcal_cli.core.reasons import Reason
-from accelcal_cli.output.numbers import mg, number
-from accelcal_cli.output.report_view import CalibrationView, KnownOrientationsView, ReportView
+from accelcal_cli.output.numbers import mg, number, times_smaller
+from accelcal_cli.output.report_view import CalibrationView, HoldoutView, KnownOrientationsView, ReportView
 
 Values = Mapping[str, Any]
 
@@ -223,15 +223,15 @@ def _to_second(time: str | None) -> str:
 SENTENCES: dict[str, str | Callable[[Values], str]] = {
     # outcomes
     "calibrated": "Calibration error over all orientations: {raw_mg:mg} mg before, {error_mg:mg} mg after "
-    "(95 % interval {low_mg:mg} to {high_mg:mg} mg). In the recorded orientations, held out: {before_mg:mg} "
-    "mg before, {after_mg:mg} mg after.",
+    "(95 % interval {low_mg:mg} to {high_mg:mg} mg). |r - 1| of held-out {held_out}: {before_mg:mg} mg "
+    "before, {after_mg:mg} mg after{times_smaller}.",
     "provisional": "Calibration error over all orientations: {raw_mg:mg} mg before, {error_mg:mg} mg after "
     "(95 % interval {low_mg:mg} to {high_mg:mg} mg, the limit is {limit_mg:g} mg). The coefficients beat the "
     "raw data in {orientations:n recorded orientation} and in all others (probability {percent:.0f} %).",
-    "calibrated_held_out": "{model_asked_for}: {before_mg:mg} mg before, {after_mg:mg} mg after, on "
-    "held-out {held_out}.",
-    "calibrated_in_part": "{model_asked_for}: {before_mg:mg} mg before, {after_mg:mg} mg after, on held-out "
-    "{held_out}.{left_out_because}",
+    "calibrated_held_out": "{model_asked_for}: |r - 1| of held-out {held_out} is {before_mg:mg} mg before "
+    "and {after_mg:mg} mg after{times_smaller}.",
+    "calibrated_in_part": "{model_asked_for}: |r - 1| of held-out {held_out} is {before_mg:mg} mg before and "
+    "{after_mg:mg} mg after{times_smaller}.{left_out_because}",
     "not_clearly_better": "The fit is not clearly better than the raw data: {after_mg:mg} against "
     "{before_mg:mg} mg on held-out {held_out} ({orientations:n orientation}).",
     "raw_no_worse": "No model is clearly better than the raw data, which are {before_mg:mg} mg off on "
@@ -466,7 +466,8 @@ def begun_small(text: str) -> str:
 
 def _phrases(values: Values) -> Values:
     """Return parts of sentences that depend on several values."""
-    phrases: dict[str, Any] = {"unusual_scale": ""}
+    smaller = times_smaller(values.get("factor"), values.get("factor_ci95"))
+    phrases: dict[str, Any] = {"unusual_scale": "", "times_smaller": smaller}
     for name in ("why", "pool"):
         if values.get(name) is not None:
             phrases[name] = sentence(Reason(**values[name]))
@@ -530,8 +531,16 @@ def error_sentence(report: ReportView) -> str:
     if holdout is not None:
         before = holdout.before_mg.mean
         after = holdout.after_mg.mean
-        return f"Error {number(after)} mg on held-out orientations (raw data {number(before)} mg)."
+        return (
+            f"Error {number(after)} mg on held-out orientations (raw data {number(before)} mg)"
+            f"{_times_smaller(holdout)}."
+        )
     return "Its error is not known."
+
+
+def _times_smaller(holdout: HoldoutView) -> str:
+    factor = holdout.improvement_factor
+    return "" if factor is None else times_smaller(factor.value, factor.ci95)
 
 
 def methods_paragraph(report: ReportView) -> str:
@@ -572,7 +581,7 @@ def _errors_for_paper(report: ReportView, known: KnownOrientationsView | None) -
         text = (
             f"The mean of ||a| − 1 g| on data held out ({holdout.method}) is "
             f"{number(holdout.before_mg.mean)} mg before and "
-            f"{number(holdout.after_mg.mean)} mg after calibration."
+            f"{number(holdout.after_mg.mean)} mg after calibration{_times_smaller(holdout)}."
         )
     if everywhere is not None:
         low, high = everywhere.ci95

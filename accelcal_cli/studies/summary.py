@@ -23,10 +23,12 @@ from accelcal_cli.output.advice import cautions
 from accelcal_cli.output.files import json_text, replacing, write_text
 from accelcal_cli.output.report_view import (
     ERROR_COLUMNS,
+    FACTOR_COLUMNS,
     CalibrationView,
     CoverageView,
     ReportView,
     error_columns,
+    factor_columns,
     report_view,
 )
 from accelcal_cli.studies.records import FAILED, Item
@@ -63,7 +65,8 @@ COLUMNS = (
     "path", "outcome", "exit_code", "reason", "cautions", "message", "model", "copy_of",
     "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
     "own_outcome", "own_message", "own_after_mg", "prior",
-    "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", "postures", "points",
+    "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", *FACTOR_COLUMNS,
+    "postures", "points",
     *ERROR_COLUMNS, "change", "change_at", "change_mg", "misfits",
     "gyroscope", "gyro_before_deg", "gyro_after_deg", "gyro_pairs", *EFFECT.values(),
     "format", "device_model", "device_serial", "device_firmware", "start_time", "time_zone", "duration_s",
@@ -160,8 +163,8 @@ def _errors(report: ReportView) -> dict[str, Any]:
     if report.calibration is None:
         return before
     after = {"after_mg": holdout.after_mg.mean, "ci95_low_mg": low, "ci95_high_mg": high}
-    percent = {"improvement_percent": holdout.improvement_percent}
-    return before | after | percent | error_columns(report.error_everywhere)
+    ratio = {"improvement_percent": holdout.improvement_percent} | factor_columns(holdout)
+    return before | after | ratio | error_columns(report.error_everywhere)
 
 
 def _change(report: ReportView) -> dict[str, Any]:

@@ -25,10 +25,14 @@ ROW = {
     "ci95_low_mg": 5.4,
     "ci95_high_mg": 14.3,
     "improvement_percent": 137.8,
+    "improvement_factor": 1.378,
 }
-UNCERTAIN = "Caution: This may be no better than the raw values: their 13.5 mg lie within the interval."
-REACH = "Caution: The error may reach {} mg {}: do not rely on it where a few mg matter."
-SPHERE = {
+UNCERTAIN = (
+    "Caution: The calibrated data may be no better than the raw data: the interval includes the error before "
+    "calibration (13.5 mg)."
+)
+REACH = "Caution: The error may reach {} mg {}. Do not rely on it where a few mg matter."
+ERRORS = {
     "calibration_error_mg": 4.1,
     "calibration_error_low_mg": 1.5,
     "calibration_error_high_mg": 9.9,
@@ -52,8 +56,8 @@ def shown(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> Shown:
 def test_an_interval_that_holds_the_raw_error_is_said(shown: Shown) -> None:
     """And one that reaches the limit of 10 mg."""
     sentence, *cautions = shown(ROW, Path("a.parquet")).splitlines()
-    start = "a.cwa: calibrated with nine parameters: 13.5 -> 9.8 mg held out, 95 % 5.4-14.3; "
-    assert sentence == f"{start}written to a.parquet"
+    start = "a.cwa: calibrated with nine parameters: |r - 1| 13.5 -> 9.8 mg held out "
+    assert sentence == f"{start}(95 % interval 5.4 to 14.3), 1.38 times smaller; written to a.parquet"
     assert cautions == [f"  {REACH.format(14.3, 'on average')}", f"  {UNCERTAIN}"]
     assert UNCERTAIN not in shown(ROW | {"ci95_high_mg": 13.4})
     assert shown(ROW | {"ci95_high_mg": 9.9}).count("\n") == 1
@@ -69,14 +73,13 @@ def test_what_has_no_error_after_has_no_interval(shown: Shown) -> None:
 
 def test_with_a_prior_the_interval_is_that_of_the_sphere(shown: Shown) -> None:
     """The raw error on postures left out, 13.5 mg, lies in their own interval, which is not shown."""
-    start = "a.cwa: calibrated with nine parameters: 13.5 -> 9.8 mg held out; "
-    assert shown(ROW | SPHERE) == f"{start}4.1 mg over the whole sphere, 95 % 1.5-9.9\n"
-    wide = shown(ROW | SPHERE | {"calibration_error_high_mg": 12.0})
-    assert wide.endswith(f"  {REACH.format(12, 'in postures that are not in the recording')}\n")
-    doubtful = shown(ROW | SPHERE | {"calibration_error_before_mg": 9.5})
+    assert shown(ROW | ERRORS).count("\n") == 1
+    wide = shown(ROW | ERRORS | {"calibration_error_high_mg": 12.0})
+    assert wide.endswith(f"  {REACH.format(12, 'in orientations that are not in the recording')}\n")
+    doubtful = shown(ROW | ERRORS | {"calibration_error_before_mg": 9.5})
     assert doubtful.endswith(f"\n  {UNCERTAIN.replace('13.5', '9.5')}\n")
     assert "no better" not in shown(
-        ROW | SPHERE | {"calibration_error_before_mg": 9.5, "outcome": "already_good"}
+        ROW | ERRORS | {"calibration_error_before_mg": 9.5, "outcome": "already_good"}
     )
 
 
@@ -85,15 +88,29 @@ def test_models_are_said_in_words(shown: Shown) -> None:
     assert " with twelve parameters: " in shown(fine | {"model": "12"})
     assert " with six parameters and temperature: " in shown(fine | {"model": "6T"})
     borrowed = shown(fine | {"outcome": "borrowed"})
-    assert "coefficients (nine parameters): 13.5 -> 9.8 mg on its own still windows" in borrowed
+    assert "coefficients (nine parameters): |r - 1| 13.5 -> 9.8 mg on its own still windows" in borrowed
 
 
 def test_fields_at_a_terminal_are_an_option(shown: Shown) -> None:
-    assert shown(ROW, tsv=True) == "a.cwa\tcalibrated\t9\t13.500\t9.800\t138\t-\n"
+    assert shown(ROW, tsv=True) == "a.cwa\tcalibrated\t9\t13.500\t9.800\t138\t-\t-\t-\t-\n"
+
+
+def test_verdicts_10_fields_end_with_the_error_over_all_orientations(shown: Shown) -> None:
+    """And R of eq. 21 has three digits."""
+    row = shown(ROW | ERRORS | {"improvement_percent": 47638.2}, Path("a.parquet"), tsv=True)
+    assert row == "a.cwa\tcalibrated\t9\t13.500\t9.800\t47600\ta.parquet\t4.100\t1.500\t9.900\n"
+
+
+def test_verdicts_10_a_sentence_has_the_error_everywhere_and_the_factor(shown: Shown) -> None:
+    interval = {"improvement_factor_low": 1.1, "improvement_factor_high": 1.75}
+    assert shown(ROW | ERRORS | interval) == (
+        "a.cwa: calibrated with nine parameters: error over all orientations 20 -> 4.1 mg (95 % interval "
+        "1.5 to 9.9); |r - 1| 13.5 -> 9.8 mg held out, 1.38 times smaller (95 % interval 1.1 to 1.75)\n"
+    )
 
 
 def test_a_pipe_gets_fields(tmp_path: Path, capsys: Capture) -> None:
-    assert len(run(capsys, "calibrate", good_raw(tmp_path), "--report-only").lines[0].split("\t")) == 7
+    assert len(run(capsys, "calibrate", good_raw(tmp_path), "--report-only").lines[0].split("\t")) == 10
 
 
 @pytest.fixture

@@ -45,7 +45,8 @@ def held_out_reason(code: str, found: Judgement, **values: object) -> Reason:
     assert found.holdout is not None
     before, after, number = found.holdout.before.mean, found.holdout.after.mean, found.holdout.postures
     errors = {"before_mg": before, "after_mg": after, "orientations": number, "held_out": "orientations"}
-    return Reason.of(code, **errors, **values)
+    factor = {"factor": before / after, "factor_ci95": found.holdout.improvement_ci95()}
+    return Reason.of(code, **errors, **factor, **values)
 
 
 def test_no_points_are_refused() -> None:

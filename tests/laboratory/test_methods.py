@@ -18,6 +18,7 @@ from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.laboratory.methods import MethodRow, collected, compare
 from accelcal_cli.optimize import all_optimizers
+from accelcal_cli.output.numbers import percent
 from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.pipeline.jobs import Request, no_progress, plan
 from tests.cli.run import run
@@ -122,7 +123,7 @@ def test_the_mean_over_recordings_is_a_ratio_of_means(tmp_path: Path, capsys: Ca
     ratio = (one["before_mg"] + two["before_mg"]) / (one["after_mg"] + two["after_mg"])
     assert mean["improvement_percent"] == pytest.approx(100 * ratio)
     shown = run(capsys, *METHODS, *paths, "--only", "gauss-newton").out
-    assert f"{100 * ratio:.0f}" in shown.split("mean over recordings")[1]
+    assert percent(100 * ratio) in shown.split("mean over recordings")[1]
     assert json.loads(run(capsys, *METHODS, paths[0], "--only", "float64", "--json").out)["means"] == []
 
 
@@ -130,7 +131,7 @@ def test_a_refusal_is_a_row_with_its_reason(tmp_path: Path, capsys: Capture) -> 
     path = write_csv(tmp_path / "few.csv", still_counts(directions(4)))
     ran = run(capsys, *METHODS, path, "--only", "fixed32")
     assert ran.code == 0
-    assert "fixed32: refused: The device was still in only 4 orientations" in ran.out
+    assert "fixed32: refused: the device was still in only 4 orientations" in ran.out
 
 
 def test_one_bad_recording_does_not_stop_the_rest(tmp_path: Path, capsys: Capture) -> None:

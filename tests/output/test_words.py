@@ -13,7 +13,7 @@ import pytest
 import accelcal_cli
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.output.numbers import figure, formatted, mg, number, with_error
+from accelcal_cli.output.numbers import figure, formatted, mg, number, percent, times_smaller, with_error
 from accelcal_cli.output.study_words import DEVICES, changed
 from accelcal_cli.output.words import OUTCOMES, SENTENCES, clause, outcome_words, sentence
 
@@ -65,6 +65,29 @@ def test_a_number_at_the_terminal(value: float | None, sentence: str, cell: str)
     assert formatted(value, ".1f") == ("-" if value is None else f"{value:.1f}")
 
 
+@pytest.mark.parametrize(
+    ("factor", "ci95", "text"),
+    [
+        (476.38, (377.7, 600.9), ", 476 times smaller (95 % interval 378 to 601)"),
+        (476.38, None, ", 476 times smaller"),
+        (1.0, (0.8, 1.25), ", 1 times smaller (95 % interval 0.8 to 1.25)"),
+        (0.5, (0.25, 1.0), ", 2 times larger (95 % interval 1 to 4)"),
+        (None, None, ""),
+    ],
+)
+def test_verdicts_10_an_improvement_is_a_factor_with_its_interval(
+    factor: float | None, ci95: tuple[float, float] | None, text: str
+) -> None:
+    assert times_smaller(factor, ci95) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(47638.2, "47600"), (137.8, "138"), (50.0, "50.0"), (99.96, "100"), (None, "-")]
+)
+def test_verdicts_10_eq_21_has_three_digits(value: float | None, text: str) -> None:
+    assert percent(value) == text
+
+
 def test_every_outcome_has_its_words() -> None:
     assert {str(one) for one in Outcome} == OUTCOMES.keys() - {"failed"}
     assert [name for name, words in OUTCOMES.items() if not words.usable] == ["refused", "failed"]
@@ -72,7 +95,8 @@ def test_every_outcome_has_its_words() -> None:
 
 
 WHY: dict[str, Any] = {"code": "no_stillness_on_sides", "values": {"sides": ["z below -0.3 g"]}}
-HELD_OUT = {"before_mg": 31.5, "after_mg": 2.04, "orientations": 14, "held_out": "orientations"}
+FACTOR = {"factor": 15.44, "factor_ci95": [11.8, 20.2]}
+HELD_OUT = {"before_mg": 31.5, "after_mg": 2.04, "orientations": 14, "held_out": "orientations"} | FACTOR
 HERE = {"before_mg": 31.5, "after_mg": 2.04, "orientations": 1}
 NOT_HERE = dict.fromkeys(HERE)
 LEVEL = {"mean": -3.25, "sd": 0.5}
@@ -342,6 +366,10 @@ def test_a_sentence_shows_its_values() -> None:
     )
     missing = sentence(Reason("subsets_not_full", EXAMPLES["subsets_not_full"][0]))
     assert missing.endswith("at least 0.2 g apart. Missing in the fit set: x -1 g and z 0 g.")
+    assert sentence(Reason("calibrated", EXAMPLES["calibrated"][0])).endswith(
+        " |r - 1| of held-out orientations: 31.5 mg before, 2.04 mg after, 15.4 times smaller (95 % interval "
+        "11.8 to 20.2)."
+    )
     part = sentence(Reason("calibrated_in_part", EXAMPLES["calibrated_in_part"][1]))
     assert part.endswith(" It leaves misalignment out: there is no still window with z below -0.3 g.")
     assert clause(Reason("fit_diverges")) == (
