@@ -139,6 +139,8 @@ class Division:
         if not len(codes):
             return
         self._rows += len(codes)
+        if self._goes_on(values.texts[codes[0]], codes, times):
+            return
         present = np.unique(codes)
         if times is not None:
             self._add_times(values.texts, codes, times, present)
@@ -150,6 +152,20 @@ class Division:
             stream = self._streams.setdefault(values.texts[code], _OneValue())
             stream.rows += int(np.count_nonzero(codes == code))
         self._last = (values.texts[codes[-1]], None if times is None else int(times[-1]))
+
+    def _goes_on(self, text: str, codes: NDArray[np.int32], times: NDArray[np.int64] | None) -> bool:
+        """Take rows that all have the last value, without a jump of the times, which tell nothing new."""
+        if self._last is None or self._last[0] != text or (codes != codes[0]).any():
+            return False
+        if times is not None:
+            steps = np.diff(times, prepend=times[0] if self._last[1] is None else self._last[1])
+            if steps.min() < 0 or steps.max() > GAP_STEPS * self._usual_us:
+                return False
+        stream = self._streams[text]
+        stream.rows += len(codes)
+        stream.last_us = None if times is None else int(times[-1])
+        self._last = (text, stream.last_us)
+        return True
 
     def _add_times(
         self,

@@ -31,7 +31,7 @@ from accelcal_cli.formats.csv.dialect import SAMPLE_ROWS, Dialect, numbered_rows
 from accelcal_cli.formats.csv.lines import Block, LineFile, lone_block
 from accelcal_cli.formats.csv.rows import ParsedTable, TableParser
 
-LOOK_BYTES = 1 << 14
+LOOK_BYTES = 1 << 16
 """One line is looked at in so many bytes of the file."""
 
 SEARCH_BYTES = 1 << 20
@@ -202,7 +202,7 @@ class SensorWatch:
         starts.append(block.data.rfind(b"\n", 0, len(block.data) - 1) + 1)
         delimiter = self._parser.dialect.normaliser.delimiter.encode()
         found: list[set[bytes]] = [set() for _ in self.columns]
-        for start in starts:
+        for start in (start for start in starts if start < len(block.data)):
             line = block.data[start : block.data.find(b"\n", start)].rstrip(b"\r")
             cells = line.split(delimiter)
             if len(cells) != self._parser.dialect.columns or b'"' in line:
