@@ -183,11 +183,11 @@ def test_the_other_kind_of_file_is_told(tmp_path: Path, capsys: Capture) -> None
     report, data = donor(tmp_path), tmp_path / "donor.calibrated.parquet"
     ran = run(capsys, "export", data, "--to", "ggir")
     assert ran.code == 3
-    assert_one_line(ran, "name a report, STEM.calibration.json")
+    assert_one_line(ran, "name a report, NAME.calibration.json")
     for path in (report, good_csv(tmp_path)):
         ran = run(capsys, "export", path, "--to", "csv", "-o", tmp_path / "b.csv")
         assert ran.code == 3
-        assert_one_line(ran, "name a Parquet file that accelcal wrote, STEM.calibrated.parquet")
+        assert_one_line(ran, "name a Parquet file that accelcal wrote, NAME.calibrated.parquet")
 
 
 def test_coefficients_need_no_pyarrow(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
@@ -12,7 +13,9 @@ import numpy as np
 import pytest
 
 from accelcal_cli.cli.output import show_row
-from tests.cli.run import exit_code, run
+from accelcal_cli.core.reasons import Reason
+from accelcal_cli.output import words
+from tests.cli.run import codes, exit_code, run, told
 from tests.recordings import LSB_PER_G, directions, good_csv, good_raw, still_counts, write_raw
 
 Capture = pytest.CaptureFixture[str]
@@ -117,10 +120,10 @@ def test_a_pipe_gets_fields(tmp_path: Path, capsys: Capture) -> None:
 def terminal() -> Callable[..., list[str]]:
     """What a command prints where standard output and error are a terminal."""
 
-    def ran(*words: object) -> list[str]:
+    def ran(*options: object) -> list[str]:
         out, err = Terminal(), Terminal()
         with redirect_stdout(out), redirect_stderr(err):
-            exit_code(*words)
+            exit_code(*options)
         lines = [line for line in err.getvalue().splitlines() if line.startswith("accelcal:")]
         return out.getvalue().splitlines() + lines
 
@@ -138,37 +141,42 @@ Seen = Callable[..., list[str]]
 def test_a_side_that_was_never_up_is_a_caution(tmp_path: Path, terminal: Seen, capsys: Capture) -> None:
     poses = directions(60)
     path = write_raw(tmp_path / "up.raw", still_counts(poses[poses[:, 0] > 0.35]))
-    told = "Caution: It never rested with -x pointing up: what it measures there was not checked."
+    said = f"Caution: {words.sentence(Reason.of('sides_unchecked', sides=['-x']))}"
     sentence, *rest = terminal("calibrate", path, "--report-only")
-    assert sentence.startswith(f"{path}: calibrated with nine parameters: ") and rest == [f"  {told}"]
+    assert sentence.startswith(f"{path}: calibrated with nine parameters: ") and rest == [f"  {said}"]
     assert terminal("calibrate", path, "--report-only", "-q", "--force") == [sentence]
     assert terminal("calibrate", path, "--report-only", "--tsv", "--force")[1:] == []
     piped = run(capsys, "calibrate", path, "--report-only", "--force")
     assert "Caution" not in piped.out + piped.err
-    assert told in run(capsys, "calibrate", path, "--report-only", "-v", "--force").err
+    assert said in run(capsys, "calibrate", path, "--report-only", "-v", "--force").err
 
 
 def test_a_refusal_is_said_once_with_a_way_on(tmp_path: Path, terminal: Seen, capsys: Capture) -> None:
     path = write_raw(tmp_path / "three.raw", still_counts(directions(60)[:3]))
-    refusal, *ways = terminal("calibrate", path)
-    assert refusal.startswith(f"{path}: refused: what the points leave open is too much: ")
-    assert [way.split(": ")[0] for way in ways] == ["  What to do"] * 3
-    assert "with -x, +y and +z pointing up" in ways[1] and "--borrow" in ways[2] and "six-pose" in ways[2]
-    piped = run(capsys, "calibrate", path, "--force")
+    refusal, *ways = terminal("calibrate", path, "--strict")
+    report = json.loads((tmp_path / "three.calibration.json").read_text())
+    why = Reason(report["reason"], report["values"])
+    assert why.code == "provisional" and report["outcome"] == "refused"
+    assert refusal == f"{path}: refused: {words.clause(why)}"
+    expected = ["omit_strict", "more_orientations", "rest_on_sides", "other_coefficients"]
+    assert codes(report["advice"]) == expected
+    assert ways == [f"  What to do: {told(report, code)}" for code in codes(report["advice"])]
+    assert "with -x, +y and +z pointing up" in told(report, "rest_on_sides")
+    piped = run(capsys, "calibrate", path, "--strict", "--force")
     assert piped.err.count("\n") == 1 and "What to do" not in piped.err
 
 
 def test_a_wrong_unit_is_not_told_to_borrow(tmp_path: Path, terminal: Seen) -> None:
     refusal, *ways = terminal("calibrate", good_csv(tmp_path), "--unit", "m/s2")
-    assert "rest measures 0.101 g instead of 1 g" in refusal
-    assert len(ways) == 1 and "--unit" in ways[0] and "--lsb-per-g" in ways[0] and "layout" in ways[0]
+    assert "Gravity measures 0.101 g instead of 1 g, as if values in g were read as m/s2." in refusal
+    assert refusal.endswith(" Use --unit g") and ways == []
 
 
 @pytest.mark.parametrize(
     ("noise_g", "said"),
     [
-        (0.016, "has a standard deviation of 16.8 mg, 13 mg is the limit; if that is the sensor's noise"),
-        (0.3, "moves by 1.4 g (max - min), 0.12 g is the limit; if it rested for shorter times only"),
+        (0.016, "has a standard deviation of 16.8 mg (the limit is 13 mg)"),
+        (0.3, "varies by 1.4 g (the limit is 0.12 g)"),
     ],
 )
 def test_no_stillness_is_told_with_its_numbers(
@@ -182,12 +190,15 @@ def test_no_stillness_is_told_with_its_numbers(
     numbers = np.ptp(quietest, axis=0).max(), 1000 * quietest.std(axis=0).max()
     assert f"{numbers[noise_g < 0.1]:.3g} " in said
     assert f"the quietest of 360 windows of 5 s {said}" in refusal
-    assert any("accelcal fit" in way for way in ways)
+    first = "shorter_windows" if noise_g > 0.1 else "adaptive_rule"
+    advice = (first, "record_longer", "record_again", "other_coefficients")
+    assert ways == [f"  What to do: {words.sentence(Reason(code))}" for code in advice]
 
 
 def test_windows_longer_than_the_recording_are_told(tmp_path: Path, capsys: Capture) -> None:
     ran = run(capsys, "calibrate", good_raw(tmp_path), "--segment-seconds", 3000)
-    assert "nowhere were 3000 s measured without a gap; give a smaller --segment-seconds" in ran.err
+    why = words.clause(Reason.of("nothing_measured", seconds=3000))
+    assert f"refused: {why}. {words.sentence(Reason('shorter_windows_or_longer_gaps'))}" in ran.err
 
 
 def test_points_of_another_tool_cannot_be_borrowed_for(tmp_path: Path, terminal: Seen) -> None:

@@ -118,7 +118,7 @@ def test_what_is_left_out_is_there_with_the_reason(tmp_path: Path, capsys: Captu
 
 def test_a_refused_recording_has_them_too(tmp_path: Path, capsys: Capture) -> None:
     path = write_raw(tmp_path / "few.raw", still_counts(directions(3)))
-    ran, _ = made(capsys, path, tmp_path / "all.parquet")
+    ran, _ = made(capsys, path, tmp_path / "all.parquet", "--strict")
     assert ran.code == 4
     held = read(tmp_path / "all.parquet")
     assert len(held) == 18 and held["calibrated_g"].isna().all() and held["raw_g"].notna().all()
