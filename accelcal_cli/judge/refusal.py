@@ -60,6 +60,15 @@ def nothing_still(facts: Facts, recording: Recording, settings: Settings) -> tup
     return Reason.of("nothing_still", **values), Reason("adaptive_rule" if noisy else "shorter_windows")
 
 
+def strict_if_odd(settings: Settings, facts: Facts, recording: Recording) -> Settings:
+    """Return the settings to judge by: nothing is provisional if rest is odd, whose cause can be mended."""
+    return settings if _odd_rest_of(facts, recording) is None else replace(settings, strict=True)
+
+
+def _odd_rest_of(facts: Facts, recording: Recording) -> Reason | None:
+    return odd_rest(facts.rest, recording.lsb_per_g, decimal=recording.lsb_per_g >= FLOAT_LSB_PER_G)
+
+
 def odd_rest(rest: Rest, lsb_per_g: float, *, decimal: bool) -> Reason | None:
     """Return what is odd about rest and what would explain it, or None.
 
@@ -116,7 +125,9 @@ def advised(verdict: Judgement, facts: Facts, recording: Recording, settings: Se
     """Return a refusal with numbers, and advice that fits odd rest or a file that was cut short."""
     if verdict.outcome is not Outcome.REFUSED:
         return verdict
-    odd = odd_rest(facts.rest, recording.lsb_per_g, decimal=recording.lsb_per_g >= FLOAT_LSB_PER_G)
+    odd = _odd_rest_of(facts, recording)
+    if odd is not None and verdict.reason.code == "provisional":
+        verdict = replace(verdict, reason=_against(verdict.reason, odd, facts.rest))
     if odd is not None and odd.code in WRONG_SIZE:
         return replace(verdict, notes=(*verdict.notes, odd), advice=())
     if verdict.reason == NOTHING_STILL:
@@ -130,6 +141,14 @@ def advised(verdict: Judgement, facts: Facts, recording: Recording, settings: Se
     if facts.cut_short:
         return replace(verdict, advice=(Reason("copy_again"), *verdict.advice))
     return verdict
+
+
+def _against(provisional: Reason, odd: Reason, rest: Rest) -> Reason:
+    """Return why what would be provisional is refused where rest is odd."""
+    if odd.code in WRONG_SIZE:
+        return Reason.of(FAR_FROM_1_G.code, median_g=rest.median_g)
+    values = {name: provisional.values[name] for name in ("error_mg", "low_mg", "high_mg", "limit_mg")}
+    return Reason.of("calibration_error_over_limit", **values)
 
 
 def damage_verdict(facts: Facts, max_percent: float, coverage: Coverage) -> Judgement | None:

@@ -36,7 +36,7 @@ from accelcal_cli.core.settings import (
 from accelcal_cli.judge.change import change_reason
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import postures
-from accelcal_cli.judge.refusal import advised, damage_verdict
+from accelcal_cli.judge.refusal import advised, damage_verdict, strict_if_odd
 from accelcal_cli.judge.verdict import judge_calibrated
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import replacing, write_text
@@ -192,7 +192,8 @@ class OwnCalibration(Judge):
             how = procedures.fitting(replace(self.settings, prior=NO_PRIOR))
             judgement = judge_calibrated(found.points, how, recording.calibrated.sentence())
         else:
-            how = procedures.fitting(self.settings, None if learnt is None else learnt.prior)
+            settings = strict_if_odd(self.settings, found.facts, recording)
+            how = procedures.fitting(settings, None if learnt is None else learnt.prior)
             judgement = advised(procedure.judge(how), found.facts, recording, self.settings)
             judgement = self._with_notes(judgement, found)
         if isinstance(procedure, procedures.PaperProcedure):

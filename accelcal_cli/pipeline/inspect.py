@@ -20,7 +20,7 @@ from accelcal_cli.core.settings import DEFAULT, NO_PRIOR, Settings
 from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import Fitting, postures
-from accelcal_cli.judge.refusal import advised, damage_verdict
+from accelcal_cli.judge.refusal import advised, damage_verdict, strict_if_odd
 from accelcal_cli.judge.verdict import judge_calibrated
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.advice import of_file
@@ -125,7 +125,7 @@ def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
     with open_marked(path, request.options, unused=request.unused) as reader:
         recording = reader.recording
         full |= recording.total_bytes <= SMALL_BYTES
-        fitter, method = quick_fitting(settings), make_method(recording, settings)
+        method = make_method(recording, settings)
         pieces = reader.chunks(PREVIEW_SAMPLES * 8) if full else _pieces(reader)
         observer = FactsObserver(recording, method.rest_lsb, method.segmenter.gaps)
         values = ValuesObserver(recording.lsb_per_g)
@@ -135,7 +135,7 @@ def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
     points = method.procedure.result()
     covered = coverage(points, postures(points, settings.posture_degrees))
     damage = damage_verdict(facts, settings.max_damage_percent, covered)
-    prediction = damage
+    prediction, fitter = damage, quick_fitting(strict_if_odd(settings, facts, recording))
     if prediction is None and recording.calibrated is not None:
         prediction = judge_calibrated(points, fitter, recording.calibrated.sentence())
     if prediction is None:

@@ -77,7 +77,8 @@ def test_equal_serials_of_other_models_pass_with_a_note(tmp_path: Path, capsys: 
     edit(coefficients, lambda report: report["recording"]["device"].update(model="X"))
     other = week(tmp_path / "other.raw", seed=2, poses=12, model="Y")
     assert apply(capsys, coefficients, other).code == 0
-    assert "is a Y" in json.loads((tmp_path / "other.calibration.json").read_text())["message"]
+    report = json.loads((tmp_path / "other.calibration.json").read_text())
+    assert told(report, "other_model") == "This recording's device is of model Y, with the same serial."
 
 
 @pytest.mark.parametrize("words", [("--lsb-per-g", 250), ("--rate", 26)])

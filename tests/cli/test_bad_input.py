@@ -88,7 +88,7 @@ def test_nothing_but_nan(tmp_path: Path, capsys: Capture) -> None:
 
 def test_constant_data(tmp_path: Path, capsys: Capture) -> None:
     path = write_csv(tmp_path / "constant.csv", np.tile(np.array([[0, 0, 256]], np.int16), (5000, 1)))
-    refuse(capsys, path, 4, "constant values")
+    refuse(capsys, path, 4, "one constant value")
 
 
 def test_a_wrong_unit_is_named_as_the_likely_reason(tmp_path: Path, capsys: Capture) -> None:

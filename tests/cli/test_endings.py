@@ -179,7 +179,7 @@ def test_standard_input_without_room_for_it(capsys: Capture, monkeypatch: pytest
 def test_too_little_memory_is_no_bug(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
 ) -> None:
-    def fails(*_words: object) -> None:
+    def fails(*_words: object, **_named: object) -> None:
         raise error
 
     path = write_raw(tmp_path / "a.raw", still_counts(directions(2)))

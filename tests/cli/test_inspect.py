@@ -61,7 +61,7 @@ def test_it_writes_nothing(tmp_path: Path, capsys: Capture) -> None:
 
 
 def test_a_hopeless_recording_is_predicted_to_be_refused(tmp_path: Path, capsys: Capture) -> None:
-    ran = run(capsys, "inspect", write_csv(tmp_path / "a.csv", still_counts(directions(3))))
+    ran = run(capsys, "inspect", write_csv(tmp_path / "a.csv", still_counts(directions(1))))
     assert ran.code == 0
     assert "prediction   refused" in ran.out
 

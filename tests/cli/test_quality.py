@@ -182,7 +182,7 @@ def test_a_refused_recording_has_errors_before_only(tmp_path: Path, capsys: Capt
     found = document(tmp_path / "few.quality.json")
     assert (found["outcome"], found["model"], found["rows"]["after_mg"]) == ("refused", None, None)
     assert found["convergence"] is None and found["rows"]["after_off_mg"] is None
-    assert found["points"]["after"] is None and len(found["points"]["before"]) == 3
+    assert found["points"]["after"] is None and len(found["points"]["before"]) == 1
     assert found["rows"]["before_mg"]["mean"][0] > 10
     write_raw(tmp_path / "none.raw", np.zeros((0, 3), np.int16))
     run(capsys, "calibrate", tmp_path / "none.raw")

@@ -15,10 +15,14 @@ Capture = pytest.CaptureFixture[str]
 
 @pytest.mark.parametrize("lsb_per_g", [128, 512])
 def test_wrong_counts_per_g(tmp_path: Path, capsys: Capture, lsb_per_g: int) -> None:
-    ran = run(capsys, "calibrate", good_raw(tmp_path), "--lsb-per-g", lsb_per_g)
+    """512 leave too few windows, which a prior would fit provisionally: the cause is said instead."""
+    path = good_raw(tmp_path)
+    ran = run(capsys, "calibrate", path, "--lsb-per-g", lsb_per_g)
     report = json.loads((tmp_path / "good.calibration.json").read_text())
     note, advice = report["notes"][-1], report["advice"]
     assert (ran.code, note["code"], advice) == (4, "wrong_counts_per_g", [])
+    assert (report["reason"], report["calibration"]) == ("still_far_from_1_g", None)
+    assert "prediction   refused" in run(capsys, "inspect", path, "--lsb-per-g", lsb_per_g).out
     assert note["values"]["median_g"] == pytest.approx(256 / lsb_per_g, rel=0.03)
     assert note["values"]["fits"] == pytest.approx(256, rel=0.03)
     assert note["values"]["lsb_per_g"] == lsb_per_g and told(report, "wrong_counts_per_g") in ran.err

@@ -39,7 +39,7 @@ def test_the_page_of_calibrate_is_that_of_report(tmp_path: Path, capsys: Capture
 
 def test_a_refused_recording_has_a_page(tmp_path: Path, capsys: Capture) -> None:
     path = write_raw(tmp_path / "few.raw", still_counts(directions(3)))
-    assert run(capsys, "calibrate", path, "--html").code == 4
+    assert run(capsys, "calibrate", path, "--html", "--strict").code == 4
     root = check((tmp_path / "few.html").read_text("utf-8"))
     assert root.one("p", kind="headline").text.startswith("Refused")
 

@@ -98,7 +98,7 @@ def test_tilted_faces_are_refused_with_a_report_that_says_which(tmp_path: Path, 
     ran = run(capsys, "six-pose", path)
     assert ran.code == 4
     assert ran.out.split("\t")[1:3] == ["refused", "-"]
-    assert_one_line(ran, "refused: the poses disagree", "y at ", "rest the device exactly on its faces")
+    assert_one_line(ran, "refused: the poses disagree", "y at ", "Rest the device exactly on its faces")
     report = json.loads((tmp_path / "s.calibration.json").read_text())
     check_report(report)
     assert report["calibration"] is None

@@ -13,7 +13,7 @@ import pytest
 
 import accelcal_cli as accelcal
 from accelcal_cli.core.errors import DivergedError, UsageError
-from tests.cli.run import assert_one_line, run, verify
+from tests.cli.run import assert_one_line, codes, run, told, verify
 from tests.pages.html import check
 from tests.recordings import good_csv
 from tests.schema import check_report
@@ -175,13 +175,13 @@ def test_damage_is_told_with_its_file(tmp_path: Path, capsys: Capture) -> None:
 def test_a_file_that_does_not_belong_ends_the_session(tmp_path: Path, capsys: Capture) -> None:
     folder = folder_of(tmp_path / "faces")
     other = folder / "z_other.csv"
-    for content, code, told in (
+    for content, code, said in (
         (b"hello\n" * 20, 3, "z_other.csv, byte 0: its content matches no known format"),
         (b"", 3, "z_other.csv"),
         (b"\x00" * 2000, 3, "z_other.csv"),
     ):
         other.write_bytes(content)
-        assert told in refused(capsys, code, folder)
+        assert said in refused(capsys, code, folder)
     slow = session(["+x"])[::2]
     text = write_csv(other, slow).read_text().splitlines()
     times = [
@@ -301,8 +301,8 @@ def test_a_roll_is_told_in_the_report(tmp_path: Path, capsys: Capture) -> None:
     words = ("--unchecked", "--roll", "z,55,75", "--roll", "z,2024-03-04T08:00:58,74")
     ran = run(capsys, "six-pose", path, *words)
     assert ran.code == 0
-    assert_one_line(ran, "Nothing was held out: what the roll shows is all that speaks for it")
     report = report_of(tmp_path / "s.calibration.json")
+    assert_one_line(ran, told(report, "roll_alone_checks_poses"))
     one, two = report["known_orientations"]["rolls"]
     found = report["calibration"]
     a = (raw[2750:3750] + found["offset_g"]) @ np.array(found["gain"]).T
@@ -312,7 +312,7 @@ def test_a_roll_is_told_in_the_report(tmp_path: Path, capsys: Capture) -> None:
     assert one["level_mg"]["after"]["sd"] == pytest.approx(1000 * a[:, 2].std(), abs=2e-4)
     assert one["length_g"]["after"] == pytest.approx(np.sqrt((a**2).sum(axis=1).mean()), abs=1e-4)
     assert (two["start_s"], two["samples"]) == (58.0, 800)
-    assert report["message"].count("rolled with z level, z shows ") == 2
+    assert codes(report["notes"]) == ["rolled", "rolled"]
     assert report["settings"]["roll"] == ["z,55,75", "z,2024-03-04T08:00:58,74"]
     assert verify(capsys, tmp_path / "s.calibration.json", path)[0].code == 0
     assert run(capsys, "report", tmp_path / "s.calibration.json").code == 0

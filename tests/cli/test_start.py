@@ -75,7 +75,7 @@ def of_each_format(tmp_path_factory: pytest.TempPathFactory) -> dict[str, frozen
         folder = tmp_path_factory.mktemp(name)
         maker = importlib.import_module(f"tests.formats.make_{name}")
         made = maker.make(folder, still_counts(directions(2)), RATE_HZ, LSB_PER_G)
-        options = ("--report-only", "--no-temperature", "-q", "-d", str(folder / "out"))
+        options = ("--report-only", "--no-temperature", "--strict", "-q", "-d", str(folder / "out"))
         sensor = () if made.options.sensor is None else ("--sensor", made.options.sensor)
         words[name] = ["calibrate", str(made.path), *options, *sensor]
     found = lists(EACH, json.dumps(list(words.values())))

@@ -79,7 +79,7 @@ def test_damaged_files_are_rows_and_stop_nothing(tmp_path: Path, capsys: Capture
     folder = study_folder(tmp_path / "in", NAMES[:2])
     (folder / "zeros.cwa").write_bytes(bytes(4096))
     (folder / "empty.csv").write_bytes(b"")
-    write_raw(folder / "short.raw", still_counts(directions(3)))
+    write_raw(folder / "short.raw", still_counts(directions(1)))
     ran = study(capsys, folder)
     assert ran.code == 1
     assert "Traceback" not in ran.err

@@ -90,7 +90,7 @@ def test_hours_that_earlier_reports_counted_are_no_difference(tmp_path: Path, ca
 
 def test_a_refused_recording_is_refused_again(tmp_path: Path, capsys: Capture) -> None:
     path = write_csv(tmp_path / "a.csv", still_counts(directions(4)))
-    assert run(capsys, "calibrate", path).code == 4
+    assert run(capsys, "calibrate", path, "--strict").code == 4
     ran, found = verify(capsys, tmp_path / "a.calibration.json", path)
     assert (ran.code, found["result"]) == (0, "identical")
     assert (found["largest_mg"], found["parquet"]) == (None, None)

@@ -179,7 +179,7 @@ def test_what_cannot_be_is_refused_in_a_line(recording: Path, tmp_path: Path, ca
 
 def test_too_little_stillness_is_exit_code_4(tmp_path: Path, capsys: Capture) -> None:
     path = good_raw(tmp_path)
-    path.write_bytes(path.read_bytes()[:20_000])
+    path.write_bytes(path.read_bytes()[:4_000])
     ran = run(capsys, "watch", path)
     assert ran.code == 4
     assert events_of(ran)[-1]["outcome"] == "refused"

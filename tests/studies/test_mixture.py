@@ -40,7 +40,8 @@ def done(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 
 def study(folder: Path, out: Path, *words: object) -> Ran:
-    return run_in(folder, "study", folder, "-d", out, *words)
+    """With `--strict`, since the rule of what is provisional divides nights that are too short."""
+    return run_in(folder, "study", folder, "-d", out, "--strict", *words)
 
 
 def test_what_can_be_calibrated_is_and_the_summary_says_what_became_of_the_rest(done: Done) -> None:
