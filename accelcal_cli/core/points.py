@@ -268,6 +268,7 @@ class Fit:
         stop: why it stopped.
         history: parameters after each iteration, if asked for; with a penalty always, and the start before
             them.
+        converged: False if the number of iterations ended it, short of the minimum.
     """
 
     parameters: tuple[int, ...]
@@ -275,6 +276,7 @@ class Fit:
     stop: str
     operations: Operations
     history: tuple[tuple[int, ...], ...] = ()
+    converged: bool = True
 
 
 @dataclass(frozen=True, slots=True)

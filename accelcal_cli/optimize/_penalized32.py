@@ -102,7 +102,8 @@ def fit_penalized(points: PointSet, model: Model, penalty: Penalty, start: tuple
     if min(here.parameters[:3]) < LEAST_SCALE:
         raise DivergedError("an axis collapsed: the points do not determine its scale")
     mean_square = cost(stack, here.state)[0] / (stack.weight[0] << 2 * FRACTION_BITS)
-    found = Fit(here.parameters, len(seen), stop, Operations(), tuple(places))
+    ended = stop != "iterations"
+    found = Fit(here.parameters, len(seen), stop, Operations(), tuple(places), ended)
     return PenalizedFit(model, found, mean_square, tuple(tuple(row) for row in around))
 
 

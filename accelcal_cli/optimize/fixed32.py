@@ -1,19 +1,22 @@
 """F's gradient descent in 32-bit fixed point: integers from the points to the coefficients.
 
-From the ideal sensor down the objective of `_objective32` (Farago, Maczak, Gingl 2024, section II.C).
+From the ideal sensor down the objective of `_objective32` (Farago, Maczak, Gingl 2024, section II.C). Where
+points hardly determine a parameter, as those near a plane, steps fall below one bit, or the iterations are
+used up, short of the minimum: such a descent is finished by Gauss-Newton steps on the same integers. F's own,
+of 50 iterations, is not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, rounded_quotient
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.points import Fit, Model, Operations, Optimizer, PointSet
+from accelcal_cli.core.points import Fit, Model, Operations, Optimizer, Penalty, PointSet
 from accelcal_cli.optimize._objective32 import (
     LEAST_SCALE,
     RISE_TOLERANCE_BITS,
@@ -32,6 +35,14 @@ RATE_BITS = 24
 SMALL_STEP = 1
 """Largest step [least significant bits] that is taken without momentum."""
 
+FINISHED = "Gauss-Newton steps after the descent"
+"""Why a fit ended whose descent was finished."""
+
+AT_THE_MINIMUM = ONE // 10_000
+"""Distance from the minimum, on the parameter where it is largest, within which a descent has converged."""
+
+NO_PENALTY = Penalty(IDENTITY, (0,) * len(IDENTITY))
+
 RATES_OF_F = {"scale": 0.3, "misalignment": 0.8, "offset": 0.2, "slope": 0.2}
 """Learning rates of F section II.C; the slopes act on the offsets through scaled temperatures of order 1."""
 
@@ -42,8 +53,8 @@ class DescentSettings:
 
     Attributes:
         max_iterations: largest number of iterations.
-        converge: stop when every step is below one least significant bit, and halve the rates
-            when the cost rises; otherwise run all iterations.
+        converge: stop when every step is below one least significant bit, halve the rates
+            when the cost rises, and finish by Gauss-Newton steps; otherwise run all iterations.
         forward_step: h of F eq. 13 in fixed point; 0 for the exact gradient.
         keep_history: return the parameters after every iteration.
     """
@@ -117,7 +128,7 @@ def _forward(stack: Stack, model: Model, settings: DescentSettings) -> Fit:
             history.append(tuple(p.tolist()))
     costs, updates = number * len(probes), number * (len(model.free) // 3)
     operations = operations_of(stack.number[0], costs, others=updates)
-    return Fit(tuple(p.tolist()), number, "iterations", operations, tuple(history))
+    return Fit(tuple(p.tolist()), number, "iterations", operations, tuple(history), converged=False)
 
 
 @dataclass(slots=True, eq=False)
@@ -207,7 +218,8 @@ class _Descent:
     def result(self, parameters: list[int], iterations: int) -> Fit:
         """Return the fit with these parameters."""
         operations = operations_of(self.points, self.costs, self.gradients)
-        return Fit(tuple(parameters), iterations, self.stop, operations, tuple(self.history))
+        ended = self.stop != "iterations"
+        return Fit(tuple(parameters), iterations, self.stop, operations, tuple(self.history), ended)
 
 
 def _accelerated(sets: Sequence[PointSet], model: Model, settings: DescentSettings) -> list[Fit]:
@@ -232,8 +244,25 @@ def _accelerated(sets: Sequence[PointSet], model: Model, settings: DescentSettin
         if ended:
             stack = stack.select([place for place, row in enumerate(left) if row not in ended])
             left = [row for row in left if row not in ended]
-    of_all = zip(fits, descents, strict=True)
-    return [fit or descent.result(descent.best, last) for fit, descent in of_all]
+    ends = [fit or descent.result(descent.best, last) for fit, descent in zip(fits, descents, strict=True)]
+    return [_finished(points, model, end) for points, end in zip(sets, ends, strict=True)]
+
+
+def _finished(points: PointSet, model: Model, end: Fit) -> Fit:
+    """Go on from the end of a descent by Gauss-Newton steps; return it as it is at the minimum.
+
+    So it is where they lead nowhere, as with points that do not determine the parameters.
+    """
+    try:
+        after = fit_penalized(points, model, NO_PENALTY, end.parameters).fit
+    except DivergedError:
+        return end
+    away = max(abs(one - other) for one, other in zip(after.parameters, end.parameters, strict=True))
+    if not after.converged or (end.converged and away <= AT_THE_MINIMUM):
+        return end
+    iterations = end.iterations + after.iterations
+    history = end.history and end.history + after.history[1:]
+    return replace(after, iterations=iterations, stop=FINISHED, operations=end.operations, history=history)
 
 
 OPTIMIZER = Optimizer(

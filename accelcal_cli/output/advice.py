@@ -33,7 +33,7 @@ ODD_REST = (
 )
 """Codes of notes on values that say themselves what to do; no orientation would mend them."""
 
-MILD = ("sides_unchecked",)
+MILD = ("sides_unchecked", "not_converged")
 """Codes of cautions that a good result may have."""
 
 
@@ -77,6 +77,7 @@ def _cautions(report: ReportView) -> tuple[Reason, ...]:
     sides = _sides(report) if report.calibration is not None and report.coverage.cells else []
     return (
         *_unchecked_poses(report),
+        *_unconverged(report),
         *doubts(*_interval(report), everywhere=report.error_everywhere is not None),
         *([Reason.of("sides_unchecked", sides=sides)] if sides else []),
     )
@@ -104,6 +105,13 @@ def of_file(
     if share >= FILLED_FROM_PERCENT:
         found.append(Reason.of("filled_share", filled_percent=share, filled_samples=filled))
     return found
+
+
+def _unconverged(report: ReportView) -> list[Reason]:
+    optimizer = {} if report.calibration is None else report.calibration.optimizer
+    if optimizer.get("converged", True):
+        return []
+    return [Reason.of("not_converged", iterations=optimizer["iterations"])]
 
 
 def _older_cautions(report: ReportView) -> list[Reason]:

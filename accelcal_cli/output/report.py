@@ -65,6 +65,7 @@ def _effort(fit: Fit, arithmetic: Arithmetic) -> dict[str, Any]:
     return {
         "iterations": fit.iterations,
         "stop": fit.stop,
+        "converged": fit.converged,
         "operations": asdict(fit.operations),
         "predicted_seconds": seconds and {name: significant(value) for name, value in seconds.items()},
     }

@@ -46,6 +46,7 @@ LATER = {
     "holdout.improvement_factor.ci95": "0.3.0",
     "without_misalignment.holdout.improvement_factor.ci95": "0.3.0",
     "settings.prior": "0.2.0",
+    "calibration.optimizer.converged": "0.3.0",
     "calibration_error_mg": "0.3.0",
     "rest_scatter_mg": "0.3.0",
     "settings.strict": "0.3.0",

@@ -394,6 +394,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     ),
     "no_better_than_raw": "The calibrated data may be no better than the raw data: the interval includes "
     "the error before calibration ({before_mg:mg} mg).",
+    "not_converged": "The fit stopped after {iterations:n iteration}, before it had reached its minimum.",
     "sides_unchecked": "The device never rested with {sides:list} pointing up, so the calibration is not "
     "validated in {that}.",
     "nothing_checks_poses": "Nothing was held out: no error is known, and a wrong pose would not show. Add "

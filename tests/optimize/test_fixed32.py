@@ -20,6 +20,7 @@ from accelcal_cli.core.points import MODELS, WEIGHT_ONE, PointSet
 from accelcal_cli.optimize import _objective32, fixed32
 from tests.judge.made import NINE, spread
 from tests.optimize.oracle import (
+    calibrated,
     directions,
     drawn_errors,
     least_squares,
@@ -125,8 +126,49 @@ def test_the_history_ends_where_the_fit_does() -> None:
 
 def test_an_end_by_the_number_of_iterations_says_so() -> None:
     held = made(2, 40, warm=False, weighted=False)
-    found = fixed32.fit(held, MODELS["9"], replace(fixed32.DEFAULT, max_iterations=3))
-    assert (found.iterations, found.stop) == (3, "iterations")
+    for numbers in (replace(fixed32.DEFAULT, max_iterations=3), replace(fixed32.PAPER, max_iterations=3)):
+        found = fixed32.fit(held, MODELS["9"], numbers)
+        assert found.stop == (fixed32.FINISHED if numbers.converge else "iterations")
+        assert found.converged is numbers.converge and (found.iterations > 3) is numbers.converge
+    assert fixed32.fit(held, MODELS["9"]).converged
+
+
+def near_a_plane(seed: int) -> PointSet:
+    """Forty rests within two degrees of a plane, whose scale across it is hardly known."""
+    random = np.random.default_rng(seed)
+    turn, height = random.uniform(0, 2 * np.pi, 40), 0.02 * random.standard_normal(40)
+    a = np.stack([np.cos(turn), np.sin(turn), height], axis=1)
+    return points(measured(NINE, a / np.sqrt((a**2).sum(axis=1))[:, None]))
+
+
+@pytest.mark.parametrize(("seed", "iterations"), [(0, 2000), (1, 2000), (1, 20_000), (3, 20_000)])
+def test_verdicts_8_a_descent_that_ends_short_of_the_minimum_is_finished(seed: int, iterations: int) -> None:
+    """One of these ends where its steps fall below one bit, the others with the number of iterations."""
+    held = near_a_plane(seed)
+    found = fixed32.fit(held, MODELS["9"], replace(fixed32.DEFAULT, max_iterations=iterations))
+    best, everywhere = least_squares(held, MODELS["9"].free), measured(NINE, directions(500))
+    ours, theirs = (
+        np.linalg.norm(calibrated(p, everywhere), axis=1) for p in (np.array(found.parameters) / ONE, best.p)
+    )
+    assert best.converged and found.converged and found.stop == fixed32.FINISHED
+    assert 1000 * np.abs(ours - theirs).mean() < 0.2
+
+
+def test_verdicts_8_sets_that_are_fitted_together_are_finished_as_one_by_one() -> None:
+    sets = [near_a_plane(1), made(2, 40, warm=False, weighted=False)]
+    numbers = replace(fixed32.DEFAULT, max_iterations=500)
+    together = fixed32.fit_each(sets, MODELS["9"], numbers)
+    assert together == [fixed32.fit(one, MODELS["9"], numbers) for one in sets]
+    assert [one.stop for one in together] == [fixed32.FINISHED, "step below one bit"]
+
+
+def test_verdicts_8_what_steps_cannot_finish_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def astray(*_: object) -> None:
+        raise DivergedError("the points do not determine the parameters")
+
+    monkeypatch.setattr(fixed32, "fit_penalized", astray)
+    found = fixed32.fit(near_a_plane(0), MODELS["9"], replace(fixed32.DEFAULT, max_iterations=20))
+    assert (found.stop, found.converged, found.iterations) == ("iterations", False, 20)
 
 
 @pytest.mark.parametrize("rates", [2.0, 3.0])

@@ -260,6 +260,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     ],
     "shorter_windows": [{}],
     "shorter_windows_or_longer_gaps": [{}],
+    "not_converged": [{"iterations": 50}],
     "sides_unchecked": [{"sides": ["-z"]}, {"sides": ["+x", "-z"]}],
     "slopes_left_out": [{"at_c": 25.0}],
     "still_far_from_1_g": [{}, {"median_g": 9.81}],

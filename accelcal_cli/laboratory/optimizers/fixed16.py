@@ -89,7 +89,8 @@ def _descent(points: _Points, model: Model, settings: Fixed16Settings) -> Fit:
         if settings.keep_history:
             history.append(_wide(p))
     each = settings.max_iterations * (len(probes) * 10 * len(points.v) + len(free) // 3)
-    return Fit(_wide(p), settings.max_iterations, "iterations", Operations(each, each), tuple(history))
+    counted = Operations(each, each)
+    return Fit(_wide(p), settings.max_iterations, "iterations", counted, tuple(history), converged=False)
 
 
 def _rates(settings: Fixed16Settings) -> list[int]:

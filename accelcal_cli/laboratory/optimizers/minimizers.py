@@ -146,7 +146,8 @@ def _forward(points: FloatPoints, model: Model, settings: DescentSettings) -> Fi
     # as F counts: ten of each for a point and a set of parameters, one for three parameters
     each = settings.max_iterations * (len(probes) * 10 * len(points.v) + len(free) // 3)
     operations = Operations(each, each)
-    return Fit(as_integers(p), settings.max_iterations, "iterations", operations, tuple(history))
+    number = settings.max_iterations
+    return Fit(as_integers(p), number, "iterations", operations, tuple(history), converged=False)
 
 
 def _accelerated(points: FloatPoints, model: Model, settings: DescentSettings) -> Fit:
