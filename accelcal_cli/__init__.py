@@ -1,7 +1,7 @@
 """Batch calibration of raw actigraph recordings from the stillness they contain.
 
 From Python: `import accelcal_cli as accelcal`; `read`, `calibrate`, `fit`, `from_poses`, `apply`,
-`effect`, `study` (docs/python.md).
+`effect`, `study`, `sentence` (docs/python.md).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from accelcal_cli.api import (
         AccelcalError,
         Reading,
+        Reason,
         Result,
         Samples,
         apply,
@@ -23,12 +24,13 @@ if TYPE_CHECKING:
         fit,
         from_poses,
         read,
+        sentence,
         study,
     )
 
 __all__ = [
-    "AccelcalError", "Reading", "Result", "Samples",
-    "apply", "calibrate", "effect", "fit", "from_poses", "read", "study",
+    "AccelcalError", "Reading", "Reason", "Result", "Samples",
+    "apply", "calibrate", "effect", "fit", "from_poses", "read", "sentence", "study",
 ]  # fmt: skip
 
 

@@ -22,12 +22,14 @@ from accelcal_cli.core.calibration import RawRows, Transform
 from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.settings import POSES, PoseSettings, Settings
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.coefficients import calibration_of, read_coefficients
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.output.report_reading import read_document
+from accelcal_cli.output.words import sentence
 from accelcal_cli.pipeline import export, jobs, outputs, survey
 from accelcal_cli.pipeline.activity import EPOCH_S, LONGEST_EPOCH_S
 from accelcal_cli.pipeline.calibrate import FirstPass, OwnCalibration, open_run
@@ -172,13 +174,33 @@ class Result:
 
     @property
     def outcome(self) -> str:
-        """`calibrated`, `reduced_model`, `already_good` or `refused`."""
+        """`calibrated`, `provisional`, `reduced_model`, `already_good` or `refused`."""
         return str(self.report["outcome"])
 
     @property
+    def reason(self) -> str:
+        """Code of why the outcome is what it is (docs/reasons.md)."""
+        return str(self.report["reason"])
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Values of the reason, by name."""
+        return dict(self.report["values"])
+
+    @property
     def message(self) -> str:
-        """Reason of the outcome, in a sentence."""
+        """Reason of the outcome, in sentences for people."""
         return str(self.report["message"])
+
+    @property
+    def cautions(self) -> tuple[Reason, ...]:
+        """What speaks against trusting the result without a look."""
+        return tuple(Reason(**one) for one in self.report["cautions"])
+
+    @property
+    def advice(self) -> tuple[Reason, ...]:
+        """What to do about it."""
+        return tuple(Reason(**one) for one in self.report["advice"])
 
     def batches(self) -> Iterator[pa.RecordBatch]:
         """Yield the calibrated recording in pieces with the columns of the Parquet file; reads it once more.
@@ -513,6 +535,6 @@ class _Silent:
 
 
 __all__ = [
-    "AccelcalError", "Reading", "Result", "Samples",
-    "apply", "calibrate", "effect", "fit", "from_poses", "read", "study",
+    "AccelcalError", "Reading", "Reason", "Result", "Samples",
+    "apply", "calibrate", "effect", "fit", "from_poses", "read", "sentence", "study",
 ]  # fmt: skip

@@ -21,6 +21,7 @@ from tests.cli.run import run
 from tests.cli.studies import NAMES, study_folder
 from tests.cli.test_change import jumping
 from tests.conftest import ROOT
+from tests.recordings import directions, still_counts, write_raw
 
 Capture = pytest.CaptureFixture[str]
 SAMPLES = {
@@ -58,6 +59,19 @@ def test_results_are_those_of_the_command(name: str, tmp_path: Path, capsys: Cap
     (quality,) = tmp_path.glob("*.quality.json")
     assert result.quality() == json.loads(quality.read_text())
     assert sorted(path.parent.iterdir()) == beside, "nothing is written unless asked"
+
+
+def test_a_result_says_why_in_codes_with_values_and_in_sentences(tmp_path: Path) -> None:
+    write_raw(tmp_path / "few.raw", still_counts(directions(1)))
+    result = accelcal.calibrate(tmp_path / "few.raw")
+    assert (result.outcome, result.reason) == ("refused", "too_few_orientations")
+    assert result.values["orientations"] == 1 < result.values["needed"]
+    assert result.message.startswith(accelcal.sentence(accelcal.Reason(result.reason, result.values)))
+    assert [{"code": one.code, "values": one.values} for one in result.advice] == result.report["advice"]
+    assert all(accelcal.sentence(one).endswith(".") for one in result.advice) and result.advice
+    changed = accelcal.calibrate(jumping(tmp_path / "jumps.raw"), report_only=True)
+    (caution,) = [one for one in changed.cautions if one.code == "sensor_changed"]
+    assert caution.values["kind"] == "step" and "its offsets jump at 2024" in accelcal.sentence(caution)
 
 
 def test_samples_are_those_of_the_recording(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ Sentences for the terminal and for pages. All of them follow from the report; no
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from string import Formatter
 from typing import Any
@@ -446,12 +447,12 @@ class _Words(Formatter):
 def sentence(reason: Reason) -> str:
     """Return the sentence of a reason; the code itself if that is not known, or its values do not fit."""
     form, values = SENTENCES.get(reason.code), reason.values
-    if form is None:
-        return reason.code
-    try:
-        made = form(values) if callable(form) else _Words().vformat(form, (), {**values, **_phrases(values)})
-    except (LookupError, TypeError, ValueError, AttributeError):  # of a report that somebody changed
-        return reason.code
+    made = reason.code
+    if form is not None:
+        with suppress(LookupError, TypeError, ValueError, AttributeError, OverflowError):  # a changed report
+            made = (
+                form(values) if callable(form) else _Words().vformat(form, (), {**values, **_phrases(values)})
+            )
     return printable(made)
 
 

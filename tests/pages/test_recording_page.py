@@ -7,11 +7,14 @@ import json
 import re
 from collections import Counter
 from math import log10, pi
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from accelcal_cli.core.reasons import Reason
+from accelcal_cli.output.words import outcome_words, sentence
 from accelcal_cli.pages.recording import page
 from tests.cli.run import exit_code
 from tests.cli.test_change import jumping
@@ -29,7 +32,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Files:
     folder = tmp_path_factory.mktemp("made")
     week(folder / "warm.raw", warm=True)
     jumping(folder / "jumps.raw")
-    write_raw(folder / "few.raw", still_counts(directions(3)))
+    write_raw(folder / "few.raw", still_counts(directions(1)))
     write_raw(folder / "none.raw", np.random.RandomState(3).randint(-900, 900, (5000, 3)).astype(np.int16))
     exit_code("calibrate", *(folder / f"{name}.raw" for name in NAMES), "--report-only", "-q")
     found = {}
@@ -85,7 +88,7 @@ def test_every_page_is_well_formed_and_complete_in_itself(made: Files, name: str
         assert root.one("h1").whole() == f"{name}.raw"
         assert report["recording"]["sha256"] in root.whole()
         assert not root.all("script") and not root.all("img") and not root.all("a")[1:]
-        missing = "There is no STEM.quality.json" in root.whole()
+        missing = "There is no NAME.quality.json" in root.whole()
         assert missing == (held is None) and bool(root.all("svg")) == (held is not None)
 
 
@@ -99,14 +102,40 @@ def test_the_same_two_files_make_the_same_bytes(made: Files) -> None:
 
 def test_the_verdict_comes_first_with_the_number_to_quote(made: Files) -> None:
     good, changed, few = (check(page(*made[name])) for name in ("warm", "jumps", "few"))
-    mean = made["warm"][0]["sphere_mg"]["mean"]
+    mean = made["warm"][0]["calibration_error_mg"]["mean"]
     headline = good.one("p", kind="headline").text
-    assert headline.startswith(f"Good: calibrated. Error over the whole sphere {float(f'{mean:.2g}'):g} mg")
-    assert changed.one("section", kind="verdict care").whole().count("the calibration follows it") == 1
+    assert headline.startswith(
+        f"Good: calibrated. Calibration error over all orientations {float(f'{mean:.2g}'):g} mg"
+    )
+    (caution,) = [one for one in made["jumps"][0]["cautions"] if one["code"] == "sensor_changed"]
+    assert caution["values"]["followed"]
+    assert changed.one("section", kind="verdict care").whole().count(sentence(Reason(**caution))) == 1
     assert few.one("p", kind="headline").text == "Refused: this recording could not be calibrated."
     said = few.one("section", kind="verdict bad").whole()
-    assert made["few"][0]["message"] in said and "Stillness was found in 3 postures" in said
+    refusal = made["few"][0]
+    assert (refusal["reason"], refusal["values"]["orientations"]) == ("too_few_orientations", 1)
+    reasons = [Reason(refusal["reason"], refusal["values"]), *(Reason(**one) for one in refusal["advice"])]
+    assert len(reasons) > 1 and all(sentence(one) in said for one in reasons)
     assert "no coefficients" in few.whole()
+
+
+def test_the_page_of_a_provisional_result_has_its_number_the_limit_and_the_reason(tmp_path: Path) -> None:
+    """The limit that was asked for is below the interval of a good recording."""
+    write_raw(tmp_path / "some.raw", still_counts(directions(60)))
+    exit_code("calibrate", tmp_path / "some.raw", "--report-only", "--max-error", "0.01", "-q")
+    report, quality = (
+        json.loads((tmp_path / f"some.{kind}.json").read_text()) for kind in ("calibration", "quality")
+    )
+    assert report["outcome"] == "provisional" and report["reason"] == "provisional"
+    verdict = check(page(report, quality)).one("section", kind="verdict care")
+    headline, error = verdict.one("p", kind="headline").text, report["calibration_error_mg"]
+    assert headline.startswith("Use with care: calibrated provisionally.")
+    mean, low = (float(f"{value:.2g}") for value in (error["mean"], error["ci95"][0]))
+    assert f"{mean:g} mg (95 % interval {low:g} to" in headline
+    said = verdict.whole()
+    assert "the limit is 0.01 mg" in said
+    assert sentence(Reason(report["reason"], report["values"])) in said
+    assert outcome_words("provisional").to_do in said
 
 
 def test_lines_by_the_hour_are_the_numbers_of_the_file(made: Files) -> None:
@@ -299,7 +328,8 @@ def everywhere(report: dict[str, Any], text: str) -> dict[str, Any]:
     held["recording"] |= {"path": f"x/{text}", "format": text, "timezone": text, "notes": [text, text]}
     held["recording"]["start_time"] = text
     held["recording"]["device"] = {"model": text, "serial": text, "firmware": text}
-    held |= {"message": text, "accelcal_version": text}
+    held |= {"message": text, "accelcal_version": text, "reason": text, "values": {text: text}}
+    held |= {name: [{"code": text, "values": {text: text}}] for name in ("notes", "cautions", "advice")}
     held["file_health"]["problems"] = [
         {"code": text, "message": text, "byte_offset": None, "sample": 0, "count": 1}
     ]
@@ -365,7 +395,7 @@ def test_a_quality_file_that_does_not_fit_is_told_and_not_drawn(made: Files, nam
     root = check(page(report, quality))
     assert not root.all("svg")
     told = "is of another result" if name.startswith("another") else "is damaged"
-    assert f"STEM.quality.json {told}" in root.whole()
+    assert f"NAME.quality.json {told}" in root.whole()
 
 
 def test_an_older_quality_file_lacks_two_figures_only(made: Files) -> None:
@@ -440,7 +470,7 @@ def test_rows_of_a_long_recording_have_sums_means_and_the_worst_of_their_hours(m
     report, quality = fullest(*made["warm"], 512)
     held = quality["rows"]
     root = check(page(report, quality))
-    (table,) = [one for one in root.all("table") if "3 rows of STEM.quality.json in each row" in one.whole()]
+    (table,) = [one for one in root.all("table") if "3 rows of NAME.quality.json in each row" in one.whole()]
     head = [one.text for one in table.one("thead").all("th")]
     rows = [[cell.text.replace("−", "-") for cell in row.children] for row in table.one("tbody").all("tr")]
     assert len(rows) == 171  # of 512, the last of two

@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from accelcal_cli.output import study_words
+from accelcal_cli.output.words import outcome_words
 from accelcal_cli.pages import study_figures
 from accelcal_cli.pages.study import WANTED, DeviceLine, StudyContent, page
 from accelcal_cli.pages.write import write_study_pages
@@ -157,6 +159,27 @@ def test_each_recording_is_listed_under_its_weightiest_problem_the_worst_first()
     problems = cell_texts(data_of(root)["recordings"], "problem")
     assert problems[:4] == ["", "sensor changed", "sensor changed", "file damaged"]
     assert problems[4:] == ["", "uncertain", "not described", "refused", "failed"]
+
+
+def test_provisional_recordings_are_listed_with_their_errors_and_can_be_used() -> None:
+    """The list says how large the error may be, the table of outcomes what to do; the widest comes first."""
+    unsure = {"calibration_error_mg": 17.3, "calibration_error_high_mg": 45.0, "reason": "provisional"}
+    rows = [
+        row("fine"),
+        row("narrow", "provisional", calibration_error_high_mg=9.0),
+        row("wide", "provisional", **unsure),
+    ]
+    root = elements(page(content(*rows)))
+    (listed,) = [one for one in root.within("table") if one.attributes.get("class") == "problems"]
+    assert [tuple(cell.text for cell in line.within("td")) for line in listed.within("tr")[1:]] == [
+        ("wide", "-", study_words.uncertain(17.3, 45.0)),
+        ("narrow", "-", study_words.uncertain(1.0, 9.0)),
+    ]
+    table = data_of(root)["recordings"]
+    assert cell_texts(table, "outcome") == ["calibrated", "provisional", "provisional"]
+    assert cell_texts(table, "problem") == ["", "uncertain", "uncertain"]
+    text = " ".join(root.text.split())
+    assert outcome_words("provisional").use in text and "3 (100.0 %)" in text
 
 
 def test_verdicts_14_copies_are_named_and_count_once() -> None:
