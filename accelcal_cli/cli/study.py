@@ -114,8 +114,7 @@ class TerminalObserver:
         name = printable(item.source)
         if row["outcome"] == FAILED:
             kept = result.trace and f"; please report it with {exit_codes.keep_trace(result.trace)}"
-            text = row["message"] if name in row["message"] else f"{name}: {row['message']}"
-            exit_codes.say(f"{text}{kept or ''}")
+            exit_codes.say(f"{name}: {row['message']}{kept or ''}")
         elif row["outcome"] == Outcome.REFUSED:
             say_refused(row["message"], item.source, self._values, shown=not self._values["quiet"])
         if self._values["quiet"]:

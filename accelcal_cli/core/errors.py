@@ -126,7 +126,11 @@ class AccelcalError(Exception):
         self.hint = hint
 
     def __str__(self) -> str:
-        where = [] if self.path is None else [printable(self.path)]
+        return self.line_for(())
+
+    def line_for(self, known: tuple[Path, ...]) -> str:
+        """Return the error in one line, without its path if that is one of those known."""
+        where = [] if self.path is None or Path(self.path) in known else [printable(self.path)]
         if self.line is not None:
             where.append(f"line {self.line}")
         if self.byte_offset is not None:

@@ -54,6 +54,11 @@ class PoolTask:
         """See `RoundTask`."""
         return entry.inputs == self.inputs
 
+    @property
+    def sources(self) -> tuple[Path, ...]:
+        """See `Task`: a failure of several recordings names the one that it is about."""
+        return ()
+
     def failure(self, code: int, message: str, *, again: bool) -> Entry:
         """See `Task`."""
         return self.entry({"outcome": FAILED, "exit_code": code, "message": message}, again=again)

@@ -281,7 +281,7 @@ class _Planning:
             outputs = {self.study.out / name for name, _ in own.outputs}
             return own if outputs <= set(item.job.outputs) else None  # else they would get other names now
         kind = UsageError if item.source.is_file() else UnreadableError
-        row = summary.failed(item, kind.exit_code, f"{printable(item.source)}: {item.refusal}")
+        row = summary.failed(item, kind.exit_code, item.refusal)
         return Entry(item.name, item.stamps, self.asked, row, again=True)
 
     def _replaced(self, item: Item) -> bool:

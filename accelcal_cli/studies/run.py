@@ -378,8 +378,8 @@ def _result(ended: Finished) -> TaskResult:
         return result
     task: Task = ended.task
     tidy(task)
-    message = f"{printable(task.item.source)}: {ended.fault}"
-    return TaskResult(task.failure(NO_MEMORY if ended.lacking else BUG, message, again=ended.retry))
+    code = NO_MEMORY if ended.lacking else BUG
+    return TaskResult(task.failure(code, ended.fault, again=ended.retry))
 
 
 def executor_for(

@@ -58,6 +58,10 @@ class Task(Protocol):
     def item(self) -> Item:
         """The recording to work on."""
 
+    @property
+    def sources(self) -> tuple[Path, ...]:
+        """Paths of the recording, which the message of a failure leaves out."""
+
     def failure(self, code: int, message: str, *, again: bool) -> Entry:
         """Return the entry that is kept if the work fails."""
 
@@ -78,6 +82,11 @@ class CalibrationTask:
     def job(self) -> Job:
         """The item's job, with the path that the report names."""
         return self.item.job if self.named is None else replace(self.item.job, source=self.named)
+
+    @property
+    def sources(self) -> tuple[Path, ...]:
+        """See `Task`."""
+        return self.item.source, self.job.source
 
     def failure(self, code: int, message: str, *, again: bool) -> Entry:
         """See `Task`."""
@@ -124,10 +133,9 @@ def guarded(work: Work[AnyTask]) -> Work[AnyTask]:
 def _failed(task: Task, error: Exception) -> TaskResult:
     if isinstance(error, AccelcalError):
         again = isinstance(error, OutputError) or is_environment_error(error)
-        return TaskResult(task.failure(error.exit_code, str(error), again=again))
+        return TaskResult(task.failure(error.exit_code, error.line_for(task.sources), again=again))
     if (lack := missing_resource(error)) is not None:
-        message = f"{printable(task.item.source)}: {lack}; use fewer --jobs"
-        return TaskResult(task.failure(NO_MEMORY, message, again=True))
+        return TaskResult(task.failure(NO_MEMORY, f"{lack}; use fewer --jobs", again=True))
     message = printable(" ".join(f"a bug in accelcal ({type(error).__name__}: {error})".split()))
     return TaskResult(task.failure(BUG, message, again=False), trace=traceback.format_exc())
 
@@ -191,6 +199,11 @@ class ReplacementTask:
     def names(self) -> tuple[str, ...]:
         """See `RoundTask`."""
         return (self.item.name,)
+
+    @property
+    def sources(self) -> tuple[Path, ...]:
+        """See `Task`."""
+        return (self.item.source,)
 
     @property
     def own_row(self) -> dict[str, Any]:

@@ -97,7 +97,11 @@ def test_damaged_files_are_rows_and_stop_nothing(tmp_path: Path, capsys: Capture
     quiet = study(capsys, folder, "-q", "--all-failures")
     assert (quiet.code, quiet.out) == (1, "")
     failed = [str(folder / name) for name in ("empty.csv", "short.raw", "zeros.cwa")]
-    assert [name in line for name, line in zip(failed, quiet.err.splitlines(), strict=True)] == [True] * 3
+    lines = [line.removeprefix("accelcal: ") for line in quiet.err.splitlines()]
+    told = {name: line.removeprefix(f"{name}: ") for name, line in zip(failed, lines, strict=True)}
+    assert not [name for name, message in told.items() if name in message], "each is named once"
+    messages = {row["path"]: row["message"] for row in rows(tmp_path / "out") if row["outcome"] == "failed"}
+    assert {name: told[str(folder / name)] for name in messages} == messages
 
 
 @pytest.mark.parametrize(("name", "content", "code"), [("a.cwa", bytes(4096), 3), ("a.gt3x", b"", 3)])

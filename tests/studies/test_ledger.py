@@ -96,6 +96,8 @@ def test_a_line_is_its_checksum_and_its_json(base: Path) -> None:
 )
 def test_a_recording_that_the_disk_did_not_give_is_tried_again(cause: OSError, again: bool) -> None:
     class Told:
+        sources = ()
+
         def failure(self, code: int, _message: str, *, again: bool) -> tuple[int, bool]:
             return code, again
 
