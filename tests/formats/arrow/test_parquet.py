@@ -338,7 +338,8 @@ def test_a_calibrated_recording_is_not_calibrated_again(
     assert report["calibration"]["gain"] == [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     first = json.loads((tmp_path / "first" / "made.calibration.json").read_text())
     error = first["holdout"]["after_mg"]["mean"]
-    assert f"calibrated already, from made.parquet (calibrated, {error:.1f} mg held out)" in report["message"]
+    assert report["reason"] == "calibrated_before"
+    assert f"from made.parquet (calibrated, {error:.1f} mg held out)" in report["values"]["origin"]
     assert sorted(one.name for one in out.iterdir()) == ["renamed.calibration.json", "renamed.quality.json"]
     assert "up to date" in run(capsys, "calibrate", calibrated, "-d", out).err
     assert run(capsys, "verify", out / "renamed.calibration.json", calibrated).code == 0
@@ -359,7 +360,7 @@ def test_inspect_and_quality_of_a_calibrated_recording(
 ) -> None:
     done = run(capsys, "inspect", calibrated)
     assert done.code == 0
-    assert "already_good: calibrated already, from made.parquet" in " ".join(done.out.split())
+    assert "already_good: The recording is calibrated already, from made.parquet" in done.out
     assert run(capsys, "quality", calibrated).code in (0, 4)
     read_back = pq.read_table(calibrated)
     with open_recording(calibrated, ReadOptions()) as reader:

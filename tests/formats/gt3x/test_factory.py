@@ -11,8 +11,10 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import find_format
+from accelcal_cli.output.words import sentence
 from accelcal_cli.pipeline import survey
 from tests.cli.run import run, verify
 from tests.formats.gt3x.reading import opened, random_counts, whole
@@ -334,5 +336,6 @@ def test_coefficients_of_raw_counts_are_told_apart(tmp_path: Path, capsys: Captu
     assert "factory_calibration" not in json.loads((raw / "leap.calibration.json").read_text())["recording"]
     words = ("--coefficients", raw / "leap.calibration.json", "-d", tmp_path / "out", "--json", "-q")
     assert "or the file was read differently" in run(capsys, "apply", path, *words).err
-    message = json.loads(run(capsys, "apply", leap(tmp_path / "b", 2), *words).out)["message"]
-    assert "the maker's calibration was applied first here and not there" in message
+    report = json.loads(run(capsys, "apply", leap(tmp_path / "b", 2), *words).out)
+    told = {"code": "factory_calibration_differs", "values": {"applied_here": True}}
+    assert told in report["notes"] and sentence(Reason(**told)) in report["message"]

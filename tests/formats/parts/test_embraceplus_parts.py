@@ -14,7 +14,16 @@ from tests.cli.studies import rows, study
 from tests.formats.make_embraceplus import NONE, SERIAL, START_US, container, schema, sensor, session
 from tests.recordings import directions
 
-SAME = ("outcome", "calibration", "holdout", "fit", "coverage", "sphere_mg", "models_tried", "change")
+SAME = (
+    "outcome",
+    "calibration",
+    "holdout",
+    "fit",
+    "coverage",
+    "calibration_error_mg",
+    "models_tried",
+    "change",
+)
 PARTS, SECONDS, RATE_HZ, LSB_PER_G = 48, 40, 64, 2048
 COUNT_US = 1_000_000 // RATE_HZ
 

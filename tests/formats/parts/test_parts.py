@@ -34,7 +34,7 @@ SAME = (
     "holdout",
     "fit",
     "coverage",
-    "sphere_mg",
+    "calibration_error_mg",
     "models_tried",
     "misfits",
     "change",
