@@ -271,23 +271,31 @@ def bytes_of(recording: Path) -> Iterator[Path]:
             raise
 
 
+def _grave(report: ReportView) -> list[Reason]:
+    """Return what even a quiet run says against a result."""
+    return [one for one in cautions(report) if one.code in ALWAYS_SAID]
+
+
 def _caution(result: Result, values: dict[str, Any]) -> str | None:
     """Return what even a quiet run says against a result, unless it is said with the result itself."""
     with_it = (_in_words(values) or values["verbose"]) and not (values["quiet"] or values["as_json"])
-    grave = [words.sentence(one) for one in cautions(result.view) if one.code in ALWAYS_SAID]
-    return None if with_it or not grave else f"caution: {' '.join(grave)}"
+    grave = _grave(result.view)
+    return None if with_it or not grave else f"caution: {' '.join(map(words.sentence, grave))}"
 
 
 def _why_refused(report: ReportView) -> str:
-    """Return why a recording was refused, with the first two pieces of advice."""
-    return " ".join([report.message, *map(words.sentence, advice(report)[:2])])
+    """Return why a recording was refused, with grave cautions and the first two pieces of advice."""
+    grave = _grave(report)
+    cut = any(one.code == "cut_short" for one in grave)  # whose sentence has that advice
+    ways = [one for one in advice(report) if not (cut and one.code == "copy_again")]
+    return " ".join([report.message, *map(words.sentence, [*grave, *ways[:2]])])
 
 
 def _comment(result: Result, values: dict[str, Any]) -> None:
     report, name = result.view, printable(result.job.source)
     if result.outcome is Outcome.REFUSED:
         say_refused(_why_refused(report), result.job.source, values)
-    if (caution := _caution(result, values)) is not None:
+    elif (caution := _caution(result, values)) is not None:
         exit_codes.say(f"{name}: {caution}")
     if values["quiet"]:
         return

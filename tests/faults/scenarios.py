@@ -96,7 +96,7 @@ def _archive(folder: Path) -> None:
 
 def _refused(folder: Path) -> None:
     """A recording with too few orientations."""
-    write_raw(folder / "in" / "good.raw", still_counts(directions(2)))
+    write_raw(folder / "in" / "good.raw", still_counts(directions(1)))
 
 
 def _no_longer_good(folder: Path) -> None:

@@ -75,7 +75,8 @@ def test_zeros_that_a_layout_makes_a_recording_are_refused(
     (tmp_path / "zeros.layout.toml").write_text(LAYOUT)
     ran = limited("calibrate", path, "-q")
     assert ran.code == 4
-    assert_one_line(ran, "refused")
+    assert_one_line(ran, "refused", "cut short", "Copy it again")
+    assert ran.err.lower().count("again from the device") == 1
 
 
 @pytest.mark.parametrize("blocks", size(8, 64))
