@@ -14,6 +14,7 @@ from typing import Any
 import matplotlib as mpl
 import pytest
 
+from accelcal_cli.output.words import OUTCOMES, SENTENCES
 from tests.cli.run import run
 from tests.cli.studies import results, rows, study_folder
 from tests.conftest import ROOT
@@ -179,3 +180,17 @@ def test_the_cookbook_runs_in_r(tmp_path: Path, capsys: Capture) -> None:
     )
     code, said = says(interpreter, "-e", f"{text}; cat(enmo_mg)", cwd=tmp_path)
     assert code == 0 and float(said.split()[-1]) > 0
+
+
+def test_outcomes_and_reasons_in_the_readme_are_those_that_there_are() -> None:
+    outcomes, refusals = (
+        re.findall(r"^\| (`.*?`) \|", part, re.MULTILINE)
+        for part in (ROOT / "README.md")
+        .read_text("utf-8")
+        .split("## What the outcome means")[1]
+        .split("###")[:2]
+    )
+    assert outcomes == [f"`{name}`" for name in OUTCOMES]
+    codes = [code for cell in refusals for code in re.findall("`(.*?)`", cell)]
+    assert len(codes) > 8
+    assert set(codes) - {"reason", "advice"} <= set(SENTENCES)
