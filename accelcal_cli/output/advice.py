@@ -109,7 +109,7 @@ def of_file(
 
 def _unconverged(report: ReportView) -> list[Reason]:
     optimizer = {} if report.calibration is None else report.calibration.optimizer
-    if optimizer.get("converged", True):
+    if optimizer.get("converged") is not False:
         return []
     return [Reason.of("not_converged", iterations=optimizer["iterations"])]
 

@@ -175,7 +175,13 @@ class DonorCoefficients(Judge):
         errors = section["standard_errors"]
         if used != self.donor.calibration and errors is not None:
             errors = {name: errors[name] for name in errors if not name.startswith("s")}  # without slopes
-        section = {**section, **coefficients_json(used), "standard_errors": errors}
+        optimizer = {**section["optimizer"], "converged": section["optimizer"].get("converged")}
+        section = {
+            **section,
+            **coefficients_json(used),
+            "standard_errors": errors,
+            "optimizer": optimizer,
+        }
         return {"calibration": section, **{name: report.get(name) for name in copied}}
 
 
