@@ -154,9 +154,9 @@ def test_the_sacrum_recording_says_which_side_is_missing(
     path = real_data / "vendor" / "ax3_sacrum_100hz_3h.cwa"
     _, report = calibrated(capsys, path, tmp_path, "--report-only")
     assert report["recording"]["device"]["serial"] == "51888"
-    assert "x below -0.3 g" in report["message"]
+    assert {"code": "rest_on_sides", "values": {"sides": ["-x"]}} in report["advice"]
     _, paper = calibrated(capsys, path, tmp_path, "--report-only", "--profile", "paper")
-    assert "xn" in paper["message"]
+    assert paper["reason"] == "subsets_not_full" and "x -1 g" in paper["values"]["subsets"]
     assert paper["fit"]["windows"]["raw_error_mg"] == pytest.approx(15.9, abs=0.15)
 
 

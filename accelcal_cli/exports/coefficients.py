@@ -255,7 +255,7 @@ def cost(one: ExportedReport) -> str | None:
         parts.append("{:.2f} mg held out instead of {:.2f}".format(*means_mg))
     if with_it.error_everywhere is not None and without.error_everywhere is not None:
         means_mg = without.error_everywhere.mean, with_it.error_everywhere.mean
-        parts.append("{:.2f} mg over the whole sphere instead of {:.2f}".format(*means_mg))
+        parts.append("{:.2f} mg over all orientations instead of {:.2f}".format(*means_mg))
     price = ", ".join(parts) or "what it costs is not known: there is too little stillness to judge it by"
     return f"misalignment is left out (model {one.simple.model} for {one.whole.model}): {price}"
 

@@ -174,7 +174,7 @@ def test_a_report_hands_on_its_fit_without_misalignment_and_what_that_costs(tmp_
     assert found.axes().offset_g == tuple(section["calibration"]["offset_g"])
     six, nine = (one["holdout"]["after_mg"]["mean"] for one in (section, report))
     assert six > 5 * nine
-    everywhere = f"{section['calibration_error_mg']['mean']:.2f} mg over the whole sphere instead of"
+    everywhere = f"{section['calibration_error_mg']['mean']:.2f} mg over all orientations instead of"
     assert cost(found) == (
         f"misalignment is left out (model 6T for 9T): {six:.2f} mg held out instead of {nine:.2f}, "
         f"{everywhere} {report['calibration_error_mg']['mean']:.2f}"
