@@ -14,7 +14,7 @@ from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output import words
-from accelcal_cli.output.advice import advice, cautions, doubts
+from accelcal_cli.output.advice import RAW_SETTLED, advice, cautions, doubts
 from accelcal_cli.output.numbers import formatted, mg, percent, times_smaller
 from accelcal_cli.output.report_view import ReportView, error_columns, factor_columns
 from accelcal_cli.output.words import outcome_words, parameters_of
@@ -160,8 +160,8 @@ def _doubts(row: dict[str, Any]) -> list[Reason]:
         return []
     everywhere = row.get("calibration_error_mg") is not None
     high = row.get("calibration_error_high_mg" if everywhere else "ci95_high_mg")
-    good = row["outcome"] == Outcome.ALREADY_GOOD
-    before = None if good else row.get("calibration_error_before_mg" if everywhere else "before_mg")
+    settled = row["outcome"] in RAW_SETTLED
+    before = None if settled else row.get("calibration_error_before_mg" if everywhere else "before_mg")
     return doubts(high, before, everywhere=everywhere)
 
 

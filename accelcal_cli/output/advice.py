@@ -33,6 +33,9 @@ ODD_REST = (
 )
 """Codes of notes on values that say themselves what to do; no orientation would mend them."""
 
+RAW_SETTLED = (Outcome.ALREADY_GOOD, Outcome.PROVISIONAL)
+"""Outcomes that say themselves how a result compares with the raw data, more sharply than its interval."""
+
 MILD = ("sides_unchecked", "not_converged")
 """Codes of cautions that a good result may have."""
 
@@ -147,7 +150,7 @@ def _interval(report: ReportView) -> tuple[float | None, float | None, float]:
     limit = report.setting("max_error_mg", LIMIT_MG)
     if report.calibration is None:
         return None, None, limit
-    if report.outcome == Outcome.ALREADY_GOOD:
+    if report.outcome in RAW_SETTLED:
         return (None if everywhere is None else everywhere.ci95[1]), None, limit
     if everywhere is not None:
         return everywhere.ci95[1], everywhere.before, limit

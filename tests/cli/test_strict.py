@@ -35,6 +35,9 @@ def test_verdicts_1_better_than_raw_is_provisional_and_strictly_refused(
     report = json.loads((tmp_path / "few.calibration.json").read_text())
     error = report["calibration_error_mg"]
     assert error["mean"] < error["before"] and error["ci95"][1] > report["settings"]["max_error_mg"]
+    assert error["ci95"][1] > error["before"] and report["values"]["percent"] >= 95
+    assert "error_may_reach" in codes(report["cautions"])
+    assert "no_better_than_raw" not in codes(report["cautions"]), "it contradicts the outcome"
     held = metadata(parquet)
     assert (held["result"]["outcome"], held["calibration"]) == ("provisional", report["calibration"])
     strict = run(capsys, "calibrate", path, "--strict")
@@ -64,7 +67,8 @@ def test_a_provisional_recording_of_a_study_is_listed_as_such(tmp_path: Path, ca
     assert (few["path"], few["outcome"], few["reason"], few["exit_code"]) == (
         "few.raw", "provisional", "provisional", "0",
     )  # fmt: skip
-    assert "error_may_reach" in few["cautions"].split() and good["outcome"] == "calibrated"
+    assert few["cautions"].split()[0] == "error_may_reach" and good["outcome"] == "calibrated"
+    assert "no_better_than_raw" not in few["cautions"]
     assert metadata(out / few["parquet"])["result"]["outcome"] == "provisional"
     counts = json.loads((out / "study.json").read_text())
     assert counts["outcomes"] == {"calibrated": 1, "provisional": 1}
