@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from accelcal_cli.core.reasons import Reason
+from accelcal_cli.output.words import clause
 from tests.cli.run import run
 from tests.schema import check_report
 
@@ -92,7 +94,8 @@ def test_one_sided_stillness_gives_no_scale(real_data: Path, tmp_path: Path, cap
     code, report = calibrated(capsys, path, tmp_path, "--prior", "none")
     assert code == 0
     assert (report["outcome"], report["calibration"]["model"]) == ("reduced_model", "3")
-    assert "x below -0.3 g" in report["message"]
+    why = Reason.of("no_stillness_on_sides", sides=["-x"], reach_g=0.3)
+    assert report["values"]["why"] == why.as_json() and clause(why) in report["message"]
     assert report["recording"]["start_time"] == "2012-06-27T10:54:00.000000"
     assert report["file_health"]["filled_samples"] == 338_770
 

@@ -20,7 +20,7 @@ from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import MODELS, Fit, Model, PenalizedFitter, PointSet
 from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.core.reasons import Reason
-from accelcal_cli.core.results import Coverage, Holdout, Trial
+from accelcal_cli.core.results import Coverage, Holdout, Trial, sides_not_up
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.statistics import clustered_error, interval95, mean
 from accelcal_cli.judge import errors
@@ -264,9 +264,7 @@ def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> Reason
         if any(errors.slope_information(part) < LEAST_INFORMATION for part in parts):
             return Reason("few_orientations_differ_in_temperature")
     if settings.model == "auto" and model.free:
-        missing = _uncovered(evidence.coverage, settings.coverage_g, model)
-        if missing:
-            return Reason.of("no_stillness_on_sides", sides=missing)
+        return _uncovered(evidence.coverage, settings.coverage_g, model)
     return None
 
 
@@ -275,12 +273,14 @@ def never_fits(optimizer: str, what: str) -> Reason:
     return Reason.of("optimizer_never_fits", optimizer=optimizer, what=what)
 
 
-def _uncovered(coverage: Coverage, reach_g: float, model: Model) -> list[str]:
-    """Return sides of axes that a model needs points on: both for a scale, one for an offset."""
+def _uncovered(coverage: Coverage, reach_g: float, model: Model) -> Reason | None:
+    """Return on which sides a model lacks points: it needs both of an axis for a scale, one for an offset."""
     if any(index < 6 for index in model.free):
-        return one_sided_axes(coverage, reach_g)
-    sides = zip("xyz", coverage.axis_min_g, coverage.axis_max_g, strict=True)
-    return [f"{axis} beyond +-{reach_g:g} g" for axis, low, high in sides if max(-low, high) < reach_g]
+        sides = sides_not_up(coverage.axis_min_g, coverage.axis_max_g, reach_g)
+        return Reason.of("no_stillness_on_sides", sides=sides, reach_g=reach_g) if sides else None
+    ends = zip("xyz", coverage.axis_min_g, coverage.axis_max_g, strict=True)
+    axes = [axis for axis, low, high in ends if max(-low, high) < reach_g]
+    return Reason.of("no_stillness_along", axes=axes, reach_g=reach_g) if axes else None
 
 
 def _never_fitted(models: tuple[str, ...], model: Model) -> str:
@@ -288,17 +288,6 @@ def _never_fitted(models: tuple[str, ...], model: Model) -> str:
     fitted = {index for name in models for index in MODELS[name].free}
     new = [KINDS[index // 3] for index in model.free if index not in fitted]
     return new[0] if new else f"model {model.name}"
-
-
-def one_sided_axes(coverage: Coverage, reach_g: float) -> list[str]:
-    """Return sides of axes without points, such as `x below -0.3 g`."""
-    missing = []
-    for axis, low, high in zip("xyz", coverage.axis_min_g, coverage.axis_max_g, strict=True):
-        if low > -reach_g:
-            missing.append(f"{axis} below -{reach_g:g} g")
-        if high < reach_g:
-            missing.append(f"{axis} above {reach_g:g} g")
-    return missing
 
 
 def temperature_range_c(points: PointSet) -> float:

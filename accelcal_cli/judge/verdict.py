@@ -294,7 +294,7 @@ def _missing(verdict: Judgement, settings: Settings) -> tuple[Reason, ...]:
     number = coverage.distinct_orientations
     if number < settings.min_postures:
         return (Reason.of("more_orientations", orientations=number),)
-    one_sided = model_ladder.one_sided_axes(coverage, settings.coverage_g)
+    one_sided = sides_not_up(coverage.axis_min_g, coverage.axis_max_g, settings.coverage_g)
     if one_sided or holdout is None or holdout.after.mean < settings.max_error_mg / 2:
         return _advice(coverage, settings)
     return (Reason.of("orientations_disagree", orientations=number, by_mg=holdout.after.mean),)

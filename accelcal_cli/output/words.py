@@ -309,7 +309,8 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "temperature_too_even": "The temperature varies by {range_c:.2g} °C, and at least {least_c:g} °C "
     "are needed.",
     "few_orientations_differ_in_temperature": "Too few orientations were recorded at different temperatures.",
-    "no_stillness_on_sides": "There is no still window with {sides:list}.",
+    "no_stillness_on_sides": "No still window has {sides:list} pointing up ({reach_g:g} g or more).",
+    "no_stillness_along": "There is no still window with {axes:list} beyond +-{reach_g:g} g.",
     "optimizer_never_fits": "Optimizer {optimizer} fits no {what}.",
     "nothing_held_out": "Nothing was held out, so the error is not known.",
     # notes

@@ -14,7 +14,7 @@ from accelcal_cli.core.calibration import TemperatureScale
 from accelcal_cli.core.errors import FixedPointOverflowError
 from accelcal_cli.core.points import MODELS, Fit, Model, PointSet
 from accelcal_cli.core.reasons import Reason
-from accelcal_cli.core.results import Trial
+from accelcal_cli.core.results import Trial, sides_not_up
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.judge.errors import coverage, slope_information
 from accelcal_cli.judge.model_ladder import (
@@ -23,7 +23,6 @@ from accelcal_cli.judge.model_ladder import (
     Sample,
     choose,
     not_eligible,
-    one_sided_axes,
     postures,
     temperature_blocks,
     temperature_range_c,
@@ -98,7 +97,7 @@ def test_scale_needs_stillness_on_both_sides_of_every_axis() -> None:
     trials = {item.model: item for item in try_models(evidence(one_sided()), DEFAULT, fast_fits)}
     for model in ("6", "9"):
         assert trials[model].holdout is None
-        assert trials[model].reason == Reason.of("no_stillness_on_sides", sides=["x below -0.3 g"])
+        assert trials[model].reason == Reason.of("no_stillness_on_sides", sides=["-x"], reach_g=0.3)
     assert trials["3"].holdout is not None and trials["0"].holdout is not None
 
 
@@ -113,7 +112,7 @@ def test_sides_without_points_are_named() -> None:
         axis_min_g=(-0.3, -0.29, -1.0),
         axis_max_g=(0.2, 0.3, 1.0),
     )
-    assert one_sided_axes(seen, 0.3) == ["x above 0.3 g", "y below -0.3 g"]
+    assert sides_not_up(seen.axis_min_g, seen.axis_max_g, 0.3) == ["+x", "-y"]
 
 
 def warm_points(degrees: float) -> PointSet:
@@ -196,7 +195,7 @@ def test_points_in_a_plane_determine_nothing_across_it() -> None:
     noisy = measured(OFFSET, flat) + 0.001 * np.random.default_rng(1).standard_normal((60, 3))
     trials = {item.model: item for item in try_models(evidence(points(noisy)), DEFAULT, fast_fits)}
     assert all(trials[name].holdout is None for name in ("3", "6", "9"))
-    assert trials["3"].reason == Reason.of("no_stillness_on_sides", sides=["z beyond +-0.3 g"])
+    assert trials["3"].reason == Reason.of("no_stillness_along", axes=["z"], reach_g=0.3)
 
 
 def test_an_offset_needs_one_side_of_an_axis() -> None:

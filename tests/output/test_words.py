@@ -94,7 +94,7 @@ def test_every_outcome_has_its_words() -> None:
     assert outcome_words("another").result == "another"
 
 
-WHY: dict[str, Any] = {"code": "no_stillness_on_sides", "values": {"sides": ["z below -0.3 g"]}}
+WHY: dict[str, Any] = {"code": "no_stillness_on_sides", "values": {"sides": ["-z"], "reach_g": 0.3}}
 FACTOR = {"factor": 15.44, "factor_ci95": [11.8, 20.2]}
 HELD_OUT = {"before_mg": 31.5, "after_mg": 2.04, "orientations": 14, "held_out": "orientations"} | FACTOR
 HERE = {"before_mg": 31.5, "after_mg": 2.04, "orientations": 1}
@@ -181,7 +181,8 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "no_model_tried": [{"why": WHY}],
     "no_point_near_1_g": [{}],
     "no_points": [{}],
-    "no_stillness_on_sides": [WHY["values"]],
+    "no_stillness_on_sides": [{"sides": ["-x", "+y"], "reach_g": 0.3}, WHY["values"]],
+    "no_stillness_along": [{"axes": ["z"], "reach_g": 0.3}],
     "not_1_g": [REST],
     "not_better": [HELD_OUT | {"model": "9", "asked_for": True}],
     "not_clearly_better": [HELD_OUT],
@@ -372,7 +373,7 @@ def test_a_sentence_shows_its_values() -> None:
         "11.8 to 20.2)."
     )
     part = sentence(Reason("calibrated_in_part", EXAMPLES["calibrated_in_part"][1]))
-    assert part.endswith(" It leaves misalignment out: there is no still window with z below -0.3 g.")
+    assert part.endswith(" It leaves misalignment out: no still window has -z pointing up (0.3 g or more).")
     assert clause(Reason("fit_diverges")) == (
         "the fit diverges, since the still windows do not determine the parameters"
     )
