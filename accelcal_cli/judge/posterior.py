@@ -59,6 +59,12 @@ _SCALES_AND_OFFSETS = (0, 1, 2, 6, 7, 8)
 NOISE_RANGE = 50
 """Factor by which the noise may be larger or smaller than the usual one."""
 
+WIDTH_FREEDOM = 2.0
+"""Degrees of freedom of the prior's width, which all parameters share; docs/prior.md has what it is worth."""
+
+DRAWN_NOISE_RANGE = 10
+"""Factor by which a drawn noise may be larger or smaller than the most probable one."""
+
 CHAINS, SETTLING, KEPT = 250, 10, 4
 """Chains by which sensors are drawn from the posterior, and steps of each that are left out and kept: 1000
 draws give the ends of the interval to about 3 % of its width."""
@@ -459,13 +465,17 @@ def _drawn(known: Posterior, most: float) -> Floats:
     basis = factor @ turn
     pull, apart = basis.T @ (held * away), float(held @ (away * away))
     noise = _NoiseDraws.of(known, float((1 - share).sum()), most)
+    # the points pull no harder than residuals allow: (r j)^2 is at most r^2 j^2 of residuals r, column j
+    slope = np.clip(pull, -np.sqrt(noise.left * (1 - share)), np.sqrt(noise.left * (1 - share)))
     moved, found, ratio = np.zeros((CHAINS, len(factor))), [], noise.observed
-    for normal, chi2 in zip(*_random(known.prior.freedom + len(free)), strict=True):
-        width = chi2 / (known.prior.freedom + apart + (moved * (share * moved + 2 * pull)).sum(axis=1))
+    for normal, chi2 in zip(*_random(WIDTH_FREEDOM + len(free)), strict=True):
+        width = chi2 / (WIDTH_FREEDOM + apart + (moved * (share * moved + 2 * pull)).sum(axis=1))
         width, ratio = width[:, np.newaxis], ratio[:, np.newaxis]
         precision = ratio * (1 - share) + width * share
-        moved = (ratio - width) * pull / precision + normal[:, : len(factor)] @ turn / np.sqrt(precision)
-        squares = (moved * ((1 - share) * moved - 2 * pull)).sum(axis=1)
+        moved = (ratio * slope - width * pull) / precision + normal[:, : len(factor)] @ turn / np.sqrt(
+            precision
+        )
+        squares = (moved * ((1 - share) * moved - 2 * slope)).sum(axis=1)
         ratio = noise.ratio(squares, normal[:, -1])
         found.append(moved)
     return np.asarray(np.concatenate(found[SETTLING:]) @ basis.T)
@@ -508,7 +518,8 @@ class _NoiseDraws:
         part = 2 / (9 * freedom)
         chi2 = freedom * np.maximum(1 - part + normal * np.sqrt(part), 0.1) ** 3
         total = self.observed * np.maximum(self.left + squares, 0.0) + self.squares
-        return np.asarray(self.observed * chi2 / np.maximum(total, 1e-9))
+        bound = DRAWN_NOISE_RANGE**2
+        return np.asarray(self.observed * np.clip(chi2 / np.maximum(total, 1e-9), 1 / bound, bound))
 
 
 @cache
