@@ -290,14 +290,15 @@ def _held_out_values(holdout: Holdout) -> dict[str, Any]:
 
 def _missing(verdict: Judgement, settings: Settings) -> tuple[Reason, ...]:
     """Return what a recording lacks whose points leave too much uncertain."""
-    coverage, holdout = verdict.coverage, verdict.holdout
+    # rests disagree about the fit itself: held-out errors of few postures are extrapolated
+    coverage, scatter_mg = verdict.coverage, verdict.rest_scatter_mg
     number = coverage.distinct_orientations
     if number < settings.min_postures:
         return (Reason.of("more_orientations", orientations=number),)
     one_sided = sides_not_up(coverage.axis_min_g, coverage.axis_max_g, settings.coverage_g)
-    if one_sided or holdout is None or holdout.after.mean < settings.max_error_mg / 2:
+    if one_sided or scatter_mg is None or scatter_mg < settings.max_error_mg / 2:
         return _advice(coverage, settings)
-    return (Reason.of("orientations_disagree", orientations=number, by_mg=holdout.after.mean),)
+    return (Reason.of("orientations_disagree", orientations=number, by_mg=scatter_mg),)
 
 
 def judge_paper(

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from accelcal_cli.collect.cells import CellCollector
+from accelcal_cli.collect.table import read_table, windows_of
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.points import MODELS, Fit, Model, PointSet
+from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Holdout
-from accelcal_cli.core.statistics import interval95
+from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.core.statistics import interval95, mean
 from accelcal_cli.judge.errors import deviations_mg, per_posture, summary
 from accelcal_cli.judge.model_ladder import FitFunction, Sample, control, folds, postures
 from accelcal_cli.judge.model_ladder import blocked as blocked_sample
+from accelcal_cli.judge.posterior import posterior
 from accelcal_cli.optimize import fixed32
+from accelcal_cli.pipeline.procedures import CellProcedure
 from tests.judge.made import NINE, clusters, four_postures, spread
 from tests.optimize.oracle import fast_fit, fast_fits, one_by_one, points
 
@@ -108,3 +116,41 @@ def test_one_posture_is_judged_by_a_fit_of_nothing() -> None:
     found = blocked(held, np.zeros(2, np.int64), NINE_FREE, fixed32.fit_each, 5)
     assert found.before == found.after
     assert found.ci95 == (0.0, float("inf"))
+
+
+GUARD_DEGREES = 5.0
+
+
+def guarded(held: PointSet, label: np.ndarray, fit: FitFunction) -> list[float]:
+    """Held-out errors of postures whose fits have no point within 5 degrees of one that was left out."""
+    unit = held.xyz_g() / np.linalg.norm(held.xyz_g(), axis=1, keepdims=True)
+    errors = np.empty(len(held))
+    for fold in range(5):
+        out = label % 5 == fold
+        near = (unit @ unit[out].T).max(axis=1) > np.cos(np.radians(GUARD_DEGREES))
+        (fitted,) = fit([held.select(~out & ~near)], NINE_FREE)
+        errors[out] = deviations_mg(held.select(out), fitted.parameters)
+    return list(per_posture(errors, held.weights, label).values())
+
+
+def assert_a_band_changes_little(held: PointSet) -> None:
+    """The mean changes by less than half of the distance to the end of its 95 % interval."""
+    assert fixed32.OPTIMIZER.fit_penalized is not None
+    label = postures(held, 15.0)
+    known = posterior(held, label.max() + 1, NINE_FREE, POPULATION, fixed32.OPTIMIZER.fit_penalized)
+    fit = known.fitter(fixed32.OPTIMIZER.fit_penalized)
+    found = blocked(held, label, NINE_FREE, fit, 5)
+    change_mg = mean(guarded(held, label, fit)) - found.after.mean
+    assert 0 < abs(change_mg) < (found.ci95[1] - found.after.mean) / 2
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_verdicts_7_a_guard_band_of_5_degrees_changes_less_than_the_interval(seed: int) -> None:
+    assert_a_band_changes_little(spread(NINE, number=2400, noise=0.003, seed=seed))
+
+
+def test_verdicts_7_a_guard_band_changes_less_than_the_interval_on_a_wrist(real_data: Path) -> None:
+    table = read_table(real_data / "points" / "geneactiv_84h_points.csv.gz")
+    collector = CellCollector(table.lsb_per_g, DEFAULT, temperature=False)
+    collector.add(windows_of(table))
+    assert_a_band_changes_little(CellProcedure(collector).result())

@@ -25,6 +25,7 @@ from tests.optimize.oracle import (
     IDEAL,
     calibrated,
     directions,
+    drawn_errors,
     fast_fit,
     fast_fits,
     measured,
@@ -170,6 +171,21 @@ def test_postures_that_disagree_are_not_told_to_be_more() -> None:
     (advice,) = found.advice
     assert advice.code == "orientations_disagree"
     assert advice.values["orientations"] == found.coverage.distinct_orientations
+    assert advice.values["by_mg"] == significant(found.rest_scatter_mg)
+
+
+@pytest.mark.parametrize(("seed", "number"), [(10, 12), (110, 11), (137, 10)])
+def test_verdicts_3_extrapolated_errors_are_no_disagreement(seed: int, number: int) -> None:
+    """Rests that scatter by 2.5 mg on a belt: held out, each is as far off as the others leave open."""
+    random = np.random.default_rng(seed)
+    assert random.integers(9, 13) == number
+    poses = random_directions(random, number) * [1, 1, 0.35]
+    poses /= np.linalg.norm(poses, axis=1)[:, None]
+    poses *= 1 + 0.0025 * random.standard_normal((number, 1))
+    found = judge(points(measured(drawn_errors(random), poses)), WITH_PRIOR)
+    assert found.outcome is Outcome.PROVISIONAL and found.holdout is not None
+    assert found.holdout.after.mean > 5 and found.rest_scatter_mg is not None and found.rest_scatter_mg < 4
+    assert [one.code for one in found.advice] == ["record_longer"]
 
 
 def few(sensor: np.ndarray, number: int = 4) -> PointSet:
