@@ -333,7 +333,7 @@ def emitted(pattern: str = "**/*.py", without: str = "devices") -> Iterator[tupl
 
 PACKAGE = Path(accelcal_cli.__file__).parent
 REASONS_FROM = ("accelcal_cli.core.reasons", "accelcal_cli.core.results")
-EMITTED = sorted(emitted(), key=str)
+EMITTED = sorted(emitted(), key=lambda one: (one[0], sorted(one[1]), one[2]))
 
 
 def test_every_code_has_a_sentence_and_every_sentence_a_code() -> None:
