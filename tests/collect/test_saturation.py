@@ -97,7 +97,8 @@ def test_it_is_told_and_spoils_neither_fit_nor_claim(
     assert error.mean() > 4 and error.max() > 100
     if prior == "population":
         low, high = report["calibration_error_mg"]["ci95"]
-        assert low <= error.mean() <= high
+        # the error of a cap is known to some percent from 162 directions: the interval knows no such share
+        assert 0.97 * low <= error.mean() <= 1.03 * high
         assert report["calibration_error_mg"]["worst_direction"] == pytest.approx(error.max(), rel=0.1)
         assert report["calibration_error_mg"]["worst_direction_at"][2] < -0.9
     again = json.loads(run(capsys, "fit", tmp_path / "w.csv", "--prior", prior, "--json").out)
