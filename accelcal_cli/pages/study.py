@@ -22,6 +22,7 @@ from markupsafe import Markup
 
 from accelcal_cli.core.errors import counted, printable
 from accelcal_cli.core.results import Outcome
+from accelcal_cli.devices.findings import Verdict
 from accelcal_cli.output import study_words
 from accelcal_cli.output.advice import LIMIT_MG
 from accelcal_cli.output.numbers import mg_of_two_digits
@@ -54,6 +55,10 @@ SIZES = {
 """Columns that say how bad a problem is, by its kind."""
 COPY = "copy"
 """Name in the table of what a recording is that has the bytes of another; it counts nowhere else."""
+VERDICTS = tuple(map(study_words.in_words, Verdict))
+"""Verdicts on devices in words, the weightiest first."""
+SERVICE, TROUBLED = VERDICTS[:2], VERDICTS[:3]
+"""Verdicts that ask for something to be done, and also those that ask for a look."""
 HOUR_S = 3600
 
 
@@ -62,7 +67,7 @@ class DeviceLine:
     """A device of the study, as `accelcal devices` judges it.
 
     Attributes:
-        verdict: `service`, `watch`, `unknown` or `good`.
+        verdict: one of VERDICTS.
         reasons: reasons of the verdict, the weightiest first.
         first, last: dates of its first and last recording.
         offset, percent: the fastest drift of an offset [mg a month] and of scale or misalignment [% a month],
@@ -163,14 +168,15 @@ def page(study: StudyContent) -> str:
         notes=_notes(study.summary),
         outcomes=_outcomes(once),
         first=[(kind, len(members), members[:FIRST]) for kind, members in groups],
-        service=[line for line in devices if line.verdict == "service"][:FIRST],
+        service=[line for line in devices if line.verdict in SERVICE][:FIRST],
+        to_service=sum(line.verdict in SERVICE for line in devices),
         groups=_listed(groups),
         problems=sum(len(members) for _, members in groups),
         scatter=scatter,
         dots=scatter.dots([entry.outcome for entry in entries]),
         marked=_marked(scatter, entries, groups),
         devices=devices,
-        troubled=[line for line in devices if line.verdict in ("service", "watch")],
+        troubled=[line for line in devices if line.verdict in TROUBLED],
         verdicts=Counter(line.verdict for line in devices),
         drifts=figures.drifts([(line.name, line.offset) for line in devices], study.drift_limit_mg),
         drift_limit=f"{study.drift_limit_mg:g}",
@@ -418,7 +424,7 @@ def _devices_table(devices: Sequence[DeviceLine]) -> dict[str, Any]:
         "what": "device",
         "columns": [
             column("device", "device", "text", 12, [line.name for line in devices]),
-            choice_column("verdict", 6, verdicts, ("service", "watch", "unknown", "good")),
+            choice_column("verdict", 6, verdicts, VERDICTS),
             number_column("recordings", "recordings", 7.5, (line.recordings for line in devices)),
             number_column("used", "used", 5, (line.used for line in devices)),
             number_column("refused", "refused", 6, (line.refused for line in devices)),

@@ -313,6 +313,15 @@ def test_the_devices_of_a_study_are_those_of_the_review(tmp_path: Path) -> None:
     assert "07: offset x drifts by +" in root.text
 
 
+def test_verdicts_14_a_device_of_two_sensors_is_shown_first(tmp_path: Path) -> None:
+    two = [fitted("two", 0.1 * n, {"offset_x_g": 0.03 * (n % 2) + 1e-6 * n}) for n in range(2)]
+    out = write(tmp_path, [*good_devices(3), *drifting("07", 0.004), *two])
+    write_study_pages(out)
+    root = elements((out / "study.html").read_text())
+    assert cell_texts(data_of(root)["devices"], "verdict")[:2] == ["two sensors", "service"]
+    assert "2 devices to service or to sort out" in root.text
+
+
 def small_study(out: Path, count: int = 6) -> Path:
     """A study with the reports of its recordings, no values."""
     rows = list(made_study.rows(count))
