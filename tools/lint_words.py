@@ -1,4 +1,4 @@
-"""Check the words of the project by rules that are patterns: help, messages, documents and docstrings.
+"""Check the words of the project by rules that are patterns: documents, help, messages, pages and docstrings.
 
 `python tools/lint_words.py [PATH...]` prints each finding as `place: rule: text`, and exits with 1 if there
 are any. The rules are those of plain English; docs/glossary.md has the vocabulary.
@@ -16,22 +16,27 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 
 
+ALL = ("doc", "help", "page", "docstring")
+FOR_USERS = ("doc", "help", "page")
+"""Kinds of text that users read."""
+
+
 @dataclass(frozen=True, slots=True)
 class Rule:
     """A pattern of words to avoid.
 
     Attributes:
-        name: what is wrong, and what to write instead.
-        kinds: kinds of text that it holds for: `doc`, `help`, `docstring`.
+        name: the fault, and the words to write instead.
+        kinds: kinds of text that the rule holds for: `doc`, `help` (and messages), `page`, `docstring`.
     """
 
     name: str
     pattern: re.Pattern[str]
-    kinds: tuple[str, ...] = ("doc", "help", "docstring")
+    kinds: tuple[str, ...] = ALL
 
 
-def _rule(name: str, pattern: str, *kinds: str) -> Rule:
-    return Rule(name, re.compile(pattern, re.IGNORECASE), kinds or ("doc", "help", "docstring"))
+def _rule(name: str, pattern: str, kinds: tuple[str, ...] = ALL, *, case: bool = False) -> Rule:
+    return Rule(name, re.compile(pattern, 0 if case else re.IGNORECASE), kinds)
 
 
 LITERARY = {
@@ -48,33 +53,57 @@ LITERARY = {
     "wholly": "completely",
     "thus": "so",
     "beside it": "next to it",
+    "beside them": "next to them",
     "goes on": "continues",
     "go on": "continue",
 }
-"""Literary words, and what to write instead."""
+"""Literary words, and the words to write instead."""
 
+FIELD = {
+    r"postures?": "orientation",
+    r"(?:over )?the whole sphere": "over all orientations",
+    r"STEM": "NAME",
+    r"held against": "compared with",
+    r"(?:page|pages|words) for people": "HTML page",
+}
+"""Words that mean something else to people of the field, or nothing, and those to write instead."""
+
+BE = r"\b(?:is|are|was|were)"
 RULES = (
     *(_rule(f"write `{plain}` for `{word}`", rf"\b{word}\b") for word, plain in LITERARY.items()),
-    _rule("begin with the thing, not with `Of`", r"(?:^|[.!?:] )Of (?!course)[a-z]"),
+    *(_rule(f"write `{plain}`", rf"\b{word}\b", FOR_USERS) for word, plain in FIELD.items()),
+    _rule("begin with the thing, not with `Of`", r"(?:^|[.!?] )Of (?!course)[a-z`]", case=True),
     _rule(
-        "write N or the unit, not `so many` or `so long`", r"\bso (?:many|much|long|far|near)\b(?! as| that)"
+        "a sentence has a subject and a verb",
+        r"^(?:So|Those|Whether|Of|Between|That|Such) [a-z]|^What (?!to )[^?]*$",
+        ("docstring",),
+        case=True,
     ),
-    _rule("a thing reports or shows; it does not tell", r"\b(?:is|are) told\b|\bonly told\b|\btells of\b"),
+    _rule(
+        "write N or the unit", r"\b(?:for|of|at most|by|than|let|only) so (?:many|much|long|far|few)\b(?! as)"
+    ),
+    _rule("write N or the unit", r"\bso (?:many|few) (?!as|that|of)"),
+    _rule("a thing reports or shows; it does not tell", rf"{BE} told\b|\bonly told\b|\btells? of\b"),
     _rule(
         "write `is not a`, not `is no`",
-        r"\b(?:is|are|was|were) (?:no|none)\b (?!longer|more|less|fewer|lower|worse|better|such)",
+        rf"(?<!there ){BE} (?:no|none)\b(?! (?:longer|more|less|fewer|lower|higher|worse|better|such))",
     ),
     _rule(
-        "name the thing, not `what is` or `what the`",
+        "name the thing, not `what is`",
         r"(?:^|[.;:,] )what (?:is|was|are|were|the|a|it|they)\b[^?]*$|\bof what\b",
+        FOR_USERS,
     ),
-    _rule("one semicolon at most in a paragraph", r";[^;]*;", "doc", "help"),
+    _rule("one semicolon at most in a paragraph", r";[^;]*;", ("doc", "page")),
+    _rule("no semicolon chain in a message", r"; [^;]*; ", ("help",)),
 )
+
+ALLOWED: dict[str, str] = {}
+"""Parts of texts that a rule finds and that are right, with the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A piece of text and where it stands."""
+    """A piece of text and its place."""
 
     place: str
     kind: str
@@ -82,10 +111,13 @@ class Text:
 
 
 def documents(paths: list[Path]) -> Iterator[Text]:
-    """Yield the paragraphs and cells of Markdown files, code left out."""
+    """Yield the paragraphs and cells of Markdown files without code, and without releases that are out."""
     for path in paths:
-        fenced, paragraph, start = False, [], 1
+        fenced, paragraph, start, released = False, [], 1, 0
         for number, line in enumerate([*path.read_text("utf-8").splitlines(), ""], 1):
+            released += path.name == "CHANGELOG.md" and line.startswith("## ")
+            if released > 1:
+                break
             if line.startswith("```"):
                 fenced = not fenced
             if fenced or line.startswith(("```", "    ", "#")):
@@ -124,6 +156,31 @@ def python_texts(paths: list[Path]) -> Iterator[Text]:
                     )
 
 
+def pages(paths: list[Path]) -> Iterator[Text]:
+    """Yield the texts between the tags of templates, without what the template language does."""
+    for path in paths:
+        text = re.sub(
+            r"{#.*?#}|{%.*?%}|<(?:script|style)\b.*?</(?:script|style)>",
+            _blank,
+            path.read_text("utf-8"),
+            flags=re.S,
+        )
+        text = re.sub(r"{{.*?}}", lambda found: "x" + _blank(found), text, flags=re.S)
+        for found in re.finditer(
+            r"[^<>]+(?=<)", re.sub(r"<[^<>]*>", lambda tag: "<" + _blank(tag)[1:-1] + ">", text)
+        ):
+            words = " ".join(found[0].split())
+            if " " in words:
+                yield Text(
+                    f"{path.relative_to(ROOT)}:{text.count(chr(10), 0, found.start()) + 1}", "page", words
+                )
+
+
+def _blank(found: re.Match[str]) -> str:
+    """Return the line ends of a match, and blanks for the rest."""
+    return re.sub(r"[^\n]", " ", found[0])
+
+
 def _docstrings(node: ast.AST) -> Iterator[ast.Constant]:
     """Yield the docstrings in a node's body: its own, and those below its assignments."""
     body = getattr(node, "body", None)
@@ -137,19 +194,26 @@ def findings(texts: Iterator[Text]) -> Iterator[str]:
     for one in texts:
         for rule in RULES:
             found = rule.pattern.search(one.text) if one.kind in rule.kinds else None
-            if found is not None:
+            if found is not None and not any(part in one.text for part in ALLOWED):
                 start = max(0, found.start() - 30)
                 yield f"{one.place}: {rule.name}: ...{one.text[start : found.end() + 40]}"
 
 
+def everything(paths: list[Path]) -> Iterator[Text]:
+    """Yield the texts of files and folders."""
+    files = [file for path in paths for file in (sorted(path.rglob("*")) if path.is_dir() else [path])]
+    yield from documents([file for file in files if file.suffix == ".md"])
+    yield from python_texts([file for file in files if file.suffix == ".py"])
+    yield from pages([file for file in files if file.suffix == ".html"])
+
+
+DEFAULT = [ROOT / "accelcal_cli", ROOT / "docs", *sorted(ROOT.glob("*.md"))]
+
+
 def main(names: list[str]) -> int:
-    """Print what is found and return the exit code."""
-    chosen = [ROOT / name for name in names] or [ROOT / "accelcal_cli", ROOT / "docs", *ROOT.glob("*.md")]
-    files = [file for path in chosen for file in (sorted(path.rglob("*")) if path.is_dir() else [path])]
-    markdown = [file for file in files if file.suffix == ".md"]
-    python = [file for file in files if file.suffix == ".py"]
-    found = [*findings(documents(markdown)), *findings(python_texts(python))]
-    print("\n".join(found))
+    """Print the findings and return the exit code."""
+    found = [*findings(everything([Path(name).resolve() for name in names] or DEFAULT))]
+    print("\n".join(found) if found else "No finding.")
     return 1 if found else 0
 
 
