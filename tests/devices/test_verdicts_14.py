@@ -127,6 +127,12 @@ def test_verdicts_14_a_true_drift_is_found_as_before(tmp_path: Path) -> None:
     assert (found["D"].verdict, codes(found["D"])) == ("service", ["device_drift"])
 
 
+def test_verdicts_14_a_fast_drift_is_a_drift_and_no_step(tmp_path: Path) -> None:
+    """20 mg from month to month contradict a sensor that stays, but a line explains them."""
+    device = devices(tmp_path, [*good_devices(), *drifting("D", 0.02)])["D"]
+    assert device.jumps and codes(device) == ["device_drift"]
+
+
 def test_verdicts_14_the_row_of_a_copy_names_the_original(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
