@@ -94,10 +94,9 @@ def measured(sensor: Parameters, true: np.ndarray) -> np.ndarray:
 
 
 def error_mg(sensor: Parameters, found: Parameters) -> float:
-    """Mean | |a| - 1 g | over the sphere, with the scatter of postures."""
-    random = np.random.RandomState(1)
-    true = random.standard_normal((4000, 3))
-    true *= (1 + SCATTER_G * random.standard_normal((4000, 1))) / np.sqrt((true * true).sum(axis=1))[:, None]
+    """Mean | |a| - 1 g | over the sphere, without the scatter of postures."""
+    true = np.random.RandomState(1).standard_normal((4000, 3))
+    true /= np.sqrt((true * true).sum(axis=1))[:, None]
     a = (measured(sensor, true) + found[6:9]) @ gain(found).T
     return float(1000 * np.abs(np.sqrt((a * a).sum(axis=1)) - 1).mean())
 
