@@ -20,6 +20,8 @@ from accelcal_cli.judge.posterior import outcome_by_error
 from accelcal_cli.judge.verdict import judge, judge_paper
 from accelcal_cli.laboratory.optimizers.regressions import ELLIPSOID_MODELS, fit_ellipsoid
 from accelcal_cli.optimize import fixed32
+from accelcal_cli.output.numbers import mg
+from accelcal_cli.output.words import sentence
 from tests.judge.made import NINE, OFFSET, SIX, WARM, clusters, spread
 from tests.optimize.oracle import (
     IDEAL,
@@ -146,6 +148,18 @@ def test_with_a_prior_too_a_good_sensor_keeps_its_values_and_its_error_is_that_o
     assert found.reason.values["before_mg"] == significant(found.holdout.before.mean)
     fitted = found.trials[-1].holdout
     assert fitted is not None and found.reason.values["after_mg"] == significant(fitted.after.mean)
+
+
+def test_verdicts_2_the_reason_has_the_errors_that_were_compared() -> None:
+    """It says "not clearly better (4.5 against 5.5 mg)", and not that nothing improves on the raw data."""
+    found = judge(spread(IDEAL), Fitting(DEFAULT, fast_fits, penalized=fixed32.OPTIMIZER.fit_penalized))
+    values, fitted = found.reason.values, found.trials[-1].holdout
+    assert found.trials[0].holdout is not None and fitted is not None
+    assert values["before_mg"] == significant(found.trials[0].holdout.after.mean)
+    assert values["after_mg"] == significant(fitted.after.mean) != values["before_mg"]
+    text = sentence(found.reason)
+    assert f"{mg(values['after_mg'])} against {mg(values['before_mg'])} mg" in text
+    assert f"{values['orientations']} orientations" in text
 
 
 def test_a_sensor_that_nothing_helps_is_refused() -> None:
