@@ -14,7 +14,7 @@ from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output import words
-from accelcal_cli.output.advice import RAW_SETTLED, advice, cautions, doubts
+from accelcal_cli.output.advice import LIMIT_MG, RAW_SETTLED, advice, cautions, doubts
 from accelcal_cli.output.numbers import formatted, mg, percent, times_smaller
 from accelcal_cli.output.report_view import ReportView, error_columns, factor_columns
 from accelcal_cli.output.words import outcome_words, parameters_of
@@ -75,7 +75,7 @@ def show_row(
         remarks: sentences to follow; None: the doubts that the row itself raises.
     """
     if remarks is None:
-        remarks = [f"Caution: {words.sentence(one)}" for one in _doubts(row)]
+        remarks = [f"Caution: {words.sentence(one)}" for one in _doubts(row, values.get("max_error_mg"))]
     if _in_words(values):
         exit_codes.show("\n".join([_sentence(row, source, written), *(f"  {one}" for one in remarks)]))
         return
@@ -154,15 +154,15 @@ def _errors(row: dict[str, Any]) -> list[str]:
     ]
 
 
-def _doubts(row: dict[str, Any]) -> list[Reason]:
-    """Return what the interval of a row says against it."""
+def _doubts(row: dict[str, Any], limit_mg: float | None) -> list[Reason]:
+    """Return what the interval of a row says against it; no limit: the usual one."""
     if row["outcome"] == Outcome.REFUSED:
         return []
     everywhere = row.get("calibration_error_mg") is not None
     high = row.get("calibration_error_high_mg" if everywhere else "ci95_high_mg")
     settled = row["outcome"] in RAW_SETTLED
     before = None if settled else row.get("calibration_error_before_mg" if everywhere else "before_mg")
-    return doubts(high, before, everywhere=everywhere)
+    return doubts(high, before, limit_mg or LIMIT_MG, everywhere=everywhere)
 
 
 @contextlib.contextmanager

@@ -16,13 +16,9 @@ DIGITS = 4
 
 def significant(value: float, digits: int = DIGITS) -> float:
     """Round to significant digits; numbers that are not finite stay as they are."""
-    return (
-        0.0
-        if value == 0
-        else round(value, digits - 1 - floor(log10(abs(value))))
-        if isfinite(value)
-        else value
-    )
+    if value == 0:
+        return 0.0
+    return round(value, digits - 1 - floor(log10(abs(value)))) if isfinite(value) else value
 
 
 @dataclass(frozen=True, slots=True)

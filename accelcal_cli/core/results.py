@@ -373,6 +373,10 @@ class SampleCounts:
     clipped_samples_before: int = 0
 
 
+NEAR_ONE_G = (0.7, 1.4)
+"""Bounds of the median of |a| at rest [g] for any sensor whose unit and counts per g are right."""
+
+
 @dataclass(frozen=True, slots=True)
 class Rest:
     """Figures of still windows before calibration, near 1 g or not, in units of local gravity.
@@ -446,7 +450,7 @@ class Facts:
         return self.damaged_bytes + self.missing_bytes
 
     @property
-    def told_missing(self) -> int | None:
+    def missing_if_known(self) -> int | None:
         """Bytes that are known to be missing; None for a file that breaks off by an unknown amount."""
         return None if self.cut_short and not self.missing_bytes else self.missing_bytes
 

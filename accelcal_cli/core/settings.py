@@ -158,7 +158,7 @@ class Settings:
             across the other two passes a rule that looks at one).
         adaptive: numbers of rule `adaptive`; None for the others.
         other_stillness: True if the other axes and then rule `both` are tried where profile `paper` refuses a
-            recording by its axis; the rule in the report is the one that was used. Older reports had it not.
+            recording by its axis; the rule in the report is the one that was used. Older reports lack it.
         longest_gap_s: longest gap, or step back of the clock, that a window may span [s]; together they are
             no longer than the window. 0, as in older reports: none (docs/stillness.md; phones lose up to
             0.2 s at a time, and what is still before and after half a second hardly moved in between).
@@ -189,9 +189,7 @@ class Settings:
 
     profile: str = setting(
         "default",
-        option=Option(
-            "--profile", "default, or paper: the published procedure with 18 points and 50 iterations."
-        ),
+        option=Option("--profile", "paper: the published procedure, with 18 points and 50 iterations."),
         choices=("default", "paper"),
     )
     optimizer: str = setting(
@@ -289,11 +287,19 @@ class Settings:
         10.0,
         0,
         1e6,
-        Option("--max-error", "Largest error of a usable calibration.", "MG", above=0),
+        Option(
+            "--max-error",
+            "Largest calibration error over all orientations of a calibrated recording.",
+            "MG",
+            above=0,
+        ),
     )
     strict: bool = setting(
         False,
-        option=Option("--strict", "Refuse a calibration that would be provisional, see --max-error."),
+        option=Option(
+            "--strict",
+            "Refuse recordings that would only be provisional (better than raw, error over --max-error).",
+        ),
     )
     min_temperature_range_c: float = setting(2.0, 0, 1e3)
     temperature_block_c: float = setting(2.0, 1e-3, 1e3)

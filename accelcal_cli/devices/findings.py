@@ -1,4 +1,4 @@
-"""What is found of each device of a study: rules, what they found as codes with values, and the verdict."""
+"""Findings on each device of a study: the rules, their findings as codes with values, and the verdict."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a rule found, and the verdict that it supports."""
+    """Finding of a rule, and the verdict that it supports."""
 
     reason: Reason
     verdict: Verdict
@@ -175,7 +175,7 @@ def _found(code: str, *, certain: bool, **values: Any) -> Finding:
 
 
 def _jumps(device: DeviceReview, records: table.Records) -> Iterator[Finding]:
-    """Yield the jump that tells of two sensors, or else the largest one that is not part of a drift."""
+    """Yield the jump that shows two sensors, or else the largest one that is not part of a drift."""
     both = [one for one in device.jumps if one.by_another_sensor]
     drifting = {one.parameter for one in device.trends if one.drift is not None and one.drift.significant}
     steps = [one for one in device.jumps if one.parameter not in drifting]

@@ -55,14 +55,14 @@ class Jump:
 
 @dataclass(frozen=True, slots=True)
 class _State:
-    """What is known of a sensor's parameters (12,), from the recordings up to a row; NaN for nothing."""
+    """Estimate of a sensor's parameters (12,) from the recordings up to a row; NaN where nothing is known."""
 
     value: Floats
     variance: Floats
     row: int
 
     def after(self, months: float) -> Floats:
-        """Return the variances so many months later."""
+        """Return the variances some months later."""
         return self.variance + MONTHLY * months
 
     def distances(self, other: _State, months: float) -> Floats:

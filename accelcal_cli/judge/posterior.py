@@ -141,12 +141,12 @@ class Posterior:
         """Return the mean | |a| - 1 g | that the scatter of rests makes, without any error of the sensor."""
         return 1000 * self.noise_g * sqrt(2 / pi)
 
-    def far_off(self) -> list[list[str]]:
-        """Return the names of scales and offsets beyond FAR widths of the prior, if there are any."""
+    def far_off(self) -> list[str]:
+        """Return the names of scales and offsets beyond FAR widths of the prior."""
         found, centre = self.found.fit.parameters, self.penalty.centre
         kinds = [index for index in self.model.free if index in _SCALES_AND_OFFSETS]
         far = [j for j in kinds if abs(found[j] - centre[j]) > FAR * self.prior.width[j] * ONE]
-        return [[PARAMETER_NAMES[index] for index in far]] if far else []
+        return [PARAMETER_NAMES[index] for index in far]
 
     def worst_direction_mg(self) -> float:
         """Return the largest standard error of |a| over directions of the sphere [mg]."""

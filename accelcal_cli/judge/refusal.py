@@ -11,16 +11,13 @@ from typing import Any
 
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Recording
-from accelcal_cli.core.results import Coverage, Facts, Judgement, Outcome, Rest
+from accelcal_cli.core.results import NEAR_ONE_G, Coverage, Facts, Judgement, Outcome, Rest
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.vocabulary import PER_G
 
 LONGER = Reason("record_longer")
 NOTHING_STILL = Reason("nothing_still")
 FAR_FROM_1_G = Reason("still_far_from_1_g")
-
-NEAR_ONE_G = (0.7, 1.4)
-"""Bounds of the median of |a| at rest [g] for any sensor whose unit and counts per g are right."""
 
 WIDEST_G = 0.5
 """Range of |a| at rest [g], 5th to 95th percentile, that no sensor's offsets reach."""
@@ -61,7 +58,7 @@ def nothing_still(facts: Facts, recording: Recording, settings: Settings) -> tup
 
 
 def strict_if_odd(settings: Settings, facts: Facts, recording: Recording) -> Settings:
-    """Return the settings to judge by: nothing is provisional if rest is odd, whose cause can be mended."""
+    """Return the settings to judge by: nothing is provisional if rest is odd, whose cause can be removed."""
     return settings if _odd_rest_of(facts, recording) is None else replace(settings, strict=True)
 
 

@@ -126,10 +126,8 @@ def _best_held_out(sample: Sample, trials: tuple[Trial, ...], coverage: Coverage
     """Judge the model that the ladder chooses."""
     settings = how.settings
     chosen = _chosen(trials, settings)
-    decided = _outcome(chosen, trials, coverage, settings)
-    verdict = decided.judgement(coverage, trials, chosen.holdout)
-    outcome = decided.outcome
-    if outcome is Outcome.REFUSED or chosen.fit is None:
+    verdict = _outcome(chosen, trials, coverage, settings).judgement(coverage, trials, chosen.holdout)
+    if verdict.outcome is Outcome.REFUSED or chosen.fit is None:
         return verdict
     return _complete(verdict, chosen.model, chosen.fit, sample.points, sample.label, settings.gravity)
 
@@ -161,6 +159,7 @@ def _most_probable(
     truth = search.truth(misfits)
     judged = (fitted.parameters, IDENTITY)
     sphere, before = sphere_errors(points, label, truth, judged, coverage.saturated)
+    far = known.far_off()
     verdict = Judgement(
         Outcome.REFUSED,
         DIVERGES,
@@ -173,7 +172,7 @@ def _most_probable(
         rest_scatter_mg=truth.rest_scatter_mg(),
         misfits=misfits,
         unlike=unlike,
-        notes=tuple(Reason.of("unlike_most_sensors", parameters=names) for names in known.far_off()),
+        notes=(Reason.of("unlike_most_sensors", parameters=far),) if far else (),
     )
     decided = _outcome_of_sphere(verdict, settings)
     verdict, outcome = decided.applied_to(verdict), decided.outcome
@@ -242,7 +241,7 @@ class Decision:
 
     def judgement(self, coverage: Coverage, trials: tuple[Trial, ...], holdout: Holdout | None) -> Judgement:
         """Return the judgement without its calibration."""
-        return self.applied_to(Judgement(self.outcome, self.reason, coverage, trials, holdout=holdout))
+        return Judgement(self.outcome, self.reason, coverage, trials, holdout=holdout, advice=self.advice)
 
     def applied_to(self, verdict: Judgement) -> Judgement:
         """Return a judgement with this outcome."""

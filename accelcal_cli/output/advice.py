@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from accelcal_cli.core.reasons import Reason
-from accelcal_cli.core.results import Judgement, Outcome, sides_not_up
+from accelcal_cli.core.results import NEAR_ONE_G, Judgement, Outcome, sides_not_up
 from accelcal_cli.core.settings import DEFAULT, PAPER
 from accelcal_cli.output import words
 from accelcal_cli.output.report_view import ReportView, report_view
@@ -21,9 +21,6 @@ LIMIT_MG = DEFAULT.max_error_mg
 MIN_ORIENTATIONS = 9
 """Number of orientations from which on a recording does not lack any, unless they leave out a side."""
 
-RIGHT_G = (0.7, 1.4)
-"""Bounds of the median of |a| at rest [g] if unit and scale are right."""
-
 FILLED_FROM_PERCENT = 10.0
 """Share of filled samples [%] from which on means over what is left may not stand for the whole time."""
 
@@ -31,7 +28,7 @@ ODD_REST = (
     *("axes_alike", "axis_stuck", "gravity_is_zero", "not_1_g", "rest_scatters"),
     *("wrong_counts_per_g", "wrong_unit"),
 )
-"""Codes of notes on values that say themselves what to do; no orientation would mend them."""
+"""Codes of notes on values that say themselves what to do; more orientations would not help."""
 
 RAW_SETTLED = (Outcome.ALREADY_GOOD, Outcome.PROVISIONAL)
 """Outcomes that say themselves how a result compares with the raw data, more sharply than its interval."""
@@ -188,15 +185,11 @@ def _unchecked_poses(report: ReportView) -> list[Reason]:
 
 def _advice(report: ReportView) -> tuple[Reason, ...]:
     """Return what else helps a refused recording; nothing for poses, or where a note explains its values."""
-    if any(note.code in ODD_REST for note in report.notes):
+    explained = report.poses is not None or any(note.code in ODD_REST for note in report.notes)
+    if report.outcome != Outcome.REFUSED or explained or _is_damaged(report):
         return ()
     health, cells = report.file_health, report.coverage.cells
-    damaged = report.reason == "damaged" or (
-        not report.reason and (health.lost_percent or 0) > report.setting("max_damage_percent", 100)
-    )
-    if report.outcome != Outcome.REFUSED or damaged or report.poses is not None:
-        return ()
-    if health.rest and not RIGHT_G[0] < health.rest.median_g < RIGHT_G[1]:
+    if health.rest and not NEAR_ONE_G[0] < health.rest.median_g < NEAR_ONE_G[1]:
         return (Reason("check_unit"),)
     points = report.settings.get("input", {}).get("format") == "points"
     if points and not cells:
@@ -206,6 +199,14 @@ def _advice(report: ReportView) -> tuple[Reason, ...]:
     again = Reason("check_sensor" if report.reason == "constant_values" else "record_again")
     ways = _orientations(report) if cells else (again,)
     return ways if points else (*ways, Reason("other_coefficients"))
+
+
+def _is_damaged(report: ReportView) -> bool:
+    """Return True if a recording was refused for its damage; older reports have no code of that."""
+    lost = report.file_health.lost_percent or 0.0
+    return report.reason == "damaged" or (
+        not report.reason and lost > report.setting("max_damage_percent", 100)
+    )
 
 
 def _orientations(report: ReportView) -> tuple[Reason, ...]:

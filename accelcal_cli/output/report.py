@@ -268,7 +268,7 @@ def damage_json(facts: Facts) -> dict[str, Any]:
     return {
         "lost_bytes": facts.lost_bytes,
         "lost_percent": round(facts.lost_percent(), 4),
-        "missing_bytes": facts.told_missing,
+        "missing_bytes": facts.missing_if_known,
     }
 
 

@@ -186,9 +186,7 @@ def _changed(values: Values) -> str:
         "walk": "its offsets wander",
     }.get(values["kind"], values["kind"])
     text = f"The sensor changed during the recording: {what}, by up to {values['size_mg']:.1f} mg."
-    if values.get("followed") is None:
-        return text
-    if "followed" not in values:  # in a study's table
+    if values.get("followed") is None:  # in a study's table
         return text
     if values["followed"]:
         return f"{text} The calibration follows it."
@@ -227,8 +225,9 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "(95 % interval {low_mg:mg} to {high_mg:mg} mg). |r - 1| of held-out {held_out}: {before_mg:mg} mg "
     "before, {after_mg:mg} mg after{times_smaller}.",
     "provisional": "Calibration error over all orientations: {raw_mg:mg} mg before, {error_mg:mg} mg after "
-    "(95 % interval {low_mg:mg} to {high_mg:mg} mg, the limit is {limit_mg:g} mg). The coefficients beat the "
-    "raw data in {orientations:n recorded orientation} and in all others (probability {percent:.0f} %).",
+    "(95 % interval {low_mg:mg} to {high_mg:mg} mg, the limit is {limit_mg:g} mg). The data are better "
+    "than raw with a probability of {percent:.0f} % or more, in {orientations:n recorded orientation} and "
+    "over all orientations.",
     "calibrated_held_out": "{model_asked_for}: |r - 1| of held-out {held_out} is {before_mg:mg} mg before "
     "and {after_mg:mg} mg after{times_smaller}.",
     "calibrated_in_part": "{model_asked_for}: |r - 1| of held-out {held_out} is {before_mg:mg} mg before and "
@@ -463,7 +462,7 @@ def clause(reason: Reason) -> str:
 
 
 def begun_small(text: str) -> str:
-    """Return a sentence that goes on after a colon."""
+    """Return a sentence that continues after a colon."""
     return text[:1].lower() + text[1:]
 
 

@@ -8,7 +8,7 @@ the test.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -140,13 +140,10 @@ class DonorCoefficients(Judge):
 
     def _own_judgement(self, found: Survey) -> Judgement:
         report = self.donor.document.report
-        why = Reason.of("earlier_verdict", message=printable(report["message"]))
-        if "reason" in report:
-            why = Reason(report["reason"], report["values"])
         notes, cautions = ([Reason(**one) for one in report.get(name, ())] for name in ("notes", "cautions"))
         return Judgement(
             Outcome(report["outcome"]),
-            why,
+            reason_in(report),
             found.coverage,
             (),
             self.donor.calibration,
@@ -360,6 +357,13 @@ def _origin_reason(donor: Coefficients, holdout: Holdout | None) -> Reason:
         device=printable(device),
         **errors_here(holdout),
     )
+
+
+def reason_in(report: Mapping[str, Any]) -> Reason:
+    """Return the reason of a report's outcome; of an earlier version's, its message."""
+    if "reason" in report:
+        return Reason(report["reason"], report["values"])
+    return Reason.of("earlier_verdict", message=printable(report["message"]))
 
 
 def errors_here(holdout: Holdout | None) -> dict[str, Any]:

@@ -213,7 +213,7 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
 
 def _of_the_file(facts: Facts) -> list[Reason]:
     lost = (facts.lost_bytes, facts.lost_percent())
-    return of_file(facts.told_missing, *lost, facts.counts.filled_samples, facts.samples)
+    return of_file(facts.missing_if_known, *lost, facts.counts.filled_samples, facts.samples)
 
 
 def _values(inspection: Inspection) -> dict[str, Any] | None:

@@ -27,7 +27,7 @@ from accelcal_cli.output.report_kinds import TAKEN, Member, PoolInput, build_poo
 from accelcal_cli.output.report_reading import Document, check_sections
 from accelcal_cli.output.report_view import PoolView, record
 from accelcal_cli.pipeline import procedures
-from accelcal_cli.pipeline.apply import errors_here
+from accelcal_cli.pipeline.apply import errors_here, reason_in
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.outputs import prepare
@@ -199,7 +199,7 @@ class PoolCoefficients(Judge):
 
     def method(self, recording: Recording) -> procedures.Method:
         """Return the method; raises UnreadableError if the pool's report is damaged."""
-        check_sections(self.document, (*TAKEN, "outcome", "reason", "values", "pool"))
+        check_sections(self.document, (*TAKEN, "outcome", "reason", "values", "message", "pool"))
         return procedures.make_method(recording, self.settings)
 
     def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
@@ -215,14 +215,11 @@ class PoolCoefficients(Judge):
 
 def _reason(document: Document, holdout: Holdout | None) -> Reason:
     view = record(PoolView, document.report["pool"])
-    pool_reason = Reason.of("earlier_verdict", message=document.report["message"])
-    if "reason" in document.report:
-        pool_reason = Reason(document.report["reason"], document.report["values"])
     return Reason.of(
         "pooled",
         recordings=len(view.recordings),
         serial=printable(view.serial),
-        pool=pool_reason,
+        pool=reason_in(document.report),
         **errors_here(holdout),
     )
 

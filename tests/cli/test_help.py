@@ -52,7 +52,7 @@ def test_every_option_that_commands_share_is_in_one_group() -> None:
     grouped = [name for names in GROUPS.values() for name in names]
     assert len(set(grouped)) == len(grouped)
     options = {one.name for names in NAMES for one in command(names).params if isinstance(one, click.Option)}
-    assert set(grouped) - {"max_error_mg", "strict"} <= options
+    assert set(grouped) - {"help"} <= options
 
 
 def test_priors_that_a_study_learns_are_offered_in_a_study_alone() -> None:

@@ -22,6 +22,7 @@ from accelcal_cli.formats._tables.sensors import (
     matched,
     meaning_of,
     no_such_sensor,
+    note_of,
     refuse_several,
 )
 from accelcal_cli.formats._tables.table import (
@@ -249,8 +250,8 @@ def chosen_rows(table: SensorTable, tracks: tuple[Track, ...], wanted: str) -> C
         flags = np.logical_and.reduce([_has(blocks[name], some) for name, some in found.items()])
         bits.append(np.packbits(flags))
         counts.append(int(np.count_nonzero(flags)))
-    note = "only rows of " + ", ".join(f"{name} {' or '.join(sorted(some))}" for name, some in found.items())
-    return ChosenRows(tuple(bits), np.cumsum(counts, dtype=np.int64), tracks[0].rows, note)
+    first = np.cumsum(counts, dtype=np.int64)
+    return ChosenRows(tuple(bits), first, tracks[0].rows, note_of(found))
 
 
 def _blocks(table: SensorTable, tracks: dict[str, Track]) -> Iterator[dict[str, CellTexts]]:

@@ -4,7 +4,7 @@ A column of texts or whole numbers can say whose each row is, or what its wearer
 values with the times of the rows, and takes them for sensors by one of these: the times repeat or go back as
 the value changes, and are in order for each value alone; each value alone has a steady rate, and all together
 have none; or the column has the name of a device, a person or a place, and the values take turns, or the
-times jump as they change. A label that changes while the times go on divides nothing.
+times jump as they change. A label that changes while the times continue divides nothing.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ EVERY_ROW = "all"
 """The value of --sensor for a table whose rows are of one sensor, whatever its columns say."""
 
 LEAST_ROWS = 3
-"""A value in fewer rows is taken for damage."""
+"""Rows of a value below which it is treated as damage."""
 
 MOST_VALUES, ROWS_A_VALUE = 64, 8
-"""Sensors are at most so many, and have at least so many rows on average; people may be more."""
+"""Most sensors in one table, and fewest rows that each has on average; people may be more."""
 
 LONGEST_TURN_S, LONGEST_TURN_ROWS = 2.0, 64
-"""Sensors that take turns are read for at most so long on average; activities last longer."""
+"""Longest mean turn [s, rows] of sensors that take turns; activities last longer."""
 
 GAP_STEPS = 5
-"""A step of more than so many usual ones is a jump of the times."""
+"""Number of usual steps above which a step is a jump of the times."""
 
 NEAR, NEARER = 0.5, 0.2
 """Steps whose length is within these shares of the usual one are near it, and nearer."""
 
 SHOWN = 12
-"""CellTexts that a message names."""
+"""Number of values that a message names."""
 
 WHOLE = re.compile(r"[+-]?\d+(\.0*)?")
 
 
 class Meaning(IntEnum):
-    """What the name of a column says of its values."""
+    """Meaning of a column's values, by its name."""
 
     MEASURED = 0
     LABEL = 1
@@ -305,6 +305,13 @@ def _column_with(wanted: str, columns: Mapping[str, Sequence[str]]) -> tuple[str
     }
     best = max(having, key=meaning_of, default=None)
     return None if best is None else (best, having[best])
+
+
+def note_of(chosen: Mapping[str, Iterable[str]]) -> str:
+    """Return the note on which rows are read, by the texts that are wanted of each column."""
+    return "only rows of " + ", ".join(
+        f"{name} {' or '.join(sorted(texts))}" for name, texts in chosen.items()
+    )
 
 
 def no_such_sensor(wanted: str, columns: Mapping[str, Sequence[str]], path: Path) -> UsageError:

@@ -1,4 +1,4 @@
-"""The rows of one sensor in a text file of several, and the watch over columns that may tell of several.
+"""The rows of one sensor in a text file of several, and the watch over columns that may show several.
 
 The head of a file is looked at as a whole. Behind it, one line in every `LOOK_BYTES` is looked at, and a
 block of lines as a whole only where these show that a column changes: most never do.
@@ -23,6 +23,7 @@ from accelcal_cli.formats._tables.sensors import (
     matched,
     meaning_of,
     no_such_sensor,
+    note_of,
     refuse_several,
 )
 from accelcal_cli.formats.csv.cells import MISSING, CellKind, decode
@@ -32,7 +33,7 @@ from accelcal_cli.formats.csv.lines import Block, LineFile, lone_block
 from accelcal_cli.formats.csv.rows import ParsedTable, TableParser
 
 LOOK_BYTES = 1 << 16
-"""One line is looked at in so many bytes of the file."""
+"""Bytes of the file among which one line is looked at."""
 
 SEARCH_BYTES = 1 << 20
 """Bytes that are read at a time to find the first rows of a sensor."""
@@ -129,7 +130,7 @@ def _pairs_of_blocks(dialect: Dialect, path: Path) -> Iterator[tuple[Block, byte
 
 
 def _texts(block: Block, dialect: Dialect, columns: Sequence[int], path: Path) -> tuple[CellTexts, ...]:
-    """Return columns of a block; no values where a line is no row, of which others will say so."""
+    """Return columns of a block; no values where a line is not a row, which the parser reports."""
     parser = TableParser(path, dialect, Roles((0, 0, 0), None, {}), None)
     try:
         return parser.values(block, columns) if columns else ()
@@ -162,10 +163,7 @@ class SensorWatch:
         """Says which rows are read."""
         chosen = self._parser.sensor
         names = _names(self._parser.dialect, [column for column, _ in chosen])
-        pairs = zip(names, chosen, strict=True)
-        return "only rows of " + ", ".join(
-            f"{name} {' or '.join(sorted(texts))}" for name, (_, texts) in pairs
-        )
+        return note_of({name: texts for name, (_, texts) in zip(names, chosen, strict=True)})
 
     def look(self, block: Block, table: ParsedTable) -> tuple[CellTexts, ...]:
         """Return the columns of a block, as far as one line in many shows that they have to be read."""
