@@ -107,17 +107,17 @@ def test_a_study_keeps_what_apply_made(tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "in").mkdir()
     path = write_device(tmp_path / "in" / "few.raw", values)
     out = tmp_path / "out"
-    assert study(capsys, tmp_path / "in").code == 4
+    assert study(capsys, tmp_path / "in", "--strict").code == 4
     assert run(capsys, "apply", "--coefficients", coefficients, path, "-d", out).code == 0
     before = {name: data for name, data in held(out).items() if name.startswith("few.")}
     assert "few.calibrated.parquet" in before
     for _ in range(2):
-        assert study(capsys, tmp_path / "in", "--borrow", "--pool", "device").code == 0
+        assert study(capsys, tmp_path / "in", "--borrow", "--pool", "device", "--strict").code == 0
         assert {name: data for name, data in held(out).items() if name.startswith("few.")} == before
         (row,) = rows(out)
         assert (row["outcome"], row["parquet"]) == ("borrowed", "few.calibrated.parquet")
         (out / "study.ledger").unlink()
-    assert study(capsys, tmp_path / "in", "--force").code == 4
+    assert study(capsys, tmp_path / "in", "--force", "--strict").code == 4
     assert "few.calibrated.parquet" not in held(out)
 
 

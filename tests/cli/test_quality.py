@@ -340,7 +340,7 @@ def test_a_step_of_12_mg_is_told_with_its_hour(
     assert found["periods"][-1]["given_mg"] > 6 and found["periods"][-1]["unseen_mg"] < 2
     shown = run(capsys, "quality", *words)
     assert shown.code == 1 and shown.err == ""
-    when = "from 2024-03-04T15:00:00 on its error is" if at_hour else "from the beginning on it leaves"
+    when = "from 2024-03-04T15:00:00 on its error is" if at_hour else "from the beginning on its error is"
     assert when in shown.lines[-1] and "the calibration has degraded" in shown.lines[-1]
 
 

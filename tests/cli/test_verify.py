@@ -123,7 +123,7 @@ def change_gain(held: dict) -> None:
     ("change", "keys"),
     [
         (lambda held: held.update(outcome="reduced_model"), ["outcome"]),
-        pytest.param(lambda held: held.update(message="all is well"), ["message"], marks=pytest.mark.nightly),
+        pytest.param(lambda held: held.update(reason="all_is_well"), ["reason"], marks=pytest.mark.nightly),
         pytest.param(
             lambda held: held["calibration"].update(model="6"),
             ["calibration.model"],
