@@ -8,7 +8,8 @@ from __future__ import annotations
 import contextlib
 import functools
 import time
-from collections.abc import Callable, Iterator, Sequence, Set
+from collections import ChainMap
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import closing
 from pathlib import Path
 from typing import Any, Protocol
@@ -214,7 +215,7 @@ class StudyRun:
             self._table.write()
             raise
 
-    def rows(self, kept: Sequence[Entry]) -> list[dict[str, Any]]:
+    def rows(self, kept: Sequence[Entry]) -> list[Mapping[str, Any]]:
         """Return the rows of the table by name, those of `kept` where there is no newer result.
 
         Rows of copies name the recording that counts.
@@ -222,8 +223,9 @@ class StudyRun:
         last = {entry.name: entry.row for entry in kept}
         last |= {name: one.last.row for name, one in self.known.recordings.items()}
         rows = {name: row for name, row in sorted(last.items()) if row is not None}
-        first = {name: printable(one) for name, one in summary.copies(rows).items()}
-        return [row | {"copy_of": first.get(name)} for name, row in rows.items()]
+        first = {name: {"copy_of": printable(one)} for name, one in summary.copies(rows).items()}
+        # a row of a hundred columns is not copied for one of them
+        return [ChainMap(first[name], row) if name in first else row for name, row in rows.items()]
 
     def _run(self, planned: Plan) -> None:
         self._planner.untouched |= planned.changing

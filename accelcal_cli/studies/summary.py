@@ -255,7 +255,7 @@ class Summary:
         pools: device, number of recordings, outcome and message of each pool, by name.
     """
 
-    rows: list[dict[str, Any]]
+    rows: Sequence[Mapping[str, Any]]
     settings: dict[str, Any]
     waiting: int = 0
     ahead: int = 0
@@ -265,7 +265,7 @@ class Summary:
     pools: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
-    def once(self) -> list[dict[str, Any]]:
+    def once(self) -> list[Mapping[str, Any]]:
         """Rows without those of copies."""
         return [row for row in self.rows if not row.get("copy_of")]
 
@@ -319,13 +319,13 @@ def write(summary: Summary, out: Path, name: str) -> None:
     write_text(out / f"{name}.json", json_text(summary.counts(), indent=2) + "\n")
 
 
-def write_csv(rows: Sequence[dict[str, Any]], out: Path, name: str) -> None:
+def write_csv(rows: Sequence[Mapping[str, Any]], out: Path, name: str) -> None:
     """Write `NAME.csv` alone; raises OutputError if it cannot be written."""
     cells = ([row.get(column) for column in COLUMNS] for row in rows)
     files.write_csv(out / f"{name}.csv", COLUMNS, cells)
 
 
-def _write_parquet(rows: list[dict[str, Any]], file: IO[bytes]) -> None:
+def _write_parquet(rows: Sequence[Mapping[str, Any]], file: IO[bytes]) -> None:
     """Write some rows at a time: as text they take ten times the memory."""
     import pyarrow as pa  # which `study --help` does not need
     import pyarrow.parquet as pq
@@ -339,7 +339,7 @@ def _write_parquet(rows: list[dict[str, Any]], file: IO[bytes]) -> None:
             writer.write_table(schema.empty_table())
 
 
-def _table(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.Table:
+def _table(rows: Sequence[Mapping[str, Any]], schema: pa.Schema) -> pa.Table:
     """Read rows from JSON lines: `pa.array` would load pandas, which takes half a second."""
     import pyarrow.json
 

@@ -36,7 +36,7 @@ def test_its_files_concern_all_recordings(words: tuple[object, ...], capsys: Cap
 def test_public_recordings_are_one_study(words: tuple[object, ...], tmp_path: Path, capsys: Capture) -> None:
     ran = run(capsys, *words)
     found = rows(tmp_path / "out")
-    assert Counter(row["outcome"] for row in found) == {"calibrated": 11, "refused": 18}
+    assert Counter(row["outcome"] for row in found) == {"calibrated": 13, "provisional": 4, "refused": 12}
     assert "no file fits" not in ran.err
-    named = "29 public recordings", "11 are calibrated, and 18 are refused"
+    named = "29 public recordings", "13 are calibrated, 4 provisional and 12 refused"
     assert all(words in DOCUMENT.read_text("utf-8") for words in named)
