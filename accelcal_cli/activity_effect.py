@@ -1,6 +1,6 @@
 """`accelcal effect`: measures of activity of one recording, raw and calibrated, epoch by epoch and together.
 
-Of a simulated recording whose true parameters are known, also with these.
+For a simulated recording, measures with its true parameters are compared too.
 """
 
 from __future__ import annotations

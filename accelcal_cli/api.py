@@ -194,19 +194,19 @@ class Result:
 
     @property
     def cautions(self) -> tuple[Reason, ...]:
-        """What speaks against trusting the result without a look."""
+        """Return the reasons not to trust the result without a look."""
         return tuple(Reason(**one) for one in self.report["cautions"])
 
     @property
     def advice(self) -> tuple[Reason, ...]:
-        """What to do about it."""
+        """Return the steps to take next."""
         return tuple(Reason(**one) for one in self.report["advice"])
 
     def batches(self) -> Iterator[pa.RecordBatch]:
         """Yield the calibrated recording in pieces with the columns of the Parquet file; reads it once more.
 
         Raises:
-            AccelcalError: the recording was refused, changed meanwhile, or cannot be read on.
+            AccelcalError: the recording was refused, changed while it was read, or cannot be read on.
         """
         import pyarrow as pa
 
@@ -332,7 +332,7 @@ def fit(points: Any, **options: Any) -> dict[str, Any]:
         the report.
 
     Raises:
-        AccelcalError: it is no table of points, or the options do not go together.
+        AccelcalError: it is not a table of points, or the options do not go together.
     """
     settings = fit_settings(_values(options, Settings))
     if isinstance(points, str | PathLike):

@@ -1,6 +1,6 @@
 """Verify a report: make it again from its recording and compare bit for bit; nothing is written.
 
-`inputs` of a report (layout, poses, coefficients, pool) are looked for where they were and beside it. The
+`inputs` of a report (layout, poses, coefficients, pool) are looked for where they were and next to it. The
 calibrated Parquet file beside a report is compared with the report, and on demand value by value.
 """
 
@@ -175,7 +175,7 @@ def reproduced(
     options: VerifyOptions,
     progress: ProgressMaker = no_progress,
 ) -> tuple[dict[str, Any], ParquetCheck | None]:
-    """Make the report again, without `provenance`, and check the Parquet file beside it.
+    """Make the report again, without `provenance`, and check the Parquet file next to it.
 
     Raises:
         UnreadableError: the recording, or a file that the report was made with, cannot be read.
@@ -341,7 +341,7 @@ def check_parquet(
     if path is None or written is None:
         if values:
             raise UsageError(
-                "no calibrated Parquet file lies beside it", path=document.path, hint="omit --values"
+                "no calibrated Parquet file lies next to it", path=document.path, hint="omit --values"
             )
         return None
     metadata = metadata_of(path, UnreadableError)

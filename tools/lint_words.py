@@ -11,6 +11,7 @@ import re
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -86,7 +87,8 @@ RULES = (
     _rule("a thing reports or shows; it does not tell", rf"{BE} told\b|\bonly told\b|\btells? of\b"),
     _rule(
         "write `is not a`, not `is no`",
-        rf"(?<!there ){BE} (?:no|none)\b(?! (?:longer|more|less|fewer|lower|higher|worse|better|such))",
+        rf"(?<![Tt]here ){BE} (?:no|none)\b(?! (?:longer|more|less|fewer|lower|higher|worse|better|such))",
+        case=True,
     ),
     _rule(
         "name the thing, not `what is`",
@@ -97,8 +99,11 @@ RULES = (
     _rule("no semicolon chain in a message", r"; [^;]*; ", ("help",)),
 )
 
-ALLOWED: dict[str, str] = {}
-"""Parts of texts that a rule finds and that are right, with the reason."""
+ALLOWED = {
+    "previous posture": "value of `misfits` in reports of all versions",
+    "folds of whole postures": "value of `holdout.method` in reports of all versions",
+}
+"""Parts of texts that a rule would find and that are right, with the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,11 +197,11 @@ def _docstrings(node: ast.AST) -> Iterator[ast.Constant]:
 def findings(texts: Iterator[Text]) -> Iterator[str]:
     """Yield the rules that texts break."""
     for one in texts:
+        text = reduce(lambda words, part: words.replace(part, "x"), ALLOWED, one.text)
         for rule in RULES:
-            found = rule.pattern.search(one.text) if one.kind in rule.kinds else None
-            if found is not None and not any(part in one.text for part in ALLOWED):
-                start = max(0, found.start() - 30)
-                yield f"{one.place}: {rule.name}: ...{one.text[start : found.end() + 40]}"
+            found = rule.pattern.search(text) if one.kind in rule.kinds else None
+            if found is not None:
+                yield f"{one.place}: {rule.name}: ...{text[max(0, found.start() - 30) : found.end() + 40]}"
 
 
 def everything(paths: list[Path]) -> Iterator[Text]:

@@ -44,7 +44,7 @@ def of_all(codes: list[int]) -> int:
 class InterruptedBySignalError(BaseException):
     """A signal that ends the command: unwinds the stack, so that temporaries are removed.
 
-    It may be given words on how to go on.
+    It may be given a hint how to continue.
     """
 
 
@@ -100,7 +100,7 @@ def of_failure(error: Exception) -> int:
 
 
 class _LostOutput(io.StringIO):
-    """Stand-in for a standard output that is closed or can take no more; the work goes on."""
+    """Stand-in for a standard output that is closed or can take no more; the work continues."""
 
     def __init__(self, why: str, *, lines: bool) -> None:
         super().__init__()
@@ -135,7 +135,8 @@ def _code_of_failed_write(error: OSError) -> int:
 def show(text: str) -> None:
     """Print lines of tab-separated fields, or of JSON, on standard output.
 
-    Where it can take no more, the work goes on, and the exit code says so; where its reader is gone, it ends.
+    Where it can take no more, the work continues, and the exit code says so; where its reader is gone, it
+    ends.
     """
     try:
         click.echo(printable(text.replace(DELETE, "\\u007f"), kept="\n\t"))
@@ -168,7 +169,8 @@ def _show_usage(error: click.ClickException) -> None:
 
 
 def report_bug(path: Path | None = None) -> int:
-    """Keep the traceback of the current exception in a file, and say where; a lack of memory is no bug.
+    """Keep the traceback of the current exception in a file, and say where; running out of memory is not a
+    bug.
 
     Args:
         path: the file in work when the bug appeared.

@@ -110,7 +110,7 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
         f"  read         {scope}: {windows} windows still",
         *_values(shown["values"]),
         f"  problems     {'; '.join(problems) or 'none found'}",
-        f"  damage       {shown['file_health']['lost_percent']:g} % of what was read is lost",
+        f"  damage       {shown['file_health']['lost_percent']:g} % of the bytes that were read are lost",
         f"  clock        {_clock(shown['file_health']['clock'])}",
         f"  prediction   {shown['prediction']['outcome']}: {shown['prediction']['message']}",
         *(f"  caution      {sentence(one)}" for one in inspection.prediction.cautions),

@@ -336,7 +336,7 @@ def rules_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) ->
         folders: folders of a study; None for single recordings, whose patterns are relative to the file.
 
     Raises:
-        UsageError: the file cannot be read, or says what is no reading option.
+        UsageError: the file cannot be read, or contains something that is not a reading option.
     """
     path: Path | None = values["config"]
     if path is None:

@@ -75,7 +75,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
 
 def _refuse_among(report: Path, session: Path) -> None:
-    """Raise UsageError for a report that would be taken for a file of the session."""
+    """Raise UsageError for a report that would be treated as a file of the session."""
     if session.is_dir() and real(session) in real(report).parents and not is_no_part(report):
         hint = "give a name outside, or one that ends in .calibration.json"
         raise UsageError(f"{printable(report)} would be among the files of the session", hint=hint)

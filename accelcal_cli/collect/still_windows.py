@@ -1,7 +1,7 @@
 """Still windows before they are collected: stretches that are held twice, and what rest measures.
 
 A recording that was joined or copied wrongly holds a stretch twice, exactly; each is passed on once. What is
-measured anew never repeats: two still windows may agree in all sums and spreads by chance, but not many, one
+measured again never repeats: two still windows may agree in all sums and spreads by chance, but not many, one
 after the other, at the same distances as the earlier ones. Windows that never change tell nothing: a device
 that sleeps repeats one value. A copy is found if its windows begin at the same samples: a whole number of
 windows later, or after a break.

@@ -324,10 +324,10 @@ def _kept_apart(
     cells = _cells(table, _shares(table), keys)
     if (width := width_for(cells)).space > HARMLESS_SPACE:
         raise UnreadableError(
-            f"holds {len(cells)} combinations of posture, direction and temperature, "
+            f"holds {len(cells)} combinations of orientation, direction and temperature, "
             f"and a fit takes at most {MAX_POINTS} points",
             path=path,
-            hint="leave out the column posture, or average rows that are alike",
+            hint="leave out the column `posture`, or average rows that are alike",
         )
     found, points = points_of(cells, width, weigh, lsb_per_g, temperature=temperature)
     if table.posture is None:

@@ -1,7 +1,7 @@
 """Turns between rests, for the gyroscope: collected window by window, in bounded memory, as exact integers.
 
 A turn lies between two rests of at least LEAST_WINDOWS windows, lasts at most LONGEST_S without a break, and
-gravity has another direction after it (G 4.3 compares gravity from one still state to the next). Of long
+gravity has another direction after it (G 4.3 compares gravity from one still state to the next). In long
 recordings not all turns are kept (`_KeptTurns`). The sums at rest are kept by blocks of time, which become
 longer as there are more.
 """

@@ -1,1 +1,1 @@
-"""What flows between the layers: records, errors, clocks. Imports nothing else of the package."""
+"""The objects that pass between the layers: records, errors, clocks. Imports nothing else of the package."""

@@ -93,7 +93,7 @@ class Correction:
         return interpolated(self.stretch), interpolated(self.shift)
 
     def applied(self, raw: Floats, samples: NDArray[np.int64]) -> Floats:
-        """Return raw vectors (n, 3) [g] of ascending samples (n,), put right."""
+        """Return raw vectors (n, 3) [g] of ascending samples (n,), corrected."""
         stretch, shift = self.values(samples)
         return np.asarray(stretch * raw + shift)
 

@@ -31,7 +31,7 @@ FIRST_US, LAST_US = -62_135_596_800 * MICROSECONDS, 253_402_300_800 * MICROSECON
 """First and last moment [us since 1970] at which a recording may begin, the years 1 to 9999."""
 
 DIVIDED = 1 << 10
-"""Smallest number of terms that `quotients` divides; dividing fewer is no faster."""
+"""Smallest number of terms that `quotients` divides; dividing fewer saves no time."""
 
 _CYCLE_YEARS, _CYCLE_US = 400, 146_097 * _DAY_S * MICROSECONDS
 """Length of the cycle after which the Gregorian calendar repeats itself."""
@@ -357,7 +357,7 @@ class PageClock:
     def _rows_of_each(self, pages: slice, stop: int) -> int | None:
         """Return the number of rows of each page; None if they differ.
 
-        The last page may go on after row stop-1.
+        The last page may continue after row stop-1.
         """
         rows = np.diff(np.append(self.first_row[pages], stop))
         longest = int(rows.max())

@@ -35,7 +35,7 @@ def is_text(head: bytes) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
-    """What the user states about a recording; None: to be found out from the file.
+    """Statements of the user about a recording; None: to be found out from the file.
 
     Attributes:
         unit: one of g, mg, m/s2, counts.

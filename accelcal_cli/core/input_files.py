@@ -35,7 +35,7 @@ LONGEST_LINE = 1000
 
 
 def is_no_part(path: Path) -> bool:
-    """Return True for a file among parts that is none, by its name."""
+    """Return True for a file among parts that is not one of them, by its name."""
     return NO_PART.fullmatch(path.name) is not None
 
 
@@ -82,7 +82,7 @@ def _below(folder: Path) -> Iterable[Path]:
 
 
 def is_pattern(path: Path) -> bool:
-    """Return True if a path is no file, but a pattern of file names."""
+    """Return True if a path is not a file, but a pattern of file names."""
     try:
         return ANY in str(path) and not os.path.lexists(path)
     except ValueError:

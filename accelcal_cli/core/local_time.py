@@ -241,7 +241,7 @@ def _like_a_change(steps: NDArray[np.int64]) -> list[int]:
 
 @dataclass(frozen=True, slots=True)
 class Retiming:
-    """What the user states about times; None or 0 for what is not stated.
+    """Statements of the user about times; None or 0 where nothing is stated.
 
     Attributes:
         zone: zone of the device's clock, for files that state none; by_option: the option that gave it.
@@ -259,7 +259,8 @@ class Retiming:
     worn_zone: str | None = None
 
     def check(self) -> None:
-        """Raise UsageError for an unknown zone, a start that is no time, or an incomplete pair of options."""
+        """Raise UsageError for an unknown zone, a start that is not a time, or an incomplete pair of
+        options."""
         utc_offset_s(self.zone, 0)
         utc_offset_s(self.worn_zone, 0)
         if self.force and self.zone is None:
@@ -272,7 +273,7 @@ class Retiming:
         """Return the start; None if none is stated.
 
         Raises:
-            UsageError: it is no time.
+            UsageError: it is not a time.
         """
         if self.start is None:
             return None
@@ -381,8 +382,8 @@ def _started(reader: Reader, stated: Retiming) -> tuple[Recording, int]:
     assert start is not None
     if recording.start_us is not None:
         shown = iso_time(recording.start_us, utc_offset_s(recording.timezone, recording.start_us))
-        hint = "omit --start, which is for files without dates; --shift puts right a clock that was wrong"
-        raise UsageError(f"says when it began, {shown}", path=recording.path, hint=hint)
+        hint = "--start is for files without dates; to correct the clock, use --shift"
+        raise UsageError(f"states its own start, {shown}", path=recording.path, hint=hint)
     known = replace(recording, start_us=start.start_us, timezone=start.timezone or recording.timezone)
     note = STARTED.format(stated.start)
     dated = replace(known, has_offsets=start.had_offset, notes=(*recording.notes, note))

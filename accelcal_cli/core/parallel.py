@@ -145,7 +145,7 @@ class BackgroundCalls:
 
 @contextmanager
 def background_result(call: Callable[[], R], *, long: bool) -> Iterator[Callable[[], R]]:
-    """Make a call on a thread of its own, if it takes long, while the block goes on.
+    """Make a call on a thread of its own, if it takes long, while the block continues.
 
     Yields:
         a function that waits for the result of the call; raises what it raised.

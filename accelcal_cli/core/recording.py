@@ -452,7 +452,7 @@ class Intake:
     """Takes the bytes of one recording as they come, and gives its rows as `Reader.chunks` would.
 
     The rows do not depend on the pieces in which the bytes come. It holds no open file: a copy by
-    `copy.deepcopy` goes on from the same byte.
+    `copy.deepcopy` continues from the same byte.
     """
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
@@ -505,7 +505,7 @@ class Reader(Closing):
     def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
         """Yield up to `pieces` chunks spread over the file where it can be entered anywhere.
 
-        Each begins anew: rows of different pieces are not continuous. The default reads the
+        Each begins again: rows of different pieces are not continuous. The default reads the
         first chunks.
         """
         for _, chunk in zip(range(pieces), self.chunks(chunk_samples), strict=False):

@@ -244,8 +244,8 @@ class FitErrors:
 class WithoutMisalignment:
     """The same points fitted without misalignment, for tools whose formula has none.
 
-    Cutting a calibration down to the diagonal of its K is no substitute: scales and offsets have to make up
-    for what is left out.
+    Cutting a calibration down to the diagonal of its K is not a substitute: scales and offsets have to make
+    up for what is left out.
 
     Attributes:
         calibration: of model 6, or 6T if slopes were fitted.
@@ -269,7 +269,7 @@ class Judgement:
         penalty: the prior as the fit used it; None without one.
         sphere: error of the calibration over all directions; sphere_before: that of the raw values.
         rest_scatter_mg: mean | |a| - 1 g | that the scatter of rests makes; None without a posterior.
-        change: how the sensor changed meanwhile; None if this was not looked for.
+        change: how the sensor changed during the recording; None if this was not looked for.
         misfits: kinds of behaviour that were tested; None if none were.
         unlike: True if the points speak against a prior that was learnt from other recordings.
         without_misalignment: for a calibration with misalignment; None if that cannot be fitted.

@@ -72,14 +72,14 @@ _OURS: list[bool] = []
 
 
 def workers(recordings: int) -> int:
-    """Return how many workers CPUs and memory allow for so many recordings; at least one."""
+    """Return how many workers CPUs and memory allow for a number of recordings; at least one."""
     memory = available_bytes()
     fitting = cpus() if memory is None else min(cpus(), memory // WORKER_BYTES)
     return max(1, min(fitting, recordings))
 
 
 def threads(workers: int) -> int:
-    """Return the threads of each of so many workers, so that all fit the CPUs; at least one."""
+    """Return the threads of each of several workers, so that all fit the CPUs; at least one."""
     return max(1, cpus() // workers)
 
 
@@ -201,7 +201,7 @@ def lives_on_windows(process: int, kernel: Any) -> bool:
 def process_start(process: int) -> str | None:
     """Return the boot and the time within it at which a process of this host began; None if unknown.
 
-    A number that was given to another process is told apart by it.
+    It distinguishes a process from a later one with the same number.
     """
     boot, fields = _text(Path("/proc/sys/kernel/random/boot_id")).strip(), _process_fields(process)
     return f"{boot} {fields[START_TIME]}" if boot and len(fields) > START_TIME else None
@@ -308,7 +308,7 @@ def keep_freed_memory() -> bool:
     """Let this process use the memory of one chunk again for the next, as far as its C library can.
 
     By default glibc gives arrays of some megabytes back to the system and asks for fresh ones, each
-    page of which must be cleared and mapped anew: a third of the time of reading a recording.
+    page of which must be cleared and mapped again: a third of the time of reading a recording.
 
     Returns:
         True if the C library took it.

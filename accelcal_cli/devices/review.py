@@ -91,7 +91,8 @@ def judged(records: table.Records, rules: Rules) -> Review:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Known:
-    """What is known of all recordings; `sure` ones are certain enough to judge their device by."""
+    """All recordings of a study, and the known facts about each; `sure` ones are certain enough to judge
+    their device by."""
 
     records: table.Records
     referred: Referred
@@ -140,7 +141,7 @@ def _enough_recorded(records: table.Records, row: int) -> bool:
 
 
 def _held_out(records: table.Records, rows: Sequence[int]) -> HeldOut | None:
-    """Summarize held-out errors; one without an interval is taken for exact."""
+    """Summarize held-out errors; one without an interval is treated as exact."""
     error, low = (records.number[name] for name in ("after_mg", "ci95_low_mg"))
     pairs = [
         (error[row], error[row] if isnan(low[row]) else low[row]) for row in rows if isfinite(error[row])

@@ -102,7 +102,7 @@ def read_exported(path: Path) -> ExportedReport:
     """Read from a report what tools without misalignment can use.
 
     Raises:
-        UnreadableError: it is no report, is damaged, or its recording was refused.
+        UnreadableError: it is not a report, is damaged, or its recording was refused.
         UsageError: it has nothing that such a tool can use.
     """
     found = read_coefficients(path)
@@ -116,12 +116,12 @@ def read_exported(path: Path) -> ExportedReport:
         text = (
             "is of counts of a bare sensor, to which other tools do not apply the maker's calibration first"
         )
-        raise UsageError(text, path=path, hint="hand on the calibrated data (--to csv), or use --to json")
+        raise UsageError(text, path=path, hint="export the calibrated data (--to csv), or use --to json")
     if whole.correction is not None:
         raise UsageError(
             "follows a sensor that changed while it recorded, which no other tool can",
             path=path,
-            hint="hand on the calibrated data (--to csv), or calibrate with --recalibrate never",
+            hint="export the calibrated data (--to csv), or calibrate with --recalibrate never",
         )
     windows, errors = record(FitView, report["fit"]).windows["used"], record(ErrorsView, report)
     if whole.model in ALIGNED:
@@ -136,9 +136,9 @@ def read_exported(path: Path) -> ExportedReport:
 
 def _why_none(report: dict[str, Any], whole: Calibration) -> tuple[str, str]:
     """Return why a calibration with misalignment comes without a simple one, and what to do."""
-    data = "hand on the calibrated data (--to csv), or use --to json"
+    data = "export the calibrated data (--to csv), or use --to json"
     if whole.model == FULL_GAIN:
-        return "was calibrated on known orientations, with no fit beside it without misalignment", data
+        return "was calibrated on known orientations, and has no fit without misalignment", data
     if "without_misalignment" not in report:
         version = f"{report['accelcal_version']}, which did not fit without misalignment"
         again = "calibrate its recording again with --force"
@@ -213,7 +213,7 @@ def as_json(path: Path) -> str:
     """Return a report's calibration as JSON, with misalignment and, if it was fitted, without.
 
     Raises:
-        UnreadableError: it is no report, is damaged, or its recording was refused.
+        UnreadableError: it is not a report, is damaged, or its recording was refused.
     """
     found = read_coefficients(path)
     without_misalignment(found)  # refuses what is damaged
@@ -252,12 +252,13 @@ def cost(one: ExportedReport) -> str | None:
     with_it, without, parts = one.errors, one.simple_errors, []
     if with_it.holdout is not None and without.holdout is not None:
         means_mg = without.holdout.after_mg.mean, with_it.holdout.after_mg.mean
-        parts.append("{:.2f} mg held out instead of {:.2f}".format(*means_mg))
+        parts.append("held-out error {:.2f} mg instead of {:.2f} mg".format(*means_mg))
     if with_it.error_everywhere is not None and without.error_everywhere is not None:
         means_mg = without.error_everywhere.mean, with_it.error_everywhere.mean
-        parts.append("{:.2f} mg over all orientations instead of {:.2f}".format(*means_mg))
-    price = ", ".join(parts) or "what it costs is not known: there is too little stillness to judge it by"
-    return f"misalignment is left out (model {one.simple.model} for {one.whole.model}): {price}"
+        parts.insert(0, "calibration error {:.2f} mg instead of {:.2f} mg".format(*means_mg))
+    price = ", ".join(parts) or "the loss of accuracy is unknown, because there is too little stillness"
+    models = f"{one.simple.model} instead of {one.whole.model}"
+    return f"this form cannot hold misalignment; exported model {models}: {price}"
 
 
 LINES: dict[str, Callable[[ExportedReport], str]] = {"biobank": biobank, "omconvert": omconvert}

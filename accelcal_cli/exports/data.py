@@ -113,7 +113,7 @@ def outputs_of(form: str, output: Path) -> tuple[Path, ...]:
             raise UsageError("an array file has to end in .npz", path=output, hint=hint)
         return (output,)
     if MOTION.fullmatch(output.name) is None:
-        raise UsageError("is no name of Motion-BIDS", path=output, hint=f"name it as in {MOTION_EXAMPLE}")
+        raise UsageError("is not a Motion-BIDS name", path=output, hint=f"name it as in {MOTION_EXAMPLE}")
     stem = output.name.removesuffix("_motion.tsv")
     return (output, *(output.with_name(stem + end) for end in ("_channels.tsv", "_motion.json")))
 

@@ -225,7 +225,7 @@ def _described(path: Path) -> CalibratedFile:
         raise UnreadableError(printable(text), path=path, hint="export a calibrated recording")
     rate_hz, range_g = recording.get("sample_rate_hz"), recording.get("range_g")
     if schema is None or not isinstance(rate_hz, int | float) or not 0 < rate_hz < 1e6:
-        raise UnreadableError("is no calibrated recording of accelcal", path=path, hint=NAME_ONE)
+        raise UnreadableError("is not a calibrated recording of accelcal", path=path, hint=NAME_ONE)
     file_columns = described(schema)
     if not {*NAMES, "validity"} <= file_columns["columns"].keys():
         raise UnreadableError("lacks columns of a calibrated recording", path=path, hint=NAME_ONE)

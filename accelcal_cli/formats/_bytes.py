@@ -171,7 +171,7 @@ class GzipFault(Enum):
     """Why the bytes of a gzip file break off."""
 
     CUT_OFF = "it is cut short"
-    OTHER = "what follows its data, which were checked, is no gzip"
+    OTHER = "the bytes after its data, which were checked, are not gzip"
     DAMAGED = "it is damaged within"
 
 
@@ -300,7 +300,7 @@ class Inflater:
 
     @property
     def needs_input(self) -> bool:
-        """Return True if all input has been unpacked and the stream goes on."""
+        """Return True if all input has been unpacked and the stream continues."""
         return not (self._waiting or self._full or self.damaged or self.complete)
 
     @property
@@ -361,7 +361,7 @@ class PackedStream:
         self.damaged = False
 
     def copy(self) -> PackedStream:
-        """Return another stream that goes on from the same place."""
+        """Return another stream that continues from the same place."""
         twin = PackedStream(self._path, self._offset, self._end - self._offset, bare=self._bare)
         twin._unpacker = self._unpacker.copy()
         twin._pending = self._pending
@@ -403,7 +403,7 @@ class PlainStream:
         self._path, self._offset, self._end = path, offset, offset + size
 
     def copy(self) -> PlainStream:
-        """Return another stream that goes on from the same place."""
+        """Return another stream that continues from the same place."""
         return PlainStream(self._path, self._offset, self._end - self._offset)
 
     def pieces(self, count: int) -> Iterator[bytes]:

@@ -53,7 +53,8 @@ class FrameFile:
     """A file of frames.
 
     Attributes:
-        announced: number of frames by the header, None if it does not say; what follows them is no frame.
+        announced: number of frames by the header, None if it does not say; the bytes after them are not
+            frames.
         compressed: gzip; such a file is only read from its beginning.
         origin_us: time of the first frame.
         decode: decodes frames (n, frame_bytes), given the number of the first one.

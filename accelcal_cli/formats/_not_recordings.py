@@ -1,4 +1,4 @@
-"""Files of studies that are no recordings: epochs and counts of many devices, and tables of still windows.
+"""Files of studies that are not recordings: epochs and counts of many devices, and tables of still windows.
 
 They are recognised by their content, so that the error says what they are and what to give instead.
 """
@@ -54,7 +54,7 @@ WINDOW_COLUMNS = {"weight", "posture", "counts_per_g", "spread_x", "meanx", "mea
 
 @dataclass(frozen=True, slots=True)
 class NotRecording:
-    """What a file is, following the word "holds", and what to do instead."""
+    """The content of a file, following the word "holds", and what to do instead."""
 
     what: str
     hint: str
@@ -78,7 +78,7 @@ SIGNS: tuple[tuple[re.Pattern[bytes], NotRecording], ...] = (
     (re.compile(rb"\W*Condor Instruments Report"), _epochs("an ActTrust's", NO_RAW)),
     (re.compile(rb"(?s).{0,1000}?Store rate:.{0,200}?Binning mode:"), _epochs("a Daqtometer's", NO_RAW)),
 )
-"""Beginnings of files that are no recordings.
+"""Beginnings of files that are not recordings.
 
 They are taken from the test files of github.com/wadpac/GGIRread and github.com/ghammad/pyActigraphy.
 """

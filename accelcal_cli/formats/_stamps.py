@@ -25,7 +25,7 @@ PLAUSIBLE_HZ = (5.0, 800.0)
 """Possible rates [Hz]: wide enough for every actigraph, narrow enough that only one unit of time fits."""
 
 GAP_PERIODS = 3
-"""Sample periods in the longest step that is no gap."""
+"""Sample periods in the longest step that is not a gap."""
 
 LONGEST_GROUP = 4
 """Usual groups in the longest one; a longer one is cut, so that a stopped clock does not fill the memory."""

@@ -3,11 +3,11 @@
 Held-out postures do not show a sensor that changed in the middle: both halves are in every fold. So the
 recording is also cut along time, and a constant sensor is compared with one whose offsets step, whose scales
 step with them, all of whose parameters step, whose offsets drift in proportion to time or wander from knot to
-knot. The moment of the change is searched anew inside each fold.
+knot. The moment of the change is searched again inside each fold.
 
 All of this is linear about the calibration that was found. An observation is the mean of the windows of one
 orientation within one block of time, since the windows of a bout err alike. What temperature explains is not
-taken for a change.
+treated as a change.
 """
 
 from __future__ import annotations

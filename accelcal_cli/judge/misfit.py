@@ -51,7 +51,7 @@ WIDTH_BEND, WIDTH_GAIN_PER_C, WIDTH_CURVE_G_PER_C2, WIDTH_PREVIOUS = 0.01, 5e-4,
 """Usual sizes, as scale parameters of priors; those of bends and of the previous posture are for 1 g."""
 
 ROUNDS = 3
-"""Rounds in which the noise is estimated anew, together with a misfit."""
+"""Rounds in which the noise is estimated again, together with a misfit."""
 
 _OFFSETS = slice(6, 9)
 

@@ -37,13 +37,13 @@ KINDS = ("scale", "misalignment", "offset", "temperature slopes")
 LEAST_INFORMATION = 2.0**-14
 """Least information on the slopes (`errors.slope_information`) that a fit needs. Sound recordings have at
 least 2**-12.7, those where only one posture is hot at most 2**-46: there the objective is so flat that a
-descent goes on for thousands of steps, to slopes that mean nothing."""
+descent continues for thousands of steps, to slopes that mean nothing."""
 
 FEWEST_POSTURES = 2
 """Postures that errors can be compared on."""
 
 _COARSE_BITS = 12
-"""Fraction bits of the coordinates that postures are told apart by."""
+"""Fraction bits of the coordinates that separate postures."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ the parameters.
 
 Held-out postures say how wrong a calibration is where the wrist has been. Its error over the whole sphere
 follows from the posterior: sensors are drawn from it, and each is calibrated, to first order, and compared
-with 1 g. The scatter of rests is no error of the calibration, and is left out.
+with 1 g. The scatter of rests is not an error of the calibration, and is left out.
 
 The fit is integers; noise and penalties are computed by additions, multiplications, divisions and roots in a
 fixed order, so that they are the same bits on every machine.
@@ -483,7 +483,7 @@ def _drawn(known: Posterior, most: float) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _NoiseDraws:
-    """What each chain knows of the noise, whose best value is 1 here.
+    """Knowledge of each chain about the noise, whose best value is 1 here.
 
     Attributes:
         observed: (CHAINS,) number of observations, relative to postures.

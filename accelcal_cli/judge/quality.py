@@ -1,7 +1,7 @@
 """Errors of a calibration along a recording, and the test for degradation.
 
 The check is that of Grammenos et al. (2018): the deviation of |a| from g on still windows is examined every
-hour, and a sensor whose deviation has grown is calibrated anew. Here a calibration is compared with fits to
+hour, and a sensor whose deviation has grown is calibrated again. Here a calibration is compared with fits to
 the recording itself, on stretches of time that they have not seen. If a new calibration would gain little,
 the old one holds; if it would gain much and clearly, or if the error is beyond the limit, it has degraded.
 """
@@ -114,7 +114,7 @@ class QualityCheck:
     """The judgement of a calibration along a recording.
 
     Attributes:
-        periods: one, unless the sensor changed meanwhile or the error rose at the end.
+        periods: one, unless the sensor changed during the recording or the error rose at the end.
         rises: True if the error of the last period is far above all before.
     """
 
@@ -131,7 +131,7 @@ def check(compared: ComparedErrors, change: Change, blocks: int, limit_mg: float
     """Judge a calibration of other data along a recording.
 
     Args:
-        change: how the recording's sensor changed meanwhile, relative to the calibration.
+        change: how the sensor changed during the recording, relative to the calibration.
         blocks: number of blocks of time in the recording.
         limit_mg: error that no usable calibration reaches.
     """
@@ -154,7 +154,7 @@ def _rise(compared: ComparedErrors) -> int | None:
     """Return the block from which on every stretch has an error far above all before, or None.
 
     A change in a recording's last hours is too short for `ChangeSearch`. By chance the last two of n
-    stretches are the worst ones once in n (n - 1) / 2 times, and hardly ever by so much.
+    stretches are the worst ones once in n (n - 1) / 2 times, and hardly ever far above all others.
     """
     numbers = sorted(set(compared.stretch.tolist()))
     errors = [float(compared.given_mg[compared.stretch == number].mean()) for number in numbers]

@@ -157,7 +157,7 @@ def stillness_of_table(path: Path, settings: Settings, span_h: float) -> Stillne
     """Return the windows of a table in the order of time, spread evenly over `span_h` hours.
 
     Raises:
-        UnreadableError: it is no table of points.
+        UnreadableError: it is not a table of points.
     """
     table = read_table(path)
     windows = windows_of(table)

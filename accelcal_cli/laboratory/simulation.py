@@ -1,7 +1,7 @@
 """`accelcal evaluate simulation`: how well each optimizer finds known errors of sensors (Table 2).
 
 Table 2 of Farago, Maczak, Gingl 2024 (section III.A) has the absolute errors of the nine parameters.
-Beside them stands the Cramer-Rao bound: how well nine parameters can be known at best. The true
+Next to them stands the Cramer-Rao bound: how well nine parameters can be known at best. The true
 orientation of each point is unknown too. Eliminating it leaves one equation for a point, |K (v + o)|^2 -
 1 = 0, whose left side has variance |2 K^T a|^2 sigma^2 under noise sigma on each axis of v. Its
 derivatives, divided by that standard deviation, give the Fisher information.
@@ -480,7 +480,7 @@ def command(**values: Any) -> None:
     """Simulate sensors with known errors and compare what each optimizer finds.
 
     Table 2 of Farago, Maczak, Gingl 2024 (section III.A), with the paper's figures and the
-    Cramer-Rao bound beside them. With --rates, --iterations, --objective or --convergence there is one
+    Cramer-Rao bound next to them. With --rates, --iterations, --objective or --convergence there is one
     more method, the paper's descent in double precision with these numbers.
     """
     numbers = _numbers(values)

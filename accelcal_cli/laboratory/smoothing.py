@@ -1,8 +1,8 @@
 """`accelcal evaluate smoothing`: the noise filter of Grammenos, Mascolo, Crowcroft 2018 on real stillness.
 
 Their section 4.6, Tables 1 and 2. A rolling mean or median of a few samples makes the noise of single samples
-smaller. It is no part of a calibration: that is fitted to means of whole windows, and stillness is judged by
-samples as they are, since a filter that came before it would make movement look still.
+smaller. It is not a part of a calibration: that is fitted to means of whole windows, and stillness is judged
+by samples as they are, since a filter that came before it would make movement look still.
 """
 
 from __future__ import annotations

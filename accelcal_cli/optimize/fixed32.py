@@ -249,7 +249,7 @@ def _accelerated(sets: Sequence[PointSet], model: Model, settings: DescentSettin
 
 
 def _finished(points: PointSet, model: Model, end: Fit) -> Fit:
-    """Go on from the end of a descent by Gauss-Newton steps; return it as it is at the minimum.
+    """Continue from the end of a descent by Gauss-Newton steps; return it as it is at the minimum.
 
     So it is where they lead nowhere, as with points that do not determine the parameters.
     """

@@ -252,7 +252,7 @@ def _read_correction(section: Any) -> Correction | None:
 def _knot(values: Any, name: str) -> tuple[int, int, int]:
     low, high = (STRETCH[0] * ONE, STRETCH[1] * ONE) if name == "stretch" else (-ONE, ONE)
     if not isinstance(values, list) or any(type(value) is not int for value in values):
-        raise ValueError(f"calibration.course has a {name} that is no list of integers")
+        raise ValueError(f"calibration.course has a {name} that is not a list of integers")
     if len(values) != 3 or not all(low <= value <= high for value in values):
         raise ValueError(f"calibration.course has a {name} that no sensor has")
     x, y, z = values

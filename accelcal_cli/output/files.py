@@ -307,7 +307,8 @@ def _cell(value: object) -> object:
 
 @contextlib.contextmanager
 def looking_at(path: Path, failure: type[AccelcalError] = OutputError) -> Iterator[None]:
-    """Turn an OSError of reading a file into one of our errors: it is then not taken for somebody else's.
+    """Turn an OSError of reading a file into one of our errors: so that it is not mistaken for another
+    library's.
 
     Raises:
         AccelcalError: of the kind `failure`.

@@ -33,7 +33,7 @@ from accelcal_cli.output.words import sentence
 DAY_S = 86_400
 SHORT_JUMPS = (
     "its times jitter or skip a little: {} short gaps and steps back in what was read; "
-    "windows go on over them (--longest-gap)"
+    "windows span them (--longest-gap)"
 )
 
 

@@ -134,7 +134,7 @@ def read_document(path: Path) -> Document:
 
 
 def document_bytes(path: Path) -> bytes:
-    """Read the bytes of a report, or of a file that lies beside it.
+    """Read the bytes of a report, or of a file that lies next to it.
 
     Raises:
         UnreadableError: it cannot be read, or is larger than any of ours.

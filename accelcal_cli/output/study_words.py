@@ -22,7 +22,7 @@ DEVICES = {
     "{elsewhere}",
     "device_not_known": "not known yet{best}; a recording of a day, at rest in many orientations, would tell",
 }
-"""What was found of a device, by code."""
+"""Findings about a device, by code."""
 
 SIZES = ("change", "per_month", "value")
 """Names of the value that a finding is about and that has an `error` and a `unit`."""

@@ -217,7 +217,7 @@ def residual_by_temperature(data: TimeSeries) -> Figure | None:
     area = svg.plot((cool, warm), (-reach, reach), 22, 230)
     axes = area.axes(svg.ticks(cool, warm), svg.ticks(-reach, reach), "temperature [°C]", "|a| − 1 g [mg]")
     body = [axes, area.dots(zip(heat, values, strict=True))]
-    title = f"What is left at each temperature, {WORDS[when]}"
+    title = f"Remaining error by temperature, {WORDS[when]}"
     per_c = _slope(heat, values, data.points["windows"])
     text = (
         f"Each of {counted(len(heat), 'dot')} is a point of the fit, "
@@ -257,7 +257,7 @@ def timeline(data: TimeSeries, recording: ReportRecording) -> Figure | None:
     body += [label(0, bottom + 15, "Gaps"), _gap_lane(data, recording, bottom)]
     area = svg.plot((0, data.seconds), (0, 1), 16, bottom + 24)
     body.append(_time_axes(area, data, [], ""))
-    title = "What the recording is made of, along time"
+    title = "Recording overview"
     text = _timeline_sentence(data, recording)
     return Figure("timeline", title, svg.figure("timeline", title, text, bottom + 66, body), text)
 
@@ -341,7 +341,7 @@ def convergence(data: TimeSeries) -> Figure | None:
     steps = listed([number(one) for one in data.convergence[:20]])
     more = "" if len(values) <= 20 else " and so on"
     title = "How the fit converged"
-    text = f"Mean error of the fitted postures, from the raw data on and after each step: {steps}{more} mg."
+    text = f"Mean error of the fitted orientations, for the raw data and after each step: {steps}{more} mg."
     return Figure("convergence", title, svg.figure("convergence", title, text, 240, body), text)
 
 

@@ -28,7 +28,7 @@ from accelcal_cli.pages.rendering import PageTable, Rows, rendered
 from accelcal_cli.pages.time_series import UnfitError, hourly_table, time_series
 
 AGAIN = "figures that need it are missing. Calibrate again with --force to have them."
-NO_FILE = f"There is no NAME.quality.json beside the report: {AGAIN}"
+NO_FILE = f"There is no NAME.quality.json next to the report: {AGAIN}"
 MOST_PROBLEMS = 20
 MOST_POSES = 200
 LONGEST_TEXT = 2000
@@ -142,7 +142,7 @@ def _coefficients(calibration: CalibrationView) -> PageTable:
         [name, PARAMETERS.get(name, ""), millionths(value), millionths(errors.get(name))]
         for name, value in values.items()
     ]
-    head = ["Name", "What it is", "Value", "Standard error"]
+    head = ["Name", "Meaning", "Value", "Standard error"]
     return PageTable(f"Coefficients of model {calibration.model}", head, rows, (0, 1))
 
 
@@ -156,7 +156,7 @@ def _models(report: ReportView) -> PageTable | None:
         why = "; ".join(filter(None, ("chosen" if at == chosen else "", prior, trial.reason)))
         rows.append([trial.model, corrections_of(trial.model), number(trial.after_mg), why])
     head = ["Model", "Corrects", "Held-out error [mg]", "Remark"]
-    caption = "Models tried, by their error on postures that they had not seen"
+    caption = "Models compared, by error on held-out orientations"
     return PageTable(caption, head, rows, (0, 1, 3)) if rows else None
 
 
@@ -172,7 +172,7 @@ def _misfits(report: ReportView) -> PageTable | None:
         for one in report.misfits or ()
     ]
     head = ["Looked for", "", "Size on x, y, z", "Held-out error without [mg]", "with [mg]"]
-    caption = "What a sensor may do that the coefficients do not describe"
+    caption = "Checks for sensor errors that the model does not cover"
     return PageTable(caption, head, rows, (0, 1, 2)) if rows else None
 
 
@@ -310,7 +310,7 @@ class GyroscopePart:
 
 
 def _gyroscope(gyroscope: GyroscopeView) -> GyroscopePart:
-    verdict = "Calibrated: angular rates in the calibrated recording are put right."
+    verdict = "Calibrated: angular rates in the calibrated recording are corrected."
     if gyroscope.outcome == "refused":
         verdict = "Not calibrated: angular rates in the calibrated recording are as measured."
     coefficients, errors = _gyroscope_coefficients(gyroscope), _gyroscope_errors(gyroscope)
@@ -337,7 +337,7 @@ def _gyroscope_coefficients(gyroscope: GyroscopeView) -> PageTable | None:
     if gyroscope.temperature is not None:
         for axis, value in zip("xyz", gyroscope.temperature.slope_dps_per_c, strict=True):
             rows.append([f"c{axis}", f"change of the bias of {axis} [deg/s per °C]", millionths(value), "–"])
-    head = ["Name", "What it is", "Value", "Standard error"]
+    head = ["Name", "Meaning", "Value", "Standard error"]
     return PageTable(f"Coefficients of {gyroscope.equation}", head, rows, (0, 1))
 
 

@@ -1,7 +1,7 @@
 """Templates made into pages: escaped, self-contained, with a policy that lets nothing in from outside.
 
 Whatever a file says of itself reaches a page through `finalize` and autoescape alone: control characters and
-marks that turn the direction of text are shown, not obeyed, and nothing is taken for HTML.
+marks that turn the direction of text are shown, not obeyed, and nothing is treated as HTML.
 """
 
 from __future__ import annotations

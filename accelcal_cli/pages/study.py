@@ -1,6 +1,6 @@
 """The page of a study: outcomes of its recordings, and which of them and of its devices to look at first.
 
-Everything that it shows is in the study's table and in the review of its devices. All texts are taken for
+Everything that it shows is in the study's table and in the review of its devices. All texts are treated as
 hostile: names are made printable here, the template escapes what it is given, and the data for the script are
 JSON that cannot end their element (`embedded`).
 """
@@ -194,7 +194,7 @@ class _Entry:
 
     Attributes:
         copy_of: path of the recording with the same bytes that counts; None or empty if this one counts.
-        href: address of its page, None if there is none; `./` keeps a name from being taken for a scheme.
+        href: address of its page, None if there is none; `./` keeps a name from being treated as a scheme.
     """
 
     def __init__(self, row: dict[str, Any], address: str | None, limit_mg: float) -> None:
@@ -410,7 +410,7 @@ def _recordings_table(entries: Sequence[_Entry], scatter: figures.Scatter) -> di
             choice_column("model", 5.5, [model or "" for model in of_row("model")]),
             number_column("change", "change, mg", 8, of("change_mg"), kind="mg"),
             number_column("lost", "lost, %", 6, (percent or None for percent in of_row("lost_percent"))),
-            message_column("message", "what was found", 70, of("finding")),
+            message_column("message", "finding", 70, of("finding")),
         ],
         "pages": of("link"),
         "scatter": scatter.scale(),

@@ -196,7 +196,7 @@ class Plot:
         return path("".join(dict.fromkeys(places)), kind)
 
     def upright(self, at: float, text: str) -> str:
-        """Draw a vertical line at a value of x, with a word beside it."""
+        """Draw a vertical line at a value of x, with a word next to it."""
         x = self.x(at)
         way = f"M{coordinate(x)} {coordinate(self.y.start)}V{coordinate(self.y.end)}"
         left = x > (self.x.start + self.x.end) / 2

@@ -76,7 +76,7 @@ def write_page(report: Path, page: Path, *, only_changed: bool = False) -> bool:
         only_changed: do not write a page that would come out the same.
 
     Raises:
-        UnreadableError: the report, or what lies beside it, cannot be read; or the report is damaged.
+        UnreadableError: the report, or what lies next to it, cannot be read; or the report is damaged.
         OutputError: the page cannot be written.
     """
     quality = _of_same_stem(report, QUALITY_SUFFIX)

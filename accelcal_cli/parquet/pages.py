@@ -4,7 +4,7 @@ pyarrow would write the same values, but slower or larger:
 
 - `dictionary_chunk` stores whole numbers that the values follow from, such as raw counts, one or two bytes
   each, with a table of the values. pyarrow hashes every row to find the values, and packs their places into
-  so few bits, across the limits of bytes, that zstd finds nothing in them.
+  few bits, across the limits of bytes, in which zstd finds nothing.
 - `delta_chunk` stores the differences between times as bytes, in which zstd finds what repeats. pyarrow packs
   the differences of 32 rows at a time into as few bits as they need.
 - `float_chunk` stores values in single precision as they are, or their bytes side by side. pyarrow copies

@@ -37,7 +37,7 @@ from accelcal_cli.parquet.row_groups import Footer, RowGroup, encode_by_pyarrow
 ROW_GROUP_ROWS = 1 << 19
 
 FLUSHED_BYTES = 1 << 25
-"""Bytes written after which the disk is told to begin."""
+"""Bytes written after which the system is asked to begin writing to disk."""
 
 FEWEST_GROUPS, MOST_GROUPS, GROUPS_BYTES = 2, 6, 1 << 26
 """Row groups in memory at a time where several threads encode them: as many as take GROUPS_BYTES."""

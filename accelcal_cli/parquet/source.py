@@ -20,7 +20,7 @@ BATCH_ROWS = 1 << 17
 
 
 def read_schema(path: Path) -> pa.Schema | None:
-    """Read the schema of a file; None if it is no Parquet file, or a damaged one.
+    """Read the schema of a file; None if it is not a Parquet file, or a damaged one.
 
     Raises:
         OSError: the file cannot be read.
@@ -48,7 +48,7 @@ class ParquetSource:
             columns: names of the columns to read, in this order, all of which the file has; None: all.
 
         Raises:
-            UnreadableError: it is no Parquet file, or cannot be read.
+            UnreadableError: it is not a Parquet file, or cannot be read.
         """
         self.path = path
         with contextlib.ExitStack() as stack:

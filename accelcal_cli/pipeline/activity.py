@@ -52,7 +52,7 @@ ANGLE_S, STILL_DEGREES, INACTIVE_S = 5, 5.0, 300
 
 RAW, SIMPLER, CALIBRATED, TRUE = "raw", "without_misalignment", "calibrated", "true"
 LEFT_OUT = {"filled": Validity.FILLED, "clipped": Validity.CLIPPED, "recovered": Validity.RECOVERED}
-"""Names of the rows that are left out, as they are no measurements or not whole ones."""
+"""Names of the rows that are left out, as they are not measurements or not whole ones."""
 
 DIGITS = 4
 """Decimals of measures in reports and tables."""

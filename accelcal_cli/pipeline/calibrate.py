@@ -302,7 +302,7 @@ class RecordingRun:
     """One open recording, what is asked for, and where the results go.
 
     Attributes:
-        bytes_at: where the recording's bytes are; the job's source but for standard input.
+        bytes_at: where the recording's bytes are; the job's source except standard input.
         before: its stamp before it was opened; None if it may change while it is read.
     """
 

@@ -29,7 +29,7 @@ def transform_of(data: ReportInput) -> Transform:
 def calibrated(
     chunks: Iterable[Chunk], transform: Transform, progress: Progress
 ) -> Iterator[tuple[Chunk, Axes]]:
-    """Yield a recording's chunks but for empty ones, each with its calibrated x, y, z [g]."""
+    """Yield a recording's chunks except empty ones, each with its calibrated x, y, z [g]."""
     for chunk in chunks:
         if len(chunk):
             yield chunk, transform.apply(chunk)

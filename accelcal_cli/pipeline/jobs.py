@@ -330,7 +330,7 @@ class Request:
     as_given: bool = False
 
     def options_of(self, path: Path) -> ReadOptions:
-        """Return how a recording is read, by options and files beside it; raises UsageError on conflict."""
+        """Return how a recording is read, by options and files next to it; raises UsageError on conflict."""
         return with_stated(self.options, self.choices_of(path), path)
 
     def choices_of(self, path: Path) -> dict[str, StatedOption]:
@@ -338,7 +338,7 @@ class Request:
         return {} if self.as_given else stated_options(path, self.rules, self.options.layout)
 
     def for_recording(self, path: Path) -> Request:
-        """Return the request for one recording: with what files beside it state, and without options that
+        """Return the request for one recording: with what files next to it state, and without options that
         are meant for others of several recordings.
 
         Raises:

@@ -10,7 +10,7 @@ A `study.toml` has a table for each pattern of names, with reading options by na
     unit = "m/s2"
     timezone = "Europe/Berlin"
 
-and before these, if some files are no recordings, `exclude = ["*_gyro.csv"]`. Where several patterns fit a
+and before these, if some files are not recordings, `exclude = ["*_gyro.csv"]`. Where several patterns fit a
 recording, the later one decides, option by option; its own NAME.toml takes precedence over all of them. The
 command line must not contradict them.
 """
@@ -86,7 +86,7 @@ def field_values(options: Mapping[str, Any], *kinds: type) -> dict[str, Any]:
 
     Raises:
         TypeError: an option does not exist, or has a value of another type.
-        UsageError: a value is out of bounds, or is none of the choices.
+        UsageError: a value is out of bounds, or not one of the choices.
     """
     known, values = option_fields(*kinds), {}
     for keyword, value in options.items():
@@ -307,7 +307,7 @@ class FolderRules:
         folder: absolute path of the folder that its patterns are relative to.
         anywhere: recordings outside the folder are matched by their names; else no pattern fits them.
         tables: options by pattern, each the values of fields of `ReadOptions`.
-        exclude: patterns of files that are no recordings.
+        exclude: patterns of files that are not recordings.
     """
 
     path: Path
@@ -329,7 +329,7 @@ class FolderRules:
         return (*self.exclude, *(pattern for pattern, _ in self.tables))
 
     def excludes(self, path: Path) -> bool:
-        """Return True if a file is no recording."""
+        """Return True if a file is not a recording."""
         return any(pattern in self.exclude for pattern in self.fitting(path))
 
     def choices(self, path: Path) -> Iterator[StatedOption]:
@@ -387,12 +387,12 @@ def read_rules(path: Path, folder: Path | None = None) -> FolderRules:
         folder: of the recordings; None: that of the file, and recordings elsewhere are matched by name.
 
     Raises:
-        UsageError: it cannot be read, or holds something that is no reading option.
+        UsageError: it cannot be read, or holds something that is not a reading option.
     """
     document = read_toml(path, STUDY_FILE, LARGEST_FILE)
     exclude = document.pop("exclude", [])
     if not isinstance(exclude, list) or not all(isinstance(pattern, str) for pattern in exclude):
-        raise UsageError('exclude is no list of patterns such as ["*_gyro.csv"]', path=path)
+        raise UsageError('exclude is not a list of patterns such as ["*_gyro.csv"]', path=path)
     for pattern, table in document.items():
         if not isinstance(table, Mapping):
             hint = f'write it below a pattern such as ["*.csv"], or ["*"] for all: {pattern} = ...'
@@ -427,7 +427,7 @@ def stated_options(
         layout: a layout that the user named, which may be the recording's `NAME.toml`.
 
     Raises:
-        UsageError: its `NAME.toml` cannot be read, or holds something that is no reading option.
+        UsageError: its `NAME.toml` cannot be read, or holds something that is not a reading option.
     """
     stated = [choice for one in rules for choice in one.choices(path)]
     own_file = sidecar_path(path)

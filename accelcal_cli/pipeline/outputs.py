@@ -82,7 +82,8 @@ def refuse_foreign_report(path: Path) -> None:
 
 
 def refuse_report_of_another(path: Path, source: Path) -> None:
-    """Raise OutputError if a file is in the way that is no report of ours, or that of another recording."""
+    """Raise OutputError if a file is in the way that is not a report of ours, or that of another
+    recording."""
     refuse_foreign_report(path)
     if (report := load_report(path)) is not None:
         _refuse_other(Job(source, path, path), source, report)
@@ -174,7 +175,7 @@ def _is_of(report: dict[str, Any], source: Path) -> bool:
 def _refuse_replacing(job: Job, source: Path, report: dict[str, Any], request: Request) -> None:
     """Raise OutputError if a good result of the recording as it is would give way to one that is none such.
 
-    A result of the same command and the same part of the file gives way: it was asked for anew.
+    A result of the same command and the same part of the file gives way: it was asked for again.
     """
     then, now = _made_by(report), _asked_by(request)
     parts = [name for name in PARTS if _part(report, name) != json_round_trip(getattr(request.options, name))]

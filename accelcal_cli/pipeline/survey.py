@@ -3,7 +3,7 @@
 An `Observer` collects facts about a recording as it is read; a procedure (`procedures`) is one, too. Still
 windows reach the observers in batches of a few thousand; the results depend neither on how they are batched
 nor on the length of the chunks. Recordings are opened with `open_marked`, for this pass and any other, which
-marks rows that are no measurements, or not whole ones, whatever the format.
+marks rows that are not measurements, or not whole ones, whatever the format.
 """
 
 from __future__ import annotations
@@ -79,10 +79,10 @@ def survey(
     progress: Progress = lambda _end_byte: None,
     threads: int = 1,
 ) -> None:
-    """Show a recording's chunks, and its still windows but for exact repetitions, to all observers.
+    """Show a recording's chunks, and its still windows except exact repetitions, to all observers.
 
     Args:
-        chunks: of `open_marked`, so that rows at the sensor's range are no stillness.
+        chunks: of `open_marked`, so that rows at the sensor's range are not stillness.
 
     Raises:
         UnreadableError: the recording cannot be read on.

@@ -102,7 +102,7 @@ def fit_points(path: Path, settings: Settings) -> dict[str, Any]:
         The report without `provenance`.
 
     Raises:
-        UnreadableError: it is no table of points.
+        UnreadableError: it is not a table of points.
     """
     from accelcal_cli.collect.table import read_table  # no recording needs it
 
@@ -114,7 +114,7 @@ def fit_frame(frame: pd.DataFrame, settings: Settings) -> dict[str, Any]:
     """Fit and judge a data frame as `fit_points` does a table; the report has the hash of its numbers.
 
     Raises:
-        UnreadableError: it is no table of points.
+        UnreadableError: it is not a table of points.
     """
     from accelcal_cli.collect.table import table_of
 

@@ -253,7 +253,7 @@ def span_of(item: ListedPose, origins: Sequence[Origin]) -> Span:
     """Return the place of a line.
 
     Raises:
-        UsageError: its file is none of the session's, it ends before it starts, or its times cannot be
+        UsageError: its file is not in the session, it ends before it starts, or its times cannot be
             compared with the recording's.
     """
     file = _file_of(item, origins)
@@ -275,7 +275,7 @@ def _file_of(item: ListedPose, origins: Sequence[Origin]) -> int:
         hint = "leave out the column `file`, or give the folder of the files instead of a recording"
         raise item.place.wrong("names a file, but the session is one recording", hint)
     if item.file not in names:
-        text = f"{printable(item.file[:80])!r} is none of the files of the session"
+        text = f"{printable(item.file[:80])!r} is not a file of the session"
         raise item.place.wrong(text, did_you_mean(item.file, names) or None)
     return names.index(item.file)
 

@@ -40,7 +40,7 @@ FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 """The six faces, each named by the axis that shows about +1 g or -1 g on it."""
 
 LISTED = "listed"
-"""Name of a pose that is none of the six faces."""
+"""Name of a pose other than the six faces."""
 
 BETWEEN = -1
 """Index for a direction that is near no face."""

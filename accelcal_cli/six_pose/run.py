@@ -96,7 +96,7 @@ def session_of(recordings: Sequence[Path], poses: Path | None = None) -> Path:
 
     Raises:
         UsageError: no pattern stands for them, one of them is standard input, or the list of poses would be
-            taken for one of them.
+            treated as one of them.
         UnreadableError: one of them is missing.
     """
     path = recordings[0]
@@ -259,7 +259,7 @@ def span_of_roll(roll: Roll, origins: Sequence[Origin]) -> Span:
     """Return the place of a roll: START,END, or FILE, or FILE,START,END.
 
     Raises:
-        UsageError: see `span_of`; or a time is none.
+        UsageError: see `span_of`; or a time cannot be read.
     """
     place = _Option(Path(roll.text), 0)
     names = [origin.name for origin in origins if origin.name is not None]
@@ -469,7 +469,7 @@ class KnownOrientations(Judge):
         """Return the listed poses, or else the six faces.
 
         Args:
-            rolls: places where the device was rolled; a slow roll may look still, but is no pose.
+            rolls: places where the device was rolled; a slow roll may look still, but is not a pose.
 
         Raises:
             UsageError: the list does not fit the recording.

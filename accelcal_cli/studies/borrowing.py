@@ -43,7 +43,8 @@ def pools(rows: Mapping[str, Row]) -> list[list[str]]:
     """Return the names of the recordings that are calibrated as one, by device and name, at least two each.
 
     They agree in serial, model, counts per g and range, are not too damaged, have a result of their own, and
-    their sensor did not change while it recorded. Of copies of one recording only the first is named.
+    their sensor did not change while it recorded. If several files have the same content, only the first is
+    named.
 
     Args:
         rows: own results by name.

@@ -1,6 +1,6 @@
 """The executor that has tasks done by the workers of a dask.distributed cluster.
 
-First the side of the workers: what they must be, and how they do a task and tell of it. Then this side: the
+First the side of the workers: what they must be, and how they do a task and report it. Then this side: the
 scheduler is found, tasks are submitted, and if a worker is lost, another does its task. distributed is an
 optional extra, imported in functions only.
 """

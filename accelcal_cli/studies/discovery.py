@@ -206,7 +206,7 @@ def below_out(where: Where) -> list[Item]:
 
 
 def places(where: Where) -> list[tuple[Path, str]]:
-    """Return each folder with its place under OUT; raises UsageError for what is no folder."""
+    """Return each folder with its place under OUT; raises UsageError for what is not a folder."""
     for folder in where.folders:
         if not folder.is_dir():
             raise UsageError("is not a folder", path=folder, hint="give the folder of the recordings")
@@ -292,7 +292,7 @@ def is_recording(item: Item, options: ReadOptions, *, asked_for: bool) -> bool:
     """Return True if a file is one of the study's recordings, by content.
 
     A file that no format fits is one if its suffix is that of a device's files: it is damaged, and must not
-    be ignored silently. Of text files only those with columns of numbers are recordings.
+    be ignored silently. Text files are recordings only if they have columns of numbers.
 
     Args:
         asked_for: the user named its kind with `--include`.

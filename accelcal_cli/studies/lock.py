@@ -38,7 +38,7 @@ UNFINISHED_S = 60.0
 """Age [s] from which a lock without all its content is that of a run that died while it wrote it."""
 BEGINNING, LONGEST = '{"host": ', 4096
 """Beginning of the content of every lock, and more bytes than it has."""
-GO_ON = "what was done is kept, and the same command does the rest"
+GO_ON = "finished recordings are kept; run the same command again to continue"
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ def locked(
     """Hold a lock file while the block runs; of two that exclude each other at least one sees the other.
 
     Args:
-        others: returns, once ours is there, locks that no living run may hold meanwhile.
+        others: returns, once ours is there, locks that no living run may hold at the same time.
         patience: None: only a run of this host is found to have ended.
 
     Raises:
@@ -152,7 +152,7 @@ def this_run() -> str:
 
 
 def read_lock(path: Path) -> Lock | None:
-    """Read a lock, None if there is none; raises OSError, and OutputError for a file that is no lock."""
+    """Read a lock, None if there is none; raises OSError, and OutputError for a file that is not a lock."""
     try:
         with open_plain(path, "rb") as file:  # opened, so that NFS asks the server
             text, touched_s = file.read(LONGEST).decode(errors="replace"), os.fstat(file.fileno()).st_mtime

@@ -155,7 +155,7 @@ class ProcessPool:
             self._stop_all()
 
     def _assign(self, waiting: list[Any]) -> None:
-        """Give the last task to a worker; if none can be started, go on with the busy ones."""
+        """Give the last task to a worker; if none can be started, continue with the busy ones."""
         try:
             worker = self._idle.pop() if self._idle else self._start()
         except OutputError:

@@ -35,7 +35,7 @@ class Item:
 
     Attributes:
         name: path under OUT with its full file name and `/` between folders, which identifies it.
-        stamps: its own stamp, and those of the files beside it that may describe it; None for a missing one.
+        stamps: its own stamp, and those of the files next to it that may describe it; None for a missing one.
             Then the stamp of the options that files state for it, where they state any.
         refusal: reason why it cannot be worked on, found before any work.
         aside: whether `--include` leaves it out, so that it is not started now.
@@ -72,7 +72,7 @@ class Entry:
     Attributes:
         stamps: stamps of the item when it was worked on.
         asked: hash of the settings and the version.
-        row: row in the summary; None for a file that is no recording.
+        row: row in the summary; None for a file that is not a recording.
         outputs: name under OUT and stamp of each file written.
         again: whether it must be tried again, because the fault was not in the recording.
         round: name of the round.
@@ -110,7 +110,7 @@ TaskFunction = Callable[[Any, ProgressCallback], Any]
 """The work on one task: a module-level function whose argument and result can be pickled."""
 
 ProgressDelta = Callable[[Any, float], None]
-"""Called with a task and the additional part that is done, negative if the task starts anew."""
+"""Called with a task and the additional part that is done, negative if the task starts again."""
 
 
 @dataclass(frozen=True, slots=True)

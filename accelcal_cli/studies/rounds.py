@@ -86,7 +86,7 @@ def common_of(study: Study, recordings: int = MANY) -> Common:
 
 
 def workers_of(study: Study, recordings: int) -> int:
-    """Return the number of processes of this machine that work on so many recordings at a time."""
+    """Return the number of processes of this machine that work on a number of recordings at a time."""
     wanted = study.jobs if study.dask is None else None
     return min(wanted or system.workers(recordings), max(1, recordings))
 
@@ -115,7 +115,7 @@ class Plan:
         done: recordings whose earlier result is valid, each with its entry.
         todo: recordings to work on.
         waiting: recordings that are not started.
-        left_out: entries of files that are no recordings.
+        left_out: entries of files that are not recordings.
         late: names of the recordings that are left for a later run, done before or not.
         changing: names of late recordings whose file has changed since the earlier result; it may be
             incomplete.
@@ -236,7 +236,7 @@ class _Planning:
         return [item for item in items if not item.aside and self.keeps(item)]
 
     def keeps(self, item: Item) -> bool:
-        """Return True for a recording; of other files, remember that they are none."""
+        """Return True for a recording; of other files, remember that they are not recordings."""
         entry, named = self.ledger.known(item, self.asked), bool(self.study.where.include)
         request = self.study.request
         if entry is not None and not entry.failed and (entry.row is not None or not named):

@@ -130,7 +130,7 @@ def unlock(study: Study) -> lock.Lock | None:
     """Remove the study's lock, whether or not its run has ended; returns it, None if there is none.
 
     Raises:
-        OutputError: it cannot be removed, or is no lock.
+        OutputError: it cannot be removed, or is not a lock.
     """
     with disk_errors(study.lock):
         if (found := lock.read_lock(study.lock)) is not None:

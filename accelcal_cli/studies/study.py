@@ -49,7 +49,7 @@ def shard(text: str | None, environment: Mapping[str, str] = os.environ) -> Shar
     """Return the shard that `--shard` names: `2/8`, or `slurm` for this task of a job array.
 
     Raises:
-        UsageError: it is neither, or this is no task of a job array whose numbers rise by one.
+        UsageError: it is neither, or this is not a task of a job array whose numbers rise by one.
     """
     if text is None:
         return Shard()

@@ -249,7 +249,7 @@ class Summary:
         waiting: number of recordings that were not tried yet: too new, too old, or another shard's.
         ahead: number of waiting recordings that were changed in the future by this machine's clock; not
             written.
-        left_out: number of files that are no recordings.
+        left_out: number of files that are not recordings.
         kept: number of recordings that this run does not name, whose rows are from one with other options.
         up_to_date: number of recordings for which nothing had to be done; not written.
         pools: device, number of recordings, outcome and message of each pool, by name.

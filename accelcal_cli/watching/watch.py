@@ -1,8 +1,8 @@
 """`accelcal watch`: a recording is calibrated while it grows, in one pass (F: on the device itself).
 
-Bytes are taken in steps of equal length. Whenever enough is new, a copy of all that is remembered is told
-that the recording ends there, and is judged, while the original goes on. So the coefficients are those that
-`calibrate` finds in the same bytes, bit for bit.
+Bytes are taken in steps of equal length. Whenever enough is new, a copy of the state is treated
+as if the recording ended there, and is judged, while the original continues. So the coefficients are those
+that `calibrate` finds in the same bytes, bit for bit.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ HEAD_BYTES = 1 << 20
 """Bytes that show how a recording is read; no format looks further."""
 
 OPENING_STEPS = 8
-"""Steps after which all that has come is read anew, as long as it is less than HEAD_BYTES."""
+"""Steps after which all that has come is read again, as long as it is less than HEAD_BYTES."""
 
 LOOK_S = 60
 """Length [s] of recording between two looks at what is new."""
@@ -262,7 +262,7 @@ class Watch:
     """Calibrates a recording while it grows.
 
     Args:
-        source: what errors call the recording; files beside it may say how it is read.
+        source: what errors call the recording; files next to it may say how it is read.
     """
 
     def __init__(self, source: Path, options: ReadOptions, settings: Settings) -> None:
@@ -411,7 +411,7 @@ class Watch:
         """Report progress, and fit where that is worth it.
 
         Args:
-            ended: the pass was told that nothing follows.
+            ended: the pass knows that nothing follows.
         """
         self._looked_at = live.samples
         subsets, known = live.subsets(), live.method.procedure.orientations()

@@ -28,7 +28,7 @@ def test_coefficients_are_printed_and_what_they_cost_is_said(tmp_path: Path, cap
     ):
         ran = run(capsys, "export", report, "--to", form)
         assert ran.code == 0 and ran.out.startswith(start), ran
-        assert f"{report}: misalignment is left out (model 6T for 9T): " in ran.err
+        assert f"{report}: this form cannot hold misalignment; exported model 6T instead of 9T: " in ran.err
         assert run(capsys, "export", report, "--to", form, "-q").err == ""
 
 
@@ -58,7 +58,7 @@ def test_json_has_nine_where_there_is_nothing_without(tmp_path: Path, capsys: Ca
     assert json.loads(run(capsys, "export", report, "--to", "json").out)["without_misalignment"] is None
     ran = run(capsys, "export", report, "--to", "ggir")
     assert ran.code == 2
-    assert_one_line(ran, "has no fit without misalignment; hand on the calibrated data")
+    assert_one_line(ran, "has no fit without misalignment; export the calibrated data")
 
 
 def test_an_older_report_says_what_to_do(tmp_path: Path, capsys: Capture) -> None:

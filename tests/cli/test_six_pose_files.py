@@ -212,7 +212,7 @@ def test_files_of_another_device_end_the_session(tmp_path: Path, capsys: Capture
 @pytest.mark.parametrize(
     ("change", "code", "told"),
     [
-        ({"-z": "minus_q.csv"}, 2, "'minus_q.csv' is none of the files of the session; did you mean 'minus_"),
+        ({"-z": "minus_q.csv"}, 2, "'minus_q.csv' is not a file of the session; did you mean 'minus_"),
         ({"-z": None}, 2, "does not list minus_z.csv; write a line for each file"),
     ],
 )

@@ -174,10 +174,11 @@ def test_a_report_hands_on_its_fit_without_misalignment_and_what_that_costs(tmp_
     assert found.axes().offset_g == tuple(section["calibration"]["offset_g"])
     six, nine = (one["holdout"]["after_mg"]["mean"] for one in (section, report))
     assert six > 5 * nine
-    everywhere = f"{section['calibration_error_mg']['mean']:.2f} mg over all orientations instead of"
+    everywhere = [one["calibration_error_mg"]["mean"] for one in (section, report)]
     assert cost(found) == (
-        f"misalignment is left out (model 6T for 9T): {six:.2f} mg held out instead of {nine:.2f}, "
-        f"{everywhere} {report['calibration_error_mg']['mean']:.2f}"
+        "this form cannot hold misalignment; exported model 6T instead of 9T: calibration error "
+        f"{everywhere[0]:.2f} mg instead of {everywhere[1]:.2f} mg, "
+        f"held-out error {six:.2f} mg instead of {nine:.2f} mg"
     )
 
 

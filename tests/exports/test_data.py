@@ -149,7 +149,7 @@ def test_motion_bids(tmp_path: Path) -> None:
     "name", ["a.tsv", "sub-01_motion.tsv", "sub-01_task-a_motion.tsv", "task-a_motion.tsv"]
 )
 def test_a_name_that_bids_does_not_know_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(UsageError, match="is no name of Motion-BIDS; name it as in sub-01_task-freeliving"):
+    with pytest.raises(UsageError, match="is not a Motion-BIDS name; name it as in sub-01_task-freeliving"):
         outputs_of("bids", tmp_path / name)
 
 

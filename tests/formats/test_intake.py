@@ -128,7 +128,7 @@ def test_samples_beyond_those_that_a_sound_file_tells_of_are_not_lost_in_silence
         samples = sum(map(len, intake.take(path.read_bytes() + b"LIST\4\0\0\0text", last=False)))
         assert samples == len(whole(path))
     with open_marked(path, ReadOptions()) as reader:
-        refusal = pytest.raises(UnreadableError, match="more samples follow than its header tells of")
+        refusal = pytest.raises(UnreadableError, match="more samples follow than its header states")
         with refusal:
             list(reader.intake().take(path.read_bytes() + bytes(100), last=False))
 

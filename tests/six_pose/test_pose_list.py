@@ -209,7 +209,7 @@ def test_of_a_file_the_longest_rest_counts_without_its_ends(tmp_path: Path) -> N
     ("lines", "header", "words"),
     [
         (["a,0,1,0"], "file,ax,ay,az", "poses.csv: does not list b; write a line for each"),
-        (["a,0,1,0", "c,0,0,1"], "file,ax,ay,az", "line 3: 'c' is none of the files of the session"),
+        (["a,0,1,0", "c,0,0,1"], "file,ax,ay,az", "line 3: 'c' is not a file of the session"),
         (["a,0,1,0", "a,0,1,0", "b,0,0,1"], "file,ax,ay,az", "line 3: overlaps line 2"),
         (["0,9,0,1,0"], "start,end,ax,ay,az", "names no file, but the session is in several"),
         (["a,2,1,0,1,0"], "file,start,end,ax,ay,az", "ends before it starts"),

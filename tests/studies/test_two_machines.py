@@ -77,7 +77,8 @@ def test_the_other_takes_over_and_who_comes_back_stops(
         _, said = process.communicate()
         assert process.returncode == 75, said
         gone = "removed|taken over by process [0-9]+ on .*"  # as it finds it before the other ends, or after
-        text = f"study.lock: the lock of this run was ({gone}); what was done is kept, and the same command"
+        kept = "finished recordings are kept; run the same command again"
+        text = f"study.lock: the lock of this run was ({gone}); {kept}"
         assert re.search(text, said.decode())
     assert results(out) == undisturbed
     again = here(folder, out)

@@ -33,8 +33,8 @@ BAD_KINDS = {
     REPEATED: ("repeated_page", "pages that the file holds a second time, left out"),
     TEXT: ("bad_page", "pages whose own text is damaged, left out"),
     LENGTH: ("bad_page", "pages with too few or too many digits, left out"),
-    DIGITS: ("bad_page", "pages with characters that are no digits among the samples, left out"),
-    NO_PAGE: ("bad_page", "stretches of the file that are no page, left out"),
+    DIGITS: ("bad_page", "pages with characters that are not digits among the samples, left out"),
+    NO_PAGE: ("bad_page", "stretches of the file that are not pages, left out"),
 }
 """Code and text of the problem for each kind of unusable page."""
 

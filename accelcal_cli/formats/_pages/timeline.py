@@ -201,7 +201,7 @@ class CoarseTimeline:
     each page's stamp, so that a recording at its nominal rate is evenly spaced throughout. Where
     it leaves that band (a sensor faster or slower than nominal) the page is moved to the band's
     edge and the samples before it are spread over what remains. More than half a unit beyond the
-    band and the page tolerance is a jump of the clock: times then go on from the new stamp.
+    band and the page tolerance is a jump of the clock: times then continue from the new stamp.
     """
 
     def __init__(self, spacing: Spacing, unit_us: int) -> None:

@@ -66,7 +66,7 @@ class RecordingPart:
 
 
 Open = Callable[[Path], Reader]
-"""Opens one part; raises NoFormatError for a file that is no recording."""
+"""Opens one part; raises NoFormatError for a file that is not a recording."""
 
 
 AnyReader = TypeVar("AnyReader", bound=Reader)
@@ -123,7 +123,7 @@ class PartFiles:
     Attributes:
         damage: what is wrong with the archive that held them.
         folder: temporary folder, to be removed.
-        aside: names of files that are no recordings.
+        aside: names of files that are not recordings.
         problems: one for each file that cannot be read.
     """
 

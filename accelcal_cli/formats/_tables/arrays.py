@@ -199,7 +199,7 @@ class ArrayTable(SensorTable):
         return Attributes([self._own(path)])
 
     def stated(self, path: str) -> Attributes:
-        """Return what is stated of an array, beside it and around it."""
+        """Return what is stated of an array, next to it and around it."""
         layers: list[Mapping[str, object]] = [self._own(path)]
         while True:
             path = dirname(path)

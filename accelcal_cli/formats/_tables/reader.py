@@ -99,7 +99,7 @@ class ReadingPlan:
         problems: go with the first rows.
         missing_bytes: of a file cut short; its problem goes with the last rows.
         chosen: the rows of the sensor that is read, None for all.
-        divided: tracks that may tell of several sensors.
+        divided: tracks that may separate several sensors.
     """
 
     recording: Recording
@@ -189,7 +189,8 @@ def plan_of(source: TableSource, format_name: str) -> ReadingPlan:
 
 
 def _divided(source: TableSource, plan: ReadingPlan) -> Divided:
-    """Return what tells of several sensors, but not in the first rows; raise UnreadableError if these do."""
+    """Return the tracks that separate several sensors, but not in the first rows; raise UnreadableError if
+    these do."""
     wanted, stamps = source.options.sensor, plan.stamps
     if wanted is not None and plan.chosen is None:
         return Divided()

@@ -87,7 +87,7 @@ class Moment(NamedTuple):
 
 
 def parse_moment(value: str | float) -> Moment | None:
-    """Return the moment of a start attribute; None if it is no moment.
+    """Return the moment of a start attribute; None if it is not a moment.
 
     A number counts s, ms, us or ns since 1970, by its size, and is UTC. A text is an ISO date and time;
     only one with `Z` or an offset is UTC for certain.
@@ -228,7 +228,7 @@ def checked_rate(rate_hz: float | None, path: Path) -> float:
 
     Raises:
         UsageError: none is known.
-        UnreadableError: it is no rate of a recorder.
+        UnreadableError: it is not a rate of a recorder.
     """
     if rate_hz is None:
         raise UnreadableError(

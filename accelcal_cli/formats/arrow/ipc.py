@@ -55,7 +55,7 @@ FOOTER_BATCHES = 3
 BLOCK_BYTES = 24
 FILE_END = FEATHER_MAGIC.rstrip(b"\0")
 LARGEST_HEAD = 1 << 26
-"""A message whose head claims more bytes is none."""
+"""Largest head of a message in bytes; one that claims more is not read as a message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +125,7 @@ def _footer_offsets(file: BinaryIO, size: int) -> list[int] | None:
 
 
 def _chained_messages(file: BinaryIO, size: int, first: int) -> Messages:
-    """Go from message to message, up to the end or to bytes that are no message."""
+    """Go from message to message, up to the end or to bytes that are not a message."""
     batches: list[Batch] = []
     place, missing = first, -1 if first else 0
     while place < size:

@@ -218,7 +218,7 @@ def read_date(text: str, order: str) -> date | None:
 
 
 def is_year_first(cell: str) -> bool:
-    """Return True if a cell needs no other order: it begins with the year, or is no date."""
+    """Return True if a cell needs no other order: it begins with the year, or is not a date."""
     cell = cell.strip()
     return ISO.match(cell) is not None or DATE_BYTES.match(cell.encode()) is None
 
@@ -242,7 +242,7 @@ def year_first(block: bytes, order: str, thorough: bool) -> bytes:
 
 
 def _with_year_first(found: re.Match[bytes], order: str) -> bytes:
-    """Return a match with the year first and an hour of two digits; unchanged where it is no date."""
+    """Return a match with the year first and an hour of two digits; unchanged where it is not a date."""
     day = read_date(found[0].decode(), order)
     hour = b"" if found[6] is None else b"0" + found[6]
     return found[0] if day is None else day.isoformat().encode() + found[5] + hour
@@ -260,7 +260,7 @@ def find_order(
     """Return the order of day, month and year in cells of times that do not begin with the year.
 
     Args:
-        cells: as they are written; what is no date is left for others to judge.
+        cells: as they are written; what is not a date is left for others to judge.
         user_order: what the user chose.
         header_orders: what a vendor's header suggests, best first.
 
@@ -373,7 +373,8 @@ class TimeFormat:
         return np.where(usable, np.where(usable, values, 0).astype(np.int64), other)
 
     def possible(self, cells: Any) -> tuple[Any, NDArray[np.bool_]]:
-        """Return texts (n,) as times of that type, and flags (n,) of those that are no time and left empty.
+        """Return texts (n,) as times of that type, and flags (n,) of those that are not times and are left
+        empty.
 
         Texts that cannot be read are halved until single cells are left: such times are few.
         """
@@ -405,7 +406,7 @@ class DateColumn:
     order: str | None = None
 
     def moment(self, day: str, time: str) -> str:
-        """Return the time that two cells give together, as ISO 8601; what is no date stays as it is."""
+        """Return the time that two cells give together, as ISO 8601; what is not a date stays as it is."""
         order = "ymd" if YEAR.match(day.strip()) else self.order
         found = read_date(day, order) if order else None
         return f"{day.strip() if found is None else found.isoformat()}T{time.strip()}"
@@ -432,7 +433,7 @@ def find_time_format(
         unit_us: what the name of the column says.
 
     Raises:
-        UnreadableError: they can be read in more than one way, or are no times.
+        UnreadableError: they can be read in more than one way, or are not times.
     """
     written = [(text, line) for cell, line in cells if (text := cell.strip()) not in MISSING]
     numbers = [value for text, _ in written if (value := number_of(text)) is not None]

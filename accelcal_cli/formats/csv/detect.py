@@ -89,10 +89,10 @@ class Detected:
 
     Attributes:
         start_us: time of the first row where rows carry none; None if it is not known.
-        first_values: the first value of each channel; a column that the head leaves empty is none.
+        first_values: the first value of each channel; a column that the head leaves empty is not a channel.
         gyro: how rotation rates become counts, None without a gyroscope; gyro_notes: how it was understood.
         head: the file up to its first row.
-        watch: over columns that may tell of several sensors, with the head seen; None without such columns.
+        watch: over columns that may separate several sensors, with the head seen; None without such columns.
     """
 
     export: ExportDescription

@@ -204,7 +204,7 @@ class CsvReader(Reader):
         """Yield all usable rows, at most `chunk_samples` at a time.
 
         Raises:
-            UnreadableError: a line is no row of the file, or most rows cannot be used.
+            UnreadableError: a line is not a row of the file, or most rows cannot be used.
         """
         stream = RowStream(self._detected, self._zone)
         assembler = CsvAssembler(self._detected, stream.followed, self.recording.timezone)

@@ -55,7 +55,7 @@ SHOWN = 40
 
 @dataclass(frozen=True, slots=True)
 class LineCheck:
-    """Finds what is wrong with a line: the number of its columns, or a cell that is no number or time."""
+    """Finds what is wrong with a line: the number of its columns, or a cell that is not a number or time."""
 
     dialect: Dialect
     used: tuple[int, ...]
@@ -396,7 +396,7 @@ class RowParser:
             threads: how many may work at a time.
 
         Raises:
-            UnreadableError: a line is no row of the file, or counts are not whole.
+            UnreadableError: a line is not a row of the file, or counts are not whole.
         """
         for rows, block, seen in parallel_map(self._rows_of, blocks, threads):
             if self._watch is not None:

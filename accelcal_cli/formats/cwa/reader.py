@@ -43,8 +43,8 @@ DAMAGED = (sector.EMPTY, paged.FOREIGN, paged.CHECKSUM, paged.NONSENSE)
 """Kinds whose bytes are lost; sectors recorded with other settings are sound."""
 
 MISSING_SECTORS = ("sequence_gap", "data sectors missing by their sequence numbers")
-RESTARTED = ("sequence_back", "restarts of the logging, where the sequence numbers begin anew")
-SESSION = ("session_change", "changes of the session number: the device was set up anew")
+RESTARTED = ("sequence_back", "restarts of the logging, where the sequence numbers begin again")
+SESSION = ("session_change", "changes of the session number: the device was set up again")
 OVERFLOW = ("device_overflow", "data sectors where the device says that it lost samples")
 UNTIMED = (
     "missing_value",
@@ -149,7 +149,7 @@ class SectorScheme(FileScheme[RawBlock]):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Waiting:
-    """Sectors whose times are not settled, and which of them (p,) begin anew."""
+    """Sectors whose times are not settled, and which of them (p,) begin again."""
 
     block: SectorBlock
     broken: NDArray[np.bool_]

@@ -1,6 +1,6 @@
 """Decodes the header and the 512-byte data sectors of an Axivity .cwa file.
 
-Sources: the vendor's format document `Docs/ax3/cwa.h` and the notes beside it,
+Sources: the vendor's format document `Docs/ax3/cwa.h` and the notes next to it,
 `Docs/ax3/ax3-technical.md` and `ax3-auxiliary.md` (github.com/digitalinteraction/openmovement).
 All numbers are little-endian. Where header and data disagree, the data take precedence.
 
@@ -87,8 +87,8 @@ UNSET_BYTE = 0xFF
 HAS_FRACTION = 0x8000
 
 EMPTY, OTHER, SETTINGS = ERASED, 50, 51
-"""Kinds of sectors in addition to those of pages: nothing written, a kind without acceleration (FOREIGN is no
-sector at all), or recorded with other settings."""
+"""Kinds of sectors in addition to those of pages: nothing written, a kind without acceleration (FOREIGN is
+not a sector at all), or recorded with other settings."""
 
 KINDS_WITHOUT_SAMPLES = [int.from_bytes(name, "little") for name in (b"UB", b"SI", b"GY", b"GX")]
 

@@ -2,7 +2,7 @@
 
 The sensor has its own oscillator, which is percents off its nominal rate and drifts with temperature, so that
 only the anchors show when a sample was taken: times lie on straight lines between them. Before the
-first and after the last anchor of an unbroken run the line goes on with the run's own rate at that end.
+first and after the last anchor of an unbroken run the line continues with the run's own rate at that end.
 Sectors begin and end on these lines; the samples of a sector are evenly spread.
 """
 
@@ -27,7 +27,7 @@ LONGEST_PERIODS = 4
 """Most sampling periods for each sample between anchors that have few samples between them."""
 
 LONGEST_BRIDGE = 100
-"""Lost sectors from which on times begin anew; times are interpolated across fewer."""
+"""Lost sectors from which on times begin again; times are interpolated across fewer."""
 
 END_ANCHORS = 32
 """Number of anchors over which the rate at the end of a run is measured."""
@@ -45,10 +45,10 @@ class Links:
         row: int64, number of the first sample; lost sectors that are bridged count too.
         rows: int64, samples in the sector.
         anchor_row, anchor_us: int64, a sample number on the same axis and its time [us].
-        fresh: bool, the times begin anew here.
-        broken: bool, samples are lost before the sector, or its times begin anew.
+        fresh: bool, the times begin again here.
+        broken: bool, samples are lost before the sector, or its times begin again.
         missing: int64, sectors that are not in the file, by the sequence numbers.
-        restarted: bool, the sequence numbers begin anew.
+        restarted: bool, the sequence numbers begin again.
         session: bool, the recording's session number changes.
         overflow: bool, the device lost samples before or in the sector.
         untimed: bool, the sector has no time of its own.
@@ -130,7 +130,7 @@ class Linker:
         fresh = (off != 0) | steps.restarted | session | (steps.forward > LONGEST_BRIDGE)
         broken = fresh | (steps.forward > 1) | block.overflow
         fresh[0] |= first
-        broken[0] &= not first  # the first row of a recording is no break
+        broken[0] &= not first  # the first row of a recording is not a break
         columns = (block.position, block.sequence, block.session, row, block.rows, anchor_row, anchor_us)
         self._last = _Last(*[*(int(column[-1]) for column in columns), *source])
         return Links(
@@ -192,7 +192,7 @@ class Linker:
     def _clock_jumps(
         self, passed: NDArray[np.int64], passed_us: NDArray[np.int64], few: NDArray[np.bool_]
     ) -> NDArray[np.int64]:
-        """Return the jump of the clock before each sector [us], 0 where it goes on as it should.
+        """Return the jump of the clock before each sector [us], 0 where it continues as it should.
 
         Args:
             few: the sector before is not full, or anchors are close: few samples may not be spread over a

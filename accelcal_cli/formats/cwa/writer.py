@@ -1,6 +1,6 @@
 """Writes Axivity AX3 and, with a gyroscope, AX6 recordings: sectors of unpacked samples with checksums.
 
-Sources: the vendor's format document `Docs/ax3/cwa.h` and the notes beside it, `ax3-technical.md`
+Sources: the vendor's format document `Docs/ax3/cwa.h` and the notes next to it, `ax3-technical.md`
 and `ax3-auxiliary.md` (github.com/openmovementproject/openmovement). Each sector is stamped with the time
 of the sample that lies nearest to a tick of the device's clock, 1/32768 s. A sector ends where it is full
 and where the recording has a break; the first one after a break says that samples were lost.

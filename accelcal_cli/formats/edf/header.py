@@ -89,7 +89,7 @@ class Header:
     Attributes:
         sample_bytes: 2 in EDF, 3 in BDF.
         plus: `C` or `D` (with gaps) for EDF+ and BDF+, else None.
-        start_us: microseconds since 1970 on the device's clock; None if it is no date.
+        start_us: microseconds since 1970 on the device's clock; None if it is not a date.
         records: number of data records; None if it was not known.
         seconds: length of a record.
     """
@@ -114,7 +114,7 @@ class Header:
 
 
 def number_in(text: str) -> Fraction | None:
-    """Return a number as headers write it, exactly; None if the text is none."""
+    """Return a number as headers write it, exactly; None if the text is not a number."""
     text = text.strip().replace(",", ".")
     return Fraction(text) if NUMBER.fullmatch(text) else None
 
@@ -198,7 +198,8 @@ def _signals(table: dict[str, list[str]], count: int, path: Path) -> tuple[Signa
 
 
 def _start_us(date: str, time: str, recording: str) -> int | None:
-    """Return the time of `02.08.51` and `20.15.00`, with the year from EDF+ if given; None if it is none."""
+    """Return the time of `02.08.51` and `20.15.00`, with the year from EDF+ if given; None if it is not a
+    time."""
     try:
         hour, minute, second = map(int, time.split("."))
         match = EDF_PLUS_DATE.match(recording)
@@ -377,7 +378,7 @@ def _scaling(signal: Signal, path: Path) -> tuple[Fraction, Fraction, int, int]:
     """Return the physical value of one digital step and of 0, and the digital limits.
 
     Raises:
-        UnreadableError: the limits are no numbers, or equal.
+        UnreadableError: the limits are not numbers, or equal.
     """
     low, high, first, last = map(number_in, signal.limits)
     if low is None or high is None or first is None or last is None or low == high or first >= last:

@@ -283,7 +283,7 @@ class Grouper:
         good, kind = sound(slots), kinds(slots)
         begins = good & (kind == TIME)
         edges = self._edges(begins)
-        if not last:  # the last group stays open: its samples may go on in the next pages
+        if not last:  # the last group stays open: its samples may continue in the next pages
             edges = edges[:-1] if len(slots) - edges[-2] <= self._longest else edges
         end = int(edges[-1])
         self._open, self._first = slots[end:].copy(), first + end

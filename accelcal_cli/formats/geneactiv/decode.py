@@ -133,7 +133,7 @@ class TextPages(ScannedPages):
 class TextScanner:
     """Finds the pages in the text of a file; see Scanner in `_pages/files.py`.
 
-    Every page begins with a line of its own, at which the search goes on after damage.
+    Every page begins with a line of its own, at which the search continues after damage.
 
     Args:
         offset: where in the file the text begins.
@@ -178,7 +178,7 @@ class TextScanner:
         return found
 
     def _close(self, index: int, found: TextPages) -> None:
-        """End a stretch of text that is no page."""
+        """End a stretch of text that is not a page."""
         if self._bad is not None:
             found.add(*self._bad, self._offset + index)
         self._bad = None
@@ -191,7 +191,7 @@ class TextScanner:
         return max(index, len(text) - begun) if self._searching else place
 
     def _last(self, text: bytes, index: int, head: re.Match[bytes] | None, found: TextPages) -> int:
-        """Take text that is no whole page near the end of the file, which may have cut a page off."""
+        """Take text that is not a whole page near the end of the file, which may have cut a page off."""
         if head is not None:
             digits = text[head.end() : head.end() + BODY_DIGITS + 2].removesuffix(b"\r")
             cut = len(digits) <= BODY_DIGITS and b"\n" not in digits
@@ -210,7 +210,7 @@ class TextScanner:
         return len(text)
 
     def _other(self, text: bytes, index: int, head: re.Match[bytes] | None) -> int:
-        """Begin a stretch of text that is no page; return where to go on."""
+        """Begin a stretch of text that is not a page; return where to continue."""
         blank = _BLANK.match(text, index)
         if blank:
             return blank.end()
@@ -464,7 +464,7 @@ def page_channels(heads: Sequence[Head]) -> Channels:
 
 
 def unhexed(bodies: Sequence[bytes]) -> bytes | None:
-    """Decode the hexadecimal digits of all bodies; return None if a character is no digit."""
+    """Decode the hexadecimal digits of all bodies; return None if a character is not a digit."""
     try:
         return unhexlify(b"".join(bodies))
     except Error:

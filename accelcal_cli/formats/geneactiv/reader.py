@@ -80,8 +80,8 @@ _PAGE_LINE = re.compile(
     MARK + rb"[ \t]*(?:[\r\n]|\Z)|(?:^|(?<=\r))(?:Sequence Number:|Page Time:|[0-9A-Fa-f]{256})",
     re.MULTILINE,
 )
-"""The beginning of a page, or a line of one, whichever comes first. A damaged page is no part of the header,
-even if its lines end in carriage returns alone, or the end of the line before it is lost."""
+"""The beginning of a page, or a line of one, whichever comes first. A damaged page is not a part of the
+header, even if its lines end in carriage returns alone, or the end of the line before it is lost."""
 
 _RANGE = re.compile(r"-\s*(\d+(?:\.\d+)?)\s*to\s*(\d+(?:\.\d+)?)")
 _DRIFT = re.compile(r"clock drift (-?\d+(?:\.\d+)?) ?s")

@@ -2,7 +2,7 @@
 
 Sources: the vendor's format documents, github.com/actigraph/GT3X-File-Format and
 github.com/actigraph/NHANES-GT3X-File-Format; docs/gt3x-files.md says what was decided if they leave
-something open. An .agdc, of CentrePoint devices, is the same with calibration.json and the like beside it
+something open. An .agdc, of CentrePoint devices, is the same with calibration.json and the like next to it
 (the vendor's reader, github.com/actigraph/pygt3x). Times are the device's clock: local time, or UTC if the
 file says so.
 """

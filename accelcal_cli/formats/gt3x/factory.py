@@ -56,7 +56,7 @@ A reading has a thermometer's number and 16 bits; number 1 is within the acceler
 """
 
 READ_AS_COUNTS = "--lsb-per-g, such as 256, reads the counts as they are"
-DAMAGED = "{} in the zip file is damaged: what it says of the sensor was not applied"
+DAMAGED = "{} in the zip file is damaged: its values for the sensor were not applied"
 NOT_APPLIED = "the maker's calibration (calibration.json) was not applied, as --lsb-per-g is given"
 OLDER_KIND = "the maker's calibration (calibration.json) was not applied: it is not for activity.bin"
 NO_TEMPERATURE = (
@@ -253,7 +253,7 @@ def temperatures(
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Return temperatures, (k,) thousandths of a degree C, and where their records begin.
 
-    They are those of the accelerometer's thermometer; readings that are no temperature are left out.
+    They are those of the accelerometer's thermometer; readings that are not temperatures are left out.
     """
     found: list[tuple[int, int]] = []
     for number in np.flatnonzero(batch.records.kind == log.TEMPERATURE).tolist():

@@ -156,7 +156,7 @@ def _time_us(text: str | None) -> int | None:
 
 
 def _zone(text: str | None) -> str | None:
-    """Return -05:00:00 as -05:00, 02:00:00 as +02:00, 00:00:00 as UTC; None if it is no zone."""
+    """Return -05:00:00 as -05:00, 02:00:00 as +02:00, 00:00:00 as UTC; None if it is not a zone."""
     match = ZONE.fullmatch(text or "")
     if match is None or int(match[2]) > WIDEST_OFFSET_H:
         return None

@@ -192,7 +192,7 @@ class Page:
         return records.select(inside & fits(records))
 
     def incomplete(self, index: int) -> bool:
-        """Return True if the bytes at `index` could be a record that goes on beyond the piece."""
+        """Return True if the bytes at `index` could be a record that continues beyond the piece."""
         left = len(self.data) - index
         return left < FRAME_BYTES or (self.data[index] == SEPARATOR and left < self.length(index))
 
@@ -320,7 +320,7 @@ class Framer:
         return framed.batch(page)
 
     def _step(self, page: Page, index: int, framed: _Framed) -> int | None:
-        """Go on from `index`; return the next index, or None if more bytes are needed."""
+        """Continue from `index`; return the next index, or None if more bytes are needed."""
         if self._lost is not None:
             return self._search(page, index, framed)
         starts, end = page.follow(index, self._most)

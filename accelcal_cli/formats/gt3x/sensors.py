@@ -58,7 +58,7 @@ DOCKED_BYTES = 1
 """Length of a payload that says that the device was connected to a computer."""
 
 ACTIVITY_PIECE_BYTES = PAIR_BYTES << 16
-ASLEEP = "samples that repeat the one before for a second or longer, taken for idle sleep of the device"
+ASLEEP = "samples that repeat the one before for a second or longer, treated as idle sleep of the device"
 CUT_SAMPLE = "bytes of an incomplete sample at the end of activity.bin, left out"
 
 

@@ -46,7 +46,7 @@ JITTER_S = 2
 """Seconds by which times of other records may lie before those of the records around them."""
 
 CHECKSUM: Kind = ("checksum", "records of log.bin with a wrong checksum, left out")
-NO_RECORD: Kind = ("bad_bytes", "bytes of log.bin that are no record, left out")
+NO_RECORD: Kind = ("bad_bytes", "bytes of log.bin that are not records, left out")
 CUT_OFF: Kind = ("truncated", "bytes of an incomplete record at the end of log.bin, left out")
 LENGTH: Kind = ("record_length", "activity records of more or less than one second")
 REPEATED: Kind = ("duplicate_record", "activity records that repeat the one before, left out")
@@ -190,7 +190,7 @@ class SleepTracker:
         self._since = self._heard = second
 
     def note_times(self, seconds: NDArray[np.int64]) -> None:
-        """Note the times of other records, in file order; the clock must go on evenly."""
+        """Note the times of other records, in file order; the clock must continue evenly."""
         if not self.asleep or not len(seconds):
             return
         steps = np.diff(seconds, prepend=self._heard)
@@ -249,7 +249,7 @@ class DecodedBatch:
         whole: (k,) bool, one second of samples.
         first: (k,) int64, first row of each.
         doubtful: (k,) bool, no record follows this one.
-        joined: (k,) bool, goes on evenly from the record before it in the batch.
+        joined: (k,) bool, continues evenly from the record before it in the batch.
     """
 
     batch: RecordBatch
@@ -275,7 +275,7 @@ class DecodedBatch:
         return low, high
 
     def runs(self, low: int, high: int) -> Iterator[tuple[int, int]]:
-        """Split records low..high-1 with samples into stretches that go on evenly."""
+        """Split records low..high-1 with samples into stretches that continue evenly."""
         starts = low + np.flatnonzero(~self.joined[low + 1 : high]) + 1
         bounds = [low, *starts.tolist(), high]
         return pairwise(bounds)
@@ -407,7 +407,7 @@ class Timeline:
         self._sleep(FOREVER_S)
 
     def _run(self, decoded: DecodedBatch, first: int, stop: int, where: _RecordPlace) -> None:
-        """Add records that go on evenly, or a single one."""
+        """Add records that continue evenly, or a single one."""
         self._forget_sleep(where)
         self._sleep(int(decoded.records.second[first]))
         if self._repeats(decoded, first):

@@ -98,7 +98,7 @@ class Cursor:
         return opened
 
     def tag(self) -> Tag:
-        """Return the next tag; raise DamagedError if it is none."""
+        """Return the next tag; raise DamagedError if there is no valid one."""
         first, second = struct.unpack(f"{self.order}II", head := self.take(TAG_BYTES))
         if first >> 16:
             size = first >> 16
@@ -249,7 +249,7 @@ def _opened(path: Path) -> ArrayTable:
             )
         version = source.read_exact(HEAD_BYTES)[VERSION]
     if version not in (LITTLE, BIG):
-        what, hint = "is no MATLAB file of version 5 to 7", "save it again with -v7, or try --format hdf5"
+        what, hint = "is not a MATLAB file of version 5 to 7", "save it again with -v7, or try --format hdf5"
         raise UnreadableError(what, path=path, byte_offset=VERSION.start, hint=hint)
     table = ArrayTable(path)
     MatElements(table, "<" if version == LITTLE else ">").all()

@@ -36,7 +36,7 @@ RATES_HZ = (12.5, 25.0, 50.0, 100.0)
 
 POSSIBLE_HZ = (1, 2000)
 NEAR = 0.1
-"""Share by which a sensor's rate may differ from one of RATES_HZ to be taken for it."""
+"""Share by which a sensor's rate may differ from one of RATES_HZ to be rounded to it."""
 
 LONG_S = 10
 """Shortest time [s] over which a packet's whole-second times show its rate well."""
@@ -158,7 +158,7 @@ class Packets(ScannedPages):
 
     Attributes:
         packets: the GOOD ones, all with samples.
-        empty: sound packets without a sample in the file so far, which are no pages.
+        empty: sound packets without a sample in the file so far, which are not pages.
         cut_bytes: of the packet that the end of the file cuts off.
     """
 
@@ -170,7 +170,7 @@ class Packets(ScannedPages):
 class PacketScanner:
     """Finds the packets in the bytes of a file; see Scanner in `_pages/files.py`.
 
-    Every packet begins with its signature, at which the search goes on after damage; a packet never reaches
+    Every packet begins with its signature, at which the search continues after damage; a packet never reaches
     beyond the next signature.
 
     Args:
@@ -235,7 +235,7 @@ class PacketScanner:
         self._empty += packet is not None and not packet.rows
 
     def _pass_over(self, text: bytes, index: int, end: int) -> None:
-        """Pass over bytes that are no packet, which may be memory that was never written."""
+        """Pass over bytes that are not a packet, which may be memory that was never written."""
         if index == end:
             return
         if self._other is None:
@@ -244,7 +244,7 @@ class PacketScanner:
             self._blank = b""
 
     def _close(self, index: int, found: Packets) -> None:
-        """End a stretch of bytes that are no packet."""
+        """End a stretch of bytes that are not a packet."""
         if self._other is not None and not self._inside:
             found.add(NO_PAGE, self._other, self._offset + index)
         self._other = None

@@ -34,7 +34,7 @@ def is_file(path: Path) -> bool:
 
 
 def check_layout(path: Path) -> None:
-    """Raise UsageError for a file that is no readable layout."""
+    """Raise UsageError for a file that is not a readable layout."""
     from accelcal_cli.formats.raw.layout import load_layout  # few recordings have one
 
     load_layout(path)

@@ -359,7 +359,7 @@ def layout_for(path: Path, options: ReadOptions) -> Layout:
             raise UnreadableError(
                 "a raw dump does not say what it holds",
                 path=path,
-                hint=f"describe it with --layout FILE or in {named_layout(path).name} beside it; "
+                hint=f"describe it with --layout FILE or in {named_layout(path).name} next to it; "
                 "for plain int16 x, y, z, --rate and --lsb-per-g are enough",
             )
         return plain_layout(options.rate_hz, options.lsb_per_g)

@@ -61,7 +61,7 @@ def belongs_to_another(path: Path) -> bool:
 
 
 def sniff(probe: Probe) -> int:
-    """Return 100 for a description; 98 for a binary file of accelerations listed by the one beside it."""
+    """Return 100 for a description; 98 for a binary file of accelerations listed by the one next to it."""
     if ROOT.search(probe.head[:4096]):
         return 100
     if probe.suffix != ".bin":

@@ -72,7 +72,7 @@ class Signal:
     Attributes:
         name: name of its file.
         kind: its content class, in lower case.
-        number: numpy's name of the type of its numbers; None if it is no binary file or of another type.
+        number: numpy's name of the type of its numbers; None if it is not a binary file or of another type.
         lsb: the unit's value of one step.
         bits: resolution of the converter, None if unknown.
         channels: names.
@@ -112,7 +112,7 @@ def load_description(path: Path) -> Description:
     """Read `unisens.xml`.
 
     Raises:
-        UnreadableError: it cannot be read, or is no XML of Unisens.
+        UnreadableError: it cannot be read, or is not XML of Unisens.
     """
     try:
         with path.open("rb") as file:
@@ -163,7 +163,7 @@ def _signal(item: ElementTree.Element) -> Signal:
 
 
 def _number(text: str | None, default: float) -> float:
-    """Return a finite number; `default` if the text is none."""
+    """Return a finite number; `default` if the text is not one."""
     try:
         value = float(text or "")
     except ValueError:
@@ -172,7 +172,7 @@ def _number(text: str | None, default: float) -> float:
 
 
 def _moment(text: str) -> tuple[int, bool] | None:
-    """Return the microseconds since 1970, and whether they are UTC; None if the text is no time."""
+    """Return the microseconds since 1970, and whether they are UTC; None if the text is not a time."""
     try:
         moment = datetime.fromisoformat(text.strip())
         known = moment.tzinfo is not None
@@ -351,7 +351,7 @@ def signal_of(description: Description, xml: Path, name: str | None) -> Signal:
         what = f"gives {signal.name} an impossible sampling rate of {signal.rate_hz:g} Hz"
         raise UnreadableError(what, path=xml, hint=COPY_AGAIN)
     if not has_file(xml, signal):
-        what = f"lists {signal.name!r}, which is no file in its folder"
+        what = f"lists {signal.name!r}, which is not a file in its folder"
         raise UnreadableError(what, path=xml, hint=COPY_AGAIN)
     return signal
 
@@ -394,13 +394,13 @@ def lsb_per_g_of(signal: Signal, options: ReadOptions, xml: Path) -> float:
     """Return the steps in one g: the user's, else those of the signal's scale and unit, or the user's unit.
 
     Raises:
-        UnreadableError: the unit is none of acceleration, or the scale is impossible.
+        UnreadableError: the unit is not one of acceleration, or the scale is impossible.
     """
     if options.lsb_per_g is not None:
         return options.lsb_per_g
     unit = UNISENS.accelerations.get((options.unit or signal.unit).lower())
     if unit is None:
-        what = f"gives {signal.name} the unit {signal.unit!r}, which is none of acceleration"
+        what = f"gives {signal.name} the unit {signal.unit!r}, which is not a unit of acceleration"
         raise UnreadableError(what, path=xml, hint="give --unit or --lsb-per-g")
     found = PER_G[unit] / signal.lsb if signal.lsb > 0 else 0.0
     if not SMALLEST_LSB_PER_G <= found <= LARGEST_LSB_PER_G:

@@ -3,7 +3,7 @@
 Metadata are lines of `key: value` in the chunks of a LIST of kind INFO: IART names the device, ICMT has the
 first sample's time and the channels, and ICRD that time again.
 
-The samples are not those of the device but resampled to an even rate, and calibrated if omconvert was told
+The samples are not those of the device but resampled to an even rate, and calibrated if omconvert was asked
 to. The last channel says of each sample whether it was measured and whether clipped, and now and then holds a
 temperature.
 """
@@ -234,7 +234,7 @@ class WavIntake(FrameIntake):
         """See `Intake`; raises UnreadableError if more samples follow than the header announces."""
         yield from super().take(data, last=last)
         if len(self.after) == AFTER_BYTES and not self.after[:4].isalnum():
-            what = "more samples follow than its header tells of"
+            what = "more samples follow than its header states"
             raise UnreadableError(what, byte_offset=4, hint="use accelcal calibrate when it is complete")
 
 
@@ -303,7 +303,7 @@ def announced_bytes(header: Header, path: Path, size: int | None) -> tuple[int |
         return None, None
     return (
         None,
-        f"the header tells of {header.data_bytes} bytes of samples; {left} more follow, which are read",
+        f"the header states {header.data_bytes} bytes of samples; {left} more follow, which are read",
     )
 
 

@@ -34,7 +34,7 @@ def _least_squares(columns: Real, values: Real, weights: Real, singular: float) 
     """Solve the weighted least squares of (n,) values on (n, m) columns, (m,).
 
     Args:
-        singular: singular values below this part of the largest one are taken for zero.
+        singular: singular values below this part of the largest one are treated as zero.
 
     Raises:
         DivergedError: the points do not determine the parameters.
@@ -57,7 +57,7 @@ class ClosestPointSettings:
         nearest_g: points within this distance of the sphere weigh the same [g].
         tolerance: converged when the weighted mean squared distance changes by less [g^2].
         max_iterations: bound on the iterations.
-        singular: singular values below this part of the largest one are taken for zero.
+        singular: singular values below this part of the largest one are treated as zero.
     """
 
     nearest_g: float = 0.01
@@ -136,7 +136,7 @@ class EllipsoidSettings:
     """Numbers of the fit.
 
     Attributes:
-        singular: singular values below this part of the largest one are taken for zero.
+        singular: singular values below this part of the largest one are treated as zero.
     """
 
     singular: float = 1e-9

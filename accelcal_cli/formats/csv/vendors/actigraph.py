@@ -5,7 +5,7 @@ serial number and the start. Rows are x, y, z in g, with or without a time stamp
 without a line of names. While it sleeps, the device repeats its last sample at the usual rate, or
 writes zeros (ActiGraph, "Idle Sleep Mode Explained"; github.com/actigraph/agcounts, issue 19).
 
-Shimmer's Verisense has the same header with its own name in place of ActiGraph's, and rates that are no
+Shimmer's Verisense has the same header with its own name in place of ActiGraph's, and rates that are not
 whole number (github.com/wadpac/GGIR, `g.inspectfile` and `g.extractheadervars`); it has no idle sleep.
 
 The table of a GT9X's second sensor has gyroscope, temperature and magnetometer as well, `Gyroscope X` in
