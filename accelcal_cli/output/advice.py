@@ -6,6 +6,7 @@ in the same way when such a report is read.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -13,6 +14,7 @@ from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import NEAR_ONE_G, Judgement, Outcome, sides_not_up
 from accelcal_cli.core.settings import DEFAULT, PAPER
 from accelcal_cli.output import words
+from accelcal_cli.output.numbers import number
 from accelcal_cli.output.report_view import ReportView, report_view
 
 LIMIT_MG = DEFAULT.max_error_mg
@@ -212,10 +214,12 @@ def _is_damaged(report: ReportView) -> bool:
 def _orientations(report: ReportView) -> tuple[Reason, ...]:
     """Return which orientations are missing."""
     found, sides = [], _sides(report)
-    number, said = report.coverage.distinct_orientations, report.reason == "too_few_orientations"
-    few = number is not None and (sides or number < report.setting("min_postures", MIN_ORIENTATIONS))
+    orientations, said = report.coverage.distinct_orientations, report.reason == "too_few_orientations"
+    few = orientations is not None and (
+        sides or orientations < report.setting("min_postures", MIN_ORIENTATIONS)
+    )
     if few and not said:
-        found.append(Reason.of("more_orientations", orientations=number))
+        found.append(Reason.of("more_orientations", orientations=orientations))
     if sides:
         found.append(Reason.of("rest_on_sides", sides=sides))
     return tuple(found)
@@ -240,12 +244,14 @@ class PageVerdict:
     Attributes:
         level: class of its colour.
         headline: one sentence; reason: the report's message; to_do: what to do, a sentence each.
+        error: the error of the calibration, its limit, and its meaning for ENMO, a sentence each.
     """
 
     level: Literal["good", "care", "bad"]
     headline: str
     reason: str
     to_do: tuple[str, ...]
+    error: tuple[str, ...] = ()
 
 
 def page_verdict(report: ReportView) -> PageVerdict:
@@ -258,7 +264,21 @@ def page_verdict(report: ReportView) -> PageVerdict:
     opening = f"{'Use with care' if doubtful else 'Good'}: {meaning.headline or meaning.result}"
     return PageVerdict(
         "care" if doubtful else "good",
-        f"{opening}. {words.error_sentence(report)}",
+        f"{opening}.",
         reason,
         (meaning.to_do, *map(words.sentence, cautions(report))),
+        (words.error_sentence(report), *_meaning_of_error(report)),
+    )
+
+
+def _meaning_of_error(report: ReportView) -> Iterator[str]:
+    """Yield the limit of the error, and its effect on ENMO (van Hees et al. 2013)."""
+    error = report.error_everywhere
+    if error is None:
+        return
+    yield f"The limit is {number(report.setting('max_error_mg', LIMIT_MG))} mg."
+    yield (
+        "While the device is still, this error goes into ENMO. Expect ENMO at rest to be off by "
+        f"{number(error.mean, 2)} mg or less on average, and by {number(error.before, 2)} mg or less "
+        "without calibration."
     )

@@ -14,14 +14,9 @@ from typing import Any
 from accelcal_cli.core.errors import counted, listed, printable
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.output.numbers import mg, number, times_smaller
-from accelcal_cli.output.report_view import CalibrationView, HoldoutView, KnownOrientationsView, ReportView
+from accelcal_cli.output.report_view import HoldoutView, ReportView
 
 Values = Mapping[str, Any]
-
-CITATION = (
-    "Farago, Maczak, Gingl (2024): Enhancing Accuracy in Actigraphic Measurements. IEEE Access; "
-    "the procedure as implemented in accelcal {version}."
-)
 
 PARAMETERS = {
     **{f"k_{axis}{axis}": f"scale of {axis}" for axis in "xyz"},
@@ -543,52 +538,3 @@ def error_sentence(report: ReportView) -> str:
 def _times_smaller(holdout: HoldoutView) -> str:
     factor = holdout.improvement_factor
     return "" if factor is None else times_smaller(factor.value, factor.ci95)
-
-
-def methods_paragraph(report: ReportView) -> str:
-    """Return a paragraph for the methods section of a paper."""
-    calibration, windows, version = report.calibration, report.fit.windows, report.accelcal_version
-    reference = f"Reference: {CITATION.format(version=version)}"
-    used = windows.get("used")
-    parts = [
-        f"Raw acceleration was calibrated with accelcal {version} from "
-        f"{f'{used} ' if isinstance(used, int) else ''}windows of "
-        f"{report.setting('segment_seconds', 5.0):g} s without movement, "
-        f"averaged to {counted(report.coverage.cells, 'orientation')}."
-    ]
-    if calibration is None:
-        return " ".join([*parts, "The recording could not be calibrated and was left out.", reference])
-    equation = "a = K (v + o)" if calibration.temperature is None else "a = K (v + o + s (T − Tref))"
-    parts.append(
-        f"The model {equation} corrects {corrections_of(calibration.model)} (model {calibration.model}); "
-        f"it was fitted by {calibration.optimizer['name']} {_fitted_to(report, calibration)}."
-    )
-    return " ".join([*parts, _errors_for_paper(report, report.known_orientations), reference])
-
-
-def _fitted_to(report: ReportView, calibration: CalibrationView) -> str:
-    """Say what the fit was to meet."""
-    known, prior = report.known_orientations, report.settings.get("prior")
-    if known is not None:
-        return f"to {counted(known.orientations, 'known acceleration')} (Bragge et al.)"
-    by_prior = "" if prior in (None, "none") else f", with a prior on the parameters ({prior})"
-    return f"so that gravity measures {calibration.gravity['local_g']:.5f} g at rest{by_prior}"
-
-
-def _errors_for_paper(report: ReportView, known: KnownOrientationsView | None) -> str:
-    everywhere, holdout, text = report.error_everywhere, report.holdout, ""
-    if known is not None and known.unchecked is not None:
-        return "Its error is not known: no data were held out."
-    if holdout is not None:
-        text = (
-            f"The mean of ||a| − 1 g| on data held out ({holdout.method}) is "
-            f"{number(holdout.before_mg.mean)} mg before and "
-            f"{number(holdout.after_mg.mean)} mg after calibration{_times_smaller(holdout)}."
-        )
-    if everywhere is not None:
-        low, high = everywhere.ci95
-        text += (
-            f" The expected error over all orientations is {number(everywhere.mean)} mg "
-            f"(95 % interval {number(low)} to {number(high)} mg)."
-        )
-    return text.strip()

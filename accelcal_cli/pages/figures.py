@@ -88,7 +88,7 @@ def length_along_time(data: TimeSeries) -> Figure | None:
         body.append(area.band(data.spans, table["p5"], table["p95"], f"{when}-band"))
         body.append(area.steps(data.spans, table["p50"], when))
     body.append(_legend(list(data.off)))
-    title = "Length of gravity as the sensor measures it at rest, along time"
+    title = "Measured gravity at rest, over time"
     sentences = [
         f"{WORDS[when]} the median by the hour is {_range(known)} mg"
         for when, table in data.off.items()
@@ -122,10 +122,10 @@ def histogram(data: TimeSeries) -> Figure | None:
     body.append(label((LEFT + WIDTH) / 2, height - 14, "|a| − 1 g [mg]", "soft", "middle"))
     inner = {when: _percentiles(data.points[when], weights, (5, 95)) for when in drawn}
     ranges = [f"{WORDS[one]} from {number(low)} to {number(high)} mg" for one, (low, high) in inner.items()]
-    title = "How far still windows are from 1 g"
+    title = "Distance from 1 g, before and after"
     scales = "; both rows have the same scale of mg" if len(drawn) > 1 else ""
     text = f"90 % of the still windows lie {listed(ranges)}. "
-    text += f"The outermost bars hold what lies beyond{scales}."
+    text += f"The outermost bars include all values beyond them{scales}."
     return Figure("histogram", title, svg.figure("histogram", title, text, height, body), text)
 
 
@@ -301,6 +301,13 @@ def _gap_lane(data: TimeSeries, recording: ReportRecording, top: float) -> str:
     return track + path("".join(dict.fromkeys(ways)), "lane-bad")
 
 
+def _worn_sentence(worn: int, known: int) -> str:
+    if not known:
+        return "no hour has enough data to tell whether the device was worn"
+    which = f"all {known}" if worn == known else f"{worn} of the {known}"
+    return f"worn in {which} hours with enough data to tell"
+
+
 def _timeline_sentence(data: TimeSeries, recording: ReportRecording) -> str:
     """Put the timeline into a sentence."""
     worn = Counter(data.worn)
@@ -312,7 +319,7 @@ def _timeline_sentence(data: TimeSeries, recording: ReportRecording) -> str:
         if still + moving
         else "there is no window"
     )
-    sentences = [f"worn in {worn[True]:.0f} of {counted(known, 'row')} in which that can be told", share]
+    sentences = [_worn_sentence(round(worn[True]), round(known)), share]
     gaps = recording.all_gaps
     gap_s = number(sum(rows["gap_s"]))
     sentences.append(f"{counted(gaps, 'gap')} of {gap_s} s in all" if gaps else "no gaps")
@@ -359,10 +366,10 @@ def sphere(data: TimeSeries, report: ReportView) -> Figure | None:
     number_of = 2 * len(svg.all_cells())
     missing = empty_subsets(report.coverage.subsets)
     named = f"Empty subsets: {listed(missing)}." if missing else "None of the nine subsets is empty."
-    title = "Directions in which the sensor rested"
-    text = f"It rested in {len(filled)} of {number_of} cells of equal area. {named}"
+    title = "Orientations in which the device was still"
+    text = f"The device was still in {len(filled)} of {number_of} equal areas of the sphere. {named}"
     if report.error_everywhere is not None:
-        text += " The cross marks the direction in which the calibration is least certain."
+        text += " The cross marks the orientation in which the calibration is least certain."
     return Figure("sphere", title, svg.figure("sphere", title, text, 362, body), text)
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from accelcal_cli.core.errors import counted
 from accelcal_cli.output.advice import cautions, page_verdict
+from accelcal_cli.output.methods import bibtex, methods_paragraph, references
 from accelcal_cli.output.numbers import millionths, number
 from accelcal_cli.output.report_view import (
     CalibrationView,
@@ -22,7 +23,7 @@ from accelcal_cli.output.report_view import (
     RollView,
     report_view,
 )
-from accelcal_cli.output.words import PARAMETERS, corrections_of, methods_paragraph, sentence
+from accelcal_cli.output.words import PARAMETERS, corrections_of, sentence
 from accelcal_cli.pages.figures import NEAR, figures_of
 from accelcal_cli.pages.rendering import PageTable, Rows, rendered
 from accelcal_cli.pages.time_series import UnfitError, hourly_table, time_series
@@ -74,6 +75,7 @@ def page(report: Mapping[str, Any], quality: Mapping[str, Any] | None = None) ->
         figures=figures_of(data, view),
         subsets=_subsets(view),
         hours=None if data is None else PageTable(*hourly_table(data)),
+        still=bool(view.fit.windows.get("used")),
         coefficients=None if view.calibration is None else _coefficients(view.calibration),
         models=_models(view),
         misfits=_misfits(view),
@@ -84,6 +86,8 @@ def page(report: Mapping[str, Any], quality: Mapping[str, Any] | None = None) ->
         problems=_problems(view),
         notes=view.recording.notes,
         methods=methods_paragraph(view),
+        references=references(view),
+        bibtex=bibtex(view),
         origin=_origin(view),
     )
 
@@ -128,7 +132,7 @@ def _subsets(report: ReportView) -> PageTable:
         [near, *(str(count) if count else "empty" for count in counts)]
         for near, counts in zip(NEAR, report.coverage.subsets, strict=True)
     ]
-    caption = "Points of the fit in the nine subsets of Farago et al. (a point counts on every axis)"
+    caption = "Number of points near -1, 0 and +1 g on each axis (Faragó et al. 2024)"
     return PageTable(caption, ["", "x", "y", "z"], rows)
 
 
@@ -152,8 +156,9 @@ def _models(report: ReportView) -> PageTable | None:
     model = None if report.calibration is None else report.calibration.model
     chosen = max((at for at, trial in enumerate(report.models_tried) if trial.model == model), default=None)
     for at, trial in enumerate(report.models_tried):
-        prior = f"with the prior {trial.prior}" if trial.prior else ""
-        why = "; ".join(filter(None, ("chosen" if at == chosen else "", prior, trial.reason)))
+        prior = f"with the {trial.prior} prior" if trial.prior else ""
+        chosen_with = f"chosen ({prior})" if prior else "chosen"
+        why = "; ".join(filter(None, (chosen_with if at == chosen else prior, trial.reason)))
         rows.append([trial.model, corrections_of(trial.model), number(trial.after_mg), why])
     head = ["Model", "Corrects", "Held-out error [mg]", "Remark"]
     caption = "Models compared, by error on held-out orientations"
@@ -261,7 +266,7 @@ def _known_orientations(report: ReportView) -> KnownOrientationsPart | None:
         for roll in report.known_orientations.rolls
     ]
     head = ["Axis", "Where", "Shows [mg] (SD)", "Calibrated [mg] (SD)"]
-    caption = "Rolls with one axis level, which should show nothing"
+    caption = "Rolls about a level axis, on which gravity should be 0"
     return KnownOrientationsPart(
         " ".join(sentence(one) for one in cautions(report) if one.code.endswith("checks_poses")) or None,
         _poses(report.poses),

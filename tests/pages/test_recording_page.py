@@ -103,10 +103,10 @@ def test_the_same_two_files_make_the_same_bytes(made: Files) -> None:
 def test_the_verdict_comes_first_with_the_number_to_quote(made: Files) -> None:
     good, changed, few = (check(page(*made[name])) for name in ("warm", "jumps", "few"))
     mean = made["warm"][0]["calibration_error_mg"]["mean"]
-    headline = good.one("p", kind="headline").text
-    assert headline.startswith(
-        f"Good: calibrated. Calibration error over all orientations {float(f'{mean:.2g}'):g} mg"
-    )
+    assert good.one("p", kind="headline").text == "Good: calibrated."
+    error = f"Calibration error over all orientations {float(f'{mean:.2g}'):g} mg"
+    box = good.one("section", kind="verdict good").whole()
+    assert error in box and "The limit is 10 mg." in box and "ENMO at rest" in box
     (caution,) = [one for one in made["jumps"][0]["cautions"] if one["code"] == "sensor_changed"]
     assert caution["values"]["followed"]
     assert changed.one("section", kind="verdict care").whole().count(sentence(Reason(**caution))) == 1
@@ -129,10 +129,10 @@ def test_the_page_of_a_provisional_result_has_its_number_the_limit_and_the_reaso
     assert report["outcome"] == "provisional" and report["reason"] == "provisional"
     verdict = check(page(report, quality)).one("section", kind="verdict care")
     headline, error = verdict.one("p", kind="headline").text, report["calibration_error_mg"]
-    assert headline.startswith("Use with care: calibrated provisionally.")
+    assert headline == "Use with care: calibrated provisionally."
     mean, low = (float(f"{value:.2g}") for value in (error["mean"], error["ci95"][0]))
-    assert f"{mean:g} mg (95 % interval {low:g} to" in headline
     said = verdict.whole()
+    assert f"{mean:g} mg (95 % interval {low:g} to" in said
     assert "the limit is 0.01 mg" in said
     assert sentence(Reason(report["reason"], report["values"])) in said
     assert outcome_words("provisional").to_do in said
@@ -231,7 +231,7 @@ def test_cells_of_the_sphere_are_those_in_which_it_rested(made: Files) -> None:
         kind: kinds[kind] for kind in ("cell1", "cell2", "cell3")
     }
     assert cells["cell0"] == 200 - len(windows)
-    assert f"in {len(windows)} of 200 cells" in drawn.one("desc").text
+    assert f"in {len(windows)} of 200 equal areas" in drawn.one("desc").text
 
 
 def test_lanes_of_the_timeline_are_shares_of_the_hours(made: Files) -> None:
@@ -247,7 +247,7 @@ def test_lanes_of_the_timeline_are_shares_of_the_hours(made: Files) -> None:
         [ground, ground - 9, ground - 4.5, ground, ground, ground - 18 * 0.12, ground], abs=0.06
     )
     assert "1351 samples clipped" in drawn.one("desc").text
-    assert "Worn in 22 of 23 rows" in drawn.one("desc").text
+    assert "Worn in 22 of the 23 hours" in drawn.one("desc").text
     unknown, empty = (way(drawn, kind) for kind in ("lane-unknown", "lane-off"))
     assert unknown[0][1][0] == pytest.approx(empty[0][1][0] - unknown[1][1][0], abs=0.2)
 
