@@ -251,7 +251,7 @@ class Result:
         return None if made is None else json.loads(dumps_quality(quality_json(made)))
 
     def write(self, folder: AnyPath | None = None, *, force: bool = False) -> tuple[Path | None, Path]:
-        """Write the files of the command `calibrate`, beside the recording or into a folder.
+        """Write the files of the command `calibrate` next to the recording, or into a folder.
 
         Returns:
             the Parquet file (None without calibrated values) and the report.

@@ -1,7 +1,7 @@
 """Verify a report: make it again from its recording and compare bit for bit; nothing is written.
 
 `inputs` of a report (layout, poses, coefficients, pool) are looked for where they were and next to it. The
-calibrated Parquet file beside a report is compared with the report, and on demand value by value.
+calibrated Parquet file next to a report is compared with the report, and on demand value by value.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ class VerifyOptions:
     """Options of a verification: extent of the comparison, and files that have moved.
 
     Attributes:
-        layout: layout file, if it is not beside the recording.
-        poses: list of poses of a session, if it is not beside the recording.
+        layout: layout file, if it is not next to the recording.
+        poses: list of poses of a session, if it is not next to the recording.
         coefficients: coefficient file of a report of `apply`, if it has moved.
         values: also compare every value of the Parquet file.
     """
@@ -99,7 +99,7 @@ class Values:
 
 @dataclass(frozen=True, slots=True)
 class ParquetCheck:
-    """The Parquet file beside a report.
+    """The Parquet file next to a report.
 
     Attributes:
         differs: keys of its metadata that differ from the report.
@@ -127,7 +127,7 @@ class Verified:
             temperature; None if there are not two.
         made_by: version that wrote the report.
         missing, unknown: settings that the report lacks, and that this version does not have.
-        parquet: None if there is none beside the report.
+        parquet: None if there is none next to the report.
     """
 
     differs: tuple[str, ...]
@@ -325,7 +325,7 @@ def differing(one: Any, other: Any, where: str = "") -> Iterator[str]:
 def check_parquet(
     written: tuple[RecordingRun, ReportInput] | None, document: Document, *, values: bool
 ) -> ParquetCheck | None:
-    """Compare the Parquet file beside a report with the report, and with its recording.
+    """Compare the Parquet file next to a report with the report, and with its recording.
 
     Args:
         written: the recording's run and result; None if the result has no calibrated data.
@@ -430,7 +430,7 @@ def donor_of(document: Document, stated: Path | None) -> Coefficients | None:
     """Return the coefficients that a report of `apply` used; None for any other report.
 
     Args:
-        stated: where the user says their file is; else it is looked for where it was, and beside the
+        stated: where the user says their file is; else it is looked for where it was, and next to the
             report.
 
     Raises:
@@ -503,7 +503,7 @@ def refuse_other(document: Document, recording: Path) -> None:
 
 
 def _unchanged(then: NamedFile | None, recording: Path, stated: Path | None, what: str) -> Path | None:
-    """Find a file that the report was made with: where the user says, or in or beside the recording."""
+    """Find a file that the report was made with: where the user says, or in or next to the recording."""
     if then is None:
         return None
     inside = recording / then.name

@@ -53,8 +53,7 @@ LITERARY = {
     "but for": "except",
     "wholly": "completely",
     "thus": "so",
-    "beside it": "next to it",
-    "beside them": "next to them",
+    "beside": "next to",
     "goes on": "continues",
     "go on": "continue",
 }
@@ -69,6 +68,8 @@ FIELD = {
 }
 """Words that mean something else to people of the field, or nothing, and those to write instead."""
 
+REMARK = r"\([^()]* [^()]* [^()]*\)"
+"""Three words or more in parentheses."""
 BE = r"\b(?:is|are|was|were)"
 RULES = (
     *(_rule(f"write `{plain}` for `{word}`", rf"\b{word}\b") for word, plain in LITERARY.items()),
@@ -86,6 +87,12 @@ RULES = (
     _rule("write N or the unit", r"\bso (?:many|few) (?!as|that|of)"),
     _rule("a thing reports or shows; it does not tell", rf"{BE} told\b|\bonly told\b|\btells? of\b"),
     _rule(
+        "a thing reports or shows; it does not tell",
+        r"\b(?:tells|told)\b(?! (?:\w+ ){0,4}(?:apart|from)\b)",
+        FOR_USERS,
+    ),
+    _rule("write `is` for `stands`", r"\bstands?\b(?! (?:in )?for\b)", FOR_USERS),
+    _rule(
         "write `is not a`, not `is no`",
         rf"(?<![Tt]here ){BE} (?:no|none)\b(?! (?:longer|more|less|fewer|lower|higher|worse|better|such))",
         case=True,
@@ -94,6 +101,11 @@ RULES = (
         "name the thing, not `what is`",
         r"(?:^|[.;:,] )what (?:is|was|are|were|the|a|it|they)\b[^?]*$|\bof what\b",
         FOR_USERS,
+    ),
+    _rule(
+        "one remark in parentheses at most in a sentence",
+        rf"{REMARK}(?:(?![.!?:] ).)*?{REMARK}",
+        ("doc", "page"),
     ),
     _rule("one semicolon at most in a paragraph", r";[^;]*;", ("doc", "page")),
     _rule("no semicolon chain in a message", r"; [^;]*; ", ("help",)),

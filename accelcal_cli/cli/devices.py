@@ -47,7 +47,7 @@ def _with_last(table: str, column: list[str]) -> str:
 
 
 def _line(device: DeviceReview, *, several: bool) -> list[str]:
-    """Write a device's cells; where several have its serial, its model and format stand beside that."""
+    """Write a device's cells; where several have its serial, with model and format."""
     key = device.key
     kind = f" ({key.model or '-'}, {key.format or '-'})" if several else ""
     return [

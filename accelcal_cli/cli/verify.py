@@ -33,9 +33,9 @@ SHOWN_KEYS = 5
 @click.argument("report", type=FILE)
 @click.argument("recording", type=FILE)
 @click.option("--values", is_flag=True,
-              help="Also compare every value of the Parquet file beside the report.")  # fmt: skip
-@click.option("--layout", type=FILE, help="Layout file of a raw dump, if not beside the recording.")
-@click.option("--poses", type=FILE, help="List of poses of a session, if not beside the recording.")
+              help="Also compare every value of the Parquet file next to the report.")  # fmt: skip
+@click.option("--layout", type=FILE, help="Layout file of a raw dump, if not next to the recording.")
+@click.option("--poses", type=FILE, help="List of poses of a session, if not next to the recording.")
 @click.option("--coefficients", type=FILE,
               help="Coefficient file that a report of `apply` used, if it has moved.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")

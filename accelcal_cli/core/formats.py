@@ -307,7 +307,7 @@ def read_gzip_head(path: Path) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Companion:
-    """A text file beside a recording: the end of its name, and its text."""
+    """A text file next to a recording: the end of its name, and its text."""
 
     suffix: str
     text: Callable[[Recording], str]
@@ -339,7 +339,7 @@ class Encoder:
         name: the format's name, as in `--format`; a reader of that name reads it back.
         suffix: what the file name ends with.
         write: writes all chunks to a path that the caller chose (temporary; the caller renames).
-        companion: a file that must lie beside the recording, such as a layout; None if the
+        companion: a file that must lie next to the recording, such as a layout; None if the
             recording stands alone.
         sampling: how a requested recording is sampled. Raises UsageError if no device of the
             format has such a rate, scale or range.

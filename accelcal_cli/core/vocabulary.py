@@ -319,7 +319,7 @@ LABELS = frozenset({
 """Words in the name of a column that tells what went on, or in which part of a recording its rows are."""
 
 NEUTRAL = frozenset({"id", "name", "number", "n", "nr", "no", "num", "label", "class", "type", "code", "key"})
-"""Words in the name of a column that say nothing beside others."""
+"""Words in the name of a column that add nothing to others."""
 
 MEASURES = frozenset({
     *("temp", "temperature", "light", "lux", "battery", "bat", "batt", "voltage", "volt", "vbat"),

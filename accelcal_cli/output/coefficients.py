@@ -174,7 +174,7 @@ def read_coefficients(path: Path, *, by_content: bool = False) -> Coefficients:
 
 
 def without_misalignment(coefficients: Coefficients) -> Calibration | None:
-    """Return the calibration without misalignment that a report has beside its own; None if it has none.
+    """Return the calibration without misalignment that a report has in addition; None if it has none.
 
     Raises:
         UnreadableError: that section is damaged.

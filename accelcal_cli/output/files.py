@@ -55,7 +55,7 @@ def disk_errors(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` that takes its place when the block ends without error.
+    """Yield a temporary path next to `path` that takes its place when the block ends without error.
 
     The content is flushed to the disk before the rename. On any error, interruption included,
     the temporary is removed and `path` stays as it was.
@@ -128,7 +128,7 @@ def exists(path: Path) -> bool:
 
 
 def temporary_beside(path: Path) -> Path:
-    """Make an empty temporary file beside `path`, named by host and process; raises OutputError.
+    """Make an empty temporary file next to `path`, named by host and process; raises OutputError.
 
     Those that killed processes of this host left for `path` are removed.
     """

@@ -287,7 +287,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "own_is_no_worse": lambda values: (
         f"Its own calibration leaves {mg(values['own_mg'])} mg, and "
         + (
-            "nothing tells what these coefficients would leave."
+            "the error with these coefficients is unknown."
             if values["after_mg"] is None
             else f"these coefficients {mg(values['after_mg'])} mg, no less beyond the uncertainty."
         )

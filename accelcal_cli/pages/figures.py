@@ -417,7 +417,7 @@ def _faces(halves: Sequence[svg.Hemisphere], subsets: Sequence[Sequence[int]]) -
 
 
 def _face(at: tuple[float, float], half: svg.Hemisphere, name: str, points: int) -> str:
-    """Write the name of a direction beside its place on the rim, and `empty` if no point is near it."""
+    """Write the name of a direction next to its place on the rim, and `empty` if no point is near it."""
     x, y = at
     out = 10 if x > half.x + 1 else -10 if x < half.x - 1 else 0
     down = 16 if y > half.y + 1 else -6 if y < half.y - 1 else 4

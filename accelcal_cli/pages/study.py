@@ -102,7 +102,7 @@ class StudyContent:
         devices: all devices, those to service first.
         nameless: number of recordings without a serial number.
         drift_limit_mg: drift of an offset in a month that is a reason for service.
-        csv: name of the table beside the page.
+        csv: name of the table next to the page.
     """
 
     rows: Sequence[dict[str, Any]]

@@ -171,7 +171,8 @@ def _reports(out: Path, rows: Sequence[dict[str, Any]]) -> list[Path | None]:
 
 
 def page_in_study(report: Path, out: Path) -> Path:
-    """Return where the page of a study's recording goes: beside its report, never in place of the study's."""
+    """Return where the page of a study's recording goes: next to its report, never in place of the
+    study's."""
     page = report.with_name(report.name.removesuffix(REPORT_SUFFIX) + PAGE_SUFFIX)
     return page if page != out / STUDY_PAGE else page.with_name(f"study.recording{PAGE_SUFFIX}")
 

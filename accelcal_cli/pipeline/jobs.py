@@ -306,7 +306,7 @@ class Request:
         unused: of this recording's options those that mean nothing; its report has a note of them.
         rules: reading options by name, of `study.toml`.
         parts: a folder or a pattern stands for the parts of one recording.
-        as_given: the reading options are all that counts; what files beside the recording state does not.
+        as_given: the reading options are all that counts; what files next to the recording state does not.
     """
 
     options: ReadOptions = field(default_factory=ReadOptions)
@@ -334,7 +334,7 @@ class Request:
         return with_stated(self.options, self.choices_of(path), path)
 
     def choices_of(self, path: Path) -> dict[str, StatedOption]:
-        """Return what files beside a recording state; raises UsageError if it contradicts the options."""
+        """Return what files next to a recording state; raises UsageError if it contradicts the options."""
         return {} if self.as_given else stated_options(path, self.rules, self.options.layout)
 
     def for_recording(self, path: Path) -> Request:

@@ -3,7 +3,7 @@
 Names are those of the records' fields; None stands for an option that is not given. Text and bounds of single
 values have been checked by click, or by `field_values`; how options go together is checked here.
 
-Files beside recordings may state how to read them: `study.toml` for a folder, `NAME.toml` for one recording.
+Files next to recordings may state how to read them: `study.toml` for a folder, `NAME.toml` for one recording.
 A `study.toml` has a table for each pattern of names, with reading options by name:
 
     ["phone/*.csv"]
@@ -411,7 +411,7 @@ def folder_rules(folders: Sequence[Path]) -> tuple[FolderRules, ...]:
 
 
 def sidecar_path(path: Path) -> Path | None:
-    """Return where the options of one recording may lie: `NAME.toml` beside `NAME.csv` or `NAME.csv.gz`."""
+    """Return where the options of one recording may lie: `NAME.toml` next to `NAME.csv` or `NAME.csv.gz`."""
     if not path.name:
         return None
     own_file = path.with_name(named_layout(path).name.removesuffix(SUFFIX) + ".toml")

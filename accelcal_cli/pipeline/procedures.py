@@ -317,7 +317,7 @@ class PaperProcedure(Procedure):
 
 
 class SubsetCounter(Observer):
-    """Fills F's nine subsets beside another procedure, to tell how far they are and when they were full."""
+    """Fills F's nine subsets during another procedure, to tell how far they are and when they were full."""
 
     def __init__(self, recording: Recording, settings: Settings) -> None:
         apart = replace(settings, min_distance_g=APART_G)

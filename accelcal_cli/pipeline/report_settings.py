@@ -25,10 +25,10 @@ POINTS = "points"
 """Name of the format of the tables that `fit` reads."""
 
 NOT_SETTINGS = ("report_only", "input")
-"""Keys beside the settings of every report."""
+"""Keys in addition to the settings of every report."""
 
 IF_ASKED = ("effect",)
-"""Keys beside the settings that a report of `calibrate` has only if the user asked for them."""
+"""Keys in addition to the settings that a report of `calibrate` has only if the user asked for them."""
 
 FIXED = tuple(name for name in PoseSettings().as_json() if name not in PoseSettings.__dataclass_fields__)
 """Keys of a session's method that no user can change."""

@@ -106,7 +106,7 @@ class TrueParameters:
 
 
 def true_parameters(recording: Path) -> TrueParameters | None:
-    """Return the content of STEM.truth.json beside a recording; None if there is no such file.
+    """Return the content of STEM.truth.json next to a recording; None if there is no such file.
 
     The file is as `accelcal simulate` writes it, or has the keys `K` and `b` (and `temp_ref_c`) of
     a = K (v - b - s (T - Tref)).

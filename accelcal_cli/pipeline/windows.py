@@ -38,7 +38,7 @@ NOT_NEAR, NO_POINTS = Reason("no_point_near_1_g"), Reason("no_points")
 
 
 def check_table_path(path: Path, jobs: list[Job]) -> None:
-    """Raise UsageError for a table of windows that cannot be written beside the jobs' outputs."""
+    """Raise UsageError for a table of windows that cannot be written next to the jobs' outputs."""
     refuse_dash(path)
     if path.suffix.lower() not in (PARQUET, CSV):
         raise UsageError(f"--windows {printable(path)} is neither .parquet nor .csv", hint="name it so")

@@ -167,7 +167,7 @@ class _Links:
 
 
 def _apart(items: list[Item]) -> Iterator[Item]:
-    """Give a table beside a device's file of the same STEM, such as its export, its full name as STEM."""
+    """Give a table next to a device's file of the same STEM, such as its export, its full name as STEM."""
     devices = {item.job.report for item in items if not _is_table(item)}
     for item in items:
         report, source = item.job.report, item.source

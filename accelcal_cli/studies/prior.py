@@ -280,7 +280,7 @@ def without_prior(study: Study, known: StudyState) -> Iterator[str]:
         else:
             devices = counted(number, "device")
             text = f"{model}: {devices} with good recordings, {FEWEST_DEVICES} others are needed"
-            yield printable(f"{text}; without them the prior of the population stands in")
+            yield printable(f"{text}; until then these recordings use the population prior")
 
 
 @guarded

@@ -331,7 +331,7 @@ class Watch:
 
     @contextmanager
     def _opened(self, head: bytes) -> Iterator[Reader]:
-        """Open the first bytes, in a folder with copies of the layouts that lie beside the recording."""
+        """Open the first bytes, in a folder with copies of the layouts that lie next to the recording."""
         if not head:
             raise UnreadableError("nothing came", path=self._source)
         if head.startswith(GZIP_MAGIC):
@@ -359,7 +359,7 @@ class Watch:
                 raise
 
     def _layouts(self) -> list[Path]:
-        """Return the files beside the recording that may say how it is read."""
+        """Return the files next to the recording that may say how it is read."""
         return [*filter(is_file, (named_layout(self._source), folder_layout(self._source)))]
 
     def _step(self, data: bytes, result: StepResult) -> None:

@@ -55,7 +55,8 @@ def dividing_tracks(
 
 
 def _is_whole(table: SensorTable, track: Track) -> bool:
-    """Return True if the first numbers of a track are whole, as pandas has those beside empty cells."""
+    """Return True if the first numbers of a track are whole, as pandas has those in columns with empty
+    cells."""
     values, good = table.rows(track).read(0, min(track.rows, BLOCK_ROWS))
     values = values[good]
     values = values[np.isfinite(values)]

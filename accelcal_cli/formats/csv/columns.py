@@ -37,7 +37,7 @@ BARE_TIME_NAMES = frozenset({"t", "s", "ms", "us", "seconds", "millis", "millise
 """Names of a column of times that consist of this word alone."""
 
 SHORT_GYRO_NAMES = frozenset({"g", "w"})
-"""First letters of `gx` and `wx`, which are rotation rates beside `ax`."""
+"""First letters of `gx` and `wx`, which are rotation rates if there is an `ax`."""
 
 GYRO_WORDS = (("angular", "velocity"), ("angular", "rate"), ("rotation", "rate"))
 """Pairs of words that name a gyroscope."""

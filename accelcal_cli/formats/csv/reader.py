@@ -492,7 +492,7 @@ def _joined_files(lines: Sequence[int], samples: int) -> tuple[Problem, ...]:
     if not lines:
         return ()
     more = f" and {counted(len(lines) - 1, 'more line')}" if len(lines) > 1 else ""
-    text = f"the names of the columns stand again in line {lines[0]}{more}: files that were joined"
+    text = f"the names of the columns are repeated in line {lines[0]}{more}: files that were joined"
     return (Problem("repeated_head", text, None, samples, count=len(lines)),)
 
 

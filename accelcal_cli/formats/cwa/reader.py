@@ -61,7 +61,7 @@ LAST_SECTORS = 64
 """Sectors before the end of the data in which the last time is looked for."""
 
 NO_HEADER = "the header at the start of the file is damaged; settings were taken from the data sectors"
-HALF_HEADER = "the second half of the header is missing; the data sectors that stand there are read"
+HALF_HEADER = "the second half of the header is missing; the data sectors in its place are read"
 NO_START = "the device's clock was not set: times count from the recording's start"
 
 

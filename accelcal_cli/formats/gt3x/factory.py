@@ -1,4 +1,4 @@
-"""The maker's calibration beside log.bin: calibration.json and temperature_calibration.json, and its use.
+"""The maker's calibration next to log.bin: calibration.json and temperature_calibration.json, and its use.
 
 `isCalibrated` false says that the records hold counts of the bare sensor. Method 2 of calibration.json has,
 for each sampling rate, offsets in counts, sensitivities of the axes in hundredths of a count per g, and those

@@ -3,7 +3,7 @@
 Sources: the vendor's format documents (github.com/actigraph/GT3X-File-Format): README.md for the records of
 log.bin, LogRecords/Activity.md, Activity2.md and Parameters.md, info.txt.md. A record holds one second: 16
 bits a value like a GT9X Link, or packed 12 bits like a wGT3X+, by the counts per g. The format has no
-temperature beside the main sensor's samples: the recording's is left out. Seconds follow each other: a
+temperature with the main sensor's samples: the recording's is left out. Seconds follow each other: a
 recording with a break is refused.
 """
 

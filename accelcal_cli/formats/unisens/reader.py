@@ -48,7 +48,7 @@ MOST_RATIO = 100
 
 NO_START = "the description does not tell when the recording began: times count from its start"
 OTHER_GYRO = (
-    "{name} was not used: it has another rate, length or unit than those of rotation rates beside {acc}"
+    "{name} was not used: it has another rate, length or unit than rotation rates with {acc} may have"
 )
 TYPES = {
     "int8": "i1",
@@ -410,7 +410,7 @@ def lsb_per_g_of(signal: Signal, options: ReadOptions, xml: Path) -> float:
 
 
 def sibling_signal(other: Signal | None, signal: Signal, data: Path) -> SiblingSignal | None:
-    """Return a signal's file beside the accelerations; None if it is missing, empty or too fast."""
+    """Return a signal's file in the folder of the accelerations; None if it is missing, empty or too fast."""
     if (
         other is None
         or Path(other.name).name != other.name
