@@ -100,14 +100,14 @@ docs: $(PLAIN)
 	$(PIP) '.[docs]'
 	$(BIN)/python -m pdoc accelcal_cli.api --docformat google --output-directory build/api
 
-# flash, RAM and time of firmware/accelcal.h on simulated microcontrollers (docs/firmware.md)
+# flash, RAM and time of firmware/accelcal.h on simulated microcontrollers (docs/flash-format.md#calibrating-on-a-microcontroller)
 firmware: $(PLAIN)
 	$(BIN)/python -m firmware.measure
 
 bench: $(READY)
 	$(BIN)/python -m bench $(BENCH)
 
-# a study of 100 000 recordings (docs/scale.md): about 10 minutes
+# a study of 100 000 recordings (docs/cluster.md#a-study-of-100-000-recordings): about 10 minutes
 bench-scale: $(READY)
 	$(BIN)/python -m bench.scale $(BENCH)
 

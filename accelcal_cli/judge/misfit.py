@@ -42,7 +42,7 @@ SURE = 2.0
 
 SURE_WITHOUT_A_FOLD, SURE_OF_A_HALF = 1.25, 0.5
 """Standard errors that it must exceed on the same side of that axis by four folds of five, and by each half
-of the postures; chosen by simulation (docs/misfit.md)."""
+of the postures; chosen by simulation (docs/change.md)."""
 
 POWERS: dict[MisfitKind, int] = {"quadratic": 2, "cubic": 3}
 """Power of the acceleration in each kind of bend."""

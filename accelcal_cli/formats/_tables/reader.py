@@ -1,6 +1,6 @@
 """Reads a table: decides what to read and how (`plan_of`), and streams its rows as chunks (`TableReader`).
 
-All formats of named columns share this. The names that are understood are listed in docs/hdf5-files.md and
+All formats of named columns share this. The names that are understood are listed in docs/tables.md and
 docs/tables.md.
 """
 

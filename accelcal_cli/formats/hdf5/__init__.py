@@ -1,4 +1,4 @@
-"""HDF5 files of laboratories (docs/hdf5-files.md) and of APDM Opal sensors (`opal.py` has their layout).
+"""HDF5 files of laboratories (docs/tables.md) and of APDM Opal sensors (`opal.py` has their layout).
 
 They are recognised without importing h5py, so other formats need not wait for it.
 """

@@ -1,4 +1,4 @@
-"""Reads HDF5 files of laboratories as tables; docs/hdf5-files.md lists what is understood."""
+"""Reads HDF5 files of laboratories as tables; docs/tables.md lists what is understood."""
 
 from __future__ import annotations
 
