@@ -333,3 +333,19 @@ def hold_to_one_thread() -> None:
     """
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     os.environ.setdefault(*ALLOCATOR)
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Do the same for processes that are started in the block, and leave this one as it was."""
+    names = (*THREAD_VARIABLES, ALLOCATOR[0])
+    before = {name: os.environ.get(name) for name in names}
+    hold_to_one_thread()
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

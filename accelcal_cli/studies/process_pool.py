@@ -2,7 +2,7 @@
 
 On Linux workers are forked from a server that has imported everything once. It listens in a folder of our
 own: that of multiprocessing would remain if the process is killed, and its path may be too long for the name
-of a socket.
+of a socket. Workers never run the program that started them, so that a script needs no guard.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import time
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 from functools import cache
-from multiprocessing import connection, forkserver, resource_tracker
+from multiprocessing import connection, forkserver, resource_tracker, spawn
 from multiprocessing.process import BaseProcess
 from multiprocessing.util import Finalize
 from pathlib import Path
@@ -28,10 +28,10 @@ from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.system import (
     collect_seldom,
     has_fork_server,
-    hold_to_one_thread,
     host,
     interruptions_blocked,
     lives,
+    one_thread_each,
     remove_folder,
 )
 from accelcal_cli.studies.records import Finished, ProgressDelta, TaskFunction
@@ -58,6 +58,9 @@ TRIES, RETRY_S = 5, 0.1
 
 TERMINATED, NO_THREAD = 143, 144
 """Exit codes of a worker that got SIGTERM, and of one that could not start its watching thread."""
+
+NAME = "accelcal-worker"
+"""Name of a worker's process."""
 
 SERVER_GONE = 255
 """Exit code that multiprocessing gives a process whose server is gone."""
@@ -258,15 +261,19 @@ def _end(workers: list[_Worker]) -> None:
         worker.pipe.close()
 
 
+_STARTING = threading.Lock()
+"""Held while a worker is started: the folder of temporary files and the environment are the process's."""
+
+
 def _started(work: TaskFunction, preload: str) -> _Worker:
     """Start a process that has nothing of this one's state but the pipe."""
-    hold_to_one_thread()
     pipe: tuple[Any, Any] = multiprocessing.Pipe()  # connections are of another class on Windows
     ours, theirs = pipe
-    process = _process(theirs, work, preload)
     try:
-        with forkserver_folder():
-            _start_server()
+        with _STARTING, one_thread_each(), forkserver_folder():
+            _keep_main_out()
+            forked = has_fork_server() and _start_server(preload)
+            process = _process("forkserver" if forked else "spawn", theirs, work)
             process.start()
     except (OSError, EOFError):
         ours.close()
@@ -276,21 +283,44 @@ def _started(work: TaskFunction, preload: str) -> _Worker:
     return _Worker(process, ours)
 
 
-def _process(pipe: PipeEnd, work: TaskFunction, preload: str) -> BaseProcess:
-    """Return a process, on Linux from a server that has imported everything once."""
-    context: Any = multiprocessing.get_context("forkserver" if has_fork_server() else "spawn")
-    context.set_forkserver_preload([preload])
-    process: BaseProcess = context.Process(target=_serve, args=(pipe, work), daemon=True)
+def _process(method: str, pipe: PipeEnd, work: TaskFunction) -> BaseProcess:
+    context: Any = multiprocessing.get_context(method)
+    process: BaseProcess = context.Process(target=_serve, args=(pipe, work), name=NAME, daemon=True)
     return process
 
 
-def _start_server() -> None:
-    """Start the server so that it ignores Ctrl-C, at which it would print a traceback."""
-    if not has_fork_server():
+def _start_server(preload: str) -> bool:
+    """Start the server so that it ignores Ctrl-C, at which it would print a traceback.
+
+    Returns:
+        False if this process was forked from one that has a server, which it cannot wait for.
+    """
+    multiprocessing.get_context("forkserver").set_forkserver_preload([preload])
+    try:
+        resource_tracker.ensure_running()
+        with interruptions_blocked():
+            forkserver.ensure_running()
+    except ChildProcessError:
+        return False
+    return True
+
+
+def _keep_main_out() -> None:
+    """Let multiprocessing tell workers nothing of `__main__`, which they would run once more.
+
+    Other processes of the program are told what they always were.
+    """
+    if getattr(spawn.get_preparation_data, "keeps_main_out", False):
         return
-    resource_tracker.ensure_running()
-    with interruptions_blocked():
-        forkserver.ensure_running()
+    usual = spawn.get_preparation_data
+
+    def prepared(name: str) -> dict[str, Any]:
+        data = usual(name)
+        main = [key for key in data if key.startswith("init_main_")] if name == NAME else []
+        return {key: value for key, value in data.items() if key not in main}
+
+    prepared.keeps_main_out = True  # type: ignore[attr-defined]
+    spawn.get_preparation_data = prepared
 
 
 def _serve(pipe: PipeEnd, work: TaskFunction) -> None:

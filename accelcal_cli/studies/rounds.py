@@ -81,7 +81,8 @@ class Round:
 
 def common_of(study: Study, recordings: int = MANY) -> Common:
     """Return what the tasks of a study share; a cluster counts its threads itself."""
-    threads = 1 if study.dask is not None else system.threads(workers_of(study, recordings))
+    elsewhere = study.dask is not None or study.pool_of_caller is not None
+    threads = 1 if elsewhere else system.threads(workers_of(study, recordings))
     return Common(study.out, replace(study.request, threads=threads), study.asked())
 
 

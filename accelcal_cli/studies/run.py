@@ -23,6 +23,7 @@ from accelcal_cli.studies import lock, summary
 from accelcal_cli.studies.borrowing import BORROWING
 from accelcal_cli.studies.cluster import Cluster, Notify, WorkerRequirements, calibrate_in_user_folder, code
 from accelcal_cli.studies.discovery import SUMMARY, as_if_alone, places, refuse_foreign
+from accelcal_cli.studies.in_process import Futures, InProcess, must_stay
 from accelcal_cli.studies.lock import Lease
 from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools
 from accelcal_cli.studies.prior import LEARNING, without_prior
@@ -391,10 +392,14 @@ def executor_for(
     on_progress: ProgressDelta,
     notify: Notify,
 ) -> Executor:
-    """Return processes of this machine, or the cluster that was named.
+    """Return processes of this machine, this process, the caller's pool, or the cluster that was named.
 
     A cluster finds the own results only: later rounds, which compare recordings, are done here.
     """
+    if study.pool_of_caller is not None:
+        return Futures(study.pool_of_caller, work, on_progress)
+    if study.here or must_stay():
+        return InProcess(work, on_progress)
     if study.dask is None or work is not calibrated:
         return ProcessPool(work, workers_of(study, recordings), study.timeout_s, PRELOAD, on_progress)
     cwd = Path.cwd()

@@ -9,12 +9,15 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.version import __version__
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.studies.discovery import Where
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor as Pool
 
 SLURM = "slurm"
 POOL, POOLED, BORROW, PRIOR = "pool", "pooled", "borrow", "prior"
@@ -94,6 +97,8 @@ class Study:
         borrow: whether a recording that cannot be calibrated well may use coefficients of its device.
         prior: kind of prior that is learnt from the own results (which are found with the request's prior);
             None if they stay.
+        here: whether this process does all the work.
+        pool_of_caller: the executor of the calling program that does the work; None for processes here.
         takeover_s: silence after which a run of another host is taken to have ended; None if never.
     """
 
@@ -111,6 +116,8 @@ class Study:
     borrow: bool = False
     prior: str | None = None
     takeover_s: float | None = None
+    here: bool = False
+    pool_of_caller: Pool | None = None
 
     @property
     def out(self) -> Path:
