@@ -68,8 +68,8 @@ FIELD = {
 }
 """Words that mean something else to people of the field, or nothing, and those to write instead."""
 
-REMARK = r"\([^()]* [^()]* [^()]*\)"
-"""Three words or more in parentheses."""
+REMARK = r"\((?![-\d., ]*\))[^()=+−]* [^()=+−]* [^()=+−]*\)"
+"""Three words or more in parentheses, which are neither a formula nor a vector."""
 BE = r"\b(?:is|are|was|were)"
 RULES = (
     *(_rule(f"write `{plain}` for `{word}`", rf"\b{word}\b") for word, plain in LITERARY.items()),
