@@ -90,9 +90,9 @@ def _text(form: str, files: tuple[Path, ...], *, quiet: bool) -> str:
         return "".join(coefficients.as_json(path) + "\n" for path in files)
     read_exported = [coefficients.read_exported(path) for path in files]
     for one in read_exported:
-        sentence = coefficients.cost(one)
-        if sentence is not None and not quiet:
-            say(f"{one.path}: {sentence}")
+        for sentence in (coefficients.cost(one), coefficients.temperature_note(one, form)):
+            if sentence is not None and not quiet:
+                say(f"{one.path}: {sentence}")
     if form == "ggir":
         return coefficients.ggir(read_exported)
     return "".join(coefficients.LINES[form](one) + "\n" for one in read_exported)

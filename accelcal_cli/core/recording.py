@@ -68,6 +68,17 @@ class Device:
 
 
 @dataclass(frozen=True, slots=True)
+class ThermometerWord:
+    """How a format's raw word is read: degrees C = celsius_per_count * word + celsius_at_zero.
+
+    Other tools may read the same word by another line (exports/degrees.py).
+    """
+
+    celsius_per_count: float
+    celsius_at_zero: float
+
+
+@dataclass(frozen=True, slots=True)
 class FactoryAcceleration:
     """The maker's calibration of the accelerometer: acceleration [g] = g_per_count (counts - offset_counts).
 
@@ -172,6 +183,7 @@ class Recording:
         samples: number of samples, None if only reading everything would show it.
         duration_s: length from headers and first and last pages, None if unknown.
         gyro_dps_per_lsb: deg/s in one count of each gyroscope axis, None without a gyroscope.
+        thermometer: how words are read as temperatures; None where the file states degrees, or none.
         factory: the maker's calibration, if the reader applied one: counts are calibrated by it.
         companion: another file that says how to read the recording, such as a layout.
         calibrated: origin of a file of ours with calibrated values.
@@ -195,6 +207,7 @@ class Recording:
     duration_s: float | None = None
     has_temperature: bool = False
     gyro_dps_per_lsb: tuple[float, float, float] | None = None
+    thermometer: ThermometerWord | None = None
     factory: FactoryCalibration | None = None
     companion: Path | None = None
     calibrated: Calibrated | None = None

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
@@ -17,6 +17,7 @@ from typing import Any
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.version import __version__
+from accelcal_cli.exports.degrees import NAMES, WARMEST_AT_START_C, Degrees, degrees_of, why_none
 from accelcal_cli.output.coefficients import (
     FULL_GAIN,
     coefficients_json,
@@ -39,9 +40,9 @@ GGIR_COLUMNS = (
     "cal.error.start", "cal.error.end", "n.10sec.windows", "n.hours.considered", "QCmessage",
     "use.temperature",
 )  # fmt: skip
-GGIR_MESSAGE = "recalibration done, no problems detected"
-"""Message of GGIR itself if all is well (g.calibrate.R)."""
-
+GGIR_WINDOW_S = 10
+NEAR_C = 10.0
+"""How far from GGIR's limit of temperatures a mean of them is safe [degrees C]."""
 Three = tuple[float, float, float]
 
 
@@ -64,6 +65,13 @@ class AxisCoefficients:
         x, y, z = (k * s for k, s in zip(self.scale, self.slope_g_per_c, strict=True))
         return x, y, z
 
+    def read_in(self, degrees: Degrees | None) -> AxisCoefficients:
+        """Return them for temperatures in other degrees; None: for a tool that has no temperatures."""
+        if degrees is None:
+            return replace(self, slope_g_per_c=(0.0, 0.0, 0.0), reference_c=0.0)
+        x, y, z = (slope / degrees.per_degree for slope in self.slope_g_per_c)
+        return replace(self, slope_g_per_c=(x, y, z), reference_c=degrees.of(self.reference_c))
+
 
 @dataclass(frozen=True, slots=True)
 class ExportedReport:
@@ -71,14 +79,14 @@ class ExportedReport:
 
     Attributes:
         path: path of the report.
-        windows: number of windows that were used.
+        windows_s: total length of the windows that were used [s].
         whole: its calibration; errors: the errors of that.
         simple: the calibration without misalignment; simple_errors: the errors of that.
     """
 
     path: Path
     recording: ReportRecording
-    windows: int
+    windows_s: float
     whole: Calibration
     errors: ErrorsView
     simple: Calibration
@@ -90,12 +98,17 @@ class ExportedReport:
         kind = PurePosixPath if "/" in self.recording.path else PureWindowsPath
         return kind(self.recording.path).name
 
-    def axes(self) -> AxisCoefficients:
-        """Return the simple calibration, axis by axis."""
+    def axes(self, tool: str) -> AxisCoefficients:
+        """Return the simple calibration, axis by axis, in the degrees in which a tool reads the recording."""
         found, gain = self.simple, self.simple.gain()
         columns = ([gain[axis, axis] for axis in range(3)], found.offset_g(), found.slope_g_per_c())
         scale, offset, slope = ((float(x), float(y), float(z)) for x, y, z in columns)
-        return AxisCoefficients(scale, offset, slope, found.reference_c())
+        ours = AxisCoefficients(scale, offset, slope, found.reference_c())
+        return ours if found.temperature is None else ours.read_in(degrees_of(tool, self.recording))
+
+    def uses_temperature(self, tool: str) -> bool:
+        """Return True if the simple calibration follows a temperature that the tool reads."""
+        return self.simple.temperature is not None and degrees_of(tool, self.recording) is not None
 
 
 def read_exported(path: Path) -> ExportedReport:
@@ -107,7 +120,7 @@ def read_exported(path: Path) -> ExportedReport:
     """
     found = read_coefficients(path)
     document, whole = found.document, found.calibration
-    check_sections(document, ("recording", "fit", "holdout", "calibration_error_mg"))
+    check_sections(document, ("recording", "settings", "fit", "holdout", "calibration_error_mg"))
     report, recording = document.report, document.recording
     if recording.format in NO_RECORDING:
         text = f"is of {NO_RECORDING[recording.format]}, of which no other tool has a file"
@@ -123,15 +136,16 @@ def read_exported(path: Path) -> ExportedReport:
             path=path,
             hint="export the calibrated data (--to csv), or calibrate with --recalibrate never",
         )
-    windows, errors = record(FitView, report["fit"]).windows["used"], record(ErrorsView, report)
+    windows_s = record(FitView, report["fit"]).windows["used"] * report["settings"]["segment_seconds"]
+    errors = record(ErrorsView, report)
     if whole.model in ALIGNED:
-        return ExportedReport(path, recording, windows, whole, errors, whole, errors)
+        return ExportedReport(path, recording, windows_s, whole, errors, whole, errors)
     simple = without_misalignment(found)
     if simple is None:
         text, hint = _why_none(report, whole)
         raise UsageError(text, path=path, hint=hint)
     simple_errors = record(ErrorsView, report["without_misalignment"])
-    return ExportedReport(path, recording, windows, whole, errors, simple, simple_errors)
+    return ExportedReport(path, recording, windows_s, whole, errors, simple, simple_errors)
 
 
 def _why_none(report: dict[str, Any], whole: Calibration) -> tuple[str, str]:
@@ -151,10 +165,10 @@ def _why_none(report: dict[str, Any], whole: Calibration) -> tuple[str, str]:
 def ggir(reports: Sequence[ExportedReport]) -> str:
     """Return the CSV file for GGIR's `backup.cal.coef`, a row for each recording.
 
-    a = (v + offset) scale + (T - meantempcal) temperature.offset (GGIR 3.3-7, R/g.getmeta.R), T in degrees C.
-    x, y, z are taken by the order of the columns, and `meantempcal` has to be a number: without the column
-    the term with T is left out in silence, and an empty cell makes all values NA (R/g.part1.R). Errors are
-    those of held-out postures in g, and windows are ours, of 5 s by default.
+    a = (v + offset) scale + (T - meantempcal) temperature.offset (GGIR 3.3-7, R/g.getmeta.R), T in the
+    degrees that GGIR reads. x, y, z are taken by the order of the columns, and `meantempcal` has to be a
+    number: without the column the term with T is left out in silence, and an empty cell makes all values NA
+    (R/g.part1.R). Errors are those of held-out postures in g; stillness is counted in windows of 10 s.
 
     Raises:
         UsageError: two recordings have the same name, by which GGIR would give both the first one's row.
@@ -169,25 +183,26 @@ def ggir(reports: Sequence[ExportedReport]) -> str:
 
 
 def _ggir_row(one: ExportedReport) -> list[object]:
-    axes, holdout, seconds = one.axes(), one.simple_errors.holdout, one.recording.duration_s
+    axes, holdout, seconds = one.axes("ggir"), one.simple_errors.holdout, one.recording.duration_s
     means_mg = (None, None) if holdout is None else (holdout.before_mg.mean, holdout.after_mg.mean)
     errors = [None if mean_mg is None else mean_mg / 1000 for mean_mg in means_mg]
     hours = None if seconds is None else round(seconds / 3600, 2)
-    temperature = "TRUE" if one.simple.temperature is not None else "FALSE"
+    temperature = "TRUE" if one.uses_temperature("ggir") else "FALSE"
+    message = f"coefficients of accelcal {__version__} (model {one.simple.model})"
     return [
         one.file_name, *axes.scale, *axes.offset_g, *axes.warmth(), axes.reference_c, *errors,
-        one.windows, hours, GGIR_MESSAGE, temperature,
+        int(one.windows_s // GGIR_WINDOW_S), hours, message, temperature,
     ]  # fmt: skip
 
 
 def biobank(one: ExportedReport) -> str:
     """Return the command line of biobankAccelerometerAnalysis.
 
-    a = calOffset + calSlope v + calTemp T (version 7, EpochWriter.java), T in degrees C, without a reference
-    temperature. `--meanTemp` is not given: it sets all coefficients back. Its parser takes a negative number
-    with an exponent for an option, so that all numbers are written without.
+    a = calOffset + calSlope v + calTemp T (version 7, EpochWriter.java), T in the degrees that it reads,
+    without a reference temperature. `--meanTemp` is not given: it sets all coefficients back. Its parser
+    takes a negative number with an exponent for an option, so that all numbers are written without.
     """
-    axes = one.axes()
+    axes = one.axes("biobank")
     parts = zip(axes.scale, axes.offset_g, axes.slope_g_per_c, strict=True)
     values = {
         "calOffset": [k * (offset - slope * axes.reference_c) for k, offset, slope in parts],
@@ -204,7 +219,7 @@ def omconvert(one: ExportedReport) -> str:
     a = (v + offset) scale + (T - Tref) temperature offset (omcalibrate.c); the ten numbers are scales,
     offsets, temperature offsets and Tref (main.c). `-calibrate 0` makes it use them.
     """
-    axes = one.axes()
+    axes = one.axes("omconvert")
     numbers = (*axes.scale, *axes.offset_g, *axes.warmth(), axes.reference_c)
     return f'omconvert {_file(one)} -calibrate 0 -calibration "{",".join(map(decimal, numbers))}"'
 
@@ -259,6 +274,21 @@ def cost(one: ExportedReport) -> str | None:
     price = ", ".join(parts) or "the loss of accuracy is unknown, because there is too little stillness"
     models = f"{one.simple.model} instead of {one.whole.model}"
     return f"this form cannot hold misalignment; exported model {models}: {price}"
+
+
+def temperature_note(one: ExportedReport, tool: str) -> str | None:
+    """Return what the tool does not do with the temperature, in a sentence; None if it does all of it."""
+    if one.simple.temperature is None:
+        return None
+    if not one.uses_temperature(tool):
+        return f"temperature is left out: {why_none(tool, one.recording)}"
+    reference = one.axes(tool).reference_c
+    if tool == "ggir" and reference > WARMEST_AT_START_C - NEAR_C:
+        return (
+            f"{NAMES[tool]} reads temperatures around {reference:.1f} from this device, and uses none if the "
+            f"first ones are above {WARMEST_AT_START_C:g}: hand on the calibrated data (--to ggir -d DIR)"
+        )
+    return None
 
 
 LINES: dict[str, Callable[[ExportedReport], str]] = {"biobank": biobank, "omconvert": omconvert}

@@ -469,6 +469,7 @@ def _recording(data: ReportInput) -> ReportRecording:
         gaps=[_gap(gap, facts.utc_offset_s) for gap in facts.gaps],
         gaps_omitted=facts.gaps_omitted,
         notes=notes_json(recording, facts),
+        thermometer=None if recording.thermometer is None else asdict(recording.thermometer),
         factory_calibration=None if recording.factory is None else recording.factory.as_json(),
     )
 

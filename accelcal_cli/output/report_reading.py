@@ -42,6 +42,7 @@ LATER = {
     "file_health.lost_bytes": "0.1.0",
     "file_health.lost_percent": "0.1.0",
     "file_health.rest": "0.2.0",
+    "recording.thermometer": "0.3.0",
     "holdout.improvement_factor": "0.2.0",
     "holdout.improvement_factor.ci95": "0.3.0",
     "without_misalignment.holdout.improvement_factor.ci95": "0.3.0",

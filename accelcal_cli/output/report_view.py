@@ -48,13 +48,15 @@ class ReportRecording:
     gaps: Sequence[Mapping[str, Any]] = ()
     gaps_omitted: int = 0
     notes: Sequence[str] = ()
+    thermometer: Mapping[str, float] | None = None
     factory_calibration: Mapping[str, Any] | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Return the object; the maker's calibration is a key only where one was applied."""
+        """Return the object; the last two are keys only where there is something to say."""
         keys = asdict(self) | {"gaps": list(self.gaps), "notes": list(self.notes)}
-        if self.factory_calibration is None:
-            del keys["factory_calibration"]
+        for name in ("thermometer", "factory_calibration"):
+            if keys[name] is None:
+                del keys[name]
         return keys
 
     @property

@@ -8,6 +8,7 @@ import io
 import json
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY, Calibration, TemperatureScale
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.results import ErrorSummary
+from accelcal_cli.core.version import __version__
 from accelcal_cli.exports.coefficients import (
     ExportedReport,
     biobank,
@@ -47,8 +49,8 @@ def made(
     p = [1.02, 0.985, 1.013, 0, 0, 0, 0.0317, -0.0211, 0.0469, 0.004, -0.0026, -4 * TINY]
     fixed = parameters or tuple(round(value * ONE) for value in (p if warm else [*p[:9], 0, 0, 0]))
     found = Calibration("6T" if warm else "6", fixed, TemperatureScale(26848, 4.0) if warm else None)
-    recording, errors = ReportRecording(path, "", 0, "cwa", duration_s=5400.0), ErrorsView(HOLDOUT)
-    return ExportedReport(Path("a.calibration.json"), recording, 240, found, errors, found, errors)
+    recording, errors = ReportRecording(path, "", 0, "geneactiv", duration_s=5400.0), ErrorsView(HOLDOUT)
+    return ExportedReport(Path("a.calibration.json"), recording, 1205.0, found, errors, found, errors)
 
 
 def raw() -> tuple[np.ndarray, np.ndarray]:
@@ -111,12 +113,13 @@ def by_omconvert(line: str, v: np.ndarray, celsius: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("warm", [True, False])
 def test_the_formula_of_each_tool_gives_what_model_6_or_6t_gives(warm: bool) -> None:
     one, (v, celsius) = made(warm=warm), raw()
-    for found in (
-        by_ggir(ggir([one]), v, celsius),
-        by_biobank(biobank(one), v, celsius),
-        by_omconvert(omconvert(one), v, celsius),
-    ):
+    for found in (by_ggir(ggir([one]), v, celsius), by_biobank(biobank(one), v, celsius)):
         assert np.abs(found - expected(one, v, celsius)).max() < 1e-9
+    word = np.rint((celsius + 20.5) / 0.15)  # omconvert reads .cwa files only, by this line for all hardware
+    line = {"celsius_per_count": 0.15, "celsius_at_zero": -20.5}
+    one = replace(one, recording=replace(one.recording, format="cwa", thermometer=line))
+    found = by_omconvert(omconvert(one), v, word * 0.15 - 20.5)
+    assert np.abs(found - expected(one, v, word * 0.15 - 20.5)).max() < 1e-9
 
 
 def test_a_good_sensor_is_handed_on_as_the_identity() -> None:
@@ -133,9 +136,19 @@ def test_columns_order_and_units_of_ggir() -> None:
     cells = dict(zip(head.split(","), next(csv.reader([row])), strict=True))
     assert cells["filename"] == "a b.cwa"
     assert (cells["cal.error.start"], cells["cal.error.end"]) == ("0.0315", "0.00225")
-    assert (cells["n.10sec.windows"], cells["n.hours.considered"]) == ("240", "1.5")
+    assert (cells["n.10sec.windows"], cells["n.hours.considered"]) == ("120", "1.5")
     assert (cells["meantempcal"], cells["use.temperature"]) == ("26.848", "TRUE")
-    assert cells["QCmessage"] == "recalibration done, no problems detected"
+    assert cells["QCmessage"] == f"coefficients of accelcal {__version__} (model 6T)"
+
+
+def test_u11_windows_are_of_10_s_whatever_their_length_was(tmp_path: Path) -> None:
+    path = donor(tmp_path)
+    used = json.loads(path.read_text())["fit"]["windows"]["used"]
+    for seconds in (5.0, 10.0, 1.0):
+        edit(path, lambda report, s=seconds: report["settings"].update(segment_seconds=s))
+        one = read_exported(path)
+        row = dict(zip(*csv.reader(io.StringIO(ggir([one]))), strict=True))
+        assert int(row["n.10sec.windows"]) == used * seconds // 10
 
 
 def test_ggir_needs_a_number_for_the_temperature_also_without_slopes() -> None:
@@ -170,8 +183,8 @@ def test_a_report_hands_on_its_fit_without_misalignment_and_what_that_costs(tmp_
     report = json.loads(path.read_text())
     section, found = report["without_misalignment"], read_exported(path)
     assert found.whole.model == "9T" and found.simple.model == section["calibration"]["model"] == "6T"
-    assert found.axes().scale == tuple(np.diag(section["calibration"]["gain"]))
-    assert found.axes().offset_g == tuple(section["calibration"]["offset_g"])
+    assert found.axes("ggir").scale == tuple(np.diag(section["calibration"]["gain"]))
+    assert found.axes("ggir").offset_g == tuple(section["calibration"]["offset_g"])
     six, nine = (one["holdout"]["after_mg"]["mean"] for one in (section, report))
     assert six > 5 * nine
     everywhere = [one["calibration_error_mg"]["mean"] for one in (section, report)]

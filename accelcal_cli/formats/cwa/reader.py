@@ -305,6 +305,7 @@ def describe(
         duration_s=lasted if clock_set else None,
         has_temperature=settings.thermometer is not None,
         gyro_dps_per_lsb=None if gyro is None else (gyro, gyro, gyro),
+        thermometer=None if settings.thermometer is None else settings.thermometer.as_word,
         notes=notes,
     )
 

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.recording import Channels, Device
+from accelcal_cli.core.recording import Channels, Device, ThermometerWord
 from accelcal_cli.formats._pages.pages import CHECKSUM, ERASED, FOREIGN, GOOD, NONSENSE, RATE
 from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.cwa import HEADER_BYTES, HEADER_MAGIC, SECTOR_BYTES, SECTOR_MAGIC
@@ -493,6 +493,11 @@ class Thermometer:
         measured = (scaled + self.divisor // 2) // self.divisor - np.int32(self.zero)
         ends = (word == NO_SENSOR[0]) | (word == NO_SENSOR[1])
         return np.where(ends, np.int32(MISSING), measured) if ends.any() else measured
+
+    @property
+    def as_word(self) -> ThermometerWord:
+        """The formula as numbers, for the report."""
+        return ThermometerWord(self.slope / self.divisor / 1000, -self.zero / 1000)
 
     @property
     def note(self) -> str:
