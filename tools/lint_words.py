@@ -91,7 +91,7 @@ RULES = (
         r"\b(?:tells|told)\b(?! (?:\w+ ){0,4}(?:apart|from)\b)",
         FOR_USERS,
     ),
-    _rule("write `is` for `stands`", r"\bstands?\b(?! (?:in )?for\b)", FOR_USERS),
+    _rule("write `is` for `stands`", r"\bstands?\b(?!-| (?:in )?for\b)", FOR_USERS),
     _rule(
         "write `is not a`, not `is no`",
         rf"(?<![Tt]here ){BE} (?:no|none)\b(?! (?:longer|more|less|fewer|lower|higher|worse|better|such))",
