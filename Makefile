@@ -95,10 +95,11 @@ browser: browser-ready
 browser-ready: $(READY)
 	sh tools/set_up_browser.sh $(BROWSER) $(BIN)/python
 
-# pages of the Python API, from its docstrings, in build/api
+# the documentation site in build/docs; a warning, such as a link that leads nowhere, is an error
 docs: $(PLAIN)
-	$(PIP) '.[docs]'
-	$(BIN)/python -m pdoc accelcal_cli.api --docformat google --output-directory build/api
+	$(PIP) --editable '.[docs]'
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
+	@echo "$(CURDIR)/build/docs/index.html"
 
 # flash, RAM and time of firmware/accelcal.h on simulated microcontrollers (docs/flash-format.md#calibrating-on-a-microcontroller)
 firmware: $(PLAIN)
@@ -141,6 +142,7 @@ sample-data: $(READY)
 
 figure: $(READY)
 	$(BIN)/python tools/make_figure.py
+	$(BIN)/python tools/make_drawings.py
 
 clean:
 	rm -rf $(VENV) $(DEMO) .pytest_cache .mypy_cache .ruff_cache
