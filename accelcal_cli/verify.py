@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.reasons import significant
@@ -373,7 +374,7 @@ def _parquet_of(report: Path) -> Path | None:
     stem = report.name.removesuffix(jobs.REPORT_SUFFIX)
     names = (stem + jobs.PARQUET_SUFFIX, stem + ".parquet", stem)
     paths = (report.with_name(name) for name in names if name != report.name)
-    return next((path for path in paths if path.is_file()), None)
+    return next((path for path in paths if is_file(path)), None)
 
 
 def compare_values(run: RecordingRun, data: ReportInput, path: Path) -> Values:
@@ -446,7 +447,7 @@ def donor_of(document: Document, stated: Path | None) -> Coefficients | None:
     sibling = document.path.parent / then.name
     original = document.path.parent / then if by_content else then
     places = (stated,) if stated is not None else (original, sibling)
-    existing = [path for path in places if path.is_file()]
+    existing = [path for path in places if is_file(path)]
     unchanged = [
         path
         for path in existing
@@ -473,7 +474,7 @@ def pool_of(document: Document) -> Document | None:
     check_sections(document, ("pool",))
     used = record(PoolView, document.report["pool"])
     path = document.path.parent / used.path
-    if not path.is_file():
+    if not is_file(path):
         raise UsageError(f"was made with the pool {path}, which is missing", path=document.path)
     pool = read_document(path)
     if pool.content_sha256 != used.sha256:
@@ -507,8 +508,8 @@ def _unchanged(then: NamedFile | None, recording: Path, stated: Path | None, wha
     if then is None:
         return None
     inside = recording / then.name
-    path = stated or (inside if inside.is_file() else recording.parent / then.name)
-    if not path.is_file() or sha256(path) != then.sha256:
+    path = stated or (inside if is_file(inside) else recording.parent / then.name)
+    if not is_file(path) or sha256(path) != then.sha256:
         raise UsageError(
             f"is not the {what} {then.name} that the report was made with",
             path=path,

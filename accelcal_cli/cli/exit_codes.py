@@ -18,7 +18,15 @@ from typing import Any
 
 import click
 
-from accelcal_cli.core.errors import AccelcalError, OutputError, cause_of_kind, missing_resource, printable
+from accelcal_cli.core.errors import (
+    AccelcalError,
+    OutputError,
+    UnreadableError,
+    cause_of_kind,
+    disk_fault,
+    missing_resource,
+    printable,
+)
 from accelcal_cli.core.system import clear_alarm, ending_signals, set_alarm
 
 OK = 0
@@ -188,6 +196,9 @@ def report_bug(path: Path | None = None) -> int:
         where = "" if path is None else f"{path}: "
         say(f"{where}{lack}; free some, or give fewer --chunk-samples")
         return NO_MEMORY
+    if (fault := disk_fault(value)) is not None:
+        say(fault)
+        return UnreadableError.exit_code
     name = "error" if kind is None else kind.__name__
     text = " ".join(f"{name}: {value}".split())
     say(f"a bug in accelcal ({text}); please report it with {keep_trace(traceback.format_exc())}")

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
+from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import did_you_mean
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.input_files import may_be_archive, pattern_of
@@ -325,7 +326,7 @@ parts_option = click.option(
 def recordings_of(recordings: tuple[Path, ...], values: dict[str, Any]) -> list[Path]:
     """Return the recordings, several files with --parts as one; raises what `pattern_of` raises."""
     recordings = tuple(real(one) if one.name in ("", "..") else one for one in recordings)
-    files = len(recordings) > 1 and all(one.is_file() and not may_be_archive(one) for one in recordings)
+    files = len(recordings) > 1 and all(is_file(one) and not may_be_archive(one) for one in recordings)
     return [pattern_of(recordings)] if values["parts"] and files else list(recordings)
 
 

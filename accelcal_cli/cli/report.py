@@ -9,6 +9,7 @@ import click
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import FILE
+from accelcal_cli.core.door import is_folder
 from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
 from accelcal_cli.pipeline.jobs import real, refuse_dash
 from accelcal_cli.pipeline.outputs import make_folder
@@ -34,7 +35,7 @@ def command(reports: tuple[Path, ...], output_dir: Path | None, force: bool, qui
     are created where they changed.
     """
     refuse_dash(output_dir)
-    if len(reports) == 1 and reports[0].is_dir():
+    if len(reports) == 1 and is_folder(reports[0]):
         if output_dir is not None:
             raise UsageError("the pages of a study lie in its own folder", path=reports[0], hint="omit -d")
         return study_pages(reports[0], force=force, quiet=quiet)
@@ -80,7 +81,7 @@ def _places(reports: tuple[Path, ...], folder: Path | None) -> list[tuple[Path, 
     places = []
     owners: dict[Path, Path] = {}
     for report in reports:
-        if report.is_dir():
+        if is_folder(report):
             raise UsageError("is a folder", path=report, hint="give it alone, or name reports")
         page = page_of(report)
         page = page if folder is None else folder / page.name

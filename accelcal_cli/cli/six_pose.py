@@ -11,6 +11,7 @@ import click
 from accelcal_cli.cli import options
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import run_jobs
+from accelcal_cli.core.door import is_folder
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.input_files import is_no_part
 from accelcal_cli.core.settings import POSES, PoseSettings
@@ -76,7 +77,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
 def _refuse_among(report: Path, session: Path) -> None:
     """Raise UsageError for a report that would be treated as a file of the session."""
-    if session.is_dir() and real(session) in real(report).parents and not is_no_part(report):
+    if is_folder(session) and real(session) in real(report).parents and not is_no_part(report):
         hint = "give a name outside, or one that ends in .calibration.json"
         raise UsageError(f"{printable(report)} would be among the files of the session", hint=hint)
 

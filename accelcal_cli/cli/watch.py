@@ -17,6 +17,7 @@ import click
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.help import Command
 from accelcal_cli.core.calibration import Transform
+from accelcal_cli.core.door import is_file, is_same
 from accelcal_cli.core.errors import UnreadableError, UsageError, output_error, printable
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.system import ending_signals
@@ -157,8 +158,8 @@ class _Outputs:
             self._kind = "csv" if self._path == STDIN or self._path.suffix.lower() == ".csv" else "arrow"
         if self._path == STDIN and not hasattr(sys.stdout, "buffer"):
             raise UsageError("standard output is closed", hint="give the name of a file to --output")
-        if self._path is not None and self._path != STDIN and exists(self._path) and self._path.is_file():
-            same = recording != STDIN and self._path.samefile(recording)
+        if self._path is not None and self._path != STDIN and exists(self._path) and is_file(self._path):
+            same = recording != STDIN and is_same(self._path, recording)
             what = "is the recording itself" if same else "exists already"
             raise UsageError(what, path=self._path, hint="give another name to --output")
 

@@ -25,6 +25,9 @@ ENVIRONMENT_ERRNOS = frozenset(
 )  # fmt: skip
 """Error numbers of disks, networks, limits and rights, which no file's content causes."""
 
+TOO_MUCH_ASKED = frozenset((errno.ENAMETOOLONG, errno.ELOOP))
+"""Error numbers of names that a disk does not take."""
+
 COPY_AGAIN = "copy it again from the device"
 """Hint for a file that is damaged or incomplete."""
 
@@ -85,6 +88,14 @@ def is_environment_error(error: BaseException) -> bool:
     """Return True if the environment (disk, network, limits) caused the error; a retry may succeed."""
     cause = cause_of_kind(error, OSError)
     return isinstance(cause, OSError) and cause.errno in ENVIRONMENT_ERRNOS
+
+
+def disk_fault(error: BaseException | None) -> str | None:
+    """Return what a disk refused where nobody asked it by the door, for people; None for any other error."""
+    if not isinstance(error, OSError) or error.errno not in ENVIRONMENT_ERRNOS | TOO_MUCH_ASKED:
+        return None
+    where = "" if error.filename is None else f"{printable(error.filename)}: "
+    return f"{where}cannot be read or written ({error.strerror})"
 
 
 def missing_resource(error: BaseException | None) -> str | None:

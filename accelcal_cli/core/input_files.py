@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import os
 import re
+import stat
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from accelcal_cli.core.door import files_below, is_file, look, open_found
 from accelcal_cli.core.errors import UnreadableError, UsageError
 
 ANY = "*"
@@ -42,7 +44,7 @@ def is_no_part(path: Path) -> bool:
 def may_be_archive(path: Path) -> bool:
     """Return True if a regular file begins as an archive may; False for one that cannot be read."""
     try:
-        if not path.is_file():
+        if not is_file(path):
             return False
         with path.open("rb") as file:
             head = file.read(MAGIC_BYTES)
@@ -58,13 +60,14 @@ def files_of(path: Path) -> tuple[Path, ...] | None:
         UnreadableError: a folder cannot be looked into. What is in it may be parts.
     """
     try:
-        if path.is_dir():
+        status = look(path)
+        if status is not None and stat.S_ISDIR(status.st_mode):
             found = _below(path)
         elif is_pattern(path):
             found = _matching(path)
         else:
             return None
-        return tuple(sorted(one for one in found if one.is_file() and not is_no_part(one)))
+        return tuple(sorted(one for one in found if is_file(one) and not is_no_part(one)))
     except OSError as error:
         place = error.filename or path
         hint = "check its permissions and its disk"
@@ -74,11 +77,11 @@ def files_of(path: Path) -> tuple[Path, ...] | None:
 def _below(folder: Path) -> Iterable[Path]:
     """Yield all files in a folder and its subfolders; raises OSError if one cannot be listed."""
 
-    def refuse(error: OSError) -> None:
-        raise error
-
-    for place, _, names in os.walk(folder, onerror=refuse):
-        yield from (Path(place, name) for name in names)
+    faults: list[OSError] = []
+    for place, _, names in files_below(folder, faults):
+        yield from (place / name for name in names)
+    for fault in faults:
+        raise fault
 
 
 def is_pattern(path: Path) -> bool:
@@ -139,19 +142,22 @@ def size_of(path: Path) -> int:
     return path.stat().st_size if files is None else sum(one.stat().st_size for one in files)
 
 
-def read_text(path: Path, what: str, most_bytes: int, encoding: str = "utf-8") -> str:
+def read_text(path: Path, what: str, most_bytes: int, encoding: str = "utf-8", *, found: bool = False) -> str:
     """Return the text of a file, with lines ended by `\\n`.
 
     Args:
         what: what to call it in errors, such as `the layout`.
         most_bytes: the longest that it may be.
+        found: it was not named, so that a pipe is not waited for.
 
     Raises:
         UsageError: it cannot be read, is longer, or is not UTF-8.
     """
     try:
-        with path.open("rb") as file:
+        with open_found(path) if found else path.open("rb") as file:
             data = file.read(most_bytes + 1)
+    except UnreadableError as error:
+        raise UsageError(f"{what} {error.message}", path=path, hint=error.hint) from error
     except OSError as error:
         raise UsageError(f"{what} cannot be read ({error.strerror or error})", path=path) from error
     if len(data) > most_bytes:
@@ -163,7 +169,7 @@ def read_text(path: Path, what: str, most_bytes: int, encoding: str = "utf-8") -
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def read_toml(path: Path, what: str, most_bytes: int) -> dict[str, Any]:
+def read_toml(path: Path, what: str, most_bytes: int, *, found: bool = False) -> dict[str, Any]:
     """Return the content of a TOML file; arguments as for `read_text`.
 
     Raises:
@@ -171,7 +177,7 @@ def read_toml(path: Path, what: str, most_bytes: int) -> dict[str, Any]:
     """
     import tomllib  # few recordings have such a file
 
-    text = read_text(path, what, most_bytes, "utf-8-sig")
+    text = read_text(path, what, most_bytes, "utf-8-sig", found=found)
     for number, line in enumerate(text.split("\n"), 1):
         if len(line) > LONGEST_LINE:
             raise UsageError(

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.door import is_file, matching
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.results import Outcome
@@ -206,9 +207,9 @@ def columns(path: Path) -> dict[str, Any]:
 
 
 def _check_there(path: Path) -> None:
-    if path.is_file():
+    if is_file(path):
         return
-    if any(path.parent.glob("study.*-of-*.parquet")):
+    if matching(path.parent, "study.*-of-*.parquet"):
         raise UsageError(
             "does not exist; only shards have been run", path=path, hint="run the study with --collect first"
         )

@@ -32,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, StampClock
+from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import UnreadableError, printable
 from accelcal_cli.core.local_time import UTC
 from accelcal_cli.core.recording import Validity
@@ -214,7 +215,7 @@ def open_calibrated(
 
 
 def _described(path: Path) -> CalibratedFile:
-    if not path.is_file():
+    if not is_file(path):
         raise UnreadableError("is not a file that can be read", path=path, hint=NAME_ONE)
     from accelcal_cli.output.columns import described  # pyarrow
 

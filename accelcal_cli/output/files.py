@@ -20,6 +20,7 @@ from math import isfinite
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NoReturn
 
+from accelcal_cli.core.door import is_file, look
 from accelcal_cli.core.errors import AccelcalError, OutputError, output_error, printable, spreadsheet_cell
 from accelcal_cli.core.recording import METADATA_KEY
 from accelcal_cli.core.system import PLAIN_FILE, host, lives
@@ -63,7 +64,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: the file cannot be written.
     """
-    if exists(path) and not path.is_file():  # a rename would replace a device, a pipe or a folder
+    if exists(path) and not is_file(path):  # a rename would replace a device, a pipe or a folder
         raise OutputError("is not a regular file and is not replaced", path=path, hint="give another name")
     temporary = _temporary_name(path)
     try:
@@ -122,7 +123,7 @@ def exists(path: Path) -> bool:
         OutputError: its name cannot be one.
     """
     try:
-        return path.exists()
+        return look(path) is not None
     except OSError as error:
         raise output_error(error, path) from error
 
@@ -341,7 +342,8 @@ def stored_schema(path: Path, failure: type[AccelcalError] = OutputError) -> pa.
         AccelcalError: of the kind `failure`, if it is there and cannot be read.
     """
     with looking_at(path, failure):
-        if not path.is_file():
+        found = look(path)
+        if found is None or not stat.S_ISREG(found.st_mode):
             return None
         from accelcal_cli.parquet import read_schema  # pyarrow takes as long to load as all of accelcal
 
@@ -360,7 +362,8 @@ PAGE_MARK, PAGE_HEAD = b'<meta name="generator" content="accelcal ', 256
 def is_page(path: Path) -> bool:
     """Return True if a file is a page that accelcal made; raises OutputError if it cannot be read."""
     with looking_at(path):
-        if not path.is_file() or path.is_symlink():
+        found = look(path, follow=False)
+        if found is None or not stat.S_ISREG(found.st_mode):
             return False
         with open_plain(path, "rb") as file:
             return PAGE_MARK in file.read(PAGE_HEAD)

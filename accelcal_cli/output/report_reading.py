@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import stat
 from collections.abc import Callable, Iterable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.calibration import FIRST_NAMES
+from accelcal_cli.core.door import look
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.output.files import looking_at, parsed
 from accelcal_cli.output.report_view import ReportRecording, record
@@ -180,7 +182,8 @@ def load_our_json(path: Path) -> dict[str, Any] | None:
         OutputError: it is there and cannot be read.
     """
     with looking_at(path):
-        if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
+        found = look(path)
+        if found is None or not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST_BYTES:
             return None
         return our_json(path.read_bytes())
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import re
 import time
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from accelcal_cli.core.door import files_below, is_file, open_found
 from accelcal_cli.core.errors import UnreadableError, printable
 from accelcal_cli.core.version import __version__
 from accelcal_cli.devices import table
@@ -80,13 +80,13 @@ def write_page(report: Path, page: Path, *, only_changed: bool = False) -> bool:
         OutputError: the page cannot be written.
     """
     quality = _of_same_stem(report, QUALITY_SUFFIX)
-    contents = [document_bytes(one) if one.is_file() else b"" for one in (report, quality)]
+    contents = [document_bytes(one) if is_file(one) else b"" for one in (report, quality)]
     stamp = stamp_for(*contents)
     if only_changed and stamp_of(page) == stamp:
         return False
     document = read_document(report)
     check_sections(document, tuple(report_schema()["properties"]))
-    text = recording.page(document.report, (our_json(contents[1]) or {}) if quality.exists() else None)
+    text = recording.page(document.report, (our_json(contents[1]) or {}) if is_file(quality) else None)
     write_text(page, stamped(text, stamp))
     return True
 
@@ -163,9 +163,9 @@ def _reports(out: Path, rows: Sequence[dict[str, Any]]) -> list[Path | None]:
     The table's names are printable: where that is not the name of a file, it is looked for among all.
     """
     expected = [out / row["report"] if row["report"] else None for row in rows]
-    if all(path is None or path.is_file() for path in expected):
+    if all(path is None or is_file(path) for path in expected):
         return expected
-    every = [Path(folder, name) for folder, _, names in os.walk(out) for name in names]
+    every = [folder / name for folder, _, names in files_below(out, []) for name in names]
     known = {printable(path.relative_to(out)): path for path in every if path.name.endswith(REPORT_SUFFIX)}
     return [known.get(row["report"]) if row["report"] else None for row in rows]
 
@@ -225,7 +225,7 @@ def stamped(text: str, stamp: str) -> str:
 def stamp_of(page: Path) -> str | None:
     """Return the stamp of a page; None if it has none, or is not there."""
     head = b""
-    with contextlib.suppress(OSError), page.open("rb") as file:
+    with contextlib.suppress(OSError, UnreadableError), open_found(page) as file:
         head = file.read(HEAD_BYTES)
     match = STAMP.search(head.decode("utf-8", "replace"))
     return match[1] if match else None

@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
+from accelcal_cli.core.door import is_folder, look
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import IF_GIVEN, ReadOptions, without
 from accelcal_cli.core.input_files import ANY, ARCHIVES, files_of, is_pattern
@@ -239,12 +240,13 @@ def sha256(path: Path) -> str:
 def file_stamp(path: Path) -> FileStamp | None:
     """Return the stamp of a file, or of all parts together; None if one cannot be looked at."""
     try:
-        status = path.stat()
-        if not stat.S_ISDIR(status.st_mode):
-            return status.st_size, status.st_mtime_ns
-    except (OSError, ValueError):
-        if not is_pattern(path):
-            return None
+        status = look(path)
+    except OSError:
+        return None
+    if status is not None and not stat.S_ISDIR(status.st_mode):
+        return status.st_size, status.st_mtime_ns
+    if status is None and not is_pattern(path):
+        return None
     try:
         found = [one.stat() for one in files_of(path) or ()]
     except (OSError, UnreadableError):
@@ -345,7 +347,7 @@ class Request:
             UnreadableError, UsageError: see `find_format` and `options_of`; or it is a folder, and parts are
                 not asked for.
         """
-        if not self.parts and files_of(path) is not None and path.is_dir():
+        if not self.parts and is_folder(path):
             hint = f"accelcal study {shlex.quote(printable(path))} -d OUT calibrates all recordings in it; "
             more = "with --parts it is read as the parts of one"
             raise UnreadableError("is a folder, not a recording", path=path, hint=hint + more)

@@ -30,6 +30,7 @@ from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 
+from accelcal_cli.core.door import has_file, is_same, is_there, look
 from accelcal_cli.core.errors import UsageError, did_you_mean, printable
 from accelcal_cli.core.formats import ReadOptions, option_name
 from accelcal_cli.core.gravity import Gravity
@@ -47,7 +48,7 @@ from accelcal_cli.core.settings import (
     setting_of,
     with_stillness,
 )
-from accelcal_cli.formats.raw import FOLDER_NAME, SUFFIX, check_layout, is_file, named_layout
+from accelcal_cli.formats.raw import FOLDER_NAME, SUFFIX, check_layout, named_layout
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.pipeline.report_settings import converted
 
@@ -380,16 +381,17 @@ def option_text(value: Any) -> str:
     return ",".join(map(str, value)) if isinstance(value, tuple) else printable(str(value))
 
 
-def read_rules(path: Path, folder: Path | None = None) -> FolderRules:
+def read_rules(path: Path, folder: Path | None = None, *, found: bool = False) -> FolderRules:
     """Read a `study.toml`.
 
     Args:
         folder: of the recordings; None: that of the file, and recordings elsewhere are matched by name.
+        found: the file was not named.
 
     Raises:
         UsageError: it cannot be read, or holds something that is not a reading option.
     """
-    document = read_toml(path, STUDY_FILE, LARGEST_FILE)
+    document = read_toml(path, STUDY_FILE, LARGEST_FILE, found=found)
     exclude = document.pop("exclude", [])
     if not isinstance(exclude, list) or not all(isinstance(pattern, str) for pattern in exclude):
         raise UsageError('exclude is not a list of patterns such as ["*_gyro.csv"]', path=path)
@@ -407,7 +409,7 @@ def read_rules(path: Path, folder: Path | None = None) -> FolderRules:
 def folder_rules(folders: Sequence[Path]) -> tuple[FolderRules, ...]:
     """Read the `study.toml` of each folder that has one; raises what `read_rules` raises."""
     found = ((folder / STUDY_FILE, folder) for folder in folders)
-    return tuple(read_rules(path, folder) for path, folder in found if os.path.lexists(path))
+    return tuple(read_rules(path, folder, found=True) for path, folder in found if is_there(path))
 
 
 def sidecar_path(path: Path) -> Path | None:
@@ -431,12 +433,8 @@ def stated_options(
     """
     stated = [choice for one in rules for choice in one.choices(path)]
     own_file = sidecar_path(path)
-    if (
-        own_file is not None
-        and is_file(own_file)
-        and not (layout and is_file(layout) and layout.samefile(own_file))
-    ):
-        table = read_toml(own_file, own_file.name, LARGEST_FILE)
+    if own_file is not None and has_file(own_file) and not (layout and is_same(layout, own_file)):
+        table = read_toml(own_file, own_file.name, LARGEST_FILE, found=True)
         stated += [
             StatedOption(name, value, own_file.name) for name, value in _values(table, own_file).items()
         ]
@@ -477,8 +475,7 @@ def stated_stamp(choices: Mapping[str, StatedOption]) -> tuple[int, int]:
     """Return the number of stated options, and a hash of them; a layout counts with size and last change."""
     values = {name: json_value(choice.value) for name, choice in sorted(choices.items())}
     layout = choices.get("layout")
-    if layout is not None and is_file(layout.value):
-        status = layout.value.stat()
+    if layout is not None and (status := look(layout.value)) is not None:
         values["layout"] = [values["layout"], status.st_size, status.st_mtime_ns]
     digest = hashlib.sha256(json.dumps(values).encode()).digest()
     return len(choices), int.from_bytes(digest[:7], "big")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.door import is_file, is_there
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError
 from accelcal_cli.core.formats import Sampling
 from accelcal_cli.core.recording import Chunk
@@ -47,7 +48,7 @@ def simulate(
     truth_path = base.with_name(base.name + TRUTH_SUFFIX)
     companion = None if encoder.companion is None else base.with_name(base.name + encoder.companion.suffix)
     for target in (path, truth_path, companion):
-        if target is not None and target.exists() and not force:
+        if target is not None and is_there(target) and not force:
             raise OutputError("exists already", path=target, hint="use --force to replace it")
     truth = Truth()
     recording = describe(plan, path, format_name)
@@ -115,7 +116,7 @@ def true_parameters(recording: Path) -> TrueParameters | None:
         UnreadableError: the file holds something else.
     """
     path = recording.with_name(stem(recording) + TRUTH_SUFFIX)
-    if not path.is_file():
+    if not is_file(path):
         return None
     try:
         return _parsed_truth(parsed(path.read_text("utf-8")))

@@ -26,6 +26,7 @@ from accelcal_cli.collect.cells import CellCollector, plausible
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import utc_offset_s
+from accelcal_cli.core.door import is_file, is_folder
 from accelcal_cli.core.errors import DivergedError, UnreadableError, UsageError, printable
 from accelcal_cli.core.input_files import files_of, is_no_part, pattern_of
 from accelcal_cli.core.local_time import NO_START
@@ -116,8 +117,8 @@ def _pattern(recordings: Sequence[Path], poses: Path | None) -> Path:
         raise UsageError("standard input is one recording", hint="give the names of several, or - alone")
     files = [one for one in dict.fromkeys(recordings) if not is_no_part(one)]
     for one in files:
-        if not one.is_file():
-            what = "is a folder" if one.is_dir() else "cannot be read (No such file or directory)"
+        if not is_file(one):
+            what = "is a folder" if is_folder(one) else "cannot be read (No such file or directory)"
             raise UnreadableError(what, path=one, hint="name the files of one session, or their folder alone")
     if poses in files:
         hint = "call it poses.csv, or keep it elsewhere"

@@ -27,6 +27,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from accelcal_cli.core import version
+from accelcal_cli.core.door import is_folder
 from accelcal_cli.core.errors import AccelcalError, ClusterError, OutputError, UsageError, printable
 from accelcal_cli.output.files import owner, temporary_beside
 from accelcal_cli.studies.records import Finished, ProgressCallback, ProgressDelta, TaskFunction
@@ -98,7 +99,7 @@ def _hidden(requirements: WorkerRequirements) -> Path | None:
 
 def _missing(requirements: WorkerRequirements) -> Path | None:
     for folder in requirements.folders:
-        if not folder.is_dir() or not os.access(folder, os.R_OK | os.X_OK):
+        if not is_folder(folder) or not os.access(folder, os.R_OK | os.X_OK):
             return folder
     try:
         same = requirements.mark.read_text("utf-8", "replace") == requirements.content

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 import stat
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from accelcal_cli.core.door import files_below, is_file, is_folder, is_link, is_there, look
 from accelcal_cli.core.errors import AccelcalError, NoRecordingError, OutputError, UnreadableError, UsageError
 from accelcal_cli.core.formats import Format, ReadOptions, probe_file, without
 from accelcal_cli.core.input_files import ANY, files_of, is_no_part, pattern_of_siblings
@@ -22,7 +22,7 @@ from accelcal_cli.formats import all_formats, holds_parts, named_format
 from accelcal_cli.formats.csv import bids_channels_path
 from accelcal_cli.formats.raw import folder_layout, named_layout
 from accelcal_cli.formats.unisens import belongs_to_another
-from accelcal_cli.output.files import stored_schema
+from accelcal_cli.output.files import looking_at, stored_schema
 from accelcal_cli.output.report_reading import load_our_json
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.options import fits_pattern
@@ -51,9 +51,9 @@ def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force:
         OutputError: such a file is in the way.
     """
     for path in (out / f"{base}{suffix}" for suffix in (*SUMMARY, ".ledger")):
-        if not path.exists() or _is_study_file(path):
+        if not is_there(path) or _is_study_file(path):
             continue
-        if not force or path.resolve() in {one.resolve() for one in recordings}:
+        if not force or jobs.real(path) in set(map(jobs.real, recordings)):
             raise OutputError(
                 "would be overwritten by the study's summary, but was not written by accelcal",
                 path=path,
@@ -64,7 +64,7 @@ def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force:
 def _is_study_file(path: Path) -> bool:
     """Return True for a summary or a ledger that a study wrote; False for pipes."""
     try:
-        if not path.is_file():
+        if not is_file(path):
             return False
         if path.suffix == ".parquet":
             schema = stored_schema(path)
@@ -119,7 +119,12 @@ def _with_sets(where: Where, items: list[Item]) -> Iterator[Item]:
     yield from (item for item in single if item.source.parent not in folders or not is_no_part(item.source))
     for pattern, members in sets.items():
         assert pattern is not None
-        whole = len(members) > 1 and {item.source for item in members} == set(files_of(pattern) or ())
+        try:
+            every = set(files_of(pattern) or ())
+        except UnreadableError as error:  # parts must not be read as recordings because of a disk
+            yield from (replace(item, refusal=error.line_for((item.source,))) for item in members)
+            continue
+        whole = len(members) > 1 and {item.source for item in members} == every
         yield from [_set(where, pattern, members)] if whole else members
 
 
@@ -155,7 +160,7 @@ class _Links:
 
     def follows(self, folder: Path) -> bool:
         """Return True to go into a folder, which then counts as searched."""
-        if not folder.is_symlink():
+        if not is_link(folder):
             return True
         target = jobs.real(folder)
         for root in self.roots:
@@ -195,7 +200,7 @@ def below_out(where: Where) -> list[Item]:
     items: list[Item] = []
     every = replace(where, include=(), exclude=())
     for folder, place in places(where):
-        if jobs.real(folder) in jobs.real(where.out).parents and where.out.is_dir():
+        if jobs.real(folder) in jobs.real(where.out).parents and is_folder(where.out):
             out = jobs.real(where.out).relative_to(jobs.real(folder))
             for item in _folder(every, folder / out, f"{place}{out.as_posix()}/", _Links([], [])):
                 below = item.name.removeprefix(place)
@@ -208,7 +213,9 @@ def below_out(where: Where) -> list[Item]:
 def places(where: Where) -> list[tuple[Path, str]]:
     """Return each folder with its place under OUT; raises UsageError for what is not a folder."""
     for folder in where.folders:
-        if not folder.is_dir():
+        with looking_at(folder, UsageError):
+            found = look(folder)
+        if found is None or not stat.S_ISDIR(found.st_mode):
             raise UsageError("is not a folder", path=folder, hint="give the folder of the recordings")
     if len(where.folders) == 1:
         return [(where.folders[0], "")]
@@ -224,8 +231,7 @@ def places(where: Where) -> list[tuple[Path, str]]:
 def _folder(where: Where, folder: Path, place: str, links: _Links) -> Iterator[Item]:
     out = jobs.real(where.out)
     unlisted: list[OSError] = []
-    for here, folders, names in os.walk(folder, onerror=unlisted.append, followlinks=True):
-        base = Path(here)
+    for base, folders, names in files_below(folder, unlisted, follow=True):
         folders[:] = _subfolders(base, folders, out, links)
         if base != folder and jobs.real(base) == out:
             folders.clear()
@@ -257,9 +263,10 @@ def _never(path: Path) -> bool:
 def _plain(path: Path) -> bool:
     """Return True for a file, and for a broken link, which is a recording that cannot be read."""
     try:
-        return stat.S_ISREG(path.stat().st_mode)
+        found = look(path)
     except OSError:
         return True
+    return found is None or stat.S_ISREG(found.st_mode)
 
 
 def _item(where: Where, path: Path, name: str) -> Item:
@@ -297,13 +304,11 @@ def is_recording(item: Item, options: ReadOptions, *, asked_for: bool) -> bool:
     Args:
         asked_for: the user named its kind with `--include`.
     """
-    if asked_for or files_of(item.source) is not None:
-        return True
     name = options.format or ("raw" if options.layout is not None else None)
-    if name is None and holds_parts(item.source):
-        return True
     wanted = all_formats() if name is None else (named_format(name),)
     try:
+        if asked_for or files_of(item.source) is not None or (name is None and holds_parts(item.source)):
+            return True
         probe = probe_file(item.source, replace(options, layout=None))
     except UnreadableError:
         return _suffix(item) in _suffixes(all_formats())

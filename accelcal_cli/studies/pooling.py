@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+from accelcal_cli.core.door import matching
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.output.files import looking_at
 from accelcal_cli.output.report_kinds import FORMAT, Member
@@ -147,7 +148,7 @@ def remove_pools(out: Path, keep: Collection[str]) -> None:
         OutputError: one cannot be removed, or OUT cannot be listed.
     """
     with looking_at(out):
-        found = sorted(out.glob(f"{PREFIX}*{REPORT_SUFFIX}"))
+        found = matching(out, f"{PREFIX}*{REPORT_SUFFIX}")
     for path in found:
         if path.name.removesuffix(REPORT_SUFFIX) in keep or (report := load_report(path)) is None:
             continue

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Protocol
 
 from accelcal_cli.core import system
+from accelcal_cli.core.door import is_file, matching
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.formats import refuse_unused
 from accelcal_cli.output.files import looking_at
@@ -102,8 +103,8 @@ def ledger_of(study: Study) -> Ledger:
     """
     shard = study.shard
     with looking_at(study.out):
-        siblings = set() if shard.whole else set(study.out.glob(f"study.*-of-{shard.number}.ledger"))
-        others = [*sorted(study.out.glob("study.*-of-*.ledger")), study.out / f"{WHOLE.basename}.ledger"]
+        siblings = set() if shard.whole else set(matching(study.out, f"study.*-of-{shard.number}.ledger"))
+        others = [*matching(study.out, "study.*-of-*.ledger"), study.out / f"{WHOLE.basename}.ledger"]
     own = study.out / f"{shard.basename}.ledger"
     return Ledger(own, [path for path in others if path not in {own, *siblings}], shard.owns)
 
@@ -194,7 +195,7 @@ def as_stated(item: Item, request: Request) -> Item:
     try:
         choices = request.choices_of(item.source)
         with_stated(request.options, choices, item.source)
-    except UsageError as error:
+    except (UsageError, UnreadableError) as error:
         if item.refusal is None and is_recording(item, request.options, asked_for=False):
             why = str(error).removeprefix(f"{printable(item.source)}: ")
             return replace(item, refusal=why)
@@ -243,7 +244,7 @@ class _Planning:
         if entry is not None and not entry.failed and (entry.row is not None or not named):
             recording = entry.row is not None
         else:
-            options = request.options_of(item.source) if item.choices else request.options
+            options = with_stated(request.options, {one.field: one for one in item.choices}, item.source)
             recording = item.refusal is not None or is_recording(item, options, asked_for=named)
         if not recording and self.study.shard.owns(item.name):
             self.plan.left_out.append(Entry(item.name, item.stamps, self.asked, None))
@@ -281,7 +282,7 @@ class _Planning:
                 return None
             outputs = {self.study.out / name for name, _ in own.outputs}
             return own if outputs <= set(item.job.outputs) else None  # else they would get other names now
-        kind = UsageError if item.source.is_file() else UnreadableError
+        kind = UsageError if is_file(item.source) else UnreadableError
         row = summary.failed(item, kind.exit_code, item.refusal)
         return Entry(item.name, item.stamps, self.asked, row, again=True)
 

@@ -14,6 +14,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, Protocol
 
+from accelcal_cli.core.door import is_folder, is_there, matching
 from accelcal_cli.core.errors import LockedError, OutputError, UsageError, counted, printable
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output.files import disk_errors, looking_at, sweep, sweep_host, sweep_of
@@ -157,7 +158,7 @@ def _other_locks(study: Study) -> tuple[Path, ...]:
     """Return the locks that exclude this run: the whole study and its shards exclude each other."""
     if study.shard.whole:
         with looking_at(study.out):
-            return tuple(sorted(study.out.glob("study.*-of-*.lock")))
+            return tuple(matching(study.out, "study.*-of-*.lock"))
     return (study.out / "study.lock",)
 
 
@@ -434,8 +435,8 @@ def preview(study: Study, note: Callable[[str], None]) -> dict[Item, str]:
         OutputError: a file is where the output folder should be.
     """
     places(study.where)
-    existing = next(path for path in (study.out, *study.out.absolute().parents) if path.exists())
-    if not existing.is_dir():
+    existing = next(path for path in (study.out, *study.out.absolute().parents) if is_there(path))
+    if not is_folder(existing):
         raise OutputError("cannot be made: a file is in its place", path=existing)
     ledger = ledger_of(study)
     planned = plan(study, ledger)

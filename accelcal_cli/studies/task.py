@@ -10,10 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
+from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import (
     AccelcalError,
     OutputError,
+    UnreadableError,
     cause_of_kind,
+    disk_fault,
     is_environment_error,
     missing_resource,
     printable,
@@ -136,6 +139,8 @@ def _failed(task: Task, error: Exception) -> TaskResult:
         return TaskResult(task.failure(error.exit_code, error.line_for(task.sources), again=again))
     if (lack := missing_resource(error)) is not None:
         return TaskResult(task.failure(NO_MEMORY, f"{lack}; use fewer --jobs", again=True))
+    if (fault := disk_fault(error)) is not None:
+        return TaskResult(task.failure(UnreadableError.exit_code, fault, again=True))
     message = printable(" ".join(f"a bug in accelcal ({type(error).__name__}: {error})".split()))
     return TaskResult(task.failure(BUG, message, again=False), trace=traceback.format_exc())
 
@@ -165,7 +170,7 @@ def row_of(item: Item, common: Common, result: Result) -> dict[str, Any]:
 def outputs_of(item: Item, common: Common, result: Result) -> tuple[tuple[str, FileStamp], ...]:
     """Return name under OUT and stamp of each file of a result."""
     paths = [path for path in (result.parquet, result.job.report) if path is not None]
-    if common.request.integers and item.job.integers.exists():
+    if common.request.integers and is_file(item.job.integers):
         paths.append(item.job.integers)
     stamps = [(_under(common, path), file_stamp(path)) for path in paths]
     return tuple((name, stamp) for name, stamp in stamps if stamp is not None)

@@ -18,6 +18,7 @@ from typing import Any
 
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import iso_time
+from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import (
     AccelcalError,
     OutputError,
@@ -31,7 +32,7 @@ from accelcal_cli.core.recording import Chunk, Intake, Reader, Recording
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.system import temporary_folder
-from accelcal_cli.formats.raw import folder_layout, is_file, named_layout
+from accelcal_cli.formats.raw import folder_layout, named_layout
 from accelcal_cli.judge.change import change_reason
 from accelcal_cli.judge.quality import check
 from accelcal_cli.output import report as reports

@@ -19,6 +19,7 @@ from typing import TypeVar
 import numpy as np
 
 from accelcal_cli.core.clock import MICROSECONDS, StampClock
+from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import (
     AccelcalError,
     NoFormatError,
@@ -400,7 +401,7 @@ class _PartPlacer:
 
 def _office_hint(path: Path) -> str | None:
     """Return what to do with an archive of an office program; None for any other."""
-    of_office = path.is_file() and OFFICE in archive.first_names(path, 1)
+    of_office = is_file(path) and OFFICE in archive.first_names(path, 1)
     return "it is a workbook or document of an office program: save its table as CSV" if of_office else None
 
 

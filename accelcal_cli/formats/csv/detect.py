@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.door import has_file
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions, agreed_rate
 from accelcal_cli.core.input_files import read_text
@@ -433,7 +434,7 @@ def bids_description(path: Path) -> ExportDescription | None:
         UsageError: a sidecar cannot be read.
     """
     table = bids_channels_path(path)
-    if table is None or not table.is_file():
+    if table is None or not has_file(table):
         return None
     stem = table.name.removesuffix(BIDS_CHANNELS)
     channels, about = _sidecar_rows(table), _sidecar_object(table.with_name(stem + ABOUT))
@@ -470,7 +471,7 @@ def _sidecar_rows(path: Path) -> Sidecar:
 
 
 def _sidecar_object(path: Path) -> dict[str, Any]:
-    if not path.is_file():
+    if not has_file(path):
         return {}
     try:
         found = json.loads(read_text(path, "the sidecar", LARGEST_SIDECAR, "utf-8-sig"))
@@ -513,7 +514,7 @@ def _acquisition_time(folder: Path, stem: str) -> str:
     """Return the time in the list of scans of a subject or session: local, or in UTC with Z; "" if none."""
     whose = "_".join(part for part in stem.split("_") if part.startswith(("sub-", "ses-")))
     lists = (place / f"{whose}_scans.tsv" for place in (folder.parent, folder))
-    rows = next((_sidecar_rows(path) for path in lists if path.is_file()), [])
+    rows = next((_sidecar_rows(path) for path in lists if has_file(path)), [])
     file = stem + BIDS_MOTION
     times = (row.get("acq_time", "") for row in rows if Path(row.get("filename", "")).name == file)
     return next(times, "")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from accelcal_cli.core.door import has_file, is_file
 from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe, ReadOptions
 
 SUFFIX = ".layout.toml"
@@ -25,14 +26,6 @@ def folder_layout(path: Path) -> Path:
     return path.with_name(FOLDER_NAME)
 
 
-def is_file(path: Path) -> bool:
-    """Return True if a file exists; False in a folder that may not be read."""
-    try:
-        return path.is_file()
-    except OSError:
-        return False
-
-
 def check_layout(path: Path) -> None:
     """Raise UsageError for a file that is not a readable layout."""
     from accelcal_cli.formats.raw.layout import load_layout  # few recordings have one
@@ -44,7 +37,7 @@ def find_layout(path: Path, options: ReadOptions) -> Path | None:
     """Return the layout file of a dump: the one that the user named, else its own, else its folder's."""
     if options.layout is not None:
         return options.layout
-    return next((found for found in (named_layout(path), folder_layout(path)) if is_file(found)), None)
+    return next((found for found in (named_layout(path), folder_layout(path)) if has_file(found)), None)
 
 
 def _is_of_a_dump(path: Path) -> bool:

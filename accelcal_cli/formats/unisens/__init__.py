@@ -9,6 +9,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from accelcal_cli.core.door import is_file, open_found
+from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
 
 DESCRIPTION = "unisens.xml"
@@ -24,9 +26,9 @@ _CLASS = re.compile(rb"""\bcontentClass\s*=\s*["']([^"']*)["']""")
 def sibling_description(path: Path) -> bytes | None:
     """Return the description in the folder of a file; None if there is none."""
     try:
-        with path.with_name(DESCRIPTION).open("rb") as file:
+        with open_found(path.with_name(DESCRIPTION)) as file:
             text = file.read(MOST_BYTES)
-    except (OSError, ValueError):
+    except (OSError, ValueError, UnreadableError):
         return None
     return text if ROOT.search(text) else None
 
@@ -56,7 +58,7 @@ def belongs_to_another(path: Path) -> bool:
     if text is None or not names or path.name == names[0]:
         return False
     if path.name == DESCRIPTION:
-        return path.with_name(names[0]).is_file()
+        return is_file(path.with_name(names[0]))
     return path.name in listed_files(text)
 
 

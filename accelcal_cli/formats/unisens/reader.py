@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import rate_fraction
+from accelcal_cli.core.door import is_file, open_found
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
 from accelcal_cli.core.recording import (
@@ -115,7 +116,7 @@ def load_description(path: Path) -> Description:
         UnreadableError: it cannot be read, or is not XML of Unisens.
     """
     try:
-        with path.open("rb") as file:
+        with open_found(path) as file:
             text = file.read(MOST_BYTES)
         if b"<!" in text.replace(b"<!--", b""):
             raise UnreadableError("has declarations, which Unisens does not use", path=path, hint=COPY_AGAIN)
@@ -358,7 +359,7 @@ def signal_of(description: Description, xml: Path, name: str | None) -> Signal:
 
 def has_file(xml: Path, signal: Signal) -> bool:
     """Return True if a signal's file is in the folder; names that lead elsewhere do not count."""
-    return Path(signal.name).name == signal.name != "" and xml.with_name(signal.name).is_file()
+    return Path(signal.name).name == signal.name != "" and is_file(xml.with_name(signal.name))
 
 
 def frames_of(data: Path, signal: Signal) -> int:
@@ -418,7 +419,7 @@ def sibling_signal(other: Signal | None, signal: Signal, data: Path) -> SiblingS
     ):
         return None
     path = data.with_name(other.name)
-    frames = path.stat().st_size // frame_bytes(other) if path.is_file() else 0
+    frames = path.stat().st_size // frame_bytes(other) if is_file(path) else 0
     ratio = rate_fraction(other.rate_hz) / rate_fraction(signal.rate_hz)
     return SiblingSignal(path, other, ratio, frames) if frames and 0 < ratio < MOST_RATIO else None
 
