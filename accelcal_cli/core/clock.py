@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, timezone, tzinfo
 from fractions import Fraction
 from math import gcd
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,12 @@ DIVIDED = 1 << 10
 
 _CYCLE_YEARS, _CYCLE_US = 400, 146_097 * _DAY_S * MICROSECONDS
 """Length of the cycle after which the Gregorian calendar repeats itself."""
+
+RESET_US = 366 * _DAY_S * MICROSECONDS
+"""Jump of a clock, ahead or back, that no recording lasts: the clock was reset."""
+
+LOOK_BACK = 16
+"""Rows over which jitter does not set a clock back."""
 
 _FIXED = re.compile(r"(?:UTC|GMT)?\s*([+-])(\d{1,2}):?(\d{2})?")
 CACHED = 1 << 14
@@ -220,6 +226,95 @@ class Clock(Protocol):
 
     def shifted(self, by_us: int) -> Clock:
         """Return the clock of the same rows, put forward by `by_us`."""
+
+
+class ClockReset(NamedTuple):
+    """A jump by which a clock was reset: the first sample after it, and the times around it [us]."""
+
+    sample: int
+    before_us: int
+    after_us: int
+
+
+class Stretches:
+    """Follows the times of all rows, and adds up the stretches of a clock that may begin anew.
+
+    A new one begins where it jumps by more than `RESET_US`, or goes back, unless it only returns: to
+    a time after the one before the last jump ahead, as after stamps that came late, or after the one
+    `LOOK_BACK` rows before, as where stamps jitter.
+
+    Args:
+        period_us: time from one sample to the next.
+
+    Attributes:
+        samples: number of rows so far.
+        first_us, last_us: times of the first and the last; None before the first.
+        resets: jumps by a day back, or by more than `RESET_US` ahead, the first MOST of them.
+    """
+
+    MOST = 100
+
+    def __init__(self, period_us: int) -> None:
+        self._period_us = period_us
+        self._left_us = int(np.iinfo(np.int64).max)
+        self._excess_us = self.samples = 0
+        self._last_times = np.empty(0, np.int64)
+        self.first_us: int | None = None
+        self.resets: list[ClockReset] = []
+
+    @property
+    def last_us(self) -> int | None:
+        """See the attributes."""
+        return int(self._last_times[-1]) if self.samples else None
+
+    @property
+    def span_us(self) -> int:
+        """Time from the first row to the last, with one period in place of each jump to a new beginning."""
+        if self.first_us is None:
+            return 0
+        return max(0, int(self._last_times[-1]) - self.first_us - self._excess_us)
+
+    def add(
+        self, clock: Clock, rows: int, breaks: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Take the next rows, at least one.
+
+        Args:
+            breaks: (n,) rows before which the times may jump, not the first of all.
+
+        Returns:
+            Times (n,) of the rows before them, and of these rows [us].
+        """
+        if self.first_us is None:
+            self.first_us = int(clock.times(0, 1)[0])
+            self._last_times = np.full(LOOK_BACK, self.first_us)
+        before = after = breaks
+        if len(breaks):
+            times = np.append(self._last_times, clock.times(0, rows))
+            earlier, before, after = (times[breaks + ahead] for ahead in (0, LOOK_BACK - 1, LOOK_BACK))
+            self._add_jumps(self.samples + breaks, earlier, before, after)
+        last = clock.times(max(0, rows - LOOK_BACK), rows)
+        self._last_times = np.append(self._last_times, last)[-LOOK_BACK:]
+        self.samples += rows
+        return before, after
+
+    def _add_jumps(
+        self,
+        samples: NDArray[np.int64],
+        earlier: NDArray[np.int64],
+        before: NDArray[np.int64],
+        after: NDArray[np.int64],
+    ) -> None:
+        steps = after - before
+        far, ahead = np.abs(steps) > RESET_US, steps > self._period_us
+        left = np.append(self._left_us, np.where(far, after, before))
+        last = np.maximum.accumulate(np.append(0, np.where(ahead, np.arange(1, len(steps) + 1), 0)))
+        self._left_us = int(left[last[-1]])
+        anew = far | ((steps < 0) & (after <= earlier) & (after <= left[last[:-1]]))
+        self._excess_us += sum((steps[anew] - self._period_us).tolist())
+        large = np.flatnonzero(far | (anew & (steps <= -_DAY_S * MICROSECONDS)))
+        for row in large[: self.MOST - len(self.resets)].tolist():
+            self.resets.append(ClockReset(int(samples[row]), int(before[row]), int(after[row])))
 
 
 def rate_fraction(rate_hz: float) -> Fraction:

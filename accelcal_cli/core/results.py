@@ -9,6 +9,7 @@ from math import fsum
 from typing import Literal
 
 from accelcal_cli.core.calibration import Calibration, Correction
+from accelcal_cli.core.clock import ClockReset
 from accelcal_cli.core.local_time import ZoneChange
 from accelcal_cli.core.points import Fit, Penalty, Quietest, Saturated
 from accelcal_cli.core.reasons import Reason
@@ -318,7 +319,7 @@ class Jumps:
     """Jumps of the times from row to row.
 
     Attributes:
-        gaps, gap_us: number of gaps, and the time that is missing in all [us].
+        gaps, gap_us: number of gaps, and the time that is missing in all [us]; no reset of a clock is one.
         back: number of stamps that repeat the one before or go back.
     """
 
@@ -415,6 +416,8 @@ class Facts:
         damaged_bytes, missing_bytes, used_bytes: bytes of the (uncompressed) file that damage took, those
             that are known to be missing from it, and those that the samples were made of.
         cut_short: the file breaks off, whether or not it is known how much is missing.
+        span_us: time from the first sample to the last [us], the sum of the stretches of its clock.
+        resets: jumps at which its clock was reset.
         zone_change: change of the zone's offset from UTC during the recording; None if there is none, or
             unknown.
         gone_over: number of short jumps of its times that did not end a window.
@@ -439,6 +442,8 @@ class Facts:
     used_bytes: int = 0
     cut_short: bool = False
     jumps: Jumps = Jumps()
+    span_us: int = 0
+    resets: tuple[ClockReset, ...] = ()
     zone_change: ZoneChange | None = None
     gone_over: int = 0
     windows: int = 0

@@ -13,7 +13,7 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import IO, Any
@@ -24,7 +24,7 @@ import pyarrow.compute as pc
 import pyarrow.csv
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.clock import MICROSECONDS, StampClock, Stretches
 from accelcal_cli.core.errors import UnreadableError, UsageError, output_error, printable
 from accelcal_cli.core.gravity import STANDARD_GRAVITY
 from accelcal_cli.exports.rows import (
@@ -53,34 +53,42 @@ COPIED_BYTES = 1 << 20
 
 @dataclass
 class ExportedData:
-    """The written rows: their number, first and last time, and the number of stretches without a gap.
+    """The written rows: their times, and the number of stretches without a gap.
 
     Attributes:
         resampled: True if they have a fixed rate.
     """
 
     about: CalibratedFile
-    rows: int = 0
-    first_us: int = 0
-    last_us: int = 0
     stretches: int = 0
     resampled: bool = False
+    _clock: Stretches = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._clock = Stretches(round(MICROSECONDS / self.about.rate_hz))
+
+    @property
+    def rows(self) -> int:
+        """Number of the rows."""
+        return self._clock.samples
+
+    @property
+    def first_us(self) -> int:
+        """Time of the first row [us]; 0 without any."""
+        return self._clock.first_us or 0
 
     def count(self, rows: SampleRows) -> None:
         """Count the next rows."""
-        times = rows.time_us
-        if not self.rows:
-            self.first_us, self.stretches = int(times[0]), 1
-        else:
-            times = np.concatenate([[self.last_us], times])
-        self.stretches += len(breaks(times, self.about.rate_hz))
-        self.rows += len(rows)
-        self.last_us = int(times[-1])
+        last_us = self._clock.last_us
+        times = rows.time_us if last_us is None else np.append(last_us, rows.time_us)
+        found = breaks(times, self.about.rate_hz) - (last_us is not None)
+        self._clock.add(StampClock(rows.time_us), len(rows), found)
+        self.stretches += len(found) + (last_us is None)
 
     @property
     def seconds(self) -> float:
-        """Time from the first row to one period after the last [s]."""
-        return (self.last_us - self.first_us) / MICROSECONDS + 1 / self.about.rate_hz
+        """Time from the first row to one period after the last [s], without resets of the clock."""
+        return self._clock.span_us / MICROSECONDS + 1 / self.about.rate_hz
 
 
 Table = Callable[[SampleRows, ExportedData], dict[str, pa.Array]]

@@ -16,6 +16,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+from accelcal_cli.core.clock import MICROSECONDS, RESET_US
 from accelcal_cli.core.errors import NoFormatError, UnreadableError, UsageError, listed
 from accelcal_cli.core.formats import (
     Encoder,
@@ -211,6 +212,9 @@ def _open_file(path: Path, options: ReadOptions, unused: tuple[str, ...]) -> Rea
     item = find_format(path, options)
     _refuse_options(item.unused(options), [item.name], path)
     reader = item.open(path, options)
+    lasts_s = reader.recording.duration_s
+    if lasts_s is not None and not 0 <= lasts_s <= RESET_US / MICROSECONDS:  # its clock was reset
+        reader.recording = replace(reader.recording, duration_s=None)
     if unused:
         note = unused_note(unused, item.name)
         reader.recording = replace(reader.recording, notes=(*reader.recording.notes, note))

@@ -10,8 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.reasons import Reason
-from accelcal_cli.core.results import NEAR_ONE_G, Judgement, Outcome, sides_not_up
+from accelcal_cli.core.results import NEAR_ONE_G, Facts, Judgement, Outcome, sides_not_up
 from accelcal_cli.core.settings import DEFAULT, PAPER
 from accelcal_cli.output import words
 from accelcal_cli.output.numbers import number
@@ -107,6 +108,15 @@ def of_file(
     if share >= FILLED_FROM_PERCENT:
         found.append(Reason.of("filled_share", filled_percent=share, filled_samples=filled))
     return found
+
+
+def of_clock(facts: Facts) -> list[Reason]:
+    """Return the caution that the clock was reset."""
+    if not facts.resets:
+        return []
+    first, offset_s = facts.resets[0], facts.utc_offset_s
+    around = {"before": iso_time(first.before_us, offset_s), "after": iso_time(first.after_us, offset_s)}
+    return [Reason.of("clock_reset", sample=first.sample, **around, resets=len(facts.resets))]
 
 
 def _unconverged(report: ReportView) -> list[Reason]:

@@ -7,7 +7,7 @@ check bit by bit.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from accelcal_cli.core import results
@@ -23,7 +23,7 @@ from accelcal_cli.core.recording import Problem, Recording
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import EffectiveSettings
 from accelcal_cli.core.version import __version__
-from accelcal_cli.output.advice import completed
+from accelcal_cli.output.advice import completed, of_clock
 from accelcal_cli.output.coefficients import coefficients_json
 from accelcal_cli.output.files import json_text
 from accelcal_cli.output.report_reading import SCHEMA_VERSION
@@ -386,9 +386,8 @@ def build(data: ReportInput) -> dict[str, Any]:
     raw = data.facts.rest.error_mg
     windows = {**asdict(data.windows), "raw_error_mg": rounded(raw)}
     change = change_json(data.judgement.change, data.facts.utc_offset_s)
-    return completed(
-        document(_recording(data), _health(data), windows, data, change) | data.taken, data.judgement
-    )
+    judgement = replace(data.judgement, cautions=(*of_clock(data.facts), *data.judgement.cautions))
+    return completed(document(_recording(data), _health(data), windows, data, change) | data.taken, judgement)
 
 
 def document(
@@ -475,10 +474,8 @@ def _recording(data: ReportInput) -> ReportRecording:
 
 
 def duration_s(recording: Recording, facts: Facts) -> float:
-    """Return the time from the first sample to one period after the last [s]."""
-    if facts.first_us is None or facts.last_us is None:
-        return 0.0
-    return round((facts.last_us - facts.first_us) / 1e6 + 1 / recording.rate_hz, 6)
+    """Return the time from the first sample to one period after the last [s], without resets of the clock."""
+    return round(facts.span_us / 1e6 + 1 / recording.rate_hz, 6) if facts.samples else 0.0
 
 
 def _gap(gap: results.Gap, offset_s: int | None) -> dict[str, Any]:

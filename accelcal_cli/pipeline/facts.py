@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from accelcal_cli.collect.cells import MAX_BLOCKS, ONE_BLOCK
 from accelcal_cli.collect.still_windows import RestSums
 from accelcal_cli.core.calibration import Calibration
-from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
+from accelcal_cli.core.clock import MICROSECONDS, RESET_US, Stretches, utc_offset_s
 from accelcal_cli.core.local_time import FOLLOWED, ZoneChange, zone_changes
 from accelcal_cli.core.points import PointSet, TimedMeans, Windows
 from accelcal_cli.core.recording import CUT_SHORT, Chunk, Problem, Recording, Validity
@@ -72,12 +72,11 @@ class FactsObserver(Observer):
         self.recording = recording
         self._jitter_us = min(short.longest_us, round(MICROSECONDS / recording.rate_hz))
         self._rest = RestSums(rest_lsb)
-        self.samples = self.filled = self.clipped = 0
-        self.first_us: int | None = None
-        self.last_us: int | None = None
+        self.filled = self.clipped = 0
+        self._stretches = Stretches(round(MICROSECONDS / recording.rate_hz))
         self.has_temperature = self.has_gyroscope = False
         self.gaps: list[Gap] = []
-        self.gaps_omitted = self._gap_us = self._back = 0
+        self.gaps_omitted = self._gaps = self._gap_us = self._back = 0
         self.problems: list[Problem] = []
         self._problems_omitted = self._followed = 0
         self._damaged_bytes = self._missing_bytes = self._used_bytes = 0
@@ -98,7 +97,6 @@ class FactsObserver(Observer):
             self.clipped += int((chunk.validity == Validity.CLIPPED).sum())
         self._note_times(chunk)
         self._rest.add_samples(chunk)
-        self.samples += len(chunk)
 
     def see_still(self, windows: Windows) -> None:
         """Take still windows in."""
@@ -112,8 +110,8 @@ class FactsObserver(Observer):
             problems.append(Problem("more_problems", text, None, self.samples, self._problems_omitted))
         return Facts(
             samples=self.samples,
-            first_us=self.first_us,
-            last_us=self.last_us,
+            first_us=self._stretches.first_us,
+            last_us=self._stretches.last_us,
             rate_hz=self._rate_hz(),
             gaps=tuple(self.gaps),
             gaps_omitted=self.gaps_omitted,
@@ -122,14 +120,23 @@ class FactsObserver(Observer):
             has_temperature=self.has_temperature,
             has_gyroscope=self.has_gyroscope,
             rest=self._rest.result(),
-            utc_offset_s=utc_offset_s(self.recording.timezone, self.first_us or 0) if self._dated else None,
+            utc_offset_s=utc_offset_s(self.recording.timezone, self._stretches.first_us or 0)
+            if self._dated
+            else None,
             damaged_bytes=self._damaged_bytes,
             missing_bytes=self._missing_bytes,
             used_bytes=self._used_bytes,
             cut_short=self._cut_short,
-            jumps=Jumps(len(self.gaps) + self.gaps_omitted - self._back, self._gap_us, self._back),
+            jumps=Jumps(self._gaps, self._gap_us, self._back),
+            span_us=self._stretches.span_us,
+            resets=tuple(self._stretches.resets),
             zone_change=self._zone_change(),
         )
+
+    @property
+    def samples(self) -> int:
+        """Number of rows so far."""
+        return self._stretches.samples
 
     @property
     def _dated(self) -> bool:
@@ -137,18 +144,18 @@ class FactsObserver(Observer):
 
     def _zone_change(self) -> ZoneChange | None:
         """Return the first change of the zone that the times do not follow, else the first one."""
-        zone = self.recording.timezone
-        if not self._dated or self.first_us is None or self.last_us is None:
+        zone, first_us = self.recording.timezone, self._stretches.first_us
+        if not self._dated or first_us is None:
             return None
-        end_us = max((self.last_us, *(end for _, end in self._jumps_of_stamps())))
-        changes = [*islice(zone_changes(zone, self.first_us, end_us), self._followed + 1)]
+        end_us = max((first_us + self._stretches.span_us, *(end for _, end in self._jumps_of_stamps())))
+        changes = [*islice(zone_changes(zone, first_us, end_us), self._followed + 1)]
         if len(changes) > self._followed:
             return replace(changes[-1], followed=None if self._unseen(changes[-1]) else False)
         return replace(changes[0], followed=True) if changes else None
 
     def _unseen(self, change: ZoneChange) -> bool:
         """Return True if no rows show whether the times follow a change."""
-        start_s = utc_offset_s(self.recording.timezone, self.first_us or 0) or 0
+        start_s = utc_offset_s(self.recording.timezone, self._stretches.first_us or 0) or 0
         at_us = change.at_us + (start_s - change.before_s) * MICROSECONDS
         omitted = self.recording.stamped and self.gaps_omitted > 0
         return omitted or any(start < at_us <= end for start, end in self._jumps_of_stamps())
@@ -159,13 +166,15 @@ class FactsObserver(Observer):
         A clock that goes back by less than an hour may have been put back after a pause.
         """
         gaps = self.gaps if self.recording.stamped else []
-        return [(gap.start_us, gap.start_us + round(abs(gap.seconds) * 1e6)) for gap in gaps]
+        spans = ((gap.start_us, round(abs(gap.seconds) * MICROSECONDS)) for gap in gaps)
+        return [(start, start + length) for start, length in spans if length <= RESET_US]
 
     def _rate_hz(self) -> float | None:
         """Return steps over time within unbroken runs, the last of which is still open."""
-        if self.last_us is None:
+        last_us = self._stretches.last_us
+        if last_us is None:
             return None
-        span_us = self._run_us + self.last_us - self._run_start_us
+        span_us = self._run_us + last_us - self._run_start_us
         steps = self._run_steps + self.samples - self._run_first - 1
         return steps * 1e6 / span_us if span_us > 0 and steps > 0 else None
 
@@ -180,41 +189,51 @@ class FactsObserver(Observer):
             self._followed += sum(problem.count for problem in problems if problem.code == FOLLOWED)
 
     def _note_times(self, chunk: Chunk) -> None:
-        if self.first_us is None:
-            self.first_us = self._run_start_us = int(chunk.clock.times(0, 1)[0])
-        rows = chunk.breaks[chunk.breaks + self.samples > 0]
+        first = self.samples
+        rows = chunk.breaks[chunk.breaks + first > 0]
+        before, after = self._stretches.add(chunk.clock, len(chunk), rows)
+        if not first:
+            self._run_start_us = self._stretches.first_us or 0
         if len(rows):
-            self._note_breaks(rows, chunk)
-        self.last_us = int(chunk.clock.times(len(chunk) - 1, len(chunk))[0])
+            self._note_breaks(first, rows, chunk.clock_jumps, before, after)
 
-    def _note_breaks(self, rows: NDArray[np.int64], chunk: Chunk) -> None:
+    def _note_breaks(
+        self,
+        first: int,
+        rows: NDArray[np.int64],
+        clock_jumps: NDArray[np.int64],
+        before: NDArray[np.int64],
+        after: NDArray[np.int64],
+    ) -> None:
         """Take in the breaks before these rows of a chunk; a step back that is jitter ends no run."""
         # All at once: a damaged file may have a break before each row.
-        time_us = chunk.time_us
-        before, after = np.where(rows > 0, time_us[rows - 1], self.last_us or 0), time_us[rows]
         steps_us = after - before
-        jitter = np.isin(rows, chunk.clock_jumps) & (steps_us < 0) & (steps_us >= -self._jitter_us)
+        jitter = np.isin(rows, clock_jumps) & (steps_us < 0) & (steps_us >= -self._jitter_us)
         if not jitter.all():
-            self._end_runs(rows[~jitter], before[~jitter], after[~jitter])
-        self._note_gaps(rows, before, steps_us)
+            self._end_runs(first + rows[~jitter], before[~jitter], after[~jitter])
+        self._note_gaps(first + rows, before, steps_us)
 
-    def _end_runs(self, rows: NDArray[np.int64], before: NDArray[np.int64], after: NDArray[np.int64]) -> None:
+    def _end_runs(
+        self, samples: NDArray[np.int64], before: NDArray[np.int64], after: NDArray[np.int64]
+    ) -> None:
         # Sums of times are of Python's integers, which do not overflow.
-        first = self.samples + int(rows[-1])
+        first = int(samples[-1])
         self._run_us += sum(before.tolist()) - sum(after[:-1].tolist()) - self._run_start_us
-        self._run_steps += first - self._run_first - len(rows)
+        self._run_steps += first - self._run_first - len(samples)
         self._run_start_us, self._run_first = int(after[-1]), first
 
     def _note_gaps(
-        self, rows: NDArray[np.int64], before: NDArray[np.int64], steps_us: NDArray[np.int64]
+        self, samples: NDArray[np.int64], before: NDArray[np.int64], steps_us: NDArray[np.int64]
     ) -> None:
         seconds = steps_us / 1e6
         jumps = (seconds <= 0) | (seconds * self.recording.rate_hz > GAP_PERIODS)
-        self._gap_us += sum(steps_us[jumps & (seconds > 0)].tolist())
+        gaps = jumps & (seconds > 0) & (steps_us <= RESET_US)
+        self._gaps += int(gaps.sum())
+        self._gap_us += sum(steps_us[gaps].tolist())
         self._back += int((seconds <= 0).sum())
         places = np.flatnonzero(jumps)
         listed = places[: MAX_GAPS - len(self.gaps)]
-        columns = (self.samples + rows[listed], before[listed], seconds[listed])
+        columns = (samples[listed], before[listed], seconds[listed])
         self.gaps += map(Gap, *(column.tolist() for column in columns))
         self.gaps_omitted += len(places) - len(listed)
 
@@ -318,7 +337,7 @@ class Timeline(Observer):
             return
         time_us = chunk.time_us
         steps_us = time_us[rows] - np.where(rows > 0, time_us[rows - 1], self._last_us)
-        gaps = steps_us / MICROSECONDS * self._rate_hz > GAP_PERIODS
+        gaps = (steps_us / MICROSECONDS * self._rate_hz > GAP_PERIODS) & (steps_us <= RESET_US)
         block = (rows[gaps] + chunk.first_sample) // self.block_samples
         np.add.at(self._sums[:, _GAP_S], block, steps_us[gaps] // MICROSECONDS)
         np.add.at(self._sums[:, _GAP_REST_US], block, steps_us[gaps] % MICROSECONDS)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.clock import MICROSECONDS, RESET_US
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.local_time import FOLLOWED, LocalStamps
 from accelcal_cli.core.recording import Problem
@@ -55,6 +55,9 @@ LATEST_US = 4_102_444_800 * MICROSECONDS
 
 FARTHEST = 1 << 50
 """Largest time since the first one that is believed, in any unit: 13 days in ns."""
+
+LEAST_SHARE = 0.5
+"""Share of the time that its rows take below which the span of a table's times is no length."""
 
 SLOWEST_HZ, FASTEST_HZ = 0.01, 100_000.0
 RATE_NAMES = (
@@ -324,10 +327,17 @@ def _stamped_timeline(
         bool(since and since.is_utc),
         bool(since and since.had_offset),
         stamps,
-        (stamps.last_us - stamps.first_us) / MICROSECONDS + 1 / rate,
+        _length_s(stamps, rate),
         () if since else (problem,),
         stamps.pace.notes,
     )
+
+
+def _length_s(stamps: Stamps, rate_hz: float) -> float | None:
+    """Return the length by the first and last time [s]; None if the clock did not run on between them."""
+    span_us = stamps.last_us - stamps.first_us
+    ran_on = LEAST_SHARE * stamps.track.rows * MICROSECONDS / rate_hz <= span_us <= RESET_US
+    return span_us / MICROSECONDS + 1 / rate_hz if ran_on else None
 
 
 def _stamp_scale(

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core import recording
-from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformClock, rate_fraction
+from accelcal_cli.core.clock import MICROSECONDS, RESET_US, Clock, StampClock, UniformClock, rate_fraction
 from accelcal_cli.core.errors import UnreadableError, counted
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.local_time import FOLLOWED, LocalStamps
@@ -45,6 +45,9 @@ BLOCK_BYTES = 1 << 21
 
 MOST_JOINED = 1 << 18
 """Rows that are joined however many are wanted: more of them are made no faster, and take memory."""
+
+LEAST_SHARE = 0.5
+"""Share of the time that its rows take below which the span of a file's times is no length."""
 
 SINGLE = 50
 """Problems of one kind that are given one by one; more are summed up."""
@@ -272,7 +275,7 @@ class CsvIntake(Intake):
 
 def _recording(path: Path, detected: Detected, first_us: int | None, last_us: int | None) -> Recording:
     export, written = detected.export, detected.parser.time
-    length = None if first_us is None or last_us is None else (last_us - first_us) / 1e6
+    length = None if first_us is None or last_us is None else _length_s(path, detected, last_us - first_us)
     return Recording(
         path=path,
         format="csv",
@@ -285,12 +288,19 @@ def _recording(path: Path, detected: Detected, first_us: int | None, last_us: in
         timezone=detected.timezone,
         has_offsets=written is not None and written.has_offsets,
         stamped=written is not None and written.since_1970,
-        duration_s=length if length is not None and length > 0 else None,
+        duration_s=length,
         has_temperature="temperature_mc" in detected.first_values,
         gyro_dps_per_lsb=None if detected.gyro is None else (1 / detected.gyro.lsb,) * 3,
         companion=export.companion,
         notes=detected.notes(),
     )
+
+
+def _length_s(path: Path, detected: Detected, span_us: int) -> float | None:
+    """Return the time from the first row to the last [s]; None if the clock did not run on between them."""
+    rows = path.stat().st_size / detected.line_bytes
+    ran_on = max(0.0, LEAST_SHARE * rows * detected.pace.period_us) < span_us <= RESET_US
+    return span_us / MICROSECONDS if ran_on or (detected.parser.sensor and span_us > 0) else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,95 @@
+"""T3: whatever a clock does, all that accelcal writes of a recording is read by its own commands."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.cli.run import codes, exit_code, told
+from tests.recordings import RATE_HZ, directions, still_counts, write_csv
+
+PERIOD_US = round(1e6 / RATE_HZ)
+DAY_US = 86_400_000_000
+STARTS = {
+    name: np.datetime64(name, "us").astype(np.int64)
+    for name in ("1970-01-01", "1980-01-06", "2000-01-01", "2010-01-01", "2024-03-04", "2079-06-06")
+}
+
+
+def with_clock(path: Path, stretches: list[int]) -> int:
+    """A recording of 30 poses whose rows are shared evenly by stretches with these begins [us since 1970]."""
+    counts = still_counts(directions(30))
+    lines = write_csv(path, counts).read_text().splitlines()
+    edges = np.linspace(0, len(counts), len(stretches) + 1).astype(int)
+    times = [
+        start + PERIOD_US * np.arange(rows) for start, rows in zip(stretches, np.diff(edges), strict=True)
+    ]
+    stamps = np.datetime_as_string(np.concatenate(times).astype("datetime64[us]"))
+    rows = [f"{stamp},{line.partition(',')[2]}" for stamp, line in zip(stamps, lines[1:], strict=True)]
+    path.write_text("\n".join(["time,x,y,z", *rows, ""]))
+    return len(counts)
+
+
+def check_all_commands(folder: Path, stretches: list[int]) -> dict:
+    """Calibrate, and read what was written by every command that takes it; return the report."""
+    path, out = folder / "a.csv", folder / "out"
+    rows = with_clock(path, stretches)
+    assert exit_code("calibrate", path, "--html", "-d", out, "-q") == 0
+    report, data = out / "a.calibration.json", out / "a.calibrated.parquet"
+    for words in (
+        ("verify", report, path),
+        ("report", report),
+        ("quality", path),
+        ("apply", "--coefficients", report, path, "-d", folder / "applied"),
+        ("export", report, "--to", "ggir", "-o", folder / "ggir.csv"),
+        ("export", data, "--to", "csv", "-o", folder / "data.csv"),
+        ("export", data, "--to", "parquet", "--resample", 20, "-o", folder / "data.parquet"),
+        ("inspect", path),
+        ("effect", path),
+    ):
+        assert exit_code(*words) == 0, words
+    assert exit_code("quality", path, "--coefficients", report) in (0, 4)  # too short to be judged
+    found = json.loads(report.read_text())
+    assert found["recording"]["samples"] == rows
+    return found
+
+
+@pytest.mark.parametrize(
+    ("then", "resets"),
+    [
+        ("2000-01-01", 1),
+        pytest.param("2010-01-01", 1, marks=pytest.mark.nightly),
+        pytest.param("2079-06-06", 1, marks=pytest.mark.nightly),
+    ],
+)
+def test_t3_a_clock_that_was_reset_is_a_stretch_of_its_own(tmp_path: Path, then: str, resets: int) -> None:
+    report = check_all_commands(tmp_path, [STARTS["2024-03-04"], STARTS[then]])
+    assert report["recording"]["duration_s"] == pytest.approx(900)
+    assert codes(report["cautions"]).count("clock_reset") == resets
+    assert f"from 2024-03-04T00:07:29 to {then}T00:00:00 at sample 11250" in told(report, "clock_reset")
+    assert report["file_health"]["clock"]["gap_seconds"] == 0
+
+
+@pytest.mark.nightly
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(
+        st.one_of(
+            st.sampled_from(sorted(STARTS.values())),
+            st.integers(0, 400 * DAY_US).map(lambda by: STARTS["2024-03-04"] + by),
+            st.integers(0, 900_000_000).map(lambda by: STARTS["2024-03-04"] + by),
+        ),
+        min_size=1,
+        max_size=7,
+    )
+)
+def test_t3_any_interleaving_of_clocks_is_read_by_all_commands(
+    tmp_path_factory: pytest.TempPathFactory, stretches: list[int]
+) -> None:
+    report = check_all_commands(tmp_path_factory.mktemp("clocks"), stretches)
+    assert report["recording"]["duration_s"] >= 0
