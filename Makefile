@@ -84,6 +84,7 @@ lint: $(READY)
 	$(BIN)/mypy
 	$(BIN)/mypy --platform win32
 	$(BIN)/mypy --platform darwin
+	$(BIN)/python tools/lint_words.py
 
 # the pages in a real Chromium; screenshots are in build/browser/screenshots
 BROWSER := build/browser

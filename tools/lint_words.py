@@ -141,15 +141,20 @@ def documents(paths: list[Path]) -> Iterator[Text]:
                 continue
             if line.startswith("|"):
                 for cell in line.strip("|").split("|"):
-                    yield Text(f"{path.relative_to(ROOT)}:{number}", "doc", _plain(cell))
+                    yield Text(f"{_shown(path)}:{number}", "doc", _plain(cell))
                 continue
             if line.strip() and not re.match(r"\s*(?:[-*]|\d+\.) ", line):
                 start = start if paragraph else number
                 paragraph.append(line.strip())
                 continue
             if paragraph:
-                yield Text(f"{path.relative_to(ROOT)}:{start}", "doc", _plain(" ".join(paragraph)))
+                yield Text(f"{_shown(path)}:{start}", "doc", _plain(" ".join(paragraph)))
             paragraph, start = ([line.strip()] if line.strip() else []), number
+
+
+def _shown(path: Path) -> Path:
+    """Return a path below the project, or the whole one of another file."""
+    return path.relative_to(ROOT) if path.is_relative_to(ROOT) else path
 
 
 def _plain(text: str) -> str:
@@ -168,9 +173,7 @@ def python_texts(paths: list[Path]) -> Iterator[Text]:
                 kind = "docstring" if id(node) in docs else "help"
                 text = " ".join(node.value.split())
                 if " " in text:
-                    yield Text(
-                        f"{path.relative_to(ROOT)}:{node.lineno}", kind, re.sub(r"`[^`]*`", "`x`", text)
-                    )
+                    yield Text(f"{_shown(path)}:{node.lineno}", kind, re.sub(r"`[^`]*`", "`x`", text))
 
 
 def pages(paths: list[Path]) -> Iterator[Text]:
@@ -188,9 +191,7 @@ def pages(paths: list[Path]) -> Iterator[Text]:
         ):
             words = " ".join(found[0].split())
             if " " in words:
-                yield Text(
-                    f"{path.relative_to(ROOT)}:{text.count(chr(10), 0, found.start()) + 1}", "page", words
-                )
+                yield Text(f"{_shown(path)}:{text.count(chr(10), 0, found.start()) + 1}", "page", words)
 
 
 def _blank(found: re.Match[str]) -> str:
@@ -224,7 +225,12 @@ def everything(paths: list[Path]) -> Iterator[Text]:
     yield from pages([file for file in files if file.suffix == ".html"])
 
 
-DEFAULT = [ROOT / "accelcal_cli", ROOT / "docs", *sorted(ROOT.glob("*.md"))]
+DEFAULT = [
+    ROOT / "accelcal_cli",
+    ROOT / "docs",
+    *sorted(path for path in ROOT.glob("*.md") if path.name != "README.md"),
+]
+"""All that is checked; README.md is left out until it is rewritten."""
 
 
 def main(names: list[str]) -> int:

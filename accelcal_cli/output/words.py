@@ -271,8 +271,8 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "damaged": "{lost_percent:.1f} % of the recording is lost to damage ({lost_bytes} bytes). The limit is "
     "{limit_percent:g} %.",
     "recordings_contradict": "The recordings of the pool contradict each other. In {path} {why}",
-    "poses_disagree": "The poses disagree: {after_mg:mg} mg on held-out orientations (the limit is "
-    "{vector_limit_mg:g} mg), {norm_after_mg:mg} mg in length (the limit is {limit_mg:g} mg). The worst is "
+    "poses_disagree": "The poses disagree: {after_mg:mg} mg on held-out orientations, where the limit is "
+    "{vector_limit_mg:g} mg, and {norm_after_mg:mg} mg in length, where it is {limit_mg:g} mg. The worst is "
     "{worst} at {start_s:.0f} s with {worst_mg:.0f} mg, unless its opposite is the cause. A tilt of 1 "
     "degree makes 17.5 mg.",
     "no_point_near_1_g": "No point is anywhere near 1 g. The columns x, y and z must be in g.",
