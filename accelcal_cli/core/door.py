@@ -79,7 +79,7 @@ def has_file(path: Path) -> bool:
     """Return True for a plain file that counts if it is there, such as one that says how to read another.
 
     Raises:
-        UnreadableError: the disk cannot tell, and to go on without it might read a recording wrongly.
+        UnreadableError: the disk does not answer, and to continue without it might read a recording wrongly.
     """
     try:
         found = look(path)
@@ -113,7 +113,7 @@ def files_below(
 
 
 def open_found(path: Path) -> BinaryIO:
-    """Open a file that was found beside others: it is looked at first, for a pipe would be waited for.
+    """Open a file that was found, not named: it is looked at first, since opening a pipe would wait.
 
     Raises:
         UnreadableError: it is not a plain file.

@@ -286,7 +286,7 @@ def temperature_note(one: ExportedReport, tool: str) -> str | None:
     if tool == "ggir" and reference > WARMEST_AT_START_C - NEAR_C:
         return (
             f"{NAMES[tool]} reads temperatures around {reference:.1f} from this device, and uses none if the "
-            f"first ones are above {WARMEST_AT_START_C:g}: hand on the calibrated data (--to ggir -d DIR)"
+            f"first ones are above {WARMEST_AT_START_C:g}: export the calibrated data (--to ggir -d DIR)"
         )
     return None
 

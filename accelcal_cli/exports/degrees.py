@@ -3,9 +3,10 @@
 A .cwa file holds a raw word, of which three lines are in use: ours, by the hardware (formats/cwa/sector.py),
 that of GGIR, raw * 75 / 256 - 50 for all (GGIRread 1.0.9, R/readAxivity.R), and that of biobank's accProcess
 and of omconvert, (raw * 150 - 20500) / 1000 for all (AxivityReader.java, omconvert.c). Between any two of
-them lies a line, so that a slope can be handed on exactly.
+them lies a line, so that a slope can be exported exactly.
 
-Where a tool reads the degrees that the file states, they are ours. Of other formats it reads no temperature,
+Where a tool reads the degrees that the file states, they are ours. From other formats it reads no
+temperature,
 or that of another thermometer: GGIR takes the air's of a Matrix, accelcal the skin's.
 """
 
@@ -56,7 +57,7 @@ def degrees_of(tool: str, recording: ReportRecording) -> Degrees | None:
 
 
 def why_none(tool: str, recording: ReportRecording) -> str:
-    """Return why a recording's temperature cannot be handed on to a tool."""
+    """Return why a recording's temperature cannot be exported to a tool."""
     if recording.format == AXIVITY:
         return "the report does not say how it was read: calibrate the recording again with --force"
     return f"{NAMES[tool]} reads none, or another thermometer's, from {recording.format} files"

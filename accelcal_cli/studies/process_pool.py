@@ -308,7 +308,7 @@ def _start_server(preload: str) -> bool:
 def _keep_main_out() -> None:
     """Let multiprocessing tell workers nothing of `__main__`, which they would run once more.
 
-    Other processes of the program are told what they always were.
+    Other processes of the program still get it.
     """
     if getattr(spawn.get_preparation_data, "keeps_main_out", False):
         return
