@@ -19,16 +19,17 @@ from accelcal_cli.output.files import csv_text, open_plain, refuse_foreign, repl
 from accelcal_cli.output.words import explained
 from accelcal_cli.pipeline.activity import (
     DIGITS,
-    MG,
     TRUE,
     EffectMeter,
     EpochTable,
     Version,
+    drawn_of,
     versions,
     versions_of,
 )
 from accelcal_cli.pipeline.apply import at_reference
 from accelcal_cli.pipeline.calibrate import FirstPass, RecordingRun, open_run
+from accelcal_cli.pipeline.epochs import MG, EpochMeasures
 from accelcal_cli.pipeline.jobs import (
     Job,
     ProgressMaker,
@@ -42,7 +43,8 @@ from accelcal_cli.pipeline.simulate import true_parameters
 
 HEAD = ("time", "samples")
 MEASURES = ("enmo_mg", "mad_mg", "pim_mg_s", "zcm")
-"""Columns of the table of epochs, repeated for every version."""
+"""Columns of the table of epochs, repeated for every version, and for both ends of the interval."""
+ENDS = ("low", "high")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +88,9 @@ def effect(
         ready, judge = judged_by(run)
         found = ready.result(judge)
         made = _versions(path, ready, found)
-        observer = EffectMeter(made, found.data.recording, epoch_s)
+        observer = EffectMeter(made, found.data.recording, epoch_s, drawn_of(found.data))
         shown = progress("measuring", found.data.recording.total_bytes)
-        with _epochs(table, path, made, epoch_s, found.data.facts.utc_offset_s) as write:
+        with _epochs(table, path, observer, epoch_s, found.data.facts.utc_offset_s) as write:
             for chunk in ready.reader.chunks(request.chunk_samples):
                 write(observer.see(chunk))
                 shown(chunk.end_byte)
@@ -117,14 +119,16 @@ def _versions(path: Path, run: RecordingRun, found: FirstPass) -> list[Version]:
 
 @contextmanager
 def _epochs(
-    table: Path | None, source: Path, made: list[Version], epoch_s: int, offset_s: int | None
+    table: Path | None, source: Path, meter: EffectMeter, epoch_s: int, offset_s: int | None
 ) -> Iterator[Write]:
     """Open the table and yield a function that appends epochs to it, a row each."""
     if table is None:
         yield lambda _tables: None
         return
     refuse_overwriting((table,), (source,))
-    head = (*HEAD, *(f"{name}_{one.name}" for one in made for name in MEASURES))
+    head = [*HEAD, *(f"{name}_{one.name}" for one in meter.versions for name in MEASURES)]
+    if meter.has_intervals:
+        head += [f"{name}_{end}" for name in MEASURES for end in ENDS]
     with replacing(table) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
 
         def write(tables: list[EpochTable]) -> None:
@@ -141,11 +145,19 @@ def _lines(part: EpochTable, epoch_s: int, offset_s: int | None) -> Iterator[lis
     columns: list[list[object]] = [[iso_time(one, offset_s) for one in part.start_us.tolist()]]
     columns.append(part.rows.tolist())
     for epochs in part.epochs:
-        for values, scale in ((epochs.enmo, 1), (epochs.mad, 1), (epochs.pim, epoch_s)):
-            columns.append([round(value * MG * scale, DIGITS) for value in values.tolist()])
-        columns.append(epochs.zcm.tolist())
+        columns += _measures(epochs, epoch_s)
+    if len(part.drawn.enmo):
+        lowest, highest = (_measures(one, epoch_s) for one in part.drawn.ends())
+        columns += [column for pair in zip(lowest, highest, strict=True) for column in pair]
     for line in zip(*columns, strict=True):
         yield list(line)
+
+
+def _measures(epochs: EpochMeasures, epoch_s: int) -> list[list[object]]:
+    """Return the columns of MEASURES."""
+    scaled = ((epochs.enmo, MG), (epochs.mad, MG), (epochs.pim, MG * epoch_s))
+    columns = [[round(value * unit, DIGITS) for value in values.tolist()] for values, unit in scaled]
+    return [*columns, epochs.zcm.tolist()]
 
 
 def as_json(found: MeasuredEffect) -> dict[str, Any]:

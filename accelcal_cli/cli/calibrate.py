@@ -17,8 +17,13 @@ from accelcal_cli.cli.options import (
     request_of,
 )
 from accelcal_cli.cli.output import run_jobs
+from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.settings import NO_PRIOR, PAPER, Settings
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Result, plan
+from accelcal_cli.pipeline.options import chosen_settings
 from accelcal_cli.pipeline.windows import check_table_path
+
+MOST_DRAWS = 100_000
 
 
 @click.command(
@@ -38,6 +43,8 @@ from accelcal_cli.pipeline.windows import check_table_path
     type=FILE,
     help="Also write a table of all still windows, and whether each was used, to FILE (.parquet or .csv).",
 )
+@click.option("--draws", type=click.IntRange(1, MOST_DRAWS), metavar="N",
+              help="Also write N plausible sets of coefficients to NAME.draws.json.")  # fmt: skip
 @click.option("--html", is_flag=True, help="Also write the report as an HTML page.")
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate each RECORDING; `-` reads standard input.
@@ -48,6 +55,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """
     from accelcal_cli.pipeline.calibrate import calibrate  # it takes longer to load than to show --help
 
+    if values["draws"] and _without_posterior(chosen_settings(values)):
+        raise UsageError("--draws needs a prior: without one no posterior is known", hint="omit --draws")
     jobs = plan(recordings_of(recordings, values), values["output_dir"], values["output"])
     if values["windows"] is not None:
         check_table_path(values["windows"], jobs)
@@ -64,3 +73,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         return result
 
     return run_jobs(jobs, work, values)
+
+
+def _without_posterior(settings: Settings) -> bool:
+    return settings.prior == NO_PRIOR and settings.profile != PAPER.profile

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.activity_effect import MeasuredEffect, as_json, check_table, effect
+from accelcal_cli.activity_effect import ENDS, MeasuredEffect, as_json, check_table, effect
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import aligned, bytes_of, each_recording, refuse_both
@@ -16,7 +16,7 @@ from accelcal_cli.cli.quality import measuring_request
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.numbers import formatted
-from accelcal_cli.pipeline.activity import EPOCH_S, LONGEST_EPOCH_S
+from accelcal_cli.pipeline.activity import CALIBRATED, EPOCH_S, LONGEST_EPOCH_S
 from accelcal_cli.pipeline.jobs import ProgressMaker
 
 FIGURES = {
@@ -25,12 +25,21 @@ FIGURES = {
     "mvpa_min": ("MVPA min", ".1f"),
     "pim_mg_s": ("PIM mg s/min", ".0f"),
     "zcm": ("ZCM /min", ".2f"),
+    "angle_deg": ("arm angle deg", ".2f"),
     "inactive_min": ("inactive min", ".1f"),
     "enmo_differs_mg": ("ENMO differs mg", ".2f"),
 }
 """Measures of each version: their names for people, and the formats of their numbers."""
 
-WORDS = {"without_misalignment": "no misalignment"}
+WORDS = {
+    "without_misalignment": "no misalignment",
+    "calibrated_low": "95 % interval: from",
+    "calibrated_high": "to",
+    "raw_bias": "raw is off by",
+}
+
+ONLY_FOR_PROGRAMS = ("raw_bias_low", "raw_bias_high")
+"""Rows that are left out of the table for people: they follow from the others."""
 
 
 @click.command(
@@ -62,7 +71,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
     ENMO, MAD, minutes of moderate to vigorous activity (ENMO of 100 mg or more), PIM, ZCM and minutes of
     sustained inactivity: of the raw values, calibrated without misalignment, and calibrated. For a simulated
-    recording with NAME.truth.json next to it, also with its true parameters. Filled, clipped and recovered
+    recording with NAME.truth.json next to it, also with its true parameters. Intervals of 95 % are of the
+    uncertainty of the calibration. Filled, clipped and recovered
     samples are left out. Nothing is written except the table of --epochs.
     """
     refuse_both(as_json=values["as_json"], as_csv=values["as_csv"])
@@ -88,22 +98,43 @@ def _shown(measured: list[MeasuredEffect], values: dict[str, Any]) -> str:
     if values["as_csv"]:
         head = ["recording", "outcome", "version", "model", *FIGURES]
         rows = [
-            [printable(one.path), one.outcome, name, made["model"], *(made[figure] for figure in FIGURES)]
+            [printable(one.path), one.outcome, name, made.get("model"), *map(made.get, FIGURES)]
             for one in measured
-            for name, made in one.effect["versions"].items()
+            for name, made in _rows(one.effect).items()
         ]
         return csv_text(head, rows).rstrip("\n")
     return "\n\n".join(map(_text, measured))
+
+
+def _rows(effect: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return figures by the name of a row: versions, the interval of the calibrated one, and the raw bias."""
+    rows = {}
+    for name, figures in effect["versions"].items():
+        rows[name] = figures
+        if name == CALIBRATED and effect["ci95"] is not None:
+            rows |= _ends(name, effect["ci95"])
+    if (bias := effect["raw_bias"]) is not None:
+        rows["raw_bias"] = {key: one["value"] for key, one in bias.items()}
+        rows |= _ends("raw_bias", {key: one["ci95"] for key, one in bias.items()})
+    return rows
+
+
+def _ends(name: str, intervals: dict[str, list[float]]) -> dict[str, dict[str, Any]]:
+    return {
+        f"{name}_{end}": {key: pair[place] for key, pair in intervals.items()}
+        for place, end in enumerate(ENDS)
+    }
 
 
 def _text(one: MeasuredEffect) -> str:
     """Write a row for each version, and what was left out."""
     rows = [
         [
-            WORDS.get(name, name) + ("" if made["model"] is None else f" ({made['model']})"),
-            *(formatted(made[key], form) for key, (_, form) in FIGURES.items()),
+            WORDS.get(name, name) + ("" if made.get("model") is None else f" ({made['model']})"),
+            *(formatted(made.get(key), form) for key, (_, form) in FIGURES.items()),
         ]
-        for name, made in one.effect["versions"].items()
+        for name, made in _rows(one.effect).items()
+        if name not in ONLY_FOR_PROGRAMS
     ]
     table = aligned(["", *(words for words, _ in FIGURES.values())], rows)
     lines = [f"{one.path}: {one.outcome}: {one.message}", table, _counted(one)]

@@ -15,8 +15,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Which files": ("include", "exclude", "newer_than", "settle", "retry_failed"),
     "Output": (
         "output_dir", "out", "output", "form", "html", "as_json", "as_json_", "as_csv", "as_what", "tsv",
-        "report_only", "effect", "windows", "keep_refused", "precision_mg", "integers", "all_failures",
-        "force", "quiet", "verbose", "help",
+        "report_only", "effect", "windows", "draws", "keep_refused", "precision_mg", "integers",
+        "all_failures", "force", "quiet", "verbose", "help",
     ),
     "Other recordings of the device": ("borrow", "pool"),
     "Running": ("jobs", "dry_run", "timeout", "shard", "collect", "dask", "takeover", "unlock"),

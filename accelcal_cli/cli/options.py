@@ -376,6 +376,7 @@ def request_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) 
         keep_refused=values["keep_refused"],
         integers=values["integers"],
         windows=values.get("windows"),
+        draws=values.get("draws") or 0,
         effect=values["effect"],
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),

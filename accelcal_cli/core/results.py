@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import fsum
-from typing import Literal
+from typing import Literal, Protocol
 
 from accelcal_cli.core.calibration import Calibration, Correction
 from accelcal_cli.core.clock import ClockReset
@@ -259,6 +259,17 @@ class WithoutMisalignment:
     sphere: SphereError | None = None
 
 
+class PlausibleSensors(Protocol):
+    """The sensors that the points of a recording allow."""
+
+    def draws(self, number: int, seed: int) -> list[Calibration]:
+        """Return calibrations drawn from the posterior; the first of many are those of few.
+
+        Args:
+            seed: from 0 to 2**32 - 1; equal ones give equal draws.
+        """
+
+
 @dataclass(frozen=True, slots=True)
 class Judgement:
     """The verdict on a recording, with all that supports it; calibration is None if refused.
@@ -274,6 +285,7 @@ class Judgement:
         misfits: kinds of behaviour that were tested; None if none were.
         unlike: True if the points speak against a prior that was learnt from other recordings.
         without_misalignment: for a calibration with misalignment; None if that cannot be fitted.
+        plausible: sensors by the posterior; None without one.
     """
 
     outcome: Outcome
@@ -297,6 +309,18 @@ class Judgement:
     misfits: tuple[Misfit, ...] | None = None
     unlike: bool = False
     without_misalignment: WithoutMisalignment | None = None
+    plausible: PlausibleSensors | None = field(default=None, compare=False)
+
+    def draws(self, number: int, sha256: str) -> list[Calibration]:
+        """Return plausible calibrations instead of this one, with its correction; none without a posterior.
+
+        Args:
+            sha256: of the recording, which seeds the draws: those of two recordings are independent.
+        """
+        if self.calibration is None or self.plausible is None:
+            return []
+        drawn = self.plausible.draws(number, int(sha256[:8], 16))
+        return [replace(one, correction=self.calibration.correction) for one in drawn]
 
 
 @dataclass(frozen=True, slots=True)

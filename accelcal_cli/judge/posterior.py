@@ -442,7 +442,28 @@ def _independent(points: PointSet) -> float:
     return float(weights.sum() ** 2 / (weights**2).sum())
 
 
-def _drawn(known: Posterior, most: float) -> Floats:
+def drawn_sensors(known: Posterior, points: PointSet, number: int, seed: int) -> list[tuple[int, ...]]:
+    """Draw sensors from the posterior, each by a chain of its own: twelve fixed-point parameters of each.
+
+    The first of many are those of few. What a library may add up in another order is far below the last bit
+    of a parameter.
+
+    Args:
+        points: those of the posterior.
+        seed: of the chains, from 0 to 2**32 - 1.
+    """
+    random, steps, free = np.random.RandomState(seed), SETTLING + 1, known.model.free
+    normal, chi2 = np.empty((steps, number, 16)), np.empty((steps, number))
+    for chain in range(number):
+        normal[:, chain] = random.standard_normal((steps, 16))
+        chi2[:, chain] = random.chisquare(WIDTH_FREEDOM + len(free), steps)
+    moved = _drawn(known, _independent(points), (normal, chi2))
+    drawn = np.tile(np.array(known.found.fit.parameters), (number, 1))
+    drawn[:, list(free)] += np.rint(moved[:, : len(free)] * ONE).astype(np.int64)
+    return [tuple(row) for row in drawn.tolist()]
+
+
+def _drawn(known: Posterior, most: float, numbers: tuple[Floats, Floats] | None = None) -> Floats:
     """Draw free parameters less the best ones, (DRAWS, free), by Gibbs sampling.
 
     The prior is the fit's, but its width is drawn: by one factor for all parameters, with the tails of
@@ -455,7 +476,10 @@ def _drawn(known: Posterior, most: float) -> Floats:
 
     Args:
         most: number of observations if rests of one posture do not share their error.
+        numbers: random ones as of `_random`, if not these.
     """
+    normals, chi2s = _random(WIDTH_FREEDOM + len(known.model.free)) if numbers is None else numbers
+    chains = normals.shape[1]
     factor = np.linalg.cholesky(np.array(known.covariance))
     free, held, away = known.model.free, np.zeros(len(factor)), np.zeros(len(factor))
     held[: len(free)] = known.held
@@ -464,11 +488,11 @@ def _drawn(known: Posterior, most: float) -> Floats:
     share = np.clip(share, 0, 1)
     basis = factor @ turn
     pull, apart = basis.T @ (held * away), float(held @ (away * away))
-    noise = _NoiseDraws.of(known, float((1 - share).sum()), most)
+    noise = _NoiseDraws.of(known, float((1 - share).sum()), most, chains)
     # the points pull no harder than residuals allow: (r j)^2 is at most r^2 j^2 of residuals r, column j
     slope = np.clip(pull, -np.sqrt(noise.left * (1 - share)), np.sqrt(noise.left * (1 - share)))
-    moved, found, ratio = np.zeros((CHAINS, len(factor))), [], noise.observed
-    for normal, chi2 in zip(*_random(WIDTH_FREEDOM + len(free)), strict=True):
+    moved, found, ratio = np.zeros((chains, len(factor))), [], noise.observed
+    for normal, chi2 in zip(normals, chi2s, strict=True):
         width = chi2 / (WIDTH_FREEDOM + apart + (moved * (share * moved + 2 * pull)).sum(axis=1))
         width, ratio = width[:, np.newaxis], ratio[:, np.newaxis]
         precision = ratio * (1 - share) + width * share
@@ -486,7 +510,7 @@ class _NoiseDraws:
     """Knowledge of each chain about the noise, whose best value is 1 here.
 
     Attributes:
-        observed: (CHAINS,) number of observations, relative to postures.
+        observed: (chains,) number of observations, relative to postures.
         left: sum of the squared residuals of the fit.
         freedom, squares: the prior as more observations, and the sum of their squares.
     """
@@ -498,21 +522,21 @@ class _NoiseDraws:
     squares: float
 
     @classmethod
-    def of(cls, known: Posterior, used: float, most: float) -> _NoiseDraws:
+    def of(cls, known: Posterior, used: float, most: float, chains: int) -> _NoiseDraws:
         """Match the prior of the noise by its slope and curvature at the best one."""
         slope, curvature = _pull(known.noise_g, known.prior)
         squares = max(curvature, 0.0) / 2
-        times = np.where(np.arange(CHAINS) % 2, max(1.0, most / known.postures), 1.0)
+        times = np.where(np.arange(chains) % 2, max(1.0, most / known.postures), 1.0)
         left = max(known.postures - used + slope, 0.0)
         return cls(known.postures, times, left, slope + squares, squares)
 
     def ratio(self, squares: Floats, normal: Floats) -> Floats:
-        """Draw the noise of each chain; return observations over its square, (CHAINS,).
+        """Draw the noise of each chain; return observations over its square, (chains,).
 
         A chi-squared variable is drawn by its cube root (Wilson, Hilferty 1931).
 
         Args:
-            squares: by how much the draw's sum of squares is above that of the fit; normal: (CHAINS,).
+            squares: by how much the draw's sum of squares is above that of the fit; normal: (chains,).
         """
         freedom = np.maximum(self.observed * self.postures + self.freedom, 1.0)
         part = 2 / (9 * freedom)

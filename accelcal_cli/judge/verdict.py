@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.calibration import IDENTITY, Calibration, in_standard_g
+from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import MODELS, Fit, Model, PenalizedFitter, PointSet, Saturated
@@ -38,6 +38,7 @@ from accelcal_cli.core.results import (
 from accelcal_cli.core.settings import DEFAULT, PAPER, Settings
 from accelcal_cli.core.statistics import interval95, mean
 from accelcal_cli.judge import model_ladder
+from accelcal_cli.judge.draws import DrawnSensors, calibration_of_fit
 from accelcal_cli.judge.errors import Uncertainty, deviations_mg, per_posture, uncertainty
 from accelcal_cli.judge.errors import coverage as coverage_of
 from accelcal_cli.judge.misfit import MisfitSearch
@@ -172,6 +173,7 @@ def _most_probable(
         rest_scatter_mg=truth.rest_scatter_mg(),
         misfits=misfits,
         unlike=unlike,
+        plausible=DrawnSensors(known, points, settings.gravity),
         notes=(Reason.of("unlike_most_sensors", parameters=far),) if far else (),
     )
     decided = _outcome_of_sphere(verdict, settings)
@@ -359,7 +361,8 @@ def _everywhere(verdict: Judgement, points: PointSet, how: Fitting) -> Judgement
         return replace(verdict, outcome=Outcome.REFUSED, reason=DIVERGES, advice=ANOTHER_PROFILE)
     judged = (trial.fit.parameters, known.found.fit.parameters, IDENTITY)
     sphere, of_best, before = sphere_errors(points, label, known, judged)
-    verdict = replace(verdict, sphere=sphere, sphere_before=before)
+    sensors = DrawnSensors(known, points, settings.gravity)
+    verdict = replace(verdict, sphere=sphere, sphere_before=before, plausible=sensors)
     values: dict[str, Any] = {"error_mg": sphere.mean, "low_mg": sphere.ci95[0], "high_mg": sphere.ci95[1]}
     values["limit_mg"] = settings.max_error_mg
     if verdict.outcome is not Outcome.REFUSED and sphere.mean >= settings.max_error_mg:
@@ -536,12 +539,6 @@ def worse(holdout: Holdout, usual_mg: float, limit_mg: float) -> Reason | None:
     if after > before and after > ODD_TIMES * usual_mg + ODD_MG:
         return Reason.of("worse_than_usual", **values, usual_mg=usual_mg)
     return Reason.of("over_limit_here", **values, limit_mg=limit_mg) if after >= limit_mg else None
-
-
-def calibration_of_fit(model: str, fit: Fit, points: PointSet, gravity: Gravity) -> Calibration:
-    """Return the calibration of a fit to points in units of local gravity, in standard g."""
-    scale = points.temperature if MODELS[model].has_temperature else None
-    return Calibration(model, in_standard_g(fit.parameters, gravity.local_g()), scale, gravity)
 
 
 def with_simpler(

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from accelcal_cli.core import results
-from accelcal_cli.core.arithmetic import FRACTION_BITS
+from accelcal_cli.core.arithmetic import FRACTION_BITS, to_float
 from accelcal_cli.core.calibration import PARAMETER_NAMES, UPPER_NAMES, Calibration
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import printable
@@ -24,6 +24,7 @@ from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import EffectiveSettings
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output.advice import completed, of_clock
+from accelcal_cli.output.coefficients import EQUATION as DRAWS_EQUATION
 from accelcal_cli.output.coefficients import coefficients_json
 from accelcal_cli.output.files import json_text
 from accelcal_cli.output.report_reading import SCHEMA_VERSION
@@ -526,4 +527,22 @@ def integers_json(data: ReportInput, points: PointSet) -> dict[str, Any] | None:
         "parameters": dict(zip(PARAMETER_NAMES, verdict.fit.parameters, strict=True)),
         "iterations": verdict.fit.iterations,
         "stop": verdict.fit.stop,
+    }
+
+
+def draws_json(data: ReportInput, number: int) -> dict[str, Any]:
+    """Return plausible coefficients for the analyses of others; none where no posterior is known."""
+    verdict = data.judgement
+    drawn = verdict.draws(number, data.sha256)
+    return {
+        "accelcal_version": __version__,
+        "sha256": data.sha256,
+        "asked_for": number,
+        "calibration": calibration_json(verdict, data.optimizer),
+        "equation": DRAWS_EQUATION,
+        "reference_c": drawn[0].reference_c() if drawn else None,
+        "parameters": list(PARAMETER_NAMES),
+        "draws": [
+            [to_float(value) for value in one.parameters[:9]] + one.slope_g_per_c().tolist() for one in drawn
+        ],
     }

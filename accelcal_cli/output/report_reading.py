@@ -77,6 +77,11 @@ LATER = {
     "fit.windows.repeated": "0.2.0",
     "coverage.subsets_full_after_h": "0.2.0",
     "effect.left_out_percent": "0.3.0",
+    "effect.ci95": "0.3.0",
+    "effect.raw_bias": "0.3.0",
+    "effect.versions.raw.angle_deg": "0.3.0",
+    "effect.versions.without_misalignment.angle_deg": "0.3.0",
+    "effect.versions.calibrated.angle_deg": "0.3.0",
     "file_health.missing_bytes": "0.3.0",
 }
 """Keys that reports of versions before the given one may lack (docs/outputs.md)."""

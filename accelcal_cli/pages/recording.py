@@ -51,6 +51,16 @@ WINDOWS = {
 }
 """Fates of windows, by their keys in the report."""
 
+ACTIVITY = {
+    "enmo_mg": "ENMO [mg]",
+    "mad_mg": "MAD [mg]",
+    "mvpa_min": "MVPA [min]",
+    "pim_mg_s": "PIM [mg s per minute]",
+    "zcm": "ZCM [per minute]",
+    "angle_deg": "Mean angle of the arm [degrees]",
+}
+"""Measures of activity that have an interval, by their keys in the report."""
+
 
 def page(report: Mapping[str, Any], quality: Mapping[str, Any] | None = None) -> str:
     """Return the page as HTML.
@@ -79,6 +89,7 @@ def page(report: Mapping[str, Any], quality: Mapping[str, Any] | None = None) ->
         coefficients=None if view.calibration is None else _coefficients(view.calibration),
         models=_models(view),
         misfits=_misfits(view),
+        activity=_activity(view),
         known=_known_orientations(view),
         gyroscope=None if view.gyroscope is None else _gyroscope(view.gyroscope),
         health=_health(view),
@@ -148,6 +159,23 @@ def _coefficients(calibration: CalibrationView) -> PageTable:
     ]
     head = ["Name", "Meaning", "Value", "Standard error"]
     return PageTable(f"Coefficients of model {calibration.model}", head, rows, (0, 1))
+
+
+def _activity(report: ReportView) -> PageTable | None:
+    """Return measures of activity, raw and calibrated, if they were asked for."""
+    effect = report.effect
+    if effect is None or "calibrated" not in effect["versions"]:
+        return None
+    intervals, biases = effect.get("ci95") or {}, effect.get("raw_bias") or {}
+    raw, calibrated = effect["versions"]["raw"], effect["versions"]["calibrated"]
+    rows: Rows = []
+    for name, text in ACTIVITY.items():
+        interval, bias = intervals.get(name), biases.get(name)
+        between = "–" if interval is None else " to ".join(map(number, interval))
+        off = "–" if bias is None else number(bias["value"])
+        rows.append([text, number(raw.get(name)), number(calibrated.get(name)), between, off])
+    head = ["Measure", "Raw", "Calibrated", "95 % interval", "Raw is off by"]
+    return PageTable("Measures of activity, and how uncertain the calibration leaves them", head, rows)
 
 
 def _models(report: ReportView) -> PageTable | None:

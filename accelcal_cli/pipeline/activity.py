@@ -24,15 +24,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.calibration import Calibration, Transform
+from accelcal_cli.core.calibration import Axes, Calibration, Transform
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.recording import Chunk, Recording, Validity
 from accelcal_cli.output.report import ReportInput
-
-Integers = NDArray[np.int64]
-
-ONE_G = 1 << 32
-MG = 1000 / ONE_G
+from accelcal_cli.pipeline.drawn_activity import DRAWS, FIGURES, MICRODEGREES, DrawnActivity, ends
+from accelcal_cli.pipeline.epochs import (
+    MG,
+    MVPA_MG,
+    ONE_G,
+    EpochCutter,
+    EpochMeasures,
+    Integers,
+    WholeEpochs,
+    fixed,
+    lengths,
+)
 
 EPOCH_S = 5
 """Default length [s] of an epoch, as in GGIR and in most of the sources."""
@@ -43,10 +50,6 @@ LEAST_MEASURED = 0.8
 
 MOST_ROWS = 2
 """Rows with the same time, from a clock that stands, are cut after this multiple of an epoch's usual rows."""
-
-MVPA_MG = 100.0
-CROSSING_MG = 100.0
-"""Threshold [mg] of ZCM; there it is chosen by the recording, here it is the same for all versions."""
 
 ANGLE_S, STILL_DEGREES, INACTIVE_S = 5, 5.0, 300
 
@@ -59,102 +62,6 @@ DIGITS = 4
 
 
 @dataclass(frozen=True, slots=True)
-class WholeEpochs:
-    """Rows of m whole epochs.
-
-    Attributes:
-        number: (m,) number of each epoch since 1970.
-        start: (m,) its first row; rows: (m,) how many it has.
-        columns: (n,) values of all rows, for each column that was fed.
-    """
-
-    number: Integers
-    start: Integers
-    rows: Integers
-    columns: tuple[Integers, ...]
-
-
-class EpochCutter:
-    """Cuts a stream of rows into whole epochs; between calls it keeps less than one."""
-
-    def __init__(self, epoch_us: int, most_rows: int) -> None:
-        self._epoch_us, self._most = epoch_us, most_rows
-        self._left: tuple[Integers, ...] = ()
-
-    def feed(self, time_us: Integers, *columns: Integers) -> Iterator[WholeEpochs]:
-        """Take rows in, and yield the epochs that they complete, if any."""
-        rows = (time_us // self._epoch_us, *columns)
-        if self._left:
-            rows = tuple(np.concatenate(pair) for pair in zip(self._left, rows, strict=True))
-        if not len(rows[0]):
-            return
-        start = self._starts(rows[0])
-        self._left = tuple(column[start[-1] :].copy() for column in rows)
-        if len(start) > 1:
-            yield self._whole(start[:-1], tuple(column[: start[-1]] for column in rows))
-
-    def finish(self) -> Iterator[WholeEpochs]:
-        """Yield the epoch that the stream ends in."""
-        if self._left:
-            yield self._whole(self._starts(self._left[0]), self._left)
-
-    def _starts(self, number: Integers) -> Integers:
-        """Return the rows at which the epoch's number changes, or an epoch has too many rows."""
-        start = np.flatnonzero(np.diff(number, prepend=number[0] - 1))
-        length = np.diff(start, append=len(number))
-        if length.max() <= self._most:
-            return start
-        parts = [
-            np.arange(first, first + size, self._most) for first, size in zip(start, length, strict=True)
-        ]
-        return np.concatenate(parts)
-
-    def _whole(self, start: Integers, rows: tuple[Integers, ...]) -> WholeEpochs:
-        number, *columns = rows
-        return WholeEpochs(number[start], start, np.diff(start, append=len(number)), tuple(columns))
-
-
-@dataclass(frozen=True, slots=True)
-class EpochMeasures:
-    """Measures of m epochs of one version of a recording, all but the last in units of 2**-32 g.
-
-    Attributes:
-        enmo, mad, pim: (m,) means; PIM is this one times the length of the epoch.
-        zcm: (m,) number of crossings.
-    """
-
-    enmo: Integers
-    mad: Integers
-    pim: Integers
-    zcm: Integers
-
-    @classmethod
-    def of(cls, length: Integers, epochs: WholeEpochs) -> EpochMeasures:
-        """Measure whole epochs; `length` (n,) is |a| of all rows [2**-32 g]."""
-        start, rows = epochs.start, epochs.rows
-        mean = _rounded_mean(np.add.reduceat(length, start), rows)
-        off = np.abs(length - ONE_G)
-        above = off > round(CROSSING_MG / MG)
-        crossed = np.diff(above, prepend=above[0]).astype(np.int64)
-        crossed[start] = 0
-        return cls(
-            enmo=_rounded_mean(np.add.reduceat(np.maximum(length - ONE_G, 0), start), rows),
-            mad=_rounded_mean(np.add.reduceat(np.abs(length - np.repeat(mean, rows)), start), rows),
-            pim=_rounded_mean(np.add.reduceat(off, start), rows),
-            zcm=np.add.reduceat(crossed, start),
-        )
-
-    def select(self, which: NDArray[np.bool_]) -> EpochMeasures:
-        """Return the measures of some of the epochs."""
-        return EpochMeasures(self.enmo[which], self.mad[which], self.pim[which], self.zcm[which])
-
-
-def _rounded_mean(total: Integers, rows: Integers) -> Integers:
-    """Return means rounded to the nearest unit, halves up."""
-    return (2 * total + rows) // (2 * rows)
-
-
-@dataclass(frozen=True, slots=True)
 class Activity:
     """Activity that one version of a recording shows.
 
@@ -162,6 +69,7 @@ class Activity:
         enmo_mg, mad_mg: means over the epochs with a value; None if there is none.
         mvpa_min: minutes of moderate to vigorous physical activity.
         pim_mg_s, zcm: for a minute that was measured.
+        angle_deg: mean angle of the arm.
         inactive_min: minutes of sustained inactivity.
         enmo_differs_mg: mean over the epochs of |the difference of ENMO from the last version's|.
     """
@@ -171,6 +79,7 @@ class Activity:
     mvpa_min: float
     pim_mg_s: float | None
     zcm: float | None
+    angle_deg: float | None
     inactive_min: float
     enmo_differs_mg: float | None
 
@@ -186,6 +95,7 @@ class _ActivitySums:
     active: int = 0
     differs: int = 0
     angle: float | None = None
+    angles: int = 0
     last: int = 0
     run: int = 0
     inactive: int = 0
@@ -198,12 +108,19 @@ class _ActivitySums:
         self.active += int((epochs.enmo >= round(MVPA_MG / MG)).sum())
         self.differs += int(np.abs(epochs.enmo - against.enmo).sum())
 
+    def totals(self) -> dict[str, int]:
+        """Return the sums that plausible calibrations have as well, by the names of their figures."""
+        return dict(
+            zip(FIGURES, (self.enmo, self.mad, self.active, self.pim, self.zcm, self.angles), strict=True)
+        )
+
     def turn(self, number: int, angle: float) -> None:
         """Take in the arm's angle [degrees] in the 5 s of a number."""
         follows = self.angle is not None and number == self.last + 1
         if not follows or abs(angle - (self.angle or 0.0)) > STILL_DEGREES:
             self.rest()
         self.angle, self.last, self.run = angle, number, self.run + 1
+        self.angles += round(MICRODEGREES * angle)
 
     def rest(self) -> None:
         """End a run of equal angles, at a turn of the arm or a gap; a long run counts."""
@@ -219,11 +136,13 @@ class EpochTable:
     Attributes:
         start_us: (m,) when each begins; rows: (m,) rows of it that were measured.
         epochs: measures of each version.
+        drawn: those with each of K plausible calibrations, each (K, m).
     """
 
     start_us: Integers
     rows: Integers
     epochs: tuple[EpochMeasures, ...]
+    drawn: EpochMeasures
 
 
 @dataclass
@@ -233,18 +152,22 @@ class ActivityMeter:
     Args:
         versions: how many; differences are from the last one.
         epoch_s: length of an epoch, whole seconds.
+        drawn: also measures with plausible calibrations; about: number of the version that they replace.
 
     Attributes:
         epochs: number of epochs with a value; short: number with too few rows.
-        rows: number of rows in the epochs with a value.
+        rows: number of rows in the epochs with a value; angles: number of 5 s with an angle.
     """
 
     versions: int
     epoch_s: int
     rate_hz: float
+    drawn: DrawnActivity = field(default_factory=lambda: DrawnActivity([]))
+    about: int = 0
     epochs: int = 0
     short: int = 0
     rows: int = 0
+    angles: int = 0
     _sums: list[_ActivitySums] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -254,13 +177,20 @@ class ActivityMeter:
             for seconds in (self.epoch_s, ANGLE_S)
         )
 
-    def feed(self, time_us: Integers, versions: Sequence[Sequence[NDArray[np.float32]]]) -> list[EpochTable]:
+    def feed(
+        self, time_us: Integers, versions: Sequence[Axes], temperature_mc: NDArray[np.int32] | None = None
+    ) -> list[EpochTable]:
         """Take in measured rows, x, y and z of each version [g], and return the epochs that they complete."""
-        axes = [[fixed(axis) for axis in xyz] for xyz in versions]
-        for epochs in self._cut_angles.feed(time_us, *(axis for xyz in axes for axis in xyz)):
+        axes = [fixed(axis) for xyz in versions for axis in xyz]
+        if self.drawn.draws:
+            warm = np.zeros(len(time_us), np.int32) if temperature_mc is None else temperature_mc
+            axes.append(warm.astype(np.int64))
+        for epochs in self._cut_angles.feed(time_us, *axes):
             self._turn(epochs)
-        norms = [lengths(xyz) for xyz in versions]
-        return [self._measure(epochs) for epochs in self._cut.feed(time_us, *norms)]
+        columns: list[NDArray[Any]] = [lengths(xyz) for xyz in versions]
+        if self.drawn.draws:
+            columns += [*versions[self.about], (warm / 1000).astype(np.float32)]
+        return [self._measure(epochs) for epochs in self._cut.feed(time_us, *columns)]
 
     def finish(self) -> list[EpochTable]:
         """End the recording, and return the epochs that this completes."""
@@ -277,47 +207,59 @@ class ActivityMeter:
 
     def _measure(self, epochs: WholeEpochs) -> EpochTable:
         valued = epochs.rows >= LEAST_MEASURED * self.epoch_s * self.rate_hz
-        measured = [EpochMeasures.of(length, epochs).select(valued) for length in epochs.columns]
+        norms, values = epochs.columns[: self.versions], epochs.columns[self.versions :]
+        measured = [EpochMeasures.of(length, epochs).select(valued) for length in norms]
         for sums, own in zip(self._sums, measured, strict=True):
             sums.add(own, measured[-1])
         number, rows = epochs.number[valued], epochs.rows[valued]
         self.epochs, self.short = self.epochs + len(number), self.short + int((~valued).sum())
         self.rows += int(rows.sum())
-        return EpochTable(number * (self.epoch_s * MICROSECONDS), rows, tuple(measured))
+        drawn = self.drawn.add(epochs, values, valued)
+        return EpochTable(number * (self.epoch_s * MICROSECONDS), rows, tuple(measured), drawn)
 
     def _turn(self, epochs: WholeEpochs) -> None:
         valued = np.flatnonzero(epochs.rows >= LEAST_MEASURED * ANGLE_S * self.rate_hz)
         number = epochs.number[valued].tolist()
-        axes = [np.add.reduceat(axis, epochs.start)[valued].tolist() for axis in epochs.columns]
-        for version, sums in enumerate(self._sums):
+        sums = [np.add.reduceat(axis, epochs.start)[valued] for axis in epochs.columns]
+        axes = [column.tolist() for column in sums]
+        for version, own in enumerate(self._sums):
             for one, x, y, z in zip(number, *axes[3 * version : 3 * version + 3], strict=True):
-                sums.turn(one, degrees(atan2(z, hypot(x, y))))
+                own.turn(one, degrees(atan2(z, hypot(x, y))))
+        self.angles += len(number)
+        if self.drawn.draws:
+            means = np.stack(sums, axis=1) / epochs.rows[valued, np.newaxis]
+            first = 3 * self.about
+            self.drawn.turn(means[:, first : first + 3] / ONE_G, means[:, -1] / 1000)
 
     def _activity(self, sums: _ActivitySums) -> Activity:
-        def mean_mg(total: int) -> float | None:
-            return total * MG / self.epochs if self.epochs else None
-
-        pim = mean_mg(sums.pim)
         return Activity(
-            mean_mg(sums.enmo),
-            mean_mg(sums.mad),
-            sums.active * self.epoch_s / 60,
-            None if pim is None else pim * 60,
-            60 * sums.zcm * self.rate_hz / self.rows if self.rows else None,
-            sums.inactive * ANGLE_S / 60,
-            mean_mg(sums.differs),
+            **{name: self._scaled(name, total) for name, total in sums.totals().items()},
+            inactive_min=sums.inactive * ANGLE_S / 60,
+            enmo_differs_mg=self._scaled("enmo_mg", sums.differs),
         )
 
+    def _scaled(self, name: str, total: Any) -> Any:
+        """Return a figure by its sum, or the figures of K sums (K,); None without any epoch."""
+        if name == "mvpa_min":
+            return total * self.epoch_s / 60
+        number = {"zcm": self.rows, "angle_deg": self.angles}.get(name, self.epochs)
+        unit = {"zcm": 60 * self.rate_hz, "angle_deg": 1 / MICRODEGREES, "pim_mg_s": 60 * MG}.get(name, MG)
+        return total * unit / number if number else None
 
-def fixed(axis: NDArray[np.float32]) -> Integers:
-    """Return an axis in units of 2**-32 g; exact, since the product is by a power of two."""
-    return np.rint(axis.astype(np.float64) * ONE_G).astype(np.int64)
+    def intervals(self) -> dict[str, tuple[float, float]] | None:
+        """Return the 95 % interval of each figure that the plausible calibrations give; None without them.
 
-
-def lengths(xyz: Sequence[NDArray[np.float32]]) -> Integers:
-    """Return |a| of rows in units of 2**-32 g."""
-    x, y, z = (axis.astype(np.float64) for axis in xyz)
-    return np.asarray(np.rint(np.sqrt(x * x + y * y + z * z) * ONE_G), np.int64)
+        It holds the figure of the calibration itself: at rest, ENMO is lowest with that.
+        """
+        if not self.drawn.draws or not self.epochs:
+            return None
+        best = self._sums[self.about].totals()
+        found = {}
+        for name, totals in self.drawn.totals().items():
+            if (own := self._scaled(name, best[name])) is not None:
+                low, high = ends(self._scaled(name, totals)).tolist()
+                found[name] = min(low, own), max(high, own)
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -360,11 +302,20 @@ def versions_of(data: ReportInput) -> list[Version]:
 class EffectMeter:
     """Measures versions of a recording as its chunks pass."""
 
-    def __init__(self, made: list[Version], recording: Recording, epoch_s: int) -> None:
+    def __init__(
+        self, made: list[Version], recording: Recording, epoch_s: int, drawn: DrawnActivity | None = None
+    ) -> None:
         self.versions = made
-        self._meter = ActivityMeter(len(made), epoch_s, recording.rate_hz)
+        names, drawn = [one.name for one in made], drawn or DrawnActivity([])
+        about = names.index(CALIBRATED) if CALIBRATED in names else 0
+        self._meter = ActivityMeter(len(made), epoch_s, recording.rate_hz, drawn, about)
         self._left_out = dict.fromkeys(LEFT_OUT, 0)
         self._rows = 0
+
+    @property
+    def has_intervals(self) -> bool:
+        """True if the calibration's posterior is known."""
+        return bool(self._meter.drawn.draws)
 
     def see(self, chunk: Chunk) -> list[EpochTable]:
         """Take a chunk in, and return the epochs that it completes."""
@@ -372,12 +323,14 @@ class EffectMeter:
             return []
         self._rows += len(chunk)
         xyz, times = [one.transform.apply(chunk) for one in self.versions], chunk.time_us
+        warm = chunk.temperature_mc
         if chunk.validity is not None and chunk.validity.any():
             for name, value in LEFT_OUT.items():
                 self._left_out[name] += int((chunk.validity == value).sum())
             kept = chunk.validity == Validity.MEASURED
             xyz, times = [[axis[kept] for axis in one] for one in xyz], times[kept]
-        return self._meter.feed(times, xyz)
+            warm = None if warm is None else warm[kept]
+        return self._meter.feed(times, xyz, warm)
 
     def watch(self, chunks: Iterable[Chunk]) -> Iterator[Chunk]:
         """Pass chunks on, and take them in."""
@@ -392,16 +345,42 @@ class EffectMeter:
     def result(self) -> dict[str, Any]:
         """Return the report's `effect` object, after `finish`."""
         meter = self._meter
-        pairs = zip(self.versions, meter.result(), strict=True)
+        found = {
+            one.name: {"model": one.model, **_rounded(asdict(activity))}
+            for one, activity in zip(self.versions, meter.result(), strict=True)
+        }
         return {
             "epoch_s": meter.epoch_s,
             "epochs": meter.epochs,
             "short_epochs": meter.short,
             "left_out": dict(self._left_out),
             "left_out_percent": round(100 * sum(self._left_out.values()) / max(1, self._rows), DIGITS),
-            "versions": {one.name: {"model": one.model, **_rounded(activity)} for one, activity in pairs},
+            "versions": found,
+            **_uncertainty(meter.intervals(), found),
         }
 
 
-def _rounded(activity: Activity) -> dict[str, float | None]:
-    return {name: None if value is None else round(value, DIGITS) for name, value in asdict(activity).items()}
+def drawn_of(data: ReportInput) -> DrawnActivity:
+    """Return what measures with the plausible calibrations of a result."""
+    verdict = data.judgement
+    return DrawnActivity.of(verdict.calibration, verdict.draws(DRAWS, data.sha256))
+
+
+def _uncertainty(
+    intervals: dict[str, tuple[float, float]] | None, versions: dict[str, dict[str, Any]]
+) -> dict[str, Any]:
+    """Return the objects `ci95` and `raw_bias`: how uncertain figures are, and how far off raw ones."""
+    if intervals is None:
+        return {"ci95": None, "raw_bias": None}
+    ends_of = {name: [round(end, DIGITS) for end in pair] for name, pair in intervals.items()}
+    bias = {}
+    for name, (low, high) in ends_of.items():
+        raw = versions[RAW][name]
+        differs = (raw - versions[CALIBRATED][name], raw - high, raw - low)
+        value, *pair = (round(one, DIGITS) for one in differs)
+        bias[name] = {"value": value, "ci95": pair}
+    return {"ci95": ends_of, "raw_bias": bias}
+
+
+def _rounded(figures: dict[str, float | None]) -> dict[str, float | None]:
+    return {name: None if value is None else round(value, DIGITS) for name, value in figures.items()}

@@ -41,9 +41,9 @@ from accelcal_cli.judge.verdict import judge_calibrated
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.output.quality import QualityInput, dumps_quality, quality_json
-from accelcal_cli.output.report import ReportInput, gyroscope_json, integers_json
+from accelcal_cli.output.report import ReportInput, draws_json, gyroscope_json, integers_json
 from accelcal_cli.pipeline import export, jobs, outputs, procedures, survey
-from accelcal_cli.pipeline.activity import EPOCH_S, EffectMeter, versions_of
+from accelcal_cli.pipeline.activity import EPOCH_S, EffectMeter, drawn_of, versions_of
 from accelcal_cli.pipeline.facts import FactsObserver, Timeline, along_time, timeline_of
 from accelcal_cli.pipeline.gyroscope import Turning, gyroscope_of
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
@@ -422,10 +422,13 @@ class RecordingRun:
             data = _with_effect(data if kept else replace(data, clipped_after=over), effect)
         for path in {self.job.parquet, self.job.uncalibrated} - {written}:
             outputs.remove_stale_parquet(path, metadata)
-        if integers is None:
-            outputs.remove(self.job.integers)
-        else:
-            write_text(self.job.integers, reports.dumps(integers, pretty=False) + "\n")
+        held = data.judgement.calibration is not None
+        drawn = draws_json(data, self.request.draws) if held and self.request.draws else None
+        for path, made in ((self.job.integers, integers), (self.job.draws, drawn)):
+            if made is None:
+                outputs.remove_ours(path)
+            else:
+                write_text(path, reports.dumps(made, pretty=False) + "\n")
         if (quality := found.quality()) is None:
             outputs.remove_ours(self.job.quality)
         else:
@@ -475,7 +478,7 @@ class RecordingRun:
         """Return the meter of activity for the second pass, if it is asked for and there is a calibration."""
         if not self.request.effect or data.judgement.calibration is None:
             return None
-        return EffectMeter(versions_of(data), data.recording, EPOCH_S)
+        return EffectMeter(versions_of(data), data.recording, EPOCH_S, drawn_of(data))
 
     def _chunks(self, effect: EffectMeter | None) -> Iterator[Chunk]:
         """Yield the chunks of the second pass."""

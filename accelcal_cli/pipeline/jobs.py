@@ -35,6 +35,7 @@ PARQUET_SUFFIX = ".calibrated.parquet"
 UNCALIBRATED_SUFFIX = ".uncalibrated.parquet"
 REPORT_SUFFIX = ".calibration.json"
 INTEGERS_SUFFIX = ".integers.json"
+DRAWS_SUFFIX = ".draws.json"
 QUALITY_SUFFIX = ".quality.json"
 PAGE_SUFFIX = ".html"
 PARQUET, JSON = ".parquet", ".json"
@@ -72,6 +73,11 @@ class Job:
         return self._sibling(INTEGERS_SUFFIX)
 
     @property
+    def draws(self) -> Path:
+        """Path of plausible coefficients, if they are asked for."""
+        return self._sibling(DRAWS_SUFFIX)
+
+    @property
     def uncalibrated(self) -> Path:
         """Path of the raw values of a refused recording, if they are asked for."""
         return self._sibling(UNCALIBRATED_SUFFIX)
@@ -89,7 +95,7 @@ class Job:
     @property
     def outputs(self) -> tuple[Path, ...]:
         """All files that may be written."""
-        return (self.parquet, self.report, self.integers, self.quality, self.uncalibrated)
+        return (self.parquet, self.report, self.integers, self.draws, self.quality, self.uncalibrated)
 
     def _sibling(self, suffix: str) -> Path:
         return self.report.with_name(self.report.name.removesuffix(REPORT_SUFFIX) + suffix)
@@ -299,6 +305,7 @@ class Request:
         report_only: write no Parquet.
         keep_refused: write the raw values of a recording that is refused.
         integers: also write the fit's points and result as integers.
+        draws: how many plausible coefficient sets are also written.
         windows: where all still windows go; None: nowhere.
         effect: also find what the calibration changes in measures of activity.
         force: overwrite what accelcal did not write, and redo what is up to date.
@@ -318,6 +325,7 @@ class Request:
     report_only: bool = False
     keep_refused: bool = False
     integers: bool = False
+    draws: int = 0
     windows: Path | None = None
     effect: bool = False
     force: bool = False

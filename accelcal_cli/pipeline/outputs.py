@@ -60,7 +60,7 @@ def prepare(job: Job, windows: tuple[Path, ...] = (), *, force: bool) -> None:
     for path in (job.parquet, job.uncalibrated):
         refuse_foreign(path, known=written_by_us(path))
     refuse_foreign_report(job.report)
-    for path in (job.integers, job.quality):
+    for path in (job.integers, job.draws, job.quality):
         refuse_foreign(path, known=load_our_json(path) is not None)
     for path in windows:
         refuse_foreign(path, known=written_by_us(path) or is_window_table(path))
@@ -110,11 +110,22 @@ def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -
     existing = Result(job, report, up_to_date=True, kept=kept)
     if existing.parquet is not None and not _are_a_pair(report, metadata_of(existing.parquet)):
         return None
-    if request.integers and report["calibration"] is not None and not exists(job.integers):
+    if report["calibration"] is not None and _lacks(job, report, request):
         return None
     if any(problem["code"] == LACKING for problem in report["file_health"]["problems"]):
         return None
     return existing if _is_of(report, source) else None
+
+
+def _lacks(job: Job, report: dict[str, Any], request: Request) -> bool:
+    """Return True if integers or draws that are asked for are not there, or are of another calibration."""
+    if request.integers and not exists(job.integers):
+        return True
+    if not request.draws:
+        return False
+    held = load_our_json(job.draws) or {}
+    same = all(held.get(name) == report[name] for name in ("accelcal_version", "calibration"))
+    return not same or held.get("asked_for") != request.draws
 
 
 def keeps(calibrated: bool, request: Request) -> bool:
@@ -251,6 +262,7 @@ def withdraw(job: Job) -> None:
             if written_by_us(path):
                 remove(path)
         remove_ours(job.integers)
+        remove_ours(job.draws)
         remove_ours(job.quality)
         remove_page(job.page)
         remove(job.report)

@@ -61,6 +61,11 @@ EFFECT = {
     ("raw", "inactive_min"): "inactive_raw_min", ("calibrated", "inactive_min"): "inactive_min",
 }  # fmt: skip
 """Columns of measures of activity, by version and name in the report's `effect`."""
+EFFECT_INTERVALS = {
+    "enmo_mg": ("enmo_low_mg", "enmo_high_mg"), "mad_mg": ("mad_low_mg", "mad_high_mg"),
+    "mvpa_min": ("mvpa_low_min", "mvpa_high_min"),
+}  # fmt: skip
+"""Columns of their 95 % intervals, calibrated."""
 COLUMNS = (
     "path", "outcome", "exit_code", "reason", "cautions", "message", "model", "copy_of",
     "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
@@ -69,6 +74,7 @@ COLUMNS = (
     "postures", "points",
     *ERROR_COLUMNS, "change", "change_at", "change_mg", "misfits",
     "gyroscope", "gyro_before_deg", "gyro_after_deg", "gyro_pairs", *EFFECT.values(),
+    *(column for pair in EFFECT_INTERVALS.values() for column in pair),
     "format", "device_model", "device_serial", "device_firmware", "start_time", "time_zone", "duration_s",
     "rate_hz", "rate_hz_measured", "lsb_per_g", "range_g", "samples", "gaps", "filled_samples",
     "clipped_samples_before", "clipped_samples_after", "problems", "cells", "condition_number",
@@ -196,8 +202,13 @@ def _gyroscope(report: ReportView) -> dict[str, Any]:
 
 def _effect(report: ReportView) -> dict[str, Any]:
     """Return measures of activity, if they were asked for."""
-    versions = {} if report.effect is None else report.effect.get("versions", {})
-    return {column: versions[name][key] for (name, key), column in EFFECT.items() if name in versions}
+    if report.effect is None:
+        return {}
+    versions, intervals = report.effect.get("versions", {}), report.effect.get("ci95") or {}
+    figures = {column: versions[name][key] for (name, key), column in EFFECT.items() if name in versions}
+    for key, columns in EFFECT_INTERVALS.items():
+        figures |= dict(zip(columns, intervals.get(key, ()), strict=False))
+    return figures
 
 
 def _coverage(coverage: CoverageView) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from tests.recordings import RATE_HZ, directions, good_raw, still_counts, write_
 
 Capture = pytest.CaptureFixture[str]
 SAMPLES = Path(__file__).parents[2] / "sample_data"
+UNCERTAIN = ("enmo_mg", "mad_mg", "mvpa_min", "pim_mg_s", "zcm", "angle_deg")
 MEASURED = ("enmo_mg", "mad_mg", "mvpa_min", "pim_mg_s", "zcm", "inactive_min")
 
 
@@ -67,7 +68,7 @@ def test_they_are_the_measures_of_the_parquet_file(day: Path, tmp_path: Path, ca
     assert rows["enmo_mg_calibrated"].to_numpy() == pytest.approx(enmo[kept].to_numpy(), abs=1e-4)
     assert rows["samples"].tolist() == by.size()[kept].tolist()
     assert [name for name in rows if name.startswith("zcm")] == [
-        f"zcm_{name}" for name in ("raw", "without_misalignment", "calibrated", "true")
+        f"zcm_{name}" for name in ("raw", "without_misalignment", "calibrated", "true", "low", "high")
     ]
 
 
@@ -99,7 +100,10 @@ def test_coefficients_of_a_report_give_what_they_gave_there(tmp_path: Path, caps
     path = good_raw(tmp_path)
     assert exit_code("calibrate", path, "--report-only", "-q") == 0
     report = tmp_path / "good.calibration.json"
-    assert effect_of(capsys, path, "--coefficients", report) == effect_of(capsys, path)
+    given, own = effect_of(capsys, path, "--coefficients", report), effect_of(capsys, path)
+    for name in ("ci95", "raw_bias"):
+        assert given.pop(name) is None and own.pop(name) is not None
+    assert given == own
     other = good_raw(tmp_path, "other.raw")
     assert run(capsys, "effect", other, "--coefficients", report).code in (0, 2)
     made = effect_of(capsys, other, "--coefficients", report, "--any-device")["versions"]
@@ -158,6 +162,9 @@ def test_a_study_has_it_in_its_table(tmp_path: Path, capsys: Capture) -> None:
     assert row["enmo_raw_mg"] == made["raw"]["enmo_mg"] and row["enmo_mg"] == made["calibrated"]["enmo_mg"]
     assert row["enmo_differs_mg"] == made["raw"]["enmo_differs_mg"]
     assert row["inactive_min"] == made["calibrated"]["inactive_min"]
+    intervals = effect_of(capsys, path)["ci95"]
+    assert [row["enmo_low_mg"], row["enmo_high_mg"]] == intervals["enmo_mg"]
+    assert [row["mvpa_low_min"], row["mvpa_high_min"]] == intervals["mvpa_min"]
 
 
 def by_rows(counts: np.ndarray) -> float:
@@ -187,3 +194,74 @@ def test_verdicts_11_zeros_take_no_part_in_means(headerless: bool, tmp_path: Pat
     assert found["left_out"] == {"filled": 45_000, "clipped": 0, "recovered": 0}
     assert found["left_out_percent"] == 50.0
     assert found["versions"]["raw"]["enmo_mg"] == pytest.approx(by_rows(counts), abs=1e-3)
+
+
+def test_51_1_every_measure_has_an_interval_with_the_truth_in_it(day: Path, capsys: Capture) -> None:
+    found = effect_of(capsys, day)
+    made, intervals, bias = found["versions"], found["ci95"], found["raw_bias"]
+    assert tuple(intervals) == tuple(bias) == UNCERTAIN
+    for name in UNCERTAIN:
+        low, high = intervals[name]
+        assert low <= made["calibrated"][name] <= high
+        assert low <= made["true"][name] <= high, name
+        off = made["raw"][name] - made["calibrated"][name]
+        assert bias[name]["value"] == pytest.approx(off, abs=1e-3)
+        ends = [made["raw"][name] - high, made["raw"][name] - low]
+        assert bias[name]["ci95"] == pytest.approx(ends, abs=1e-3)
+    assert 0 < intervals["enmo_mg"][1] - intervals["enmo_mg"][0] < 1
+
+
+def test_51_1_the_interval_of_epochs(day: Path, tmp_path: Path, capsys: Capture) -> None:
+    """By epoch, too, the truth lies there nearly always, and intervals of one epoch are wider than of all."""
+    found = effect_of(capsys, day, "--epochs", tmp_path / "e.csv")
+    rows = pd.read_csv(tmp_path / "e.csv")
+    held = (rows["enmo_mg_low"] <= rows["enmo_mg_true"]) & (rows["enmo_mg_true"] <= rows["enmo_mg_high"])
+    assert held.mean() > 0.85
+    low, high = found["ci95"]["enmo_mg"]
+    assert (rows["enmo_mg_high"] - rows["enmo_mg_low"]).mean() > high - low
+
+
+def test_51_1_intervals_are_those_of_the_drawn_coefficients(tmp_path: Path, capsys: Capture) -> None:
+    """By the rows of NAME.draws.json in double precision, without any code of the package."""
+    path = good_raw(tmp_path)
+    assert exit_code("calibrate", path, "--draws", 39, "--report-only", "-q") == 0
+    drawn = json.loads((tmp_path / "good.draws.json").read_text())
+    counts = np.fromfile(path, "<i2").reshape(-1, 3) / 256
+    enmo, angle = [], []
+    for xx, yy, zz, yx, zx, zy, ox, oy, oz, *_ in drawn["draws"]:
+        x, y, z = (counts + np.array([ox, oy, oz])).T
+        a = np.stack([xx * x, yx * x + yy * y, zx * x + zy * y + zz * z], axis=1)
+        enmo.append(1000 * np.maximum(np.sqrt((a**2).sum(axis=1)) - 1, 0).mean())
+        x, y, z = a.reshape(-1, round(5 * RATE_HZ), 3).mean(axis=1).T
+        angle.append(np.degrees(np.arctan2(z, np.hypot(x, y))).mean())
+    found = effect_of(capsys, path)
+    own = found["versions"]["calibrated"]
+    for name, values in (("enmo_mg", enmo), ("angle_deg", angle)):
+        ends = [min(*values, own[name]), max(*values, own[name])]
+        assert found["ci95"][name] == pytest.approx(ends, abs=2e-3), name
+
+
+def test_51_1_draws_are_the_same_again_and_begin_alike(tmp_path: Path, capsys: Capture) -> None:
+    path, other = good_raw(tmp_path), good_raw(tmp_path, "other.raw")
+    other.write_bytes(path.read_bytes()[: -6 * round(RATE_HZ)])
+    held = tmp_path / "good.draws.json"
+    assert exit_code("calibrate", path, "--draws", 200, "-q") == 0
+    many, first = json.loads(held.read_text()), held.read_bytes()
+    assert "up to date" in run(capsys, "calibrate", path, "--draws", 200).err
+    assert exit_code("calibrate", path, "--draws", 200, "--force", "-q", "--chunk-samples", 999) == 0
+    assert held.read_bytes() == first
+    assert exit_code("calibrate", path, "--draws", 20, "-q") == 0
+    few = json.loads(held.read_text())
+    assert few["draws"] == many["draws"][:20] and len(many["draws"]) == 200
+    report = json.loads((tmp_path / "good.calibration.json").read_text())
+    errors, centre = report["calibration"]["standard_errors"], report["calibration"]["parameters"]
+    for place, name in enumerate(many["parameters"][:9]):
+        column = np.array(many["draws"])[:, place]
+        assert abs(column.mean() - centre[name]) < errors[name] and column.std() < 5 * errors[name], name
+    assert exit_code("calibrate", other, "--draws", 20, "-q") == 0
+    assert json.loads((tmp_path / "other.draws.json").read_text())["draws"] != few["draws"]
+    assert exit_code("calibrate", path, "-q", "--force") == 0
+    assert not held.exists()
+    ran = run(capsys, "calibrate", path, "--draws", 20, "--prior", "none")
+    assert ran.code == 2
+    assert_one_line(ran, "--draws", "prior")
