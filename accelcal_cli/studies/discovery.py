@@ -38,7 +38,7 @@ FIRST = list(COLUMNS[:2])
 
 OURS = (
     jobs.PARQUET_SUFFIX, jobs.UNCALIBRATED_SUFFIX, jobs.REPORT_SUFFIX, jobs.INTEGERS_SUFFIX,
-    jobs.QUALITY_SUFFIX, ".toml", ".truth.json", ".tmp", ".part",
+    jobs.DRAWS_SUFFIX, jobs.QUALITY_SUFFIX, ".toml", ".truth.json", ".tmp", ".part",
 )  # fmt: skip
 TABLES = "csv"
 """Name of the one format whose suffixes other files often have."""
