@@ -50,7 +50,7 @@ PYTHON = """# Python functions
 What each function does and when to use it is described in [From Python](../python.md).
 
 ```{eval-rst}
-.. automodule:: accelcal
+.. automodule:: accelcal_cli.api
    :members:
    :imported-members:
 ```

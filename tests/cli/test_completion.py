@@ -115,14 +115,14 @@ def test_options_with_a_list_of_values_are_of_a_kind_that_completes() -> None:
             assert type(parameter.type) is not click.Choice, (words, parameter)
 
 
-def test_the_lines_that_the_readme_names_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    readme = (Path(__file__).parents[2] / "README.md").read_text("utf-8")
+def test_the_lines_that_the_cookbook_names_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).parents[2] / "docs/cookbook.md").read_text("utf-8")
     for shell, needed in (
         ("bash", "complete -o"),
         ("zsh", "#compdef accelcal"),
         ("fish", "--command accelcal"),
     ):
-        assert f"_ACCELCAL_COMPLETE={shell}_source accelcal" in readme
+        assert f"_ACCELCAL_COMPLETE={shell}_source accelcal" in page
         if shell != "bash" or shutil.which("bash"):
             monkeypatch.setenv("_ACCELCAL_COMPLETE", f"{shell}_source")
             ran = run_process()
