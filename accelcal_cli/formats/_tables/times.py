@@ -7,7 +7,7 @@ times run on where they follow daylight saving, and rows that share a stamp are 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -45,6 +45,7 @@ from accelcal_cli.formats._tables.table import (
     readable,
     split_time_name,
 )
+from accelcal_cli.formats._wraps import WRAPPED, RunningOn, Wraps, find_wraps
 
 DAY_S = 86_400
 EARLIEST_ABSOLUTE_US = 315_532_800 * MICROSECONDS
@@ -73,6 +74,7 @@ NO_COLUMN = "none"
 """The value of --time-column for no column."""
 
 UNBELIEVABLE = ("missing_value", "rows without a believable time left out")
+COUNTER_WRAPS = (WRAPPED, "jumps back of a counter that wraps; its times are read as running on")
 WITH_ITS_ZONE = "the times follow a change of the clocks in {}"
 
 
@@ -153,6 +155,7 @@ class Stamps:
 
     Attributes:
         pace: tells how rows that share a stamp are spread.
+        wraps: what its clock may do.
         first_us, last_us: times of its first and last row that have one.
         step_us: the mean step between rows; None if none goes forward.
     """
@@ -163,6 +166,7 @@ class Stamps:
     first_us: int
     last_us: int
     step_us: float | None
+    wraps: Wraps = field(default_factory=Wraps)
 
 
 def stored_stamps(rows: RowSource, scale: StampScale, start: int, stop: int) -> NDArray[np.int64]:
@@ -184,6 +188,8 @@ def measured_stamps(
     """
     rows, path = table.rows(track), table.path
     head = stored_stamps(rows, scale, 0, min(track.rows, BLOCK_ROWS))
+    wraps = find_wraps(head, _unit_of_counter(scale, head))
+    head = RunningOn(wraps).running_on(head)
     times = head[head > LOST]
     if not len(times):
         raise UnreadableError(
@@ -197,7 +203,14 @@ def measured_stamps(
     begin = spread(head, pace)
     end = spread(stored_stamps(rows, scale, max(0, track.rows - BLOCK_ROWS), track.rows), pace)
     first, last = int(begin[0]), int(end[-1] if len(end) else begin[-1])
-    return Stamps(track, scale, pace, first, max(last, first), step), rate
+    return Stamps(track, scale, pace, first, max(last, first), step, wraps), rate
+
+
+def _unit_of_counter(scale: StampScale, head: NDArray[np.int64]) -> float | None:
+    """Return the microseconds in one unit of times that count from some start; None for moments."""
+    times = head[head > LOST] - scale.base_us
+    counts = scale.unit in PER_SECOND and len(times) and times[0] < EARLIEST_ABSOLUTE_US
+    return MICROSECONDS / PER_SECOND[scale.unit] if counts else None
 
 
 def _usual_step(times: NDArray[np.int64]) -> tuple[float | None, float | None]:
@@ -431,6 +444,7 @@ class RowTimes:
         self._reach = self._shared.longest if self._shared else 0
         self._first = self._next = max(0, start - self._reach)
         self._stamps = self._times = np.empty(0, np.int64)
+        self._on, self._base = RunningOn(stamps.wraps), self._first
         self._running, self._with_its_zone = LocalStamps(zone), (FOLLOWED, WITH_ITS_ZONE.format(zone))
         self._followed = self.stamps = np.empty(0, np.int64)
 
@@ -445,6 +459,8 @@ class RowTimes:
             selection.lose(self._source, stamps == LOST)
             selection.leave_out(UNBELIEVABLE, stamps == NO_TIME)
         followed, self._followed = np.split(self._followed, np.searchsorted(self._followed, [selection.stop]))
+        wrapped = [row for row, _ in self._on.taken(selection.stop - self._base)]
+        selection.note(COUNTER_WRAPS, np.array(wrapped, np.int64) + self._base - selection.start)
         selection.note(self._with_its_zone, followed[followed >= selection.start] - selection.start)
         return times
 
@@ -453,6 +469,7 @@ class RowTimes:
         if stop <= self._next:
             return
         stamps = stored_stamps(self._source, self._scale, self._next, stop)
+        stamps = self._on.running_on(stamps)
         known = np.flatnonzero(stamps > LOST)
         if len(known) == len(stamps):
             stamps, followed = self._running.running_on(stamps)

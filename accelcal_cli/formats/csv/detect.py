@@ -12,7 +12,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,7 @@ from accelcal_cli.formats._stamps import (
     shares_stamps,
 )
 from accelcal_cli.formats._tables.channels import CountScale
+from accelcal_cli.formats._wraps import DATES, TIMES_OF_DAY, RunningOn, Wraps, find_wraps
 from accelcal_cli.formats.csv import BIDS_CHANNELS, BIDS_MOTION, bids_channels_path
 from accelcal_cli.formats.csv.cells import (
     ORDERS,
@@ -93,6 +94,7 @@ class Detected:
         first_values: the first value of each channel; a column that the head leaves empty is not a channel.
         gyro: how rotation rates become counts, None without a gyroscope; gyro_notes: how it was understood.
         head: the file up to its first row.
+        wraps: what its clock may do.
         watch: over columns that may separate several sensors, with the head seen; None without such columns.
     """
 
@@ -108,6 +110,7 @@ class Detected:
     gyro: CountScale | None = None
     gyro_notes: tuple[str, ...] = ()
     watch: SensorWatch | None = None
+    wraps: Wraps = field(default_factory=Wraps)
 
     @property
     def has_dates(self) -> bool:
@@ -170,6 +173,9 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     parser = _table_parser(block, dialect, roles, export, options, path)
     parser = replace(parser, roles=all_roles, sensor=() if sensor is None else sensor.texts)
     table = parser.parse(block)
+    wraps = _wraps(parser, table)
+    if table.time_us is not None:
+        table = replace(table, time_us=RunningOn(wraps).running_on(table.time_us))
     watch = None
     if dividing and (options.sensor is None or sensor is not None):
         watch = SensorWatch(parser, dividing, options.sensor)
@@ -185,7 +191,19 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     turns = None if gyro is None else gyro.scale
     first = _first_values(table)
     return Detected(
-        export, start_us, parser, scale, pace, first, line_bytes, guessed, above, turns, gyro_notes, watch
+        export,
+        start_us,
+        parser,
+        scale,
+        pace,
+        first,
+        line_bytes,
+        guessed,
+        above,
+        turns,
+        gyro_notes,
+        watch,
+        wraps,
     )
 
 
@@ -342,6 +360,16 @@ def _pace(table: ParsedTable, export: ExportDescription, options: ReadOptions, p
             "windows are fitted with `accelcal fit`",
         )
     return Pace(options.rate_hz)
+
+
+def _wraps(parser: TableParser, table: ParsedTable) -> Wraps:
+    """Return what the clock may do whose first times are in a table."""
+    time = parser.time
+    if time is None or table.time_us is None:
+        return Wraps()
+    if time.unit_us is None:
+        return find_wraps(table.time_us, None, DATES if time.since_1970 else TIMES_OF_DAY)
+    return find_wraps(table.time_us, None if time.since_1970 and not time.dated else time.unit_us)
 
 
 def _find_pace(stamps: NDArray[np.int64], user_hz: float | None, path: Path) -> Pace:

@@ -35,6 +35,7 @@ from accelcal_cli.core.recording import (
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
 from accelcal_cli.formats._rows import RepeatedSamples
 from accelcal_cli.formats._stamps import GAP_PERIODS, IMPOSSIBLE, Pace, SharedStamps
+from accelcal_cli.formats._wraps import WRAPPED, RunningOn, Wraps, text_of
 from accelcal_cli.formats.csv.detect import HEAD_BYTES, Detected, detect, last_timestamp
 from accelcal_cli.formats.csv.dialect import Dialect
 from accelcal_cli.formats.csv.lines import Block, LineCutter, LineFile, RepeatedHeads
@@ -61,7 +62,9 @@ BACK = ("clock_back", "the time goes back{jump} before line {line}{repeated}")
 WITH_ITS_ZONE = (FOLLOWED, "the times follow a change of the clocks in {zone} before line {{line}}")
 NO_LINE_END = "no_line_end"
 BROKEN_OFF = "the compressed data ends early or is damaged; the rows before that were read"
-CODES = [code for code, _ in (MISSING, OUT_OF_RANGE, IMPOSSIBLE_TIME, ASLEEP, AHEAD, BACK, WITH_ITS_ZONE)]
+CODES = [code for code, _ in (MISSING, OUT_OF_RANGE, IMPOSSIBLE_TIME, ASLEEP, AHEAD, BACK, WITH_ITS_ZONE)] + [
+    WRAPPED
+]
 """The order of problems that only the end of the file completes."""
 
 NO_DATE = "the file has no date; times count from 1970-01-01"
@@ -88,6 +91,17 @@ class FollowedChanges:
         times = rows.time_us.copy()
         times[timed] = running
         return replace(rows, time_us=times)
+
+
+class RunningRows:
+    """Makes times run on where a counter wraps, or a clock shows no new day (see `RunningOn`)."""
+
+    def __init__(self, wraps: Wraps) -> None:
+        self.clock = RunningOn(wraps)
+
+    def add(self, rows: CsvRows, _last: bool) -> CsvRows:
+        """Return the next rows with the times of a clock that runs on."""
+        return rows if rows.time_us is None else replace(rows, time_us=self.clock.running_on(rows.time_us))
 
 
 class SpreadRows:
@@ -137,6 +151,7 @@ class RowStream:
 
     Attributes:
         followed: numbers of the rows before which the times follow a change; it grows with the rows.
+        clock: knows before which rows the times were read on.
         heads: finds the names of the columns where they stand again.
     """
 
@@ -144,9 +159,9 @@ class RowStream:
         watch = None if detected.watch is None else detected.watch.again()
         self._parser = RowParser(detected.parser, detected.scale, detected.first_values, detected.gyro, watch)
         self.heads = RepeatedHeads(detected.head)
-        changes = FollowedChanges(zone)
-        self.followed = changes.rows
-        self._steps: list[FollowedChanges | SpreadRows | IdleFill] = [changes]
+        running, changes = RunningRows(detected.wraps), FollowedChanges(zone)
+        self.clock, self.followed = running.clock, changes.rows
+        self._steps: list[RunningRows | FollowedChanges | SpreadRows | IdleFill] = [running, changes]
         if detected.pace.stamp_period_us:
             self._steps.append(SpreadRows(detected.pace))
         if detected.export.repeats_idle:
@@ -210,7 +225,7 @@ class CsvReader(Reader):
             UnreadableError: a line is not a row of the file, or most rows cannot be used.
         """
         stream = RowStream(self._detected, self._zone)
-        assembler = CsvAssembler(self._detected, stream.followed, self.recording.timezone)
+        assembler = CsvAssembler(self._detected, stream, self.recording.timezone)
         for rows, block in joined(self._rows(stream, chunk_samples), chunk_samples):
             for chunk in assembler.chunks(rows, block, chunk_samples):
                 if len(chunk) or chunk.problems:
@@ -259,7 +274,7 @@ class CsvIntake(Intake):
         self._bare_returns = dialect.bare_returns
         self._lines = LineCutter(detected.parser.path, dialect.offset, dialect.skipped + 1)
         self._stream = stream
-        self._assembler = CsvAssembler(detected, stream.followed, zone)
+        self._assembler = CsvAssembler(detected, stream, zone)
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
         """See `Intake`."""
@@ -321,11 +336,10 @@ class CsvAssembler:
     """Makes chunks of all rows of a file, in order.
 
     Args:
-        followed: numbers of the rows before which the times follow a change of their zone; it grows with
-            the rows.
+        stream: of the rows, which knows before which of them the times were changed; None: none were.
     """
 
-    def __init__(self, detected: Detected, followed: Sequence[int] = (), zone: str | None = None) -> None:
+    def __init__(self, detected: Detected, stream: RowStream | None = None, zone: str | None = None) -> None:
         self._detected = detected
         problems = () if detected.has_dates else (Problem("no_start_time", NO_DATE, None, 0),)
         self._row_bytes = max(1, round(detected.line_bytes))
@@ -337,7 +351,9 @@ class CsvAssembler:
         self._pace = detected.pace
         self._rate = rate_fraction(detected.pace.rate_hz)
         self._log = ProblemLog(problems, _message, SINGLE, by_end=True)
-        self._followed, self._with_its_zone = followed, (FOLLOWED, WITH_ITS_ZONE[1].format(zone=zone))
+        self._followed = [] if stream is None else stream.followed
+        self._ran_on = RunningOn(Wraps()) if stream is None else stream.clock
+        self._with_its_zone = (FOLLOWED, WITH_ITS_ZONE[1].format(zone=zone))
         self._last_row = -1
         self._last_us = 0
         self._last_jump: Kind | None = None
@@ -401,6 +417,7 @@ class CsvAssembler:
 
     def _row_events(self, rows: CsvRows) -> Iterator[Event]:
         """Yield what concerns single rows: those left out, those not measured, changes of the clocks."""
+        yield from self._wrap_events(rows)
         good = rows.fault == Fault.NONE
         flags: list[tuple[Kind, NDArray[np.bool_], int]] = []
         if not good.all():
@@ -420,6 +437,13 @@ class CsvAssembler:
                 row, line, sample = rows.first_row + place, int(rows.line[place]), int(before[place])
                 amounts = (self.samples + sample, count, 0, count * row_bytes)
                 yield Event(row, count, *kind, None, *amounts, line, scattered)
+
+    def _wrap_events(self, rows: CsvRows) -> Iterator[Event]:
+        for row, jump_us in self._ran_on.taken(rows.first_row + len(rows)):
+            place = row - rows.first_row
+            sample = self.samples + int(np.count_nonzero(rows.fault[:place] == Fault.NONE))
+            kind = WRAPPED, text_of(jump_us)
+            yield Event(row, 1, *kind, None, sample, 1, jump_us, 0, int(rows.line[place]))
 
     def _kept(self, rows: CsvRows) -> _GoodRows:
         if not rows.fault.any():
