@@ -30,8 +30,9 @@ extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_co
 source_suffix = {".md": "myst-nb", ".ipynb": "myst-nb"}
 exclude_patterns = ["_build"]
 nb_execution_mode = "off"
-myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
+myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist"]
 myst_heading_anchors = 4
+smartquotes = False
 suppress_warnings = ["myst.header"]
 autodoc_typehints = "description"
 copybutton_prompt_text = "$ "
@@ -39,6 +40,7 @@ copybutton_prompt_text = "$ "
 html_theme = "pydata_sphinx_theme"
 html_title = f"accelcal {version}"
 html_theme_options = {
+    "navbar_center": [],
     "navbar_end": ["theme-switcher"],
     "show_toc_level": 2,
     "footer_start": ["copyright"],
@@ -46,6 +48,7 @@ html_theme_options = {
     "secondary_sidebar_items": ["page-toc"],
     "navigation_with_keys": False,
 }
+html_sidebars = {"**": ["globaltoc.html"]}
 html_show_sourcelink = False
 html_static_path: list[str] = []
 

@@ -16,6 +16,8 @@ from accelcal_cli.cli.main import cli as accelcal
 
 ROOT = Path(__file__).resolve().parent.parent
 Node = Mapping[str, Any]
+HELP = ["-h", "--help"]
+"""Names of the option that every command has."""
 
 
 def write(folder: Path) -> None:
@@ -88,7 +90,7 @@ def _command(command: click.Command, context: click.Context) -> Iterator[str]:
     records = {
         one.name: record
         for one in command.get_params(context)
-        if isinstance(one, click.Option) and (record := one.get_help_record(context))
+        if isinstance(one, click.Option) and one.opts != HELP and (record := one.get_help_record(context))
     }
     grouped = {name for names in GROUPS.values() for name in names}
     own = tuple(name for name in records if name not in grouped)

@@ -15,6 +15,7 @@ from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import NEAR_ONE_G, Facts, Judgement, Outcome, sides_not_up
 from accelcal_cli.core.settings import DEFAULT, PAPER
 from accelcal_cli.output import words
+from accelcal_cli.output.methods import held_out_sentence
 from accelcal_cli.output.numbers import number
 from accelcal_cli.output.report_view import ReportView, report_view
 
@@ -275,10 +276,17 @@ def page_verdict(report: ReportView) -> PageVerdict:
     return PageVerdict(
         "care" if doubtful else "good",
         f"{opening}.",
-        reason,
+        _details(report) or reason,
         (meaning.to_do, *map(words.sentence, cautions(report))),
         (words.error_sentence(report), *_meaning_of_error(report)),
     )
+
+
+def _details(report: ReportView) -> str:
+    """Return what the box does not say of a calibrated recording: the held-out error, and the notes."""
+    if report.reason != "calibrated" or report.error_everywhere is None or report.holdout is None:
+        return ""
+    return " ".join((held_out_sentence(report.holdout), *map(words.sentence, report.notes)))
 
 
 def _meaning_of_error(report: ReportView) -> Iterator[str]:

@@ -114,11 +114,12 @@ def _errors(report: ReportView, known: KnownOrientationsView | None) -> list[str
             f"uncertain, is {number(everywhere.mean)} mg (95 % interval {number(low)} to {number(high)} mg)."
         )
     if holdout is not None:
-        sentences.append(_held_out(holdout))
+        sentences.append(held_out_sentence(holdout))
     return sentences
 
 
-def _held_out(holdout: HoldoutView) -> str:
+def held_out_sentence(holdout: HoldoutView) -> str:
+    """Return the errors on data that were held out of the fit, in a sentence."""
     factor = holdout.improvement_factor
     smaller = "" if factor is None else times_smaller(factor.value, factor.ci95)
     return (
