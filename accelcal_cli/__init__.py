@@ -1,7 +1,6 @@
 """Batch calibration of raw actigraph recordings from the stillness they contain.
 
-From Python: `import accelcal_cli as accelcal`; `read`, `calibrate`, `fit`, `from_poses`, `apply`,
-`effect`, `study`, `sentence` (docs/python.md).
+From Python, `import accelcal` (docs/python.md); its names can be had from this package, too.
 """
 
 from __future__ import annotations
@@ -11,35 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from accelcal_cli.core.version import __version__ as __version__
 
-if TYPE_CHECKING:
-    from accelcal_cli.api import (
-        AccelcalError,
-        Reading,
-        Reason,
-        Result,
-        Samples,
-        apply,
-        calibrate,
-        effect,
-        fit,
-        from_poses,
-        read,
-        sentence,
-        study,
-    )
+if not TYPE_CHECKING:
 
-__all__ = [
-    "AccelcalError", "Reading", "Reason", "Result", "Samples",
-    "apply", "calibrate", "effect", "fit", "from_poses", "read", "sentence", "study",
-]  # fmt: skip
-
-
-def __getattr__(name: str) -> Any:
-    """The names of the API, imported when one is first used: the command does not need them."""
-    if name not in __all__:
+    def __getattr__(name: str) -> Any:
+        """The names of `accelcal`, which this package was before it had one of its own."""
+        if name in import_module("accelcal").__all__:
+            return getattr(import_module("accelcal"), name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module("accelcal_cli.api"), name)
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *__all__]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -30,13 +32,15 @@ LAYER = {
     "verify": 5,
     "devices": 5,
     "pages": 6,
-    "api": 7,
     "cli": 8,
     "laboratory": 9,
     "__main__": 9,
     "": 9,
 }
 """Each top-level package or module, lowest first (docs/architecture.md); "" is the package's own face."""
+
+FACE = PACKAGE.parent / "accelcal"
+"""The package from Python, above all layers but the commands."""
 
 MODULES = sorted(PACKAGE.rglob("*.py"))
 LONGEST = 600
@@ -203,6 +207,21 @@ def test_plugins_do_not_import_each_other(folder: str) -> None:
             file = PACKAGE / folder / other
             plugin = file.is_dir() or file.with_suffix(".py").exists()
             assert other.startswith("_") or other == own or not plugin, f"{path} imports {name}"
+
+
+def test_the_python_package_is_above_all_but_the_commands() -> None:
+    assert not [
+        f"{module} imports {name}" for module, name in all_imports() if name.split(".")[0] == "accelcal"
+    ]
+    used = {
+        layer_of(name) for path in FACE.glob("*.py") for name in imported(path) if "accelcal_cli." in name
+    }
+    assert "pipeline" in used and not used & {"cli", "laboratory", ""}
+    assert all(len(path.read_text("utf-8").splitlines()) <= LONGEST for path in FACE.glob("*.py"))
+
+
+def test_options_from_python_are_those_of_the_settings() -> None:
+    subprocess.run([sys.executable, FACE.parent / "tools/make_options.py", "--check"], check=True)
 
 
 def test_a_file_is_a_subject() -> None:

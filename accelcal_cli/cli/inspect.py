@@ -15,15 +15,11 @@ from accelcal_cli.cli.output import bytes_of
 from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
-from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.formats import refuse_unused
 from accelcal_cli.output.words import sentence
-from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect
+from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect, inspection_settings
 from accelcal_cli.pipeline.jobs import STDIN, Request
-from accelcal_cli.pipeline.options import chosen_settings, read_options
-
-QUICK = "gauss-newton"
-"""Optimizer that finds the default one's parameters to a few micro-g, a hundred times as fast."""
+from accelcal_cli.pipeline.options import read_options
 
 CLOCKS_S_PER_DAY = 86.4
 """Drift [s per day] beyond which a nominal rate is not meant as exact: no clock is a thousandth off."""
@@ -60,7 +56,9 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     if several and STDIN not in recordings:
         refuse_unused(named, reading)
     rules, parts = options.rules_of(values), values["parts"]
-    request = Request(reading, _settings(values), several=several, rules=rules, parts=parts)
+    request = Request(
+        reading, inspection_settings(values, full=values["full"]), several=several, rules=rules, parts=parts
+    )
     return exit_codes.of_all([_one(path, request, values) for path in named])
 
 
@@ -74,13 +72,6 @@ def _one(path: Path, request: Request, values: dict[str, Any]) -> int:
     shown = as_json(inspection)
     exit_codes.show(json.dumps(shown) if values["as_json_"] else text(inspection, shown))
     return exit_codes.OK
-
-
-def _settings(values: dict[str, Any]) -> Settings:
-    """Return the settings, as for `calibrate`; pieces are fitted by a quicker optimizer if none is named."""
-    wanted = chosen_settings(values)
-    quick = not values["full"] and values["optimizer"] is None and wanted.profile == DEFAULT.profile
-    return replace(wanted, optimizer=QUICK) if quick else wanted
 
 
 def text(inspection: Inspection, shown: dict[str, Any]) -> str:

@@ -7,22 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import ENCODER, FILE, Positive, Within
 from accelcal_cli.cli.output import progress_bars
-from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.errors import printable
 from accelcal_cli.formats import named_encoder
-from accelcal_cli.pipeline.simulate import simulate
-from accelcal_cli.simulate import (
-    LARGEST_SEED,
-    SimulatedSensor,
-    SimulationPlan,
-    draw_gain_and_offset,
-    draw_gyroscope,
-)
+from accelcal_cli.pipeline.simulate import plan_of, simulate
+from accelcal_cli.simulate import LARGEST_SEED
 
 
 @click.command(
@@ -69,34 +62,11 @@ def command(out: Path, **values: Any) -> None:
     positions, desk work, walking, chores, the device left on a table, a temperature swing, noise and
     quantisation. Scale, misalignment and offset errors are drawn at random, from a seed.
     """
-    plan = _plan(values)
+    plan = plan_of(values)
     named_encoder(values["format_name"])
     with progress_bars(out.name, quiet=values["quiet"], unit="samples") as bars:
         shown = bars("writing", plan.samples)
         path, truth = simulate(out, values["format_name"], plan, force=values["force"], progress=shown)
     exit_codes.show(
         json.dumps(truth) if values["as_json"] else f"{printable(path)}\t{truth['samples']} samples"
-    )
-
-
-def _plan(values: dict[str, Any]) -> SimulationPlan:
-    if values["range_g"] * values["lsb_per_g"] > 32_768:
-        raise UsageError("--range-g times --lsb-per-g does not fit in 16 bits", hint="reduce one of them")
-    truth = values["seed"] if values["truth"] is None else values["truth"]
-    gain, offset = draw_gain_and_offset(truth, values["errors"], values["misalignment"])
-    sensor = SimulatedSensor(
-        gain=gain,
-        offset_g=offset,
-        slope_g_per_c=np.array(values["temp_slope"]) / 1000,
-        noise_g=values["noise_mg"] / 1000,
-        lsb_per_g=values["lsb_per_g"],
-        range_g=values["range_g"],
-    )
-    slope = np.array(values["gyro_temp_slope"])
-    if slope.any() and not values["gyro"]:
-        raise UsageError("--gyro-temp-slope is of a gyroscope", hint="add --gyro")
-    gyroscope = draw_gyroscope(truth, values["errors"], slope) if values["gyro"] else None
-    warm = not values["no_temperature"]
-    return SimulationPlan(
-        values["days"], values["rate_hz"], values["seed"], sensor, warm, gyroscope=gyroscope
     )

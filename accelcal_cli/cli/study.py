@@ -28,14 +28,13 @@ from accelcal_cli.cli.output import say_refused, show_row
 from accelcal_cli.cli.report import study_pages
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS
 from accelcal_cli.core.system import workers
 from accelcal_cli.pipeline.jobs import refuse_dash
 from accelcal_cli.pipeline.options import json_value
 from accelcal_cli.studies.discovery import Where
 from accelcal_cli.studies.lock import LEAST_SILENCE_S
 from accelcal_cli.studies.records import FAILED, Item
-from accelcal_cli.studies.study import Study, shard
+from accelcal_cli.studies.study import Study, shard, with_learnt_prior
 from accelcal_cli.studies.summary import Summary
 
 if TYPE_CHECKING:
@@ -222,20 +221,11 @@ def _unlock(study: Study) -> int:
 def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
     request = replace(request_of(values, folders), several=True)
     refuse_dash(values["out"])
-    learnt = request.recording_settings.prior
-    if learnt in LEARNT_PRIORS:
-        _refuse_other_rounds(learnt, values)
-        request = replace(request, settings=replace(request.recording_settings, prior=DEFAULT.prior))
     if values["shard"] and values["collect"]:
         raise UsageError("--shard processes one part, --collect merges all parts", hint="give one of them")
     if values["shard"] and values["html"]:
         raise UsageError("--html is for the whole study", hint="give it to --collect, not to --shard")
-    if values["pool"] and request.settings.profile != DEFAULT.profile:
-        raise UsageError(
-            f"recordings calibrated with profile {request.settings.profile} cannot be pooled",
-            hint="omit --pool or --profile",
-        )
-    return Study(
+    study = Study(
         Where(folders, values["out"], values["include"], values["exclude"]),
         request,
         jobs=values["jobs"],
@@ -248,17 +238,9 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         dask=values["dask"],
         pool=values["pool"] is not None,
         borrow=values["borrow"],
-        prior=learnt if learnt in LEARNT_PRIORS else None,
         takeover_s=None if values["takeover"] is None else values["takeover"] * 60,
     )
-
-
-def _refuse_other_rounds(prior: str, values: dict[str, Any]) -> None:
-    """Raise UsageError for options that would use a device's other recordings a second time."""
-    for option, chosen in (("--pool", values["pool"]), ("--borrow", values["borrow"])):
-        if chosen:
-            text = f"--prior {prior} does not go with {option}: both use a device's other recordings"
-            raise UsageError(text, hint="omit one of them")
+    return with_learnt_prior(study)
 
 
 def _seconds(moment: datetime | None) -> float | None:

@@ -72,6 +72,15 @@ DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
 IN_G = re.compile(r"\s*[\[(]g[\])]$")
 """The unit that a column's name may end with."""
 
+SAMPLES_FROM, MANY_ROWS = 2000, 100_000
+"""Rows without a weight from which on they may be raw samples, and from which on they surely are."""
+
+REPEATED, COUNT_G = 10, 0.002
+"""Raw samples are counts, each of which many rows have; they are further apart than means rounded to mg."""
+
+MOVED, MOVED_SHARE = 0.25, 0.001
+"""Raw samples include movement: |a| this far from its median, as a share of it, in this share of rows."""
+
 _HINT = "give a CSV file with a header line and columns x, y, z in g, or a Parquet file with these"
 _CORRECT = "correct or remove this line"
 
@@ -305,6 +314,23 @@ def points_of_table(table: PointTable, settings: Settings, path: Path | None = N
         points, label = _kept_apart(kept, lsb_per_g, settings, path, temperature=temperature)
         saturated = ()
     return TablePoints(points, label, _rows(kept, lsb_per_g, points), int((~near).sum()), saturated)
+
+
+def holds_samples(table: PointTable) -> bool:
+    """Return True if rows without weights are raw samples rather than means of still windows.
+
+    Means differ in their last digits and are all near the same length.
+    """
+    if len(table) < SAMPLES_FROM or table.samples is not None or table.weight is not None:
+        return False
+    if len(table) >= MANY_ROWS:
+        return True
+    length = np.sqrt((table.counts.astype(np.float64) ** 2).sum(axis=1))
+    moved = np.abs(length - np.median(length)) > MOVED * np.median(length)
+    values = max((np.unique(column) for column in table.counts.T), key=len)
+    apart = np.median(np.diff(values)) if len(values) > 1 else 0.0
+    counts = len(values) * REPEATED < len(table) and apart > COUNT_G * table.lsb_per_g
+    return bool(counts or moved.mean() > MOVED_SHARE)
 
 
 def windows_of(table: PointTable) -> Windows:

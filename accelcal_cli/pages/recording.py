@@ -6,6 +6,7 @@ figures are in `figures.py`, sentences in `output/words.py`, the order of all in
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -25,7 +26,7 @@ from accelcal_cli.output.report_view import (
 )
 from accelcal_cli.output.words import PARAMETERS, corrections_of, sentence
 from accelcal_cli.pages.figures import NEAR, figures_of
-from accelcal_cli.pages.rendering import PageTable, Rows, rendered
+from accelcal_cli.pages.rendering import PageTable, Rows, rendered, rendered_fragment
 from accelcal_cli.pages.time_series import UnfitError, hourly_table, time_series
 
 AGAIN = "figures that need it are missing. Calibrate again with --force to have them."
@@ -100,6 +101,22 @@ def page(report: Mapping[str, Any], quality: Mapping[str, Any] | None = None) ->
         references=references(view),
         bibtex=bibtex(view),
         origin=_origin(view),
+    )
+
+
+def fragment(report: Mapping[str, Any], quality: Mapping[str, Any] | None) -> str:
+    """Return the verdict, its number and the first figure as HTML, for a place in another page.
+
+    Args:
+        report, quality: as in `page`.
+    """
+    view, figures = report_view(report), []
+    with contextlib.suppress(UnfitError):
+        figures = [] if quality is None else figures_of(time_series(quality, view), view)["change"][:1]
+    return rendered_fragment(
+        name=view.recording.path.rpartition("/")[2] or "(no name)",
+        verdict=page_verdict(view),
+        figures=figures,
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -50,6 +51,20 @@ def rendered(template: str, *, style: str | None = None, script: str | None = No
     page = _environment().get_template(template)
     return page.render(
         policy="; ".join(policy), style=Markup(css), script=Markup(code), version=__version__, **values
+    )
+
+
+def rendered_fragment(**values: Any) -> str:
+    """Render a part of somebody else's page; its style holds for nothing else there, and is always light."""
+    css = resource("base.css")
+    colours = css.partition(":root {")[2].partition("}")[0].replace("color-scheme: light dark;", "")
+    rules = [line for line in css.splitlines() if line.startswith(("svg ", ".verdict"))]
+    own = re.sub(r"(^|} |, )(svg |\.verdict)", r"\1.accelcal \2", "\n".join(rules), flags=re.MULTILINE)
+    own += "\n.accelcal svg { max-width: 760px; }"
+    return (
+        _environment()
+        .get_template("fragment.html")
+        .render(colours=Markup(colours), style=Markup(own), **values)
     )
 
 

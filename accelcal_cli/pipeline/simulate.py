@@ -19,10 +19,42 @@ from accelcal_cli.core.version import __version__
 from accelcal_cli.formats import all_encoders, named_encoder
 from accelcal_cli.output.files import parsed, replacing, write_text
 from accelcal_cli.pipeline.jobs import Progress, refuse_nameless, stem
-from accelcal_cli.simulate import SimulationPlan, Truth, describe, stream
+from accelcal_cli.simulate import (
+    SimulatedSensor,
+    SimulationPlan,
+    Truth,
+    describe,
+    draw_gain_and_offset,
+    draw_gyroscope,
+    stream,
+)
 
 TRUTH_SUFFIX = ".truth.json"
 SLOPE, NO_SLOPE = "temp_slope_g_per_c", (0.0, 0.0, 0.0)
+
+
+def plan_of(values: dict[str, Any]) -> SimulationPlan:
+    """Return the plan of the options of `simulate`; raises UsageError if they do not go together."""
+    if values["range_g"] * values["lsb_per_g"] > 32_768:
+        raise UsageError("--range-g times --lsb-per-g does not fit in 16 bits", hint="reduce one of them")
+    truth = values["seed"] if values["truth"] is None else values["truth"]
+    gain, offset = draw_gain_and_offset(truth, values["errors"], values["misalignment"])
+    sensor = SimulatedSensor(
+        gain=gain,
+        offset_g=offset,
+        slope_g_per_c=np.array(values["temp_slope"]) / 1000,
+        noise_g=values["noise_mg"] / 1000,
+        lsb_per_g=values["lsb_per_g"],
+        range_g=values["range_g"],
+    )
+    slope = np.array(values["gyro_temp_slope"])
+    if slope.any() and not values["gyro"]:
+        raise UsageError("--gyro-temp-slope is of a gyroscope", hint="add --gyro")
+    gyroscope = draw_gyroscope(truth, values["errors"], slope) if values["gyro"] else None
+    warm = not values["no_temperature"]
+    return SimulationPlan(
+        values["days"], values["rate_hz"], values["seed"], sensor, warm, gyroscope=gyroscope
+    )
 
 
 def simulate(

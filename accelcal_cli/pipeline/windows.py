@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from accelcal_cli.core.calibration import IDENTITY
-from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.settings import EffectiveSettings, Settings
@@ -106,8 +107,9 @@ def fit_points(path: Path, settings: Settings) -> dict[str, Any]:
     """
     from accelcal_cli.collect.table import read_table  # no recording needs it
 
-    digest = sha256(path)
-    return _report(read_table(path), settings, path, digest, path.stat().st_size)
+    digest, table = sha256(path), read_table(path)
+    _refuse_samples(table, path, f"accelcal calibrate {shlex.quote(printable(path))} --rate HZ")
+    return _report(table, settings, path, digest, path.stat().st_size)
 
 
 def fit_frame(frame: pd.DataFrame, settings: Settings) -> dict[str, Any]:
@@ -120,9 +122,19 @@ def fit_frame(frame: pd.DataFrame, settings: Settings) -> dict[str, Any]:
 
     rows = frame.dropna(axis=1, how="all")
     table = table_of(rows.set_index(np.arange(1, len(rows) + 1)), IN_MEMORY)
+    _refuse_samples(table, IN_MEMORY, "accelcal.calibrate(xyz, rate=HZ)")
     columns = [getattr(table, name) for name in table.__dataclass_fields__]
     content = b"".join(part.tobytes() for part in columns if isinstance(part, np.ndarray))
     return _report(table, settings, IN_MEMORY, hashlib.sha256(content).hexdigest(), len(content))
+
+
+def _refuse_samples(table: PointTable, path: Path, instead: str) -> None:
+    from accelcal_cli.collect.table import holds_samples
+
+    if holds_samples(table):
+        what = f"its {len(table)} rows are raw samples, not means of still windows"
+        hint = f"{instead} (if they are means, give them a column weight)"
+        raise UnreadableError(what, path=path, hint=hint)
 
 
 def _report(table: PointTable, settings: Settings, path: Path, digest: str, size: int) -> dict[str, Any]:

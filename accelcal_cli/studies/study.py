@@ -7,11 +7,12 @@ import json
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS
 from accelcal_cli.core.version import __version__
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.studies.discovery import Where
@@ -147,3 +148,26 @@ class Study:
         """Return a hash of settings and version, with which alone an earlier entry is valid."""
         text = json.dumps([__version__, self.settings()], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def with_learnt_prior(study: Study) -> Study:
+    """Return a study whose prior is learnt from the own results, if its request names one that is.
+
+    Raises:
+        UsageError: its rounds would use a device's other recordings twice, or cannot be pooled.
+    """
+    settings = study.request.recording_settings
+    if study.pool and settings.profile != DEFAULT.profile:
+        raise UsageError(
+            f"recordings calibrated with profile {settings.profile} cannot be pooled",
+            hint="omit --pool or --profile",
+        )
+    learnt = settings.prior
+    if learnt not in LEARNT_PRIORS:
+        return study
+    for option, chosen in (("--pool", study.pool), ("--borrow", study.borrow)):
+        if chosen:
+            text = f"--prior {learnt} does not go with {option}: both use a device's other recordings"
+            raise UsageError(text, hint="omit one of them")
+    request = replace(study.request, settings=replace(settings, prior=DEFAULT.prior))
+    return replace(study, request=request, prior=learnt)

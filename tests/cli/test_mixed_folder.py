@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-import accelcal_cli as accelcal
+import accelcal
 from tests.cli.run import run
 from tests.cli.studies import results, rows, study
 from tests.recordings import directions, still_counts, write_csv, write_raw

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import accelcal_cli as accelcal
+import accelcal
 from accelcal_cli.core.errors import DivergedError, UsageError
 from tests.cli.run import assert_one_line, codes, run, told, verify
 from tests.pages.html import check
@@ -403,8 +403,8 @@ def test_from_python(tmp_path: Path, capsys: Capture) -> None:
     listed = list_of_files(tmp_path / "list.csv")
     words = ("--poses", listed, "--roll", "z,roll.csv", "--latitude", 52, "--json", "-d", tmp_path / "out")
     written = json.loads(run(capsys, "six-pose", folder, *words).out)
-    report = accelcal.from_poses(folder, poses=listed, roll=["z,roll.csv"], latitude=52)
-    assert report.pop("provenance")["command"] == ["accelcal_cli.from_poses"]
+    report = accelcal.from_poses(folder, poses=listed, roll=["z,roll.csv"], latitude=52).report
+    assert report.pop("provenance")["command"] == ["accelcal.from_poses"]
     del written["provenance"]
     assert report == written
     assert not list(tmp_path.glob("*.json")), "nothing is written"

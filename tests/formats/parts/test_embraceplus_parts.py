@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import accelcal_cli as accelcal
+import accelcal
 from tests.cli.studies import rows, study
 from tests.formats.make_embraceplus import NONE, SERIAL, START_US, container, schema, sensor, session
 from tests.recordings import directions

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import accelcal_cli as accelcal
+import accelcal
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import joined

@@ -1,0 +1,415 @@
+"""The functions for one recording: the work of the commands, with arrays and tables in place of files.
+
+Results are the same bits as those of the commands. Nothing is written unless a path is given.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from accelcal._calling import public, values_of
+from accelcal._options import CalibrationOptions, FitOptions, PoseOptions, ReadingOptions
+from accelcal._results import Calibration, Report, Result
+from accelcal._sources import AnyPath, Channels, Given, Source, array_of, arrow_of, as_file
+from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
+from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.recording import Chunk, Reader, Recording
+from accelcal_cli.core.settings import POSES, PoseSettings, Settings
+from accelcal_cli.output import report as reports
+from accelcal_cli.output.coefficients import read_coefficients
+from accelcal_cli.output.report import ReportInput
+from accelcal_cli.pipeline import jobs, outputs, survey
+from accelcal_cli.pipeline.activity import EPOCH_S, LONGEST_EPOCH_S
+from accelcal_cli.pipeline.calibrate import OwnCalibration, open_run
+from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, Job, Request, file_stamp
+from accelcal_cli.pipeline.options import (
+    chosen_settings,
+    fit_settings,
+    read_options,
+    recipient_settings,
+    recording_options,
+    with_values,
+)
+from accelcal_cli.pipeline.windows import fit_frame, fit_points
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """n consecutive rows of a recording.
+
+    Attributes:
+        first_sample: number of the first of them within the recording.
+        time: (n,) datetime64[us], UTC if `Reading.recording.timezone` is known, else the device's clock.
+        xyz: (n, 3) raw acceleration [g].
+        temperature: (n,) [degrees C], or None.
+        gyroscope: (n, 3) [degrees/s], or None.
+        validity: (n,) 0 measured, 1 filled by the device, 2 clipped at its range, 3 recovered from damage.
+        problems: messages of the problems found in these rows.
+    """
+
+    first_sample: int
+    time: NDArray[np.datetime64]
+    xyz: NDArray[np.float64]
+    temperature: NDArray[np.float64] | None
+    gyroscope: NDArray[np.float64] | None
+    validity: NDArray[np.uint8]
+    problems: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+class Reading:
+    """An open recording: iterate over it for its samples, as often as wanted; close it, or use `with`.
+
+    Attributes:
+        recording: facts from its header: format, device, rate, range, time zone.
+    """
+
+    def __init__(self, reader: Reader, chunk_samples: int, given: Given) -> None:
+        self.recording: Recording = reader.recording
+        self._reader, self._chunk_samples, self._given = reader, chunk_samples, given
+
+    def __iter__(self) -> Iterator[Samples]:
+        """Yield all rows in order, in pieces.
+
+        Raises:
+            UnreadableError: the recording cannot be read on.
+        """
+        offset_s, dated = None, True
+        for chunk in self._reader.chunks(self._chunk_samples):
+            dated &= all(problem.code != "no_start_time" for problem in chunk.problems)
+            if len(chunk):
+                time_us = chunk.time_us
+                if offset_s is None:
+                    zone = self.recording.timezone if dated else None
+                    offset_s = utc_offset_s(zone, int(time_us[0])) or 0
+                yield _samples(chunk, self.recording, time_us - MICROSECONDS * offset_s)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return all of it, raw, as a data frame with `time` as index and the columns of the Parquet file."""
+        import pandas as pd
+
+        return pd.concat([_frame_of(one) for one in self]).set_index("time")
+
+    def close(self) -> None:
+        """Release the file."""
+        self._reader.close()
+        self._given.close()
+
+    def __enter__(self) -> Reading:
+        return self
+
+    def __exit__(self, *_failure: object) -> None:
+        self.close()
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            from accelcal._hints import no_such_attribute
+
+            raise no_such_attribute("Reading", name, type(self))
+
+
+def _samples(chunk: Chunk, recording: Recording, time_us: NDArray[np.int64]) -> Samples:
+    gyro, scale = chunk.gyro_counts, recording.gyro_dps_per_lsb
+    return Samples(
+        chunk.first_sample,
+        time_us.astype("datetime64[us]"),
+        chunk.counts / recording.lsb_per_g,
+        None if chunk.temperature_mc is None else chunk.temperature_mc / 1000,
+        None if gyro is None or scale is None else gyro * np.array(scale),
+        np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity,
+        tuple(problem.message for problem in chunk.problems),
+    )
+
+
+def _frame_of(piece: Samples) -> pd.DataFrame:
+    import pandas as pd
+
+    columns = {"time": piece.time, **dict(zip("xyz", piece.xyz.T, strict=True)), "validity": piece.validity}
+    if piece.temperature is not None:
+        columns["temperature"] = piece.temperature
+    if piece.gyroscope is not None:
+        columns |= dict(zip(("gx", "gy", "gz"), piece.gyroscope.T, strict=True))
+    return pd.DataFrame(columns)
+
+
+@public
+def read(
+    source: Source, *, chunk_samples: int = DEFAULT_CHUNK_SAMPLES, **options: Unpack[ReadingOptions]
+) -> Reading:
+    """Open a recording of any format.
+
+    Args:
+        source: a path, bytes, an open file, an (n, 3) array or a table.
+        chunk_samples: approximate number of rows in a piece.
+        options: how it is read.
+
+    Raises:
+        AccelcalError: it cannot be read.
+
+    Example:
+        >>> import accelcal
+        >>> with accelcal.read("sample_data/recording.bin") as reading:
+        ...     next(iter(reading)).xyz.shape[1]
+        3
+    """
+    given = as_file(source)
+    wanted = recording_options(given.path, read_options(values_of(options, ReadOptions)))
+    return Reading(survey.open_marked(given.path, wanted), chunk_samples, given)
+
+
+@public
+def calibrate(
+    source: Source,
+    *,
+    temperature: ArrayLike | None = None,
+    gyroscope: ArrayLike | None = None,
+    time: ArrayLike | None = None,
+    report_only: bool = False,
+    **options: Unpack[CalibrationOptions],
+) -> Result:
+    """Calibrate a recording from its own stillness.
+
+    Args:
+        source: a path; the content of a file as bytes, or an open file; an (n, 3) array of x, y, z, which
+            needs `rate` or `time`; or a table (pandas, polars, pyarrow, xarray, a dictionary of columns)
+            with columns x, y, z and time. What is no file is written to a temporary one (in TMPDIR).
+        temperature: of an array, (n,) [degrees C].
+        gyroscope: of an array, (n, 3) [degrees/s], or in `gyro_unit`.
+        time: of an array, (n,) datetime64.
+        report_only: skip the second pass, which alone counts `clipped_samples_after`.
+        options: how it is read and calibrated: `rate` [Hz], `start`, `unit`, `timezone`, `prior`, ...
+
+    Raises:
+        AccelcalError: it cannot be read, or the options do not go together. A refusal is a result.
+        ValueError: an array has the wrong shape.
+
+    Example:
+        >>> import accelcal
+        >>> accelcal.calibrate("sample_data/recording.bin").outcome
+        'calibrated'
+    """
+    channels = Channels(temperature, gyroscope, time)
+    values = values_of(options, ReadOptions, Settings)
+    if gyroscope is not None and values["gyro_unit"] is None:
+        values["gyro_unit"] = "deg/s"
+    request = Request(
+        options=read_options(values), settings=chosen_settings(values), report_only=report_only, parts=True
+    )
+    given = as_file(source, channels)
+    before = file_stamp(given.path)
+    with open_run(given.job, request, source=given.path) as run:
+        first_pass = run.result(OwnCalibration(request.recording_settings), logged=True)
+        data = run.count_beyond(first_pass.data)
+    jobs.check_unchanged(given.path, before)
+    return Result(_report(data, "accelcal.calibrate"), data, run.request, first_pass, given, before)
+
+
+def _report(data: ReportInput, command: str) -> dict[str, Any]:
+    return _as_written(outputs.with_provenance(reports.build(data), (command,)))
+
+
+def _as_written(report: dict[str, Any]) -> dict[str, Any]:
+    """Return a report as it would be read from its file."""
+    read_again: dict[str, Any] = json.loads(reports.dumps(report, pretty=False))
+    return read_again
+
+
+@public
+def inspect(source: Source, *, full: bool = False, **options: Unpack[CalibrationOptions]) -> dict[str, Any]:
+    """Look at a recording and predict the outcome of calibrating it, as `accelcal inspect` does.
+
+    Args:
+        source: as in `calibrate`.
+        full: read all of it, not just pieces.
+        options: those of `calibrate`.
+
+    Returns:
+        what `accelcal inspect --json` prints: `recording`, `file_health`, `values`, `prediction`, ...
+
+    Raises:
+        AccelcalError: it cannot be read, or the options do not go together.
+
+    Example:
+        >>> import accelcal
+        >>> accelcal.inspect("sample_data/recording.bin")["prediction"]["outcome"]
+        'calibrated'
+    """
+    from accelcal_cli.pipeline import inspect as inspection  # few programs do both
+
+    values, given = values_of(options, ReadOptions, Settings), as_file(source)
+    request = Request(read_options(values), inspection.inspection_settings(values, full=full), parts=True)
+    found = inspection.inspect(given.path, request, full=full)
+    return inspection.as_json(replace(found, recording=replace(found.recording, path=given.job.source)))
+
+
+@public
+def fit(points: Source, **options: Unpack[FitOptions]) -> Report:
+    """Fit still-window means, as `accelcal fit` does.
+
+    Args:
+        points: a path; or a table with columns x, y, z [g] and optionally temperature_c, weight and
+            posture, or those of `Result.windows`; or an array (n, 3) [g].
+        options: how they are fitted.
+
+    Raises:
+        AccelcalError: it is no table of points but, for example, raw samples, or the options do not go
+            together.
+        ValueError: an array has another shape.
+
+    Example:
+        >>> import accelcal
+        >>> result = accelcal.calibrate("sample_data/recording.bin")
+        >>> accelcal.fit(result.windows())["calibration"] == result["calibration"]
+        True
+    """
+    settings = fit_settings(values_of(options, Settings))
+    if isinstance(points, str | PathLike):
+        report = fit_points(Path(points), settings)
+    else:
+        report = fit_frame(_points(points), settings)
+    return Report(_as_written(outputs.with_provenance(report, ("accelcal.fit",))))
+
+
+def _points(points: Any) -> pd.DataFrame:
+    import pandas as pd
+
+    if isinstance(points, pd.DataFrame):
+        return points
+    table = arrow_of(points)
+    frame: pd.DataFrame = (
+        pd.DataFrame(array_of(points, "points"), columns=list("xyz")) if table is None else table.to_pandas()
+    )
+    return frame
+
+
+@public
+def from_poses(
+    recordings: AnyPath | Sequence[AnyPath],
+    *,
+    poses: AnyPath | None = None,
+    roll: Sequence[str] = (),
+    **options: Unpack[PoseOptions],
+) -> Report:
+    """Calibrate from a session of known orientations, as `accelcal six-pose` does.
+
+    Args:
+        recordings: the session: a recording, or the folder or the paths of several of one device.
+        poses: list of poses; None: the six faces are found.
+        roll: where the device was rolled with one axis level, such as `z,80,95`.
+        options: how it is read and fitted.
+
+    Raises:
+        AccelcalError: it cannot be read, the poses do not determine the parameters, or the options do not go
+            together.
+
+    Example:
+        >>> import accelcal
+        >>> accelcal.from_poses("sample_data/six_faces.csv.gz").calibration.model
+        '12'
+    """
+    # few programs have such a session
+    from accelcal_cli.six_pose.run import known_orientations, session_of
+
+    several = [recordings] if isinstance(recordings, str | PathLike) else recordings
+    source = session_of([Path(one) for one in several], None if poses is None else Path(poses))
+    values = values_of(options, ReadOptions, PoseSettings)
+    request = Request(
+        options=read_options(values),
+        settings=replace(with_values(POSES, values), roll=tuple(roll)),
+        poses=None if poses is None else Path(poses),
+        report_only=True,
+        parts=True,
+    )
+    judge, before = known_orientations(request), file_stamp(source)
+    with open_run(Job(source, source, source), request) as run:
+        data = run.count_beyond(run.result(judge).data)
+    jobs.check_unchanged(source, before)
+    return Report(_report(data, "accelcal.from_poses"))
+
+
+@public
+def apply(
+    report: Report | Mapping[str, Any] | AnyPath,
+    xyz: ArrayLike,
+    temperature: ArrayLike | None = None,
+    *,
+    first_sample: int = 0,
+) -> NDArray[np.float32]:
+    """Calibrate raw values: a = K (v + o + s (T - Tref)).
+
+    Args:
+        report: a result or report with a calibration, or the path of one.
+        xyz: (n, 3) or (3,) raw acceleration [g].
+        temperature: (n,) or one for all [degrees C]; see `Calibration.__call__`.
+        first_sample: number of the first row in its recording, where the calibration follows a change.
+
+    Returns:
+        of the shape of `xyz` [g], the same bits as in the Parquet file.
+
+    Raises:
+        UsageError: there is no calibration, or it needs temperatures.
+        ValueError: an array has another shape.
+    """
+    return Calibration(report)(xyz, temperature, first_sample=first_sample)
+
+
+@public
+def effect(
+    source: Source,
+    *,
+    coefficients: AnyPath | None = None,
+    any_device: bool = False,
+    epoch: int = EPOCH_S,
+    **options: Unpack[CalibrationOptions],
+) -> dict[str, Any]:
+    """Compute what calibration changes in a recording's measures of activity, as `accelcal effect` does.
+
+    Args:
+        source: as in `calibrate`.
+        coefficients: a report whose coefficients are applied; None: the recording's own calibration.
+        any_device: accept coefficients of any device.
+        epoch: length of an epoch [s], 1 to 3600.
+        options: those of `calibrate`.
+
+    Returns:
+        what `accelcal effect --json` prints: `recording`, `outcome`, `message` and `effect`, whose `versions`
+        have the measures of the raw and the calibrated values (docs/effect.md).
+
+    Raises:
+        AccelcalError: it cannot be read, the options do not go together, or the coefficients are not for it.
+    """
+    from accelcal_cli.activity_effect import as_json
+    from accelcal_cli.activity_effect import effect as measured
+
+    if isinstance(epoch, bool) or not isinstance(epoch, int | np.integer):
+        raise TypeError(f"epoch cannot be {epoch!r}")
+    if not 1 <= epoch <= LONGEST_EPOCH_S:
+        raise UsageError(f"epoch cannot be {epoch}", hint=f"possible: 1 to {LONGEST_EPOCH_S}")
+    if any_device and coefficients is None:
+        raise UsageError("any_device is for coefficients only", hint="omit it")
+    values = values_of(options, ReadOptions, Settings)
+    request = Request(
+        options=read_options(values),
+        settings=chosen_settings(values) if coefficients is None else recipient_settings(values),
+        coefficients=None if coefficients is None else read_coefficients(Path(coefficients)),
+        any_device=any_device,
+        report_only=True,
+        parts=True,
+    )
+    given = as_file(source)
+    return _as_written(as_json(measured(given.job.source, request, int(epoch), source=given.path)))

@@ -1,0 +1,98 @@
+"""How the public functions are called: keywords that help completes, and errors that speak of keywords."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Mapping
+from functools import wraps
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar, get_type_hints
+
+from accelcal._hints import no_such_option
+from accelcal_cli.core.errors import AccelcalError, counted
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.settings import PoseSettings, Settings, setting_of
+from accelcal_cli.pipeline.options import field_values, option_fields
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+OPTION = re.compile(r"--([a-z][a-z-]*)(?: ([A-Z]+\b|[\w./-]+))?")
+
+COMMAND = re.compile(r"\baccelcal [a-z-]+ ")
+"""A command to be typed in a terminal, whose options stay as they are."""
+
+
+def public(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorate a public function: its options become keywords of its signature, and of its errors."""
+    signature = inspect.signature(function)
+    given = [one for one in signature.parameters.values() if one.kind is not one.VAR_KEYWORD]
+    (kind,) = re.findall(r"^Unpack\[(\w+)\]$", function.__annotations__.get("options", "")) or ("",)
+    options = get_type_hints(function.__globals__[kind]) if kind else {}
+    known = [one.name for one in given] + [*options]
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    shown = [
+        inspect.Parameter(name, keyword, default=None, annotation=hint) for name, hint in options.items()
+    ]
+    positional = sum(one.kind is not keyword for one in given)
+
+    @wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        for name in kwargs:
+            if name not in known:
+                raise no_such_option(name, known)
+        if len(args) > positional:
+            most = f"{function.__name__} takes {counted(positional, 'value')} without a name"
+            named = "rate" if "rate" in options else known[-1]
+            raise TypeError(f"{most}; the others have names, such as {named}=")
+        try:
+            return function(*args, **kwargs)
+        except AccelcalError as error:
+            raise in_keywords(error) from error.__cause__
+
+    called.__signature__ = signature.replace(parameters=[*given, *shown])  # type: ignore[attr-defined]
+    return called
+
+
+def in_keywords(error: AccelcalError) -> AccelcalError:
+    """Return an error that names options as keywords, and a temporary file by its name alone."""
+    error.message, error.hint = _worded(error.message), error.hint and _worded(error.hint)
+    if error.path is not None and Path(error.path).parent.name.startswith("accelcal-"):
+        error.path = Path(Path(error.path).name)
+    return error
+
+
+def _worded(text: str) -> str:
+    if COMMAND.search(text):
+        return text
+    known = option_fields(ReadOptions, Settings) | option_fields(PoseSettings)
+
+    def keyword(found: re.Match[str]) -> str:
+        name, value = found[1].replace("-", "_"), found[2]
+        if name not in known:
+            return found[0]
+        kind, field = known[name]
+        if value is None or value.isupper() or value in setting_of(kind, field).choices or _is_number(value):
+            return (
+                name
+                if value is None
+                else f"{name}={value if value.isupper() or _is_number(value) else repr(value)}"
+            )
+        return f"{name} {value}"
+
+    return OPTION.sub(keyword, text)
+
+
+def _is_number(text: str) -> bool:
+    return re.fullmatch(r"-?\d+(\.\d+)?", text) is not None
+
+
+def values_of(options: Mapping[str, Any], *kinds: type) -> dict[str, Any]:
+    """Return the options by field, None for those that are not given, as a command line would.
+
+    Raises:
+        TypeError, UsageError: see `field_values`.
+    """
+    nothing: dict[str, Any] = {name: None for _, name in option_fields(ReadOptions, Settings).values()}
+    return nothing | {"no_temperature": False, "force_timezone": False} | field_values(options, *kinds)

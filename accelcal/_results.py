@@ -1,0 +1,426 @@
+"""What the functions return: a report that shows itself, a result with its values, and a calibration."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from textwrap import shorten
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from accelcal._hints import no_such_attribute
+from accelcal._sources import AnyPath, Given
+from accelcal_cli.core import calibration as core
+from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.output import report as reports
+from accelcal_cli.output.advice import page_verdict
+from accelcal_cli.output.coefficients import EQUATION, calibration_of
+from accelcal_cli.output.files import write_text
+from accelcal_cli.output.numbers import number
+from accelcal_cli.output.report import ReportInput
+from accelcal_cli.output.report_reading import read_document
+from accelcal_cli.output.report_view import ReportView, report_view
+from accelcal_cli.pipeline import export, jobs, survey
+from accelcal_cli.pipeline.calibrate import FirstPass
+from accelcal_cli.pipeline.calibrate import calibrate as run_job
+from accelcal_cli.pipeline.jobs import FileStamp, Job, Request
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import polars as pl
+    import pyarrow as pa
+    import xarray as xr
+    from matplotlib.axes import Axes
+
+LARGEST_MC = 2.0e9
+"""Temperature [thousandths of a degree C] that fits 32 bits."""
+
+LINE = 160
+"""Most characters of a line of a `repr`."""
+
+
+class Calibration:
+    """Coefficients, a = K (v + o + s (T - Tref)); call it with raw values.
+
+    Args:
+        report: a result, a report, or the path of one (NAME.calibration.json).
+
+    Raises:
+        AccelcalError: the report cannot be read, or has no calibration.
+
+    Example:
+        >>> import accelcal
+        >>> found = accelcal.calibrate("sample_data/recording.bin").calibration
+        >>> found([0.0, 0.0, 1.0], 25.0).shape
+        (3,)
+    """
+
+    def __init__(self, report: Report | Mapping[str, Any] | AnyPath | None = None) -> None:
+        if report is None:
+            found = "a Calibration is found in a recording: accelcal.calibrate(xyz, rate=100).calibration"
+            raise TypeError(f"{found}; or read from a report: accelcal.Calibration(PATH)")
+        if isinstance(report, str | PathLike):
+            report = read_document(Path(report)).report
+        content = report.report if isinstance(report, Report) else report
+        if content["calibration"] is None:
+            raise UsageError(f"there is nothing to apply: {content['message']}")
+        self._core: core.Calibration = calibration_of(content["calibration"])
+
+    @property
+    def gain(self) -> NDArray[np.float64]:
+        """K, (3, 3)."""
+        return self._core.gain()
+
+    @property
+    def offset(self) -> NDArray[np.float64]:
+        """o, (3,) [g]."""
+        return self._core.offset_g()
+
+    @property
+    def slope(self) -> NDArray[np.float64]:
+        """s, (3,) [g per degree C]; zeros where the offsets do not depend on temperature."""
+        return self._core.slope_g_per_c()
+
+    @property
+    def reference_temperature(self) -> float | None:
+        """Tref [degrees C]; None where the offsets do not depend on temperature."""
+        return None if self._core.temperature is None else self._core.reference_c()
+
+    @property
+    def model(self) -> str:
+        """`9`, `6` or `3` parameters, with `T` if the offsets depend on temperature; `12` of six poses."""
+        return self._core.model
+
+    def __call__(
+        self, xyz: ArrayLike, temperature: ArrayLike | None = None, *, first_sample: int = 0
+    ) -> NDArray[np.float32]:
+        """Calibrate raw values.
+
+        Args:
+            xyz: (n, 3) or (3,) raw acceleration [g].
+            temperature: (n,) or one for all [degrees C], taken to the nearest thousandth; needed where
+                the offsets depend on it. Rows whose temperature is NaN come out as NaN.
+            first_sample: number of the first row in its recording, where the calibration follows a change.
+
+        Returns:
+            of the shape of `xyz` [g], the same bits as in the Parquet file.
+
+        Raises:
+            UsageError: it needs temperatures. ValueError: an array has another shape.
+        """
+        rows = np.asarray(xyz, np.float64)
+        if rows.ndim not in (1, 2) or rows.shape[-1] != 3:
+            on_its_side = "; it lies on its side: give xyz.T" if rows.shape[:1] == (3,) else ""
+            raise ValueError(f"xyz has the shape {rows.shape}, not (n, 3) or (3,){on_its_side}")
+        v = rows.reshape(-1, 3)
+        warmth, unknown = self._warmth(temperature, len(v))
+        transform = core.Transform.of(self._core, lsb_per_g=1.0)
+        made = np.stack(transform.apply(core.RawRows(v, warmth, first_sample)), axis=1)
+        made[unknown] = np.nan
+        return made.reshape(rows.shape)
+
+    def _warmth(
+        self, temperature: ArrayLike | None, rows: int
+    ) -> tuple[NDArray[np.int32] | None, NDArray[np.bool_]]:
+        """Return temperatures [thousandths of a degree C], and which rows have none."""
+        if self._core.temperature is None:
+            return None, np.zeros(rows, np.bool_)
+        if temperature is None:
+            raise UsageError("the calibration needs temperatures", hint="give one for each row")
+        given = np.asarray(temperature, np.float64)
+        if given.shape not in ((), (1,), (rows,)):
+            raise ValueError(f"temperature has the shape {given.shape}, not {(rows,)}")
+        mc = np.rint(np.broadcast_to(given, (rows,)) * 1000)
+        unknown = ~(np.abs(mc) <= LARGEST_MC)
+        return np.where(unknown, 0, mc).astype(np.int32), unknown
+
+    def __repr__(self) -> str:
+        axes = zip("xyz", np.diag(self.gain), 1000 * self.offset, 1000 * self.slope, strict=True)
+        lines = [
+            f"  {axis}  gain {gain:.5f}  offset {offset:+.2f} mg"
+            + ("" if self._core.temperature is None else f"  slope {slope:+.3f} mg per °C")
+            for axis, gain, offset, slope in axes
+        ]
+        return "\n".join([f"<accelcal.Calibration of model {self.model}: {EQUATION}>", *lines])
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            raise no_such_attribute("Calibration", name, type(self))
+
+
+class Report:
+    """A verdict on a recording, on still-window means, or on a session of known orientations.
+
+    Attributes:
+        report: as the command writes it (docs/outputs.md); `self["calibration"]` is short for its keys.
+    """
+
+    def __init__(self, report: dict[str, Any]) -> None:
+        self.report = report
+
+    def __getitem__(self, key: str) -> Any:
+        return self.report[key]
+
+    @property
+    def outcome(self) -> str:
+        """`calibrated`, `provisional`, `reduced_model`, `already_good` or `refused`."""
+        return str(self.report["outcome"])
+
+    @property
+    def usable(self) -> bool:
+        """True if there is a calibration."""
+        return self.report["calibration"] is not None
+
+    @property
+    def reason(self) -> str:
+        """Code of why the outcome is what it is (docs/reasons.md)."""
+        return str(self.report["reason"])
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Values of the reason, by name."""
+        return dict(self.report["values"])
+
+    @property
+    def message(self) -> str:
+        """Reason of the outcome, in sentences for people."""
+        return str(self.report["message"])
+
+    @property
+    def cautions(self) -> tuple[Reason, ...]:
+        """What speaks against trusting the result without a look."""
+        return tuple(Reason(**one) for one in self.report["cautions"])
+
+    @property
+    def advice(self) -> tuple[Reason, ...]:
+        """What to do about it."""
+        return tuple(Reason(**one) for one in self.report["advice"])
+
+    @property
+    def calibration(self) -> Calibration:
+        """The coefficients, which can be called with raw values; raises AccelcalError if it was refused."""
+        return Calibration(self)
+
+    @property
+    def calibration_error_mg(self) -> float | None:
+        """Expected error of the coefficients over all orientations [mg]; None if it is not known."""
+        known = self.report.get("calibration_error_mg")
+        return None if known is None else float(known["mean"])
+
+    @property
+    def view(self) -> ReportView:
+        """The report as typed records."""
+        return report_view(self.report)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the row that a study's table has for it (docs/study.md)."""
+        from accelcal_cli.studies import summary
+        from accelcal_cli.studies.records import Item
+
+        path = Path(self.view.recording.path)
+        row = summary.of_report(Item(path.name, Job(path, path, path), ()), 0, self.report, {})
+        return {name: value for name, value in row.items() if name != "exit_code"}
+
+    def quality(self) -> dict[str, Any] | None:
+        """Return the recording along time (docs/quality.md); None where it is not known."""
+        return None
+
+    def to_html(self, path: AnyPath | None = None, *, force: bool = False) -> str:
+        """Return the page of `accelcal report`, and write it if a path is given.
+
+        Args:
+            force: replace a file that accelcal did not write.
+
+        Raises:
+            OutputError: the file cannot be written, or another program's is in its place.
+        """
+        from accelcal_cli.pages.recording import page
+        from accelcal_cli.pages.write import refuse_foreign_page
+
+        text = page(self.report, self.quality())
+        if path is not None:
+            refuse_foreign_page(Path(path), force=force)
+            write_text(Path(path), text)
+        return text
+
+    def _repr_html_(self) -> str:
+        from accelcal_cli.pages.recording import fragment
+
+        return fragment(self.report, self.quality())
+
+    def __repr__(self) -> str:
+        view = self.view
+        verdict, recording = page_verdict(view), view.recording
+        name = printable(recording.path.rpartition("/")[2])
+        model = "no calibration" if view.calibration is None else f"model {view.calibration.model}"
+        rate, said = recording.sample_rate_hz, (verdict.headline, *(verdict.error[:1] or [self.message]))
+        about = [f"{recording.samples} samples", *([f"{number(rate)} Hz"] if rate else []), recording.format]
+        use = ".calibration, .summary(), .to_html()" if self.usable else ".message, .advice, .to_html()"
+        return "\n".join([
+            f"<accelcal.{type(self).__name__} of {shorten(name, LINE)}: {self.outcome}, {model}>",
+            f"  verdict    {shorten(' '.join(said), LINE)}",
+            f"  recording  {', '.join(about)}",
+            f"  cautions   {', '.join(one.code for one in self.cautions) or 'none'}",
+            f"  use        {use}{self._more_uses}",
+        ])  # fmt: skip
+
+    _more_uses = ""
+
+    if not TYPE_CHECKING:
+
+        def __iter__(self) -> Any:
+            raise TypeError(
+                f"a {type(self).__name__} is one object: use .to_pandas() and .report of a result"
+            )
+
+        def __getattr__(self, name: str) -> Any:
+            raise no_such_attribute(type(self).__name__, name, type(self))
+
+
+class Result(Report):
+    """One recording's calibration, and its values, calibrated.
+
+    Attributes:
+        report: as the command writes it (docs/outputs.md).
+    """
+
+    def __init__(
+        self,
+        report: dict[str, Any],
+        data: ReportInput,
+        request: Request,
+        first_pass: FirstPass,
+        given: Given,
+        before: FileStamp | None,
+    ) -> None:
+        super().__init__(report)
+        self._data, self._request, self._first_pass = data, request, first_pass
+        self._given, self._before = given, before
+
+    _more_uses = ", .to_pandas(), .plot(), .windows(), .write(folder)"
+
+    def batches(self) -> Iterator[pa.RecordBatch]:
+        """Yield the calibrated recording in pieces with the columns of the Parquet file; reads it once more.
+
+        Raises:
+            AccelcalError: the recording was refused, changed meanwhile, or cannot be read on.
+        """
+        import pyarrow as pa
+
+        from accelcal_cli.output.columns import schema_of, values_of
+
+        path = self._given.path
+        if self._data.judgement.calibration is None:
+            raise UsageError(f"there are no calibrated values: refused: {self.message}", path=path)
+        jobs.check_unchanged(path, self._before)
+        columns = export.columns_of(self._data)
+        schema = schema_of(columns, reports.parquet_metadata(self._data))
+        with survey.open_marked(path, self._request.options, self._request.threads) as reader:
+            chunks = reader.chunks(self._request.chunk_samples)
+            for chunk, xyz in export.calibrated(chunks, export.transform_of(self._data), lambda _byte: None):
+                values = values_of(columns, chunk, xyz)
+                arrays = [pa.array(part, item.type) for part, item in zip(values, schema, strict=True)]
+                yield pa.record_batch(arrays, schema=schema)
+
+    def to_arrow(self) -> pa.Table:
+        """Return all of it, in memory (a week of 100 Hz: 1.3 GB); raises what `batches` raises."""
+        import pyarrow as pa
+
+        return pa.Table.from_batches(self.batches())
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return all of it as a data frame, with `time` as index; raises what `batches` raises."""
+        return self.to_arrow().to_pandas().set_index("time")
+
+    def to_polars(self) -> pl.DataFrame:
+        """Return all of it as a data frame of polars; raises what `batches` raises."""
+        import polars as pl
+
+        frame = pl.from_arrow(self.to_arrow())
+        assert isinstance(frame, pl.DataFrame)
+        return frame
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return all of it as a dataset along `time`, in UTC where the zone is known; needs xarray."""
+        import xarray as xr
+
+        table = self.to_arrow()
+        columns = {name: table[name].to_numpy() for name in table.column_names}
+        units = {name: {"units": unit} for name, unit in self._units(table).items()}
+        along = {
+            name: ("time", column, units.get(name, {})) for name, column in columns.items() if name != "time"
+        }
+        return xr.Dataset(along, coords={"time": columns["time"]}, attrs={"message": self.message})
+
+    @staticmethod
+    def _units(table: pa.Table) -> dict[str, str]:
+        known = {field.name: (field.metadata or {}).get(b"unit") for field in table.schema}
+        return {name: unit.decode() for name, unit in known.items() if unit}
+
+    def windows(self) -> pd.DataFrame:
+        """Return all still windows and what became of them, with the columns of `calibrate --windows`."""
+        from accelcal_cli.output.windows import arrow
+
+        first = self._first_pass
+        assert first.log is not None
+        table: pd.DataFrame = arrow(first.log.table(self._data, first.points)).to_pandas()
+        return table
+
+    def quality(self) -> dict[str, Any] | None:
+        """Return the recording along time (docs/quality.md); None with profile `paper`."""
+        from accelcal_cli.output.quality import dumps_quality, quality_json
+
+        made = self._first_pass.quality()
+        return None if made is None else json.loads(dumps_quality(quality_json(made)))
+
+    def write(self, folder: AnyPath | None = None, *, force: bool = False) -> tuple[Path | None, Path]:
+        """Write the files of the command `calibrate`, beside the recording or into a folder.
+
+        Returns:
+            the Parquet file (None without calibrated values) and the report.
+
+        Raises:
+            OutputError: a file cannot be written, or another program's is in its place.
+            UsageError: the recording was in memory, and no folder is given.
+        """
+        if folder is None and self._given.folder is not None:
+            raise UsageError("the recording is in no folder", hint="give one: .write(FOLDER)")
+        (job,) = jobs.plan([self._given.path], None if folder is None else Path(folder), None)
+        job = replace(job, source=self._given.job.source)
+        result = run_job(job, replace(self._request, force=force), source=self._given.path)
+        return result.parquet, job.report
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Plot |a| of still windows along time, before and after; needs matplotlib.
+
+        Args:
+            axes: axes of matplotlib; None for new ones.
+
+        Returns:
+            the axes, with the verdict as title, the limit as a band and the time zone at the axis.
+        """
+        import matplotlib.pyplot as plt
+
+        windows, zone = self.windows(), self.view.recording.timezone
+        axes = plt.subplots(figsize=(9, 3.8))[1] if axes is None else axes
+        time = windows["time"]
+        if time.dt.tz is not None:
+            time = time.dt.tz_convert(zone or "UTC").dt.tz_localize(None)
+        axes.plot(time, windows["raw_g"], ".", markersize=2, color="0.6", label="before")
+        if self.usable:
+            axes.plot(time, windows["calibrated_g"], ".", markersize=2, color="C0", label="after")
+        limit = self.view.setting("max_error_mg", DEFAULT.max_error_mg)
+        axes.axhspan(1 - limit / 1000, 1 + limit / 1000, color="C2", alpha=0.15, label=f"1 g ± {limit:g} mg")
+        axes.set_ylabel("|a| of still windows [g]")
+        axes.set_xlabel(f"time ({zone or ('UTC' if windows['time'].dt.tz is not None else 'device clock')})")
+        axes.set_title(f"{self._given.path.name}: {page_verdict(self.view).headline}", fontsize=9, wrap=True)
+        axes.legend(loc="upper right", fontsize=8)
+        return axes

@@ -1,0 +1,218 @@
+"""What a recording may be given as: a path, bytes, an open file, an array, or a table of any library.
+
+What is no file becomes one in a folder of its own for temporary files, so that it is read, and judged, as a
+file of the same values is: the results are the same bits.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from os import PathLike
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, Protocol, runtime_checkable
+from weakref import finalize
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from accelcal_cli.core.errors import OutputError, UsageError
+from accelcal_cli.core.system import new_folder, remove_folder
+from accelcal_cli.pipeline.jobs import Job
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+AnyPath = str | PathLike[str]
+BYTES = (bytes, bytearray, memoryview)
+
+
+@runtime_checkable
+class SupportsArray(Protocol):
+    """An array or a table of numpy, pandas, polars, xarray, torch and others."""
+
+    def __array__(self) -> NDArray[Any]: ...
+
+
+@runtime_checkable
+class SupportsArrow(Protocol):
+    """A table of pyarrow, polars, DuckDB and others."""
+
+    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object: ...
+
+
+Source = (
+    AnyPath
+    | bytes
+    | bytearray
+    | memoryview
+    | IO[bytes]
+    | IO[str]
+    | SupportsArray
+    | SupportsArrow
+    | Sequence[Sequence[float]]
+    | Mapping[str, ArrayLike]
+)
+"""A recording: a path, the content of a file, an open file, (n, 3) values, or a table with columns."""
+
+
+class Channels:
+    """Further channels of an array.
+
+    Attributes:
+        temperature: (n,) [degrees C]; gyroscope: (n, 3) [degrees/s]; time: (n,) datetime64.
+    """
+
+    def __init__(
+        self,
+        temperature: ArrayLike | None = None,
+        gyroscope: ArrayLike | None = None,
+        time: ArrayLike | None = None,
+    ) -> None:
+        given = {"temperature": temperature, "gyroscope": gyroscope, "time": time}
+        self.arrays = {name: np.asarray(one) for name, one in given.items() if one is not None}
+
+    def checked(self, rows: int) -> dict[str, NDArray[Any]]:
+        """Return them by name; raises ValueError if one does not belong to so many rows."""
+        for name, one in self.arrays.items():
+            wanted = (rows, 3) if name == "gyroscope" else (rows,)
+            if one.shape != wanted:
+                raise ValueError(
+                    f"{name} has the shape {one.shape}, not {wanted}{transposed(name, one, rows)}"
+                )
+        return self.arrays
+
+
+def transposed(name: str, array: NDArray[Any], rows: int | None = None) -> str:
+    """Return what to type for an array that lies on its side; empty if it does not."""
+    on_its_side = array.ndim == 2 and array.shape[0] == 3 and rows in (None, array.shape[1])
+    return f"; it lies on its side: give {name}.T" if on_its_side else ""
+
+
+class Given:
+    """A recording as a file.
+
+    Attributes:
+        path: of the user's file, or of a temporary one.
+        folder: the folder of the temporary file, which is removed with `close` or when nobody uses this any
+            more; None for the user's own file.
+    """
+
+    def __init__(self, path: Path, folder: Path | None = None) -> None:
+        self.path, self.folder = path, folder
+        self._removal = None if folder is None else finalize(self, remove_folder, folder)
+
+    @property
+    def job(self) -> Job:
+        """The recording as a job; one that was in memory has a name, and no folder."""
+        source = self.path if self.folder is None else Path(self.path.name)
+        return Job(source, source, source)
+
+    def close(self) -> None:
+        """Remove the temporary file."""
+        if self._removal is not None:
+            self._removal()
+
+
+def as_file(source: Source, channels: Channels | None = None) -> Given:
+    """Return a source as a file.
+
+    Raises:
+        TypeError: it is nothing that holds a recording.
+        ValueError: an array has the wrong shape.
+        OutputError: there is no room for the temporary file.
+    """
+    extra = Channels() if channels is None else channels
+    if isinstance(source, str | PathLike):
+        _refuse_channels(extra, "a file has its own")
+        return Given(Path(source))
+    try:
+        folder = new_folder()
+        try:
+            return Given(_written(source, extra, folder), folder)
+        except BaseException:
+            remove_folder(folder)
+            raise
+    except OSError as error:
+        what = f"the values cannot be stored ({error.strerror or error})"
+        raise OutputError(what, path=error.filename, hint="set TMPDIR to a disk with more space") from error
+
+
+def _written(source: Any, extra: Channels, folder: Path) -> Path:
+    """Write what is no file into a folder, and return its path."""
+    if isinstance(source, BYTES) or hasattr(source, "read"):
+        _refuse_channels(extra, "a file has its own")
+        return _spooled(source, folder)
+    if (table := arrow_of(source)) is not None:
+        _refuse_channels(extra, "make it a column of the table")
+        import pyarrow.feather
+
+        pyarrow.feather.write_feather(table, str(folder / "table.feather"), compression="uncompressed")
+        return folder / "table.feather"
+    xyz = array_of(source)
+    if "time" in getattr(source, "coords", ()) and "time" not in extra.arrays:  # of xarray
+        extra.arrays["time"] = np.asarray(source.coords["time"])
+    arrays: dict[str, Any] = extra.checked(len(xyz))
+    np.savez(folder / "array.npz", xyz=xyz, **arrays)
+    return folder / "array.npz"
+
+
+def _refuse_channels(extra: Channels, instead: str) -> None:
+    if extra.arrays:
+        raise UsageError(f"{' and '.join(extra.arrays)} can be given with an array only", hint=instead)
+
+
+def _spooled(source: Any, folder: Path) -> Path:
+    name = getattr(source, "name", None)
+    path = folder / (Path(name).name if isinstance(name, str) and Path(name).name else "bytes")
+    with path.open("wb") as file:
+        if isinstance(source, BYTES):
+            file.write(source)
+        elif isinstance(source.read(0), str):
+            file.write(source.read().encode())
+        else:
+            shutil.copyfileobj(source, file, 1 << 20)
+    return path
+
+
+def arrow_of(source: Any) -> pa.Table | None:
+    """Return a table of any library as one of pyarrow; None if it has no columns with names."""
+    import pyarrow as pa
+
+    if hasattr(source, "data_vars"):  # a dataset of xarray
+        source = source.to_dataframe().reset_index()
+    if isinstance(source, Mapping):
+        return pa.table({str(name): np.asarray(column) for name, column in source.items()})
+    if hasattr(source, "iloc") and hasattr(source, "columns"):  # pandas
+        import pandas as pd
+
+        dated = isinstance(source.index, pd.DatetimeIndex)
+        if dated or source.index.name is not None:
+            source = source.rename_axis(source.index.name or "time").reset_index()
+        return pa.Table.from_pandas(source.rename(columns=str), preserve_index=False)
+    if isinstance(source, pa.RecordBatch):
+        return pa.Table.from_batches([source])
+    if hasattr(source, "__arrow_c_stream__") and not hasattr(source, "ndim"):
+        return pa.table(source)
+    return source.to_arrow() if hasattr(source, "to_arrow") else None
+
+
+def array_of(source: Any, name: str = "xyz") -> NDArray[Any]:
+    """Return (n, 3) numbers as an array.
+
+    Raises:
+        TypeError: they are no numbers. ValueError: they have another shape.
+    """
+    array: NDArray[Any] | None = None
+    with suppress(ValueError):  # rows of different lengths
+        array = np.asarray(source)
+    if array is None or array.dtype.kind not in "iuf" or not array.ndim:
+        if isinstance(source, Sequence) and all(isinstance(one, str | PathLike) for one in source):
+            raise TypeError("a list of recordings is a study: accelcal.study([...], output=FOLDER)")
+        raise TypeError(
+            f"{type(source).__name__!r} is not a recording: give a path, (n, 3) numbers, or a table"
+        )
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"{name} has the shape {array.shape}, not (n, 3){transposed(name, array)}")
+    return array

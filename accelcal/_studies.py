@@ -1,0 +1,374 @@
+"""The functions for many files: a study, exports, pages and simulated recordings."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+from datetime import datetime
+from os import PathLike
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Unpack, runtime_checkable
+
+from accelcal._calling import public, values_of
+from accelcal._options import StudyOptions
+from accelcal._results import Report, Result
+from accelcal._sources import AnyPath
+from accelcal_cli.core.errors import OutputError, UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.settings import Settings
+from accelcal_cli.output.files import exists, write_text
+from accelcal_cli.pipeline.jobs import Request, no_progress, refuse_nameless, refuse_overwriting
+from accelcal_cli.pipeline.options import chosen_settings, folder_rules, read_options
+from accelcal_cli.studies.records import FAILED, Item
+from accelcal_cli.studies.study import Study, with_learnt_prior
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Coefficients = Literal["ggir", "biobank", "omconvert", "json"]
+Data = Literal["csv", "npz", "mhealth", "bids", "parquet"]
+SIMULATED = {
+    "days": (0, 1e5), "rate_hz": (0.01, 1e5), "errors": (0, 100), "misalignment": (-100, 100),
+    "noise_mg": (0, 1e5), "lsb_per_g": (1, 1e6), "range_g": (1, 1e4), "seed": (0, 2**32 - 1),
+}  # fmt: skip
+"""Bounds of the numbers of `simulate`."""
+
+
+@runtime_checkable
+class DaskClient(Protocol):
+    """A client of dask.distributed."""
+
+    scheduler: Any
+
+    def get_executor(self) -> Executor: ...
+
+
+@public
+def study(
+    folder: AnyPath | Sequence[AnyPath],
+    output: AnyPath,
+    *,
+    include: Sequence[str] = (),
+    exclude: Sequence[str] = (),
+    jobs: int | None = None,
+    executor: str | Executor | DaskClient | None = None,
+    timeout: float | None = None,
+    borrow: bool = False,
+    pool: bool = False,
+    report_only: bool = False,
+    retry_failed: bool = False,
+    newer_than: datetime | None = None,
+    html: bool = False,
+    force: bool = False,
+    progress: bool | None = None,
+    **options: Unpack[StudyOptions],
+) -> pd.DataFrame:
+    """Calibrate all recordings below a folder, as `accelcal study` does; resumes an earlier run.
+
+    It can be called in a plain script, in a notebook and in threads: workers never run the calling program.
+
+    Args:
+        folder: the folder of the recordings, or several.
+        output: folder into which the outputs are written.
+        include, exclude: patterns of the files that are worked on and left out, such as `*.cwa`.
+        jobs: workers; None for as many as CPUs and memory allow, 1 for this process alone.
+        executor: who works instead: an executor of concurrent.futures, a client of Dask, or the address of
+            its scheduler.
+        timeout: longest time for a recording [minutes].
+        borrow: use the coefficients of the device's recording nearest in time where a recording cannot be
+            calibrated well.
+        pool: calibrate all recordings of a device together.
+        report_only: write reports but no Parquet.
+        retry_failed: try recordings again that failed and have not changed.
+        newer_than: work only on files that were modified since then.
+        html: also write the pages of the study and of its recordings.
+        force: redo what is up to date, and replace files that accelcal did not write.
+        progress: show a bar; None: at a terminal and in a notebook.
+        options: those of `calibrate`, for all recordings; `prior` may also be `study` or `device`.
+
+    Returns:
+        the table of the study, one row a recording (docs/study.md).
+
+    Raises:
+        AccelcalError: the options do not go together, or the folder cannot be used.
+
+    Example:
+        >>> import accelcal, tempfile
+        >>> with tempfile.TemporaryDirectory() as out:
+        ...     table = accelcal.study("sample_data", out, include=["*.bin"], jobs=1, report_only=True)
+        >>> table["outcome"].tolist()
+        ['calibrated']
+    """
+    # few programs do both
+    import pandas as pd
+
+    from accelcal_cli.studies.discovery import Where
+    from accelcal_cli.studies.run import run
+
+    folders = tuple(map(Path, [folder] if isinstance(folder, str | PathLike) else folder))
+    values = values_of(options, ReadOptions, Settings)
+    request = Request(
+        options=read_options(values),
+        settings=chosen_settings(values, in_study=True),
+        report_only=report_only,
+        force=force,
+        several=True,
+        command=("accelcal.study",),
+        rules=folder_rules(folders),
+        parts=True,
+    )
+    wanted = Study(
+        Where(folders, Path(output), tuple(include), tuple(exclude)),
+        request,
+        jobs=jobs,
+        timeout_s=None if timeout is None else 60 * timeout,
+        newer_than_s=None if newer_than is None else newer_than.timestamp(),
+        retry_failed=retry_failed,
+        borrow=borrow,
+        pool=pool,
+        here=jobs == 1 and timeout is None,
+    )
+    with _Bar(progress) as bar:
+        run(with_learnt_prior(_worked_by(wanted, executor)), bar)
+    if html:
+        report(output, force=force)
+    return pd.read_parquet(Path(output) / "study.parquet")
+
+
+def _worked_by(wanted: Study, executor: str | Executor | DaskClient | None) -> Study:
+    """Return the study with the one who does its work."""
+    if executor is None:
+        return wanted
+    if isinstance(executor, str):
+        return replace(wanted, dask=executor, here=False)
+    if isinstance(executor, Executor):
+        return replace(wanted, pool_of_caller=executor)
+    if isinstance(executor, DaskClient):
+        return replace(wanted, dask=str(executor.scheduler.address), here=False)
+    raise TypeError(
+        "executor is the address of a Dask scheduler, a Dask client or a concurrent.futures.Executor"
+    )
+
+
+class _Bar:
+    """Observer of a study that shows a bar, and counts failures in it."""
+
+    def __init__(self, wanted: bool | None) -> None:
+        terminal = sys.stderr is not None and sys.stderr.isatty()
+        self._shown = (terminal or "ipykernel" in sys.modules) if wanted is None else wanted
+        self._bar: Any = None
+        self._failed = 0
+
+    def begin(self, items: Sequence[Item]) -> None:
+        """See `StudyObserver`; every round has its own bar."""
+        if self._shown:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # without ipywidgets the bar is one of text
+                from tqdm.auto import tqdm
+            self.close()
+            self._bar = tqdm(total=sum(item.size for item in items), unit="B", unit_scale=True, leave=False)
+
+    def advance(self, bytes_done: float) -> None:
+        """See `StudyObserver`."""
+        if self._bar is not None:
+            self._bar.update(bytes_done)
+
+    def finished(self, item: Item, result: Any) -> None:
+        """See `StudyObserver`."""
+        self._failed += (result.entry.row or {}).get("outcome") == FAILED
+        if self._bar is not None and self._failed:
+            self._bar.set_postfix(failed=self._failed)
+
+    def note(self, text: str) -> None:
+        """See `StudyObserver`."""
+
+    def close(self) -> None:
+        """Remove the bar."""
+        if self._bar is not None:
+            self._bar.close()
+
+    def __enter__(self) -> _Bar:
+        return self
+
+    def __exit__(self, *_failure: object) -> None:
+        self.close()
+
+
+@public
+def export(
+    results: Result | AnyPath | Sequence[Result | AnyPath],
+    *,
+    to: Coefficients | Data,
+    output: AnyPath | None = None,
+    resample: float | None = None,
+    smooth: int | Literal["auto"] | None = None,
+    measured_only: bool = False,
+    force: bool = False,
+) -> str:
+    """Write results in the form of another tool, as `accelcal export` does.
+
+    Args:
+        results: results, or paths of reports (for coefficients) or of one calibrated Parquet file (for data).
+        to: `ggir`, `biobank`, `omconvert` or `json`: coefficients; `csv`, `npz`, `mhealth`, `bids` or
+            `parquet`: data.
+        output: the new file; coefficients need none.
+        resample: of data, the rate that they get [Hz].
+        smooth: of data, samples of a rolling mean; `auto`: by the rate.
+        measured_only: of data, leave out rows that were not measured.
+        force: replace a file that is there.
+
+    Returns:
+        coefficients as text; of data, the path of the new file.
+
+    Raises:
+        AccelcalError: there are no coefficients or no data, or the file cannot be written.
+
+    Example:
+        >>> import accelcal
+        >>> text = accelcal.export(accelcal.calibrate("sample_data/recording.bin"), to="ggir")
+        >>> "recording.bin" in text
+        True
+    """
+    given = [results] if isinstance(results, str | PathLike | Result) else [*results]
+    with TemporaryDirectory(prefix="accelcal-") as folder:
+        if to in ("ggir", "biobank", "omconvert", "json"):
+            paths = [_file(one, Path(folder) / str(place), parquet=False) for place, one in enumerate(given)]
+            text = _coefficients(to, paths)
+            if output is not None:
+                _refuse((Path(output),), paths, force=force)
+                write_text(Path(output), text)
+            return text
+        if len(given) != 1 or output is None:
+            raise UsageError(
+                "data are exported from one result into a file", hint="give one, and output=FILE"
+            )
+        path = _file(given[0], Path(folder), parquet=True)
+        return _data(to, path, Path(output), (resample, measured_only, smooth), force=force)
+
+
+def _file(one: Result | AnyPath, folder: Path, *, parquet: bool) -> Path:
+    """Return the file of a result, which is written into a folder if it has none."""
+    if not isinstance(one, Result):
+        return Path(one)
+    written, made = one.write(folder)
+    if parquet and written is None:
+        raise UsageError(f"there are no calibrated values: {one.outcome}: {one.message}")
+    return written if parquet and written is not None else made
+
+
+def _coefficients(form: str, paths: Sequence[Path]) -> str:
+    from accelcal_cli.exports import coefficients
+
+    if form == "json":
+        return "".join(coefficients.as_json(path) + "\n" for path in paths)
+    found = [coefficients.read_exported(path) for path in paths]
+    if form == "ggir":
+        return coefficients.ggir(found)
+    return "".join(coefficients.LINES[form](one) + "\n" for one in found)
+
+
+def _data(form: str, path: Path, output: Path, how: tuple[Any, bool, Any], *, force: bool) -> str:
+    from accelcal_cli.exports.data import ExportOptions, export_data, outputs_of
+
+    resample, measured_only, smooth = how
+    _refuse(outputs_of(form, output), [path], force=force)
+    width = 0 if smooth == "auto" else smooth
+    export_data(form, path, ExportOptions(output, resample, measured_only, width), no_progress)
+    return str(output)
+
+
+def _refuse(outputs: Iterable[Path], inputs: Sequence[Path], *, force: bool) -> None:
+    for path in outputs:
+        refuse_nameless(path)
+        refuse_overwriting((path,), inputs)
+        if exists(path) and not force:
+            raise OutputError("is there already", path=path, hint="give force=True to replace it")
+
+
+@public
+def report(what: Report | AnyPath, output: AnyPath | None = None, *, force: bool = False) -> Path:
+    """Write a page for people, as `accelcal report` does.
+
+    Args:
+        what: a result, the path of a report, or the output folder of a study: then all pages that changed.
+        output: the page; None: beside the report. A result needs one.
+        force: replace a file that accelcal did not write.
+
+    Returns:
+        the path of the page.
+
+    Raises:
+        AccelcalError: the report cannot be read, or the page cannot be written.
+    """
+    from accelcal_cli.pages import write
+
+    if isinstance(what, Report):
+        if output is None:
+            raise UsageError("the page of a result needs a name", hint='give one: report(result, "x.html")')
+        what.to_html(output, force=force)
+        return Path(output)
+    if Path(what).is_dir():
+        return write.write_study_pages(Path(what), force=force).page
+    page = write.page_of(Path(what)) if output is None else Path(output)
+    write.refuse_foreign_page(page, force=force)
+    write.write_page(Path(what), page)
+    return page
+
+
+@public
+def simulate(
+    output: AnyPath,
+    *,
+    format: str = "flash",
+    days: float = 1.0,
+    rate: float = 100.0,
+    seed: int = 1,
+    truth: int | None = None,
+    errors: float = 1.0,
+    misalignment: float = 1.0,
+    temp_slope: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    noise_mg: float = 3.0,
+    lsb_per_g: float = 256.0,
+    range_g: float = 8.0,
+    gyro: bool = False,
+    no_temperature: bool = False,
+    force: bool = False,
+) -> tuple[Path, dict[str, Any]]:
+    """Write a recording of simulated wrist wear, as `accelcal simulate` does.
+
+    Args:
+        output: the recording; the format's suffix is added if it is missing.
+        format: flash, raw, csv, hdf5, cwa, geneactiv or gt3x.
+        days: its length; rate: samples per second [Hz].
+        seed: of movement and noise; truth: of the sensor's errors, None for that of `seed`.
+        errors, misalignment: factors on the sensor's errors; 0 for a perfect sensor.
+        temp_slope: change of the offsets of x, y, z [mg per degree C].
+        noise_mg: standard deviation of the noise of each axis [mg].
+        lsb_per_g: counts per g; range_g: range of the sensor [g].
+        gyro: record a gyroscope too; no_temperature: record no temperature.
+        force: replace files that are there.
+
+    Returns:
+        the recording's path, and the content of OUT.truth.json, which is written beside it.
+
+    Raises:
+        AccelcalError: the format cannot hold it, or a file cannot be written.
+    """
+    from accelcal_cli.pipeline.simulate import plan_of
+    from accelcal_cli.pipeline.simulate import simulate as written
+
+    values: dict[str, Any] = {
+        "days": days, "rate_hz": rate, "seed": seed, "truth": truth, "errors": errors,
+        "misalignment": misalignment, "temp_slope": temp_slope, "noise_mg": noise_mg, "lsb_per_g": lsb_per_g,
+        "range_g": range_g, "gyro": gyro, "gyro_temp_slope": (0.0, 0.0, 0.0),
+        "no_temperature": no_temperature,
+    }  # fmt: skip
+    for name, (low, high) in SIMULATED.items():
+        if not low <= values[name] <= high:
+            keyword = name.removesuffix("_hz")
+            raise UsageError(f"{keyword} cannot be {values[name]}", hint=f"possible: {low:g} to {high:g}")
+    return written(Path(output), format, plan_of(values), force=force, progress=lambda _done: None)
