@@ -20,7 +20,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import NO_PRIOR, PAPER, Settings, other_rules, rule_options
-from accelcal_cli.core.statistics import mean
+from accelcal_cli.core.statistics import mean, ratio_uncertainty95
 from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.output.files import csv_text
@@ -30,6 +30,7 @@ from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 from accelcal_cli.pipeline.procedures import Procedure, fitting, make_method
 from accelcal_cli.pipeline.survey import open_marked, survey
+from accelcal_cli.studies.discovery import recordings_in
 
 TABLE_3_OF_F = (
     ("our method", 25.1, 3.06, 820),
@@ -64,6 +65,7 @@ class MethodRow:
     before_mg: float | None = None
     after_mg: float | None = None
     improvement_percent: float | None = None
+    improvement_ci95: tuple[float, float] | None = None
     iterations: int | None = None
     additions: int | None = None
     multiplications: int | None = None
@@ -144,6 +146,7 @@ def _judged(row: MethodRow, verdict: Judgement, seconds: float | None) -> Method
         model=verdict.calibration.model,
         after_mg=holdout.after.mean,
         improvement_percent=holdout.improvement_percent(),
+        improvement_ci95=_percent(holdout.improvement_ci95()),
         iterations=fit.iterations,
         additions=operations.additions or None,
         multiplications=operations.multiplications or None,
@@ -157,7 +160,8 @@ class Mean:
 
     Attributes:
         recordings: number of recordings that it could calibrate; the others are left out.
-        improvement_percent: ratio of the means, as all R of F are.
+        improvement_percent: ratio of the means, as all R of F are; improvement_ci95: its 95 % interval, by
+            Student's t over the recordings; None for a single one.
     """
 
     optimizer: str
@@ -165,6 +169,12 @@ class Mean:
     before_mg: float
     after_mg: float
     improvement_percent: float
+    improvement_ci95: tuple[float, float] | None
+
+
+def _percent(factor: tuple[float, float] | None) -> tuple[float, float] | None:
+    """Return the interval of a factor in percent."""
+    return None if factor is None else (100 * factor[0], 100 * factor[1])
 
 
 def means(rows: Sequence[MethodRow]) -> list[Mean]:
@@ -178,7 +188,9 @@ def means(rows: Sequence[MethodRow]) -> list[Mean]:
         ]
         if pairs and len({row.recording for row in rows}) > 1:
             before, after = (mean(list(column)) for column in zip(*pairs, strict=True))
-            found.append(Mean(name, len(pairs), before, after, 100 * before / after))
+            ratio, by = before / after, ratio_uncertainty95(pairs)
+            interval = None if by is None else (ratio / by, ratio * by)
+            found.append(Mean(name, len(pairs), before, after, 100 * ratio, _percent(interval)))
     return found
 
 
@@ -192,15 +204,18 @@ def as_json(rows: list[MethodRow]) -> dict[str, Any]:
     }
 
 
-HEAD = ("optimizer", "model", "before mg", "after mg", "improved %", "iterations", "operations", "ms")
-MEANS = ("mean over recordings", "calibrated", "before mg", "after mg", "improved %")
+INTERVAL = "95 % interval"
+HEAD = (
+    "optimizer", "model", "before mg", "after mg", "improved %", INTERVAL, "iterations", "operations", "ms",
+)  # fmt: skip
+MEANS = ("mean over recordings", "calibrated", "before mg", "after mg", "improved %", INTERVAL)
 PUBLISHED = ("Table 3 of Farago, Maczak, Gingl 2024 (own recordings)", "before mg", "after mg", "improved %")
 
 
 @click.command(
     "methods",
     cls=Command,
-    examples=("evaluate methods recording.cwa", "evaluate methods recording.cwa --profile paper"),
+    examples=("evaluate methods recording.cwa", "evaluate methods recordings --profile paper # a folder"),
 )
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option(
@@ -214,10 +229,11 @@ PUBLISHED = ("Table 3 of Farago, Maczak, Gingl 2024 (own recordings)", "before m
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Fit the same points of each RECORDING with every optimizer and judge them all by the same hold-out.
 
-    Before and after are the mean held-out errors, improved is before / after x 100 (eq. 21 of the
-    paper), operations are additions and multiplications where they are counted, ms is the time of
-    one fit. All fit without a prior, so that they can be compared; `calibrate` has one by default,
-    and its figures differ. With --profile paper: 18 points and a second set to judge by, as in the paper.
+    A folder stands for all recordings in it, as for a study. Before and after are the mean held-out errors
+    |r - 1|, improved is before / after x 100 (R, eq. 21 of the paper) with its interval, operations are
+    additions and multiplications where they are counted, ms is the time of one fit. All fit without a prior,
+    so that they can be compared; `calibrate` has one by default, and its figures differ. With --profile
+    paper: 18 points and a second set of control points to judge by, as in the paper.
     """
     refuse_both(as_json=values["as_json_"], as_csv=values["as_csv"])
     names = _names(values["only"])
@@ -225,7 +241,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     def work(path: Path, bars: ProgressMaker) -> list[MethodRow]:
         return list(compare(path, read_options(values), chosen_settings(values), names, bars))
 
-    found, code = each_recording(recordings, work, quiet=values["quiet"])
+    chosen = recordings_in(recordings, read_options(values))
+    found, code = each_recording(chosen, work, quiet=values["quiet"])
     if rows := list(chain.from_iterable(found)):
         exit_codes.show(_shown(rows, values))
     return code
@@ -271,10 +288,15 @@ def _means(rows: list[MethodRow]) -> list[str]:
             formatted(one.before_mg, ".3f"),
             formatted(one.after_mg, ".3f"),
             percent(one.improvement_percent),
+            _between(one.improvement_ci95),
         ]
         for one in means(rows)
     ]
     return [aligned(MEANS, lines)] if lines else []
+
+
+def _between(interval: tuple[float, float] | None) -> str:
+    return "-" if interval is None else " to ".join(map(percent, interval))
 
 
 def _cells(row: MethodRow) -> list[str]:
@@ -285,6 +307,7 @@ def _cells(row: MethodRow) -> list[str]:
         formatted(row.before_mg, ".3f"),
         formatted(row.after_mg, ".3f"),
         percent(row.improvement_percent),
+        _between(row.improvement_ci95),
         formatted(row.iterations, "d"),
         formatted(counted, "d"),
         formatted(None if row.seconds is None else row.seconds * 1000, ".1f"),

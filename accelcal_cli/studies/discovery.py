@@ -10,7 +10,7 @@ import hashlib
 import json
 import re
 import stat
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -316,6 +316,18 @@ def is_recording(item: Item, options: ReadOptions, *, asked_for: bool) -> bool:
     if found.sniff(probe):
         return not found.is_table or _holds_acceleration(found, item, options)
     return _suffix(item) in _suffixes(tuple(one for one in wanted if one.name != TABLES and not one.is_table))
+
+
+def recordings_in(paths: Sequence[Path], options: ReadOptions) -> list[Path]:
+    """Return recordings, those in folders found as a study finds them; raises what `files` raises."""
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            items = files(Where((path,), path), [])
+            found += [item.source for item in items if is_recording(item, options, asked_for=False)]
+        else:
+            found.append(path)
+    return found
 
 
 def _holds_acceleration(form: Format, item: Item, options: ReadOptions) -> bool:

@@ -140,6 +140,8 @@ COMMANDS: dict[str, tuple[tuple[str, ...], tuple[int, ...], int | None]] = {
     "evaluate stillness --csv": (("--", "{recording}"), (0,), 6),
     "evaluate segments": (("--hours", "0.2", "--", "{recording}"), (0, 4), None),
     "evaluate segments --json": (("--hours", "0.2", "--", "{recording}"), (0, 4), None),
+    "evaluate duration": (("--hours", "0.2", "--", "{recording}"), (0, 4), None),
+    "evaluate duration --json": (("--hours", "0.2", "--", "{recording}"), (0, 4), 1),
     "export --to ggir": (("{report}",), (0,), 2),
     "export --to biobank": (("{report}",), (0,), 1),
     "export --to omconvert": (("{report}",), (0,), 1),
@@ -157,7 +159,14 @@ COMMANDS: dict[str, tuple[tuple[str, ...], tuple[int, ...], int | None]] = {
 }
 """Words, exit codes and lines on stdout of commands; what goes over a study comes below."""
 
-NIGHTLY = {"evaluate methods", "evaluate methods --csv", "evaluate stillness", "evaluate segments", "effect"}
+NIGHTLY = {
+    "evaluate methods",
+    "evaluate methods --csv",
+    "evaluate stillness",
+    "evaluate segments",
+    "evaluate duration",
+    "effect",
+}
 """Others of the same command are in `make test`."""
 
 OF_STUDIES = {"study", "devices"}

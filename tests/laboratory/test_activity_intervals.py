@@ -25,7 +25,7 @@ from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.simulate import SimulatedSensor, SimulationPlan, describe
 
 RATE_HZ = 10.0
-REST, MOVED = 120 * int(RATE_HZ), 60 * int(RATE_HZ)
+EPOCH, REST, MOVED = (seconds * int(RATE_HZ) for seconds in (5, 120, 60))
 SCATTER_MG = (0.3, 1.5, 4.0)
 MEASURES = ("enmo_mg", "mad_mg", "mvpa_min", "pim_mg_s", "zcm", "angle_deg")
 
@@ -45,9 +45,9 @@ def wear(random: np.random.Generator, orientations: int, scatter_mg: float) -> n
         direction = posture[visit % orientations]
         rest = np.tile(direction * (1 + scatter_mg / 1000 * random.standard_normal()), (REST, 1))
         time = np.arange(MOVED) / RATE_HZ
-        size = random.uniform(0.02, 0.4)
+        size = np.repeat(random.uniform(0.02, 0.7, MOVED // EPOCH), EPOCH)
         swing = size * np.sin(2 * np.pi * random.uniform(0.3, 3) * time)
-        shaken = size / 3 * random.standard_normal((MOVED, 3))
+        shaken = size[:, np.newaxis] / 3 * random.standard_normal((MOVED, 3))
         parts += [rest, direction * (1 + swing)[:, np.newaxis] + shaken]
     return np.concatenate(parts)
 

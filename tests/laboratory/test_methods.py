@@ -127,6 +127,22 @@ def test_the_mean_over_recordings_is_a_ratio_of_means(tmp_path: Path, capsys: Ca
     assert json.loads(run(capsys, *METHODS, paths[0], "--only", "float64", "--json").out)["means"] == []
 
 
+def test_51_4_a_folder_is_all_its_recordings_and_r_has_an_interval(tmp_path: Path, capsys: Capture) -> None:
+    """By Student's t of the logarithm of the ratio of the means, over the recordings, by hand."""
+    for name, noise in (("a.csv", 2), ("b.csv", 4), ("c.csv", 6)):
+        write_csv(tmp_path / name, still_counts(directions(40 + noise), noise))
+    said = json.loads(run(capsys, *METHODS, tmp_path, "--only", "gauss-newton", "--json").out)
+    assert [Path(row["recording"]).name for row in said["rows"]] == ["a.csv", "b.csv", "c.csv"]
+    before, after = (np.array([row[key] for row in said["rows"]]) for key in ("before_mg", "after_mg"))
+    spread = np.std(before / before.mean() - after / after.mean(), ddof=1) / np.sqrt(3)
+    by = np.exp(4.303 * spread)
+    (mean,) = said["means"]
+    ratio = 100 * before.mean() / after.mean()
+    assert mean["improvement_ci95"] == pytest.approx([ratio / by, ratio * by], rel=0.02)
+    low, high = said["rows"][0]["improvement_ci95"]
+    assert low < said["rows"][0]["improvement_percent"] < high
+
+
 def test_a_refusal_is_a_row_with_its_reason(tmp_path: Path, capsys: Capture) -> None:
     path = write_csv(tmp_path / "few.csv", still_counts(directions(4)))
     ran = run(capsys, *METHODS, path, "--only", "fixed32")
