@@ -1,4 +1,4 @@
-"""Batch calibration of raw actigraph recordings from the stillness they contain.
+"""Autocalibration of raw accelerometer (actigraph) recordings by the stillness they contain.
 
 From Python, `import accelcal` (docs/python.md); its names can be had from this package, too.
 """

@@ -48,7 +48,8 @@ html_theme_options = {
     "secondary_sidebar_items": ["page-toc"],
     "navigation_with_keys": False,
 }
-html_sidebars = {"**": ["globaltoc.html"]}
+html_sidebars = {"**": ["pages.html"]}
+templates_path = ["_templates"]
 html_show_sourcelink = False
 html_static_path: list[str] = []
 
