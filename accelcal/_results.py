@@ -399,7 +399,7 @@ class Result(Report):
         return result.parquet, job.report
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Plot |a| of still windows along time, before and after; needs matplotlib.
+        """Plot `|a|` of still windows along time, before and after; needs matplotlib.
 
         Args:
             axes: axes of matplotlib; None for new ones.

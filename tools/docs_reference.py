@@ -52,7 +52,7 @@ PYTHON = """# Python functions
 What each function does and when to use it is described in [From Python](../python.md).
 
 ```{eval-rst}
-.. automodule:: accelcal_cli.api
+.. automodule:: accelcal
    :members:
    :imported-members:
 ```
