@@ -36,6 +36,9 @@ class ReadingOptions(TypedDict, total=False):
     date_format: Literal["dmy", "mdy", "ymd"] | None
     """Order of day, month and year in dates such as 04/03/2024."""
 
+    time_format: str | None
+    """Form of a table's times, as strptime writes it: '%d/%m/%Y %H:%M:%S.%f'. Numbers: s, ms, us, ns."""
+
     timezone: str | None
     """Time zone of the device's clock, if the file does not state one. Example: Europe/Berlin."""
 

@@ -25,7 +25,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "config", "gyro_columns", "gyro_unit", "lsb_per_dps", "max_damage_percent",
     ),
     "Time": (
-        "timezone", "date_format", "start", "shift_s", "configured_zone", "worn_zone", "force_timezone",
+        "timezone", "date_format", "time_format", "start", "shift_s", "configured_zone", "worn_zone",
+        "force_timezone",
     ),
     "Method": (
         "max_error_mg", "strict", "model", "prior", "no_temperature", "stillness",

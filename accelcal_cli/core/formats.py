@@ -40,6 +40,7 @@ class ReadOptions:
     Attributes:
         unit: one of g, mg, m/s2, counts.
         columns: names (or numbers from 0) of x, y and z.
+        time_format: form of times, as strptime writes it, or the unit of numbers.
         date_format: order of day, month and year in dates: dmy, mdy or ymd.
         layout: a layout file for raw dumps.
         sensor: which sensor of a file with several.
@@ -61,6 +62,14 @@ class ReadOptions:
         None,
         option=Option("--date-format", "Order of day, month and year in dates such as 04/03/2024."),
         choices=("dmy", "mdy", "ymd"),
+    )
+    time_format: str | None = setting(
+        None,
+        option=Option(
+            "--time-format",
+            "Form of a table's times, as strptime writes it: '%d/%m/%Y %H:%M:%S.%f'. Numbers: s, ms, us, ns.",
+            "FORM",
+        ),
     )
     timezone: str | None = setting(
         None,
@@ -124,7 +133,10 @@ class ReadOptions:
 GYRO_OPTIONS = ("gyro_columns", "gyro_unit", "lsb_per_dps")
 """Options on the gyroscope, which only tables understand."""
 
-IF_GIVEN = ("start", "shift_s", "configured_zone", "worn_zone", *GYRO_OPTIONS)
+TIMES_OF_TABLES = ("time_column", "date_format", "time_format")
+"""Options on times, which only tables understand."""
+
+IF_GIVEN = ("time_format", "start", "shift_s", "configured_zone", "worn_zone", *GYRO_OPTIONS)
 """Options that a report names only if they were given."""
 
 UNUSED = re.compile(r"(--.*) means? nothing for format (\S+) and (?:was|were) not used")

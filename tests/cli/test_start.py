@@ -25,6 +25,7 @@ SHARED = {
     "_rows",
     "_stamps",
     "_tables",
+    "_written",
 }
 FOLDER = {"opal": "hdf5", "parquet": "arrow", "feather": "arrow"}
 READERS = {item.name: item.reader.partition(":")[0] for item in all_formats()}

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +19,7 @@ from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.local_time import FOLLOWED, LocalStamps
 from accelcal_cli.core.recording import Problem
 from accelcal_cli.core.vocabulary import PER_SECOND, TABLES
+from accelcal_cli.core.written_times import written_start
 from accelcal_cli.formats._stamps import (
     EPOCH_DAYS,
     LOST,
@@ -94,24 +94,18 @@ class Moment(NamedTuple):
 def parse_moment(value: str | float) -> Moment | None:
     """Return the moment of a start attribute; None if it is not a moment.
 
-    A number counts s, ms, us or ns since 1970, by its size, and is UTC. A text is an ISO date and time;
-    only one with `Z` or an offset is UTC for certain.
+    A number counts s, ms, us or ns since 1970, by its size, and is UTC. A text is a date and time;
+    only one with a zone is UTC for certain.
     """
     if isinstance(value, float):
         unit = _unit_by_size(value)
         return None if unit is None else Moment(round(value / PER_SECOND[unit] * MICROSECONDS), is_utc=True)
     if re.fullmatch(r"\d+(\.\d*)?", value):
         return parse_moment(float(value))
-    try:
-        moment = datetime.fromisoformat(value.replace(" UTC", "Z"))
-        known = moment.tzinfo is not None
-        since = moment.astimezone(UTC) if known else moment.replace(tzinfo=UTC)
-    except (ValueError, OverflowError):
+    found = written_start(value)
+    if found is None or not 0 <= found.start_us < LATEST_US:
         return None
-    microseconds = (since - datetime(1970, 1, 1, tzinfo=UTC)) // datetime.resolution
-    if not 0 <= microseconds < LATEST_US:
-        return None
-    return Moment(microseconds, known, bool(moment.utcoffset()))
+    return Moment(found.start_us, found.timezone == "UTC", found.had_offset)
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,7 +281,7 @@ def find_timeline(source: TableSource) -> TableTimeline:
     track = _time_track(source)
     if track is not None:
         with source.table.guard(f"{source.table.word} of times {readable(track.path)}"):
-            return _stamped_timeline(source.table, track, rate, start)
+            return _stamped_timeline(source.table, track, rate, start, _asked_unit(source))
     if start is not None:
         return TableTimeline(rate, *start)
     what = "the file does not tell when the recording began"
@@ -322,11 +316,21 @@ def _named_time_track(source: TableSource, name: str) -> Track:
     return track
 
 
+def _asked_unit(source: TableSource) -> str | None:
+    """Return the unit that --time-format gives; raises UsageError for anything else."""
+    asked = source.options.time_format
+    unit = None if asked is None else TABLES.durations.get(asked.lower())
+    if asked is not None and unit is None:
+        what = f"--time-format {asked!r} is not a unit, and the times of this table are numbers"
+        raise UsageError(what, path=source.path, hint="give s, ms, us or ns")
+    return unit
+
+
 def _stamped_timeline(
-    table: SensorTable, track: Track, rate: float | None, start: Moment | None
+    table: SensorTable, track: Track, rate: float | None, start: Moment | None, asked: str | None
 ) -> TableTimeline:
     """Return the timeline of a track of times, absolute or counting from the start."""
-    scale, since = _stamp_scale(table, track, rate, start)
+    scale, since = _stamp_scale(table, track, rate, start, asked)
     stamps, rate = measured_stamps(table, track, scale, rate)
     problem = Problem(
         "no_start_time",
@@ -354,11 +358,11 @@ def _length_s(stamps: Stamps, rate_hz: float) -> float | None:
 
 
 def _stamp_scale(
-    table: SensorTable, track: Track, rate: float | None, start: Moment | None
+    table: SensorTable, track: Track, rate: float | None, start: Moment | None, asked: str | None
 ) -> tuple[StampScale, Moment | None]:
     """Return unit and base of a track of times, and the moment from which it counts, None if not known."""
     stated = table.own(track.path).text("units", "unit")
-    unit = _stated_unit(table, track, stated)
+    unit = asked or _stated_unit(table, track, stated)
     head = good_rows(table.rows(track), 0, min(track.rows, BLOCK_ROWS))[:, 0]
     head = head[(head > 0) & np.isfinite(head)]
     if unit is None and (day := _day_of_1970(head)) is not None:
@@ -368,7 +372,7 @@ def _stamp_scale(
         raise UnreadableError(
             f"the unit of the times in {readable(track.path)} is not stated",
             path=table.path,
-            hint="give that dataset an attribute `units` (s, ms, us or ns), "
+            hint="give it with --time-format (s, ms, us or ns), or as an attribute `units` of that dataset; "
             f"or ignore it with `--time-column {NO_COLUMN}`",
         )
     since = parse_moment(stated.split(" since ", 1)[1].strip()) if stated and " since " in stated else None

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.vocabulary import CSV, NOT_RAW
+from accelcal_cli.core.written_times import is_date, is_digits_of_day, stated_zone
 from accelcal_cli.formats._tables.channels import NOT_READ, CountScale, turn_scale
 from accelcal_cli.formats.csv.cells import (
     DATE_ALONE,
@@ -48,6 +49,11 @@ NOT_MEASURED_TURNS = frozenset({"bias", "drift", "unbiased", "mag", "magnetomete
 OTHER_SENSORS = frozenset({*CSV.gyroscope, *NOT_RAW, "mag", "magnetometer", "user"})
 NEUTRAL = frozenset({"axis", "raw", "value", "cal", "calibrated", "uncalibrated", "uncal"})
 """Words that say nothing about the sensor."""
+
+ZONE_WORD = re.compile(
+    r"(?:(?:^|[\W_]|(?<=[a-z]))(?:UTC|GMT)|(?:^|[\W_])(?:utc|gmt))(?![A-Za-z])\s*(?:[+-]\d{1,2}(?::?\d\d)?)?"
+)
+"""A zone among the words of a column's name."""
 
 G_FORCE = re.compile(r"^gF([xyz])$")
 """Name of an acceleration in g in files of Physics Toolbox."""
@@ -105,6 +111,9 @@ class Roles:
         channels: column of each of `CHANNELS` that the file has.
         hints: units of acceleration in the names of x, y and z.
         time_unit_us: microseconds in one unit of the time column, None if its name does not say.
+        ticks: its name says that it counts ticks; fine_ticks: those of Xsens.
+        zone: of the clock, by the name of the time column.
+        rate_hz: a rate above the names of the columns.
     """
 
     xyz: tuple[int, int, int]
@@ -114,6 +123,10 @@ class Roles:
     time_unit_us: float | None = None
     date: int | None = None
     gyro: tuple[int, int, int] | None = None
+    ticks: bool = False
+    fine_ticks: bool = False
+    zone: str | None = None
+    rate_hz: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +244,26 @@ def find_roles(
     units = {acceleration_unit(title.hint) for title in titles if title.number in xyz}
     free = [title for title in titles if title.number not in (*xyz, time, date)]
     hints = frozenset(unit for unit in units if unit is not None)
-    return Roles(xyz, time, _channels(dialect, free), hints, _time_unit_us(titles, time), date)
+    name = dialect.names[time] if dialect.names is not None and time is not None else ""
+    return Roles(
+        xyz,
+        time,
+        _channels(dialect, free),
+        hints,
+        _time_unit_us(titles, time),
+        date,
+        ticks=re.search("tick", name, re.IGNORECASE) is not None,
+        fine_ticks=re.fullmatch(r"sample_?time_?fine", name.strip(), re.IGNORECASE) is not None,
+        zone=_zone_in(name),
+    )
+
+
+def _zone_in(name: str) -> str | None:
+    """Return the zone in the name of a column of times, such as `Timestamp UTC` or `time (+0100)`."""
+    plain, hint = name_and_hint(name)
+    found = ZONE_WORD.search(plain)
+    words = "" if found is None else found[0].strip("_ ")
+    return (stated_zone(hint) if hint and not hint.isdigit() else None) or stated_zone(words)
 
 
 def _time_unit_us(titles: list[Title], time: int | None) -> float | None:
@@ -340,8 +372,9 @@ def _time_columns(
         return _chosen_time(dialect, options.time_column, dated, path)
     named = [title.number for title in titles if title.number not in xyz and title.is_time]
     both = sorted({*named} & {*dated})
-    if pair := _date_and_time(dialect, both) or _date_and_time(dialect, dated):
-        return pair
+    for columns in (both, dated, named):
+        if pair := _date_and_time(dialect, columns):
+            return pair
     found = both or named or dated
     if len(found) > 1:
         raise UnreadableError(
@@ -374,8 +407,8 @@ def _date_and_time(dialect: Dialect, columns: list[int]) -> tuple[int, int] | No
             [cell.strip() for cell in dialect.cells(column) if cell.strip() not in MISSING]
             for column in (time, date)
         )
-        found = times and dates and all(map(TIME_OF_DAY.fullmatch, times))
-        if found and all(map(DATE_ALONE.fullmatch, dates)):
+        clock = all(map(TIME_OF_DAY.fullmatch, times)) or all(map(is_digits_of_day, times))
+        if times and dates and clock and all(DATE_ALONE.fullmatch(cell) or is_date(cell) for cell in dates):
             return time, date
     return None
 

@@ -13,7 +13,7 @@ import csv
 import io
 import json
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions, agreed_rate
 from accelcal_cli.core.input_files import read_text
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Device
 from accelcal_cli.core.vocabulary import COUNTS, UNIT_CHOICES
+from accelcal_cli.core.written_times import ORDERS, read_date, written_start
 from accelcal_cli.formats._gravity import guess_unit
 from accelcal_cli.formats._stamps import (
     GAP_PERIODS,
@@ -42,14 +43,9 @@ from accelcal_cli.formats._tables.channels import CountScale
 from accelcal_cli.formats._wraps import DATES, TIMES_OF_DAY, RunningOn, Wraps, find_wraps
 from accelcal_cli.formats.csv import BIDS_CHANNELS, BIDS_MOTION, bids_channels_path
 from accelcal_cli.formats.csv.cells import (
-    ORDERS,
     AccelScale,
-    DateColumn,
     acceleration_unit,
-    find_order,
-    find_time_format,
     is_year_first,
-    read_date,
     year_first,
 )
 from accelcal_cli.formats.csv.columns import (
@@ -64,6 +60,7 @@ from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
 from accelcal_cli.formats.csv.lines import Block, LineFile, RepeatedHeads, lone_block
 from accelcal_cli.formats.csv.rows import ParsedTable, TableParser
 from accelcal_cli.formats.csv.sensors import SensorWatch, dividing_columns, rows_of_sensor
+from accelcal_cli.formats.csv.times import DateColumn, TimeRules, date_texts, find_order, find_time_format
 from accelcal_cli.formats.csv.vendors import ExportDescription, Start, export_description
 
 HEAD_BYTES = 1 << 20
@@ -79,7 +76,6 @@ LARGEST_SIDECAR = 1 << 20
 ACCEL, GYRO, AXES = "ACCEL", "GYRO", ("x", "y", "z")
 CELSIUS = ("oC", "\u00b0C", "degC")
 FASTEST_HZ = 100_000.0
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 Sidecar = list[dict[str, str]]
 """Rows of a table of Motion-BIDS, by the names of its columns."""
@@ -121,7 +117,9 @@ class Detected:
     def timezone(self) -> str | None:
         """The zone of its clock, as the file says it."""
         written = self.parser.time
-        return "UTC" if written is not None and written.is_utc else self.export.timezone
+        if written is not None and written.is_utc:
+            return "UTC"
+        return self.export.timezone if written is None else written.zone or self.export.timezone
 
     def notes(self) -> tuple[str, ...]:
         """Return how the file was understood, for people."""
@@ -132,7 +130,8 @@ class Detected:
         notes += [f"x, y, z: {axes}", f"unit: {self.scale.unit}{how}"]
         if roles.time is not None:
             dates = "" if roles.date is None else f"{dialect.column_name(roles.date)} and "
-            notes.append(f"time: {dates}{dialect.column_name(roles.time)}")
+            how = "" if self.parser.time is None else self.parser.time.how
+            notes.append(f"time: {dates}{dialect.column_name(roles.time)}{how}")
         notes += [self.watch.note] if self.parser.sensor and self.watch else []
         notes += [*self.gyro_notes, *self.pace.notes]
         headings = (dialect.names is not self.export.names) + (dialect.units is not None)
@@ -257,42 +256,49 @@ def _table_parser(
 ) -> TableParser:
     if roles.time is None:
         return TableParser(path, dialect, roles, None)
-    rate_hz = options.rate_hz or export.rate_hz
+    cells = partial(cells_of, block.data, dialect, roles.time)
+    rules = TimeRules(
+        asked=options.time_format,
+        unit_us=export.time_unit_us or roles.time_unit_us,
+        ticks=roles.ticks,
+        fine=roles.fine_ticks,
+        rate_hz=options.rate_hz or export.rate_hz or roles.rate_hz,
+        zone=roles.zone,
+        decimal_comma=dialect.normaliser.decimal_comma,
+        more=cells,
+    )
     if roles.date is not None:
-        order = _date_order(block, dialect, roles.date, export, options, path)
+        days = cells_of(block.data, dialect, roles.date)
+        order = _order_of(date_texts(f"{day.strip()} 00:00" for day in days), dialect, export, options, path)
         date = DateColumn(roles.date, order)
         pairs = zip(dialect.cells(roles.date), dialect.cells(roles.time), strict=True)
         moments = [date.moment(*pair) if all(map(str.strip, pair)) else "" for pair in pairs]
-        cells = [*zip(moments, dialect.lines, strict=True)]
-        return TableParser(path, dialect, roles, find_time_format(cells, None, rate_hz, path), date)
-    dialect = _with_date_order(block, dialect, roles.time, export, options, path)
-    cells = [*zip(dialect.cells(roles.time), dialect.lines, strict=True)]
-    time = find_time_format(cells, roles.time_unit_us, rate_hz, path)
-    if export.companion is not None and export.start is not None:
+        time = find_time_format([*zip(moments, dialect.lines, strict=True)], rules, path)
+        return TableParser(path, dialect, roles, time, date)
+    if options.time_format is None and date_texts(dialect.cells(roles.time)):
+        order = _order_of(date_texts(cells()), dialect, export, options, path)
+        dialect = _with_year_first(dialect, roles.time, order)
+        rules = replace(rules, order=None if dialect.normaliser.date_order else order)
+    written = [*zip(dialect.cells(roles.time), dialect.lines, strict=True)]
+    time = find_time_format(written, rules, path)
+    if export.start is not None and (export.companion is not None or export.counts_from_start):
         time = time.counted_from(export.start.us(None, path))
     return TableParser(path, dialect, roles, time)
 
 
-def _date_order(
-    block: Block, dialect: Dialect, column: int, export: ExportDescription, options: ReadOptions, path: Path
+def _order_of(
+    texts: list[str], dialect: Dialect, export: ExportDescription, options: ReadOptions, path: Path
 ) -> str | None:
-    """Return the order of the dates in a column; None if all begin with the year."""
-    cells = [f"{cell.strip()} 00:00" for cell in cells_of(block.data, dialect, column)]
-    days = [cell for cell in cells if not is_year_first(cell)]
-    if not days:
+    """Return the order of day, month and year in dates; None if there are none that need it."""
+    if not texts:
         return None
-    return find_order(days, options.date_format, _stated_orders(days, export), path, dialect.skipped + 1)
+    return find_order(texts, options.date_format, _stated_orders(texts, export), path, dialect.skipped + 1)
 
 
-def _with_date_order(
-    block: Block, dialect: Dialect, column: int, export: ExportDescription, options: ReadOptions, path: Path
-) -> Dialect:
-    """Return the layout with times that begin with the year, whatever those of the head's rows begin with."""
-    if all(map(is_year_first, dialect.cells(column))):
+def _with_year_first(dialect: Dialect, column: int, order: str | None) -> Dialect:
+    """Return the layout with times that begin with the year where they begin with another date in numbers."""
+    if order is None or all(map(is_year_first, dialect.cells(column))):
         return dialect
-    cells = cells_of(block.data, dialect, column)
-    stated = _stated_orders(cells, export)
-    order = find_order(cells, options.date_format, stated, path, dialect.skipped + 1)
     sample = tuple(
         (*row[:column], year_first(row[column].encode(), order, True).decode(), *row[column + 1 :])
         for row in dialect.sample
@@ -549,8 +555,5 @@ def _acquisition_time(folder: Path, stem: str) -> str:
 
 
 def _start(written: str) -> Start | None:
-    try:
-        moment = datetime.fromisoformat(written.removesuffix("Z"))
-    except ValueError:
-        return None
-    return Start((moment.replace(tzinfo=UTC) - EPOCH) // timedelta(microseconds=1))
+    start = written_start(written.removesuffix("Z"))
+    return None if start is None else Start(start.start_us)

@@ -31,7 +31,7 @@ DELIMITERS = (",", ";", "\t", "|", " ")
 COMMENT = re.compile(r"^\s*(#+|%+|//)\s*")
 SPLIT_DATE = re.compile(rb"(\d{4}[-/]\d\d[-/]\d\d) (?=\d\d:\d\d)")
 SLASH_DATE = re.compile(rb"(?:^|[^\d/])\d{4}/\d\d/\d\d[ T]")
-COLON_FRACTION = re.compile(rb":(?<=\d:)\d\d:\d\d:\d{1,9}(?!\d|:)")
+COLON_FRACTION = re.compile(rb":(?<=\d:)(?<!\d\d\d:)\d\d:\d\d:\d{1,9}(?!\d|:)")
 TWELVE_HOURS = re.compile(
     rb"(?<![\d:.])(\d{1,2})(:\d\d(?::\d\d(?:[.,:]\d+)?)?)"
     rb"(?: |\xc2\xa0|\xe2\x80\xaf)?([AaPp])\.? ?[Mm](?![A-Za-z])\.?"

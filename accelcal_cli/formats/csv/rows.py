@@ -25,12 +25,11 @@ from accelcal_cli.core.vocabulary import COUNTS, PHYSICAL_UNITS
 from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME
 from accelcal_cli.formats._tables.channels import CountScale
 from accelcal_cli.formats._tables.sensors import CellTexts
+from accelcal_cli.formats._written import Written
 from accelcal_cli.formats.csv.cells import (
     MISSING,
     AccelScale,
     CellKind,
-    DateColumn,
-    TimeFormat,
     cell_kind,
     decode,
     filled,
@@ -40,6 +39,7 @@ from accelcal_cli.formats.csv.cells import (
 from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN, Roles
 from accelcal_cli.formats.csv.dialect import Dialect
 from accelcal_cli.formats.csv.lines import Block, lone_block
+from accelcal_cli.formats.csv.times import DateColumn, TimeFormat
 
 PARSER_BYTES = 1 << 20
 """Text that pyarrow parses at a time."""
@@ -217,7 +217,7 @@ class TableParser:
 
     def _with_impossible_times(self, data: bytes) -> tuple[Any, NDArray[np.bool_]] | None:
         """Return the columns with impossible times empty, and flags of these; None if more is wrong."""
-        if self.time is None or self.time.unit_us is not None:
+        if self.time is None or self.time.unit_us is not None or self.time.written is not None:
             return None
         try:
             table = self._parsed(data, times_as=pa.string())
@@ -253,8 +253,19 @@ class TableParser:
         Args:
             times_as: another type for the column of times.
         """
+        if self.time is not None and self.time.written is not None:
+            return self._with_written(data, self.time.written)
         table = self._read(data, self._converting if times_as is None else self._converting_times(times_as))
         return table if self.date is None or not len(table) else self._with_moments(table, times_as)
+
+    def _with_written(self, data: bytes, written: Written) -> Any:
+        """Return a table with times [us] in the column of the times."""
+        table = self._read(decode(data).encode(), self._converting)
+        if self.date is not None and len(table):
+            table = self._with_moments(table, None)
+        name = str(self.roles.time)
+        times = [pa.array(written.times(chunk)) for chunk in table[name].chunks if len(chunk)]
+        return table.set_column(table.schema.get_field_index(name), name, pa.chunked_array(times, pa.int64()))
 
     def _read(self, data: bytes, converting: Any) -> Any:
         if PADDING.issuperset(data):

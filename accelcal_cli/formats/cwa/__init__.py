@@ -7,7 +7,7 @@ device up, without a zone.
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
+from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
 
 HEADER_BYTES = 1024
 HEADER_MAGIC = b"MD" + (HEADER_BYTES - 4).to_bytes(2, "little")
@@ -30,5 +30,12 @@ FORMAT = Format(
     (".cwa",),
     sniff,
     reader="accelcal_cli.formats.cwa.reader:open_recording",
-    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor", *GYRO_OPTIONS),
+    ignores=(
+        "unit",
+        "columns",
+        *TIMES_OF_TABLES,
+        "layout",
+        "sensor",
+        *GYRO_OPTIONS,
+    ),
 )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
+from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
 
 EDF_MAGIC = b"0       "
 BDF_MAGIC = b"\xffBIOSEMI"
@@ -30,5 +30,5 @@ FORMAT = Format(
     (".edf", ".bdf", ".rec"),
     sniff,
     reader="accelcal_cli.formats.edf.reader:open_recording",
-    ignores=("time_column", "date_format", "layout", *GYRO_OPTIONS),
+    ignores=(*TIMES_OF_TABLES, "layout", *GYRO_OPTIONS),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
+from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
 
 AVRO_MAGIC = b"Obj\x01"
 SCHEMA_WORDS = (b"empatica", b"rawData")
@@ -21,5 +21,13 @@ FORMAT = Format(
     (".avro",),
     sniff,
     reader="accelcal_cli.formats.embraceplus.reader:open_recording",
-    ignores=("unit", "lsb_per_g", "columns", "time_column", "date_format", "layout", "sensor", *GYRO_OPTIONS),
+    ignores=(
+        "unit",
+        "lsb_per_g",
+        "columns",
+        *TIMES_OF_TABLES,
+        "layout",
+        "sensor",
+        *GYRO_OPTIONS,
+    ),
 )

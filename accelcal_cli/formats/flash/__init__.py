@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 import zlib
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
+from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
 
 PAGE_BYTES = 512
 HEADER_MAGIC = b"\x89ACL\r\n\x1a\n"
@@ -45,5 +45,12 @@ FORMAT = Format(
     (".bin",),
     sniff,
     reader="accelcal_cli.formats.flash.reader:open_recording",
-    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor", *GYRO_OPTIONS),
+    ignores=(
+        "unit",
+        "columns",
+        *TIMES_OF_TABLES,
+        "layout",
+        "sensor",
+        *GYRO_OPTIONS,
+    ),
 )

@@ -6,7 +6,7 @@ says what each field means to the reader.
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
+from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
 
 HEADER_MAGIC = b"GENEA/"
 
@@ -22,5 +22,12 @@ FORMAT = Format(
     (".bin",),
     sniff,
     reader="accelcal_cli.formats.genea.reader:open_recording",
-    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor", *GYRO_OPTIONS),
+    ignores=(
+        "unit",
+        "columns",
+        *TIMES_OF_TABLES,
+        "layout",
+        "sensor",
+        *GYRO_OPTIONS,
+    ),
 )

@@ -6,7 +6,7 @@ sample files; docs/more-devices.md says what each field means to the reader.
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
+from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
 
 PACKET_MAGIC = b"MDTCPACK"
 HEADER_MAGIC = b"MDTC"
@@ -27,5 +27,12 @@ FORMAT = Format(
     (".bin",),
     sniff,
     reader="accelcal_cli.formats.parmay.reader:open_recording",
-    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor", *GYRO_OPTIONS),
+    ignores=(
+        "unit",
+        "columns",
+        *TIMES_OF_TABLES,
+        "layout",
+        "sensor",
+        *GYRO_OPTIONS,
+    ),
 )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
+from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
 
 MAGIC = b"RIFF"
 KIND, KIND_AT = b"WAVE", 8
@@ -29,5 +29,12 @@ FORMAT = Format(
     (".wav",),
     sniff,
     reader="accelcal_cli.formats.wav.reader:open_recording",
-    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor", *GYRO_OPTIONS),
+    ignores=(
+        "unit",
+        "columns",
+        *TIMES_OF_TABLES,
+        "layout",
+        "sensor",
+        *GYRO_OPTIONS,
+    ),
 )

@@ -91,7 +91,7 @@ def test_seconds_or_milliseconds_are_settled_by_the_rate(tmp_path: Path) -> None
     assert with_times(tmp_path, cells, rate_hz=30.0, time_column="none").times[3] == 100_000
 
 
-@pytest.mark.parametrize("cell", ["04/03/2024 12:00:0{}", "4.3.2024 12:00:0{}", "12:00:0{}"])
+@pytest.mark.parametrize("cell", ["04/03/2024 12:00:0{}", "4.3.2024 12:00:0{}"])
 def test_dates_that_can_be_read_in_two_ways_are_refused(tmp_path: Path, cell: str) -> None:
     with pytest.raises(
         UnreadableError,

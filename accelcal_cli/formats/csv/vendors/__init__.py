@@ -15,7 +15,9 @@ from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.formats import HEAD_BYTES, is_text
 from accelcal_cli.core.plugins import find_plugins
 from accelcal_cli.core.recording import Device
-from accelcal_cli.formats.csv.cells import BYTE_ORDER_MARK, ORDERS, decode, read_date, unclear_date
+from accelcal_cli.core.written_times import ORDERS, read_date
+from accelcal_cli.formats.csv.cells import BYTE_ORDER_MARK, decode
+from accelcal_cli.formats.csv.times import unclear_date
 
 HEAD_LINES = 200
 DAY_US = 86_400 * MICROSECONDS
@@ -86,6 +88,8 @@ class ExportDescription:
         range_g: the sensor clips at +- this.
         date_order: of day, month and year, such as `mdy`.
         repeats_idle: the device sleeps, and then writes zeros, or repeats a row for a second or more.
+        time_unit_us: microseconds in one unit of the numbers of the time column.
+        counts_from_start: these count from `start`, which has a date.
         companion: the sidecar that says all this, if it is not in the file itself.
         doubt: why it cannot be calibrated as it is; None for raw data.
     """
@@ -106,6 +110,8 @@ class ExportDescription:
     date_order: str | None = None
     repeats_idle: bool = False
     companion: Path | None = None
+    time_unit_us: float | None = None
+    counts_from_start: bool = False
     doubt: Doubt | None = None
     gyro: tuple[int, int, int] | None = None
     gyro_unit: str | None = None

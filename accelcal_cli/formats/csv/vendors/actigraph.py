@@ -18,7 +18,7 @@ import re
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.recording import Device
-from accelcal_cli.formats.csv.cells import order_in
+from accelcal_cli.core.written_times import ORDERS, order_in, read_date
 from accelcal_cli.formats.csv.vendors import Doubt, ExportDescription, Head, Start, Vendor
 
 HEADER_LINES = 15
@@ -27,7 +27,7 @@ FASTEST_HZ = 1000.0
 FIRST = re.compile(r"Data\s+(?:Table\s+)?File\s+Created\s+By\s+(ActiGraph|Verisense)\s+(\S+)", re.I)
 RATE = re.compile(r"\bat\s*(\d{1,4}(?:[.,]\d{1,9})?)\s*Hz", re.IGNORECASE)
 FIRMWARE = re.compile(r"Firmware\s+v?(\S+)")
-DATES = re.compile(r"date\s+format\s+(\S.{3,10}?\S)\s+(?:at\s*\d|Filter|-{3})", re.IGNORECASE)
+DATES = re.compile(r"date\s+format\s+(\S.{3,24}?\S)\s+(?:at\s*\d|Filter|-{3})", re.IGNORECASE)
 KEY = re.compile(r"\W*(?:(?:Serial|Start|Epoch|Window|Cycle|Download|Current)\b|-{5,})")
 CLOCK = re.compile(r"(\d{1,2})[:.](\d\d)[:.](\d\d)\s*([AP]M)?", re.IGNORECASE)
 
@@ -92,7 +92,7 @@ def _seconds(text: str | None) -> int | None:
 
 def _start(head: Head) -> Start | None:
     seconds, day = _seconds(_value(head, "Start Time")), _value(head, "Start Date")
-    if seconds is None or day is None or not re.match(r"\d{1,4}\D+\d{1,2}\D+\d{2,4}$", day):
+    if seconds is None or day is None or not any(read_date(day, order) for order in ORDERS):
         return None
     line = next(number for number, text in enumerate(head, 1) if "Start Date" in text)
     return Start(seconds * MICROSECONDS, day, line)
