@@ -143,7 +143,7 @@ KINDS = (
                 "A longer recording with more turns of the wrist helps."),
     ProblemKind("damaged", "file damaged", "Parts of the file are lost",
                 "Copy the file again from the device; if the damage stays, have the device checked."),
-    ProblemKind("misfit", "not described", "The sensor does something that its parameters do not describe",
+    ProblemKind("misfit", "not described", "Sensor behaviour outside the model",
                 "The error is larger than it could be. The recording's page names what was found."),
 )  # fmt: skip
 """Kinds of problems, the weightiest first: a recording is listed under the first that it has."""
@@ -174,6 +174,11 @@ def page(study: StudyContent) -> str:
         problems=sum(len(members) for _, members in groups),
         scatter=scatter,
         dots=scatter.dots([entry.outcome for entry in entries]),
+        limit=scatter.limit(limit_mg),
+        limit_mg=f"{limit_mg:g}",
+        months=figures.by_month(
+            [entry.row["start_time"] for entry in once], [entry.outcome for entry in once], list(OUTCOMES)
+        ),
         marked=_marked(scatter, entries, groups),
         devices=devices,
         troubled=[line for line in devices if line.verdict in TROUBLED],

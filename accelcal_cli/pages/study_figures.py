@@ -128,6 +128,12 @@ class Scatter:
             return ""
         return f"M{self.x.at(low)} {self.y.at(low)}L{self.x.at(high)} {self.y.at(high)}"
 
+    def limit(self, limit_mg: float) -> str:
+        """Path of the line of the limit; empty if it is out of sight."""
+        if not self.y.low_mg < limit_mg <= self.y.high_mg:
+            return ""
+        return f"M{self.x.begin} {self.y.at(limit_mg)}H{self.x.end}"
+
     def dots(self, outcomes: Sequence[str]) -> list[tuple[str, str, int]]:
         """Return for each outcome a path of dots (lines of no length with round ends) and their number.
 
@@ -213,6 +219,85 @@ def drifts(devices: Sequence[tuple[str, Drift | None]], limit: float) -> DriftFi
     ticks = [Tick(x(step * number), f"{step * number:g}") for number in range(-count, count + 1)]
     height = TOP + ROW * len(rows) + BOTTOM
     return DriftFigure(rows, ticks, (x(-limit), x(limit)), x(0.0), WIDTH, height, len(known) - len(rows))
+
+
+MOST_MONTHS = 60
+MONTHS_HEIGHT = 150
+
+
+@dataclass(frozen=True, slots=True)
+class MonthBar:
+    """Recordings of one outcome that began in one month: a part of the month's bar."""
+
+    outcome: str
+    text: str
+    x: float
+    y: float
+    width: float
+    height: float
+
+
+@dataclass(frozen=True, slots=True)
+class MonthFigure:
+    """Outcomes by month, a bar for each month from the first to the last."""
+
+    bars: list[MonthBar]
+    ticks: list[Tick]
+    counts: list[Tick]
+    undated: int
+    width: int = WIDTH
+    height: int = MONTHS_HEIGHT + BOTTOM
+
+
+def by_month(
+    starts: Sequence[str | None], outcomes: Sequence[str], order: Sequence[str]
+) -> MonthFigure | None:
+    """Return the outcomes by the month in which recordings began; None with fewer than two months.
+
+    Args:
+        starts: times of first samples, as ISO 8601 text; None where they are not known.
+        order: outcomes from the bottom of a bar upwards.
+    """
+    counted: dict[int, dict[str, int]] = {}
+    for start, outcome in zip(starts, outcomes, strict=True):
+        month = _month(start)
+        if month is not None:
+            counts = counted.setdefault(month, {})
+            counts[outcome] = counts.get(outcome, 0) + 1
+    if len(counted) < 2:
+        return None
+    first, last = max(min(counted), max(counted) - MOST_MONTHS + 1), max(counted)
+    largest = max(sum(counts.values()) for counts in counted.values())
+    step = (WIDTH - LEFT - RIGHT) / (last - first + 1)
+    ground, scale = TOP + MONTHS_HEIGHT - 20, (MONTHS_HEIGHT - 20) / largest
+    bars = []
+    for month, counts in sorted(counted.items()):
+        below = 0
+        for outcome in sorted(counts, key=lambda one: order.index(one) if one in order else len(order)):
+            number = counts[outcome]
+            below += number
+            text = f"{_month_name(month)}: {number} {outcome.replace('_', ' ')}"
+            x, y = LEFT + (month - first) * step, ground - below * scale
+            if month >= first:
+                sizes = (round(value, 1) for value in (x, y, 0.8 * step, number * scale))
+                bars.append(MonthBar(outcome, text, *sizes))
+    every = max(1, (last - first + 1) // 8)
+    ticks = [
+        Tick(round(LEFT + (month - first + 0.4) * step, 1), _month_name(month))
+        for month in range(first, last + 1, every)
+    ]
+    undated = sum(_month(start) is None for start in starts)
+    return MonthFigure(bars, ticks, [Tick(ground, "0"), Tick(TOP, str(largest))], undated)
+
+
+def _month(start: str | None) -> int | None:
+    """Number months from year 0; None for what is not a date."""
+    year, _, rest = (start or "").partition("-")
+    return 12 * int(year) + int(rest[:2]) - 1 if year.isdecimal() and rest[:2].isdecimal() else None
+
+
+def _month_name(month: int) -> str:
+    return f"{month // 12}-{month % 12 + 1:02d}"
 
 
 def bar(number: int, total: int) -> int:

@@ -261,7 +261,7 @@ def test_a_narrow_window_scrolls_in_the_table_alone(few: Path, opened: Opens) ->
 
 def test_a_step_on_the_fourth_day_is_seen_and_said(stepped: Path, opened: Opens) -> None:
     window = opened(stepped)
-    first = window.page.inner_text("main").split("What became of the recordings")[0]
+    first = window.page.inner_text("main").split("\nOutcomes\n")[0]
     assert "The sensor changed while it recorded: 1 recording" in first
     assert f"its offsets jump at {STEP_AT}" in first
     size = float(first.split("by up to ")[1].split(" mg")[0])

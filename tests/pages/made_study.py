@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from accelcal_cli import api
+import accelcal
 from accelcal_cli.pipeline.jobs import Job
 from accelcal_cli.studies import summary
 from accelcal_cli.studies.records import Item
@@ -37,7 +37,7 @@ def base_report() -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.raw"
         write_raw(path, still_counts(directions(60)))
-        report: dict[str, Any] = copy.deepcopy(dict(api.calibrate(path).report))
+        report: dict[str, Any] = copy.deepcopy(dict(accelcal.calibrate(path).report))
     return report
 
 

@@ -436,3 +436,27 @@ def test_ten_thousand_recordings_take_two_and_a_half_megabytes(tmp_path: Path) -
 
 def test_five_hundred_recordings_take_no_more_than_their_share(varied: str) -> None:
     assert len(varied.encode()) < 60_000 + 500 * 240
+
+
+def test_bars_by_month_have_all_recordings_with_a_date() -> None:
+    """Heights add up to the numbers, counted here."""
+    starts = ["2025-01-06T09:30:00", "2025-01-31T00:00:00", "2025-03-01T00:00:00", None, "what"]
+    outcomes = ["calibrated", "refused", "calibrated", "calibrated", "failed"]
+    months = study_figures.by_month(starts, outcomes, ["calibrated", "refused"])
+    assert months is not None and months.undated == 2
+    drawn = [(one.text, one.height) for one in months.bars]
+    assert drawn == [
+        ("2025-01: 1 calibrated", 65.0),
+        ("2025-01: 1 refused", 65.0),
+        ("2025-03: 1 calibrated", 65.0),
+    ]
+    bottom, above = months.bars[:2]
+    assert above.y + above.height == bottom.y and months.bars[2].y == bottom.y
+    assert [tick.label for tick in months.ticks] == ["2025-01", "2025-02", "2025-03"]
+    assert study_figures.by_month(starts[:2], outcomes[:2], []) is None
+
+
+def test_the_line_of_the_limit_is_where_the_axis_says() -> None:
+    scatter = study_figures.Scatter.of([(40.0, 0.5), (30.0, 20.0)])
+    assert scatter.limit(10.0) == f"M{scatter.x.begin} {scatter.y.at(10.0)}H{scatter.x.end}"
+    assert study_figures.Scatter.of([(4.0, 0.5)]).limit(100.0) == ""
