@@ -49,6 +49,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     request = Request(
         options=read_options(values),
         parts=values["parts"],
+        joined=values["parts"],
         settings=replace(with_values(DEFAULT, values), temperature=not values["no_temperature"]),
         chunk_samples=values["chunk_samples"],
         force=values["force"],

@@ -57,7 +57,12 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         refuse_unused(named, reading)
     rules, parts = options.rules_of(values), values["parts"]
     request = Request(
-        reading, inspection_settings(values, full=values["full"]), several=several, rules=rules, parts=parts
+        reading,
+        inspection_settings(values, full=values["full"]),
+        several=several,
+        rules=rules,
+        parts=parts,
+        joined=parts,
     )
     return exit_codes.of_all([_one(path, request, values) for path in named])
 

@@ -382,4 +382,5 @@ def request_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) 
         command=("accelcal", *sys.argv[1:]),
         rules=rules_of(values, folders),
         parts=folders is not None or values["parts"],
+        joined=folders is None and values["parts"],
     )

@@ -77,6 +77,7 @@ def measuring_request(recording: Path, values: dict[str, Any]) -> Request:
     return Request(
         options=read_options(values),
         parts=values["parts"],
+        joined=values["parts"],
         settings=chosen_settings(values) if path is None else recipient_settings(values),
         chunk_samples=values["chunk_samples"],
         coefficients=None if path is None else read_coefficients(path),

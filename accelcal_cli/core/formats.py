@@ -231,6 +231,7 @@ class Format:
         reader: "module:function" that opens a file, imported by the first file that is opened.
         ignores: reading options that mean nothing to it, such as `columns`: the one place that says so.
         is_table: such files hold tables of all kinds; that of a study may be no recording.
+        belongs_to: the recording whose further sensors or description a file holds; None for any other file.
     """
 
     name: str
@@ -240,6 +241,7 @@ class Format:
     reader: str
     ignores: tuple[str, ...] = ()
     is_table: bool = False
+    belongs_to: Callable[[Path], Path | None] = lambda _path: None
 
     def unused(self, options: ReadOptions) -> tuple[str, ...]:
         """Return the options that are given and mean nothing to this format."""

@@ -11,6 +11,7 @@ import contextlib
 import importlib
 import importlib.util
 import pkgutil
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cache
@@ -34,7 +35,6 @@ from accelcal_cli.core.input_files import (
     TAR_MAGIC_AT,
     files_of,
     may_be_archive,
-    pattern_of_siblings,
 )
 from accelcal_cli.core.plugins import find_plugin, find_plugins, named_plugin
 from accelcal_cli.core.recording import Reader
@@ -46,8 +46,13 @@ SIGNED = 90
 CERTAIN = 100
 """Confidence that no other format exceeds; HDF5 gives its signature less, since Opal files have it, too."""
 
-LOOKED_AT = 8
+LOOKED_AT = 200
 """Number of members of an archive whose names are checked."""
+
+NO_SIGN = {".txt", ".log"}
+"""Suffixes that say nothing of what a member of an archive is."""
+
+POLAR = re.compile(r".*_acc\.txt")
 
 
 @cache
@@ -127,12 +132,30 @@ def has_parts(path: Path) -> bool:
 
 
 def holds_parts(path: Path) -> bool:
-    """Return True for an archive in which one of the first members is named like a part of a recording."""
+    """Return True for an archive that may hold recordings, by the names that a short look shows.
+
+    So may one that shows none: it is damaged, or has too many members.
+    """
     if not path.name.lower().endswith(ARCHIVES) or not has_parts(path):
         return False
     from accelcal_cli.formats._parts.archive import first_names
 
-    return any(pattern_of_siblings(Path(name)) is not None for name in first_names(path, LOOKED_AT))
+    names = [name.lower().removesuffix(".gz") for name in first_names(path, LOOKED_AT)]
+    kinds = {suffix for item in all_formats() for suffix in item.suffixes} - NO_SIGN
+    return not names or any(Path(name).suffix in kinds or POLAR.fullmatch(name) for name in names)
+
+
+def belongs_to(path: Path) -> Path | None:
+    """Return the recording that a file belongs to; None for a file that may be one itself.
+
+    So do the further sensors of an export of a phone or a wristband, and the files of a Unisens recording.
+    """
+    return next((found for item in all_formats() if (found := item.belongs_to(path)) is not None), None)
+
+
+def is_export(folder: Path) -> bool:
+    """Return True for a folder in which all files that belong to another belong to the same."""
+    return len({found for one in files_of(folder) or () if (found := belongs_to(one)) is not None}) == 1
 
 
 def unused_options(path: Path, options: ReadOptions) -> tuple[str, ...]:
@@ -183,6 +206,7 @@ def open_recording(
     unused: tuple[str, ...] = (),
     *,
     session: bool = False,
+    joined: bool = True,
 ) -> Reader:
     """Open a recording of any format, or one in parts, for streaming.
 
@@ -190,6 +214,8 @@ def open_recording(
         threads: how many may work at a time on reading it.
         unused: options that were given for other recordings and mean nothing for this one; it is noted.
         session: the parts are not stretches of one recording, but recordings of one device at rest.
+        joined: the recordings in an archive are parts of one, whatever their names; else an archive around
+            several is refused.
 
     Raises:
         UnreadableError, UsageError: see `find_format` and the format's own `open`; or an option means
@@ -197,10 +223,16 @@ def open_recording(
         OutputError: there is no room to unpack an archive of parts.
     """
     if has_parts(path):
-        from accelcal_cli.formats._parts.reader import PartsReader, SessionReader, open_parts
+        from accelcal_cli.formats._parts.reader import PartsReader, open_parts
+        from accelcal_cli.formats._parts.session import SessionReader
+
+        def open_part(part: Path) -> Reader:
+            return _open_file(part, options, unused)
 
         kind = SessionReader if session else PartsReader
-        reader: Reader = open_parts(path, lambda part: _open_file(part, options, unused), kind, threads)
+        reader: Reader = open_parts(
+            path, open_part, kind, threads, joined=joined or session, belongs_to=belongs_to
+        )
     else:
         reader = _open_file(path, options, unused)
     reader.threads = threads

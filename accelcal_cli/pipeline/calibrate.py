@@ -247,7 +247,7 @@ def open_run(
     request = request.for_recording(path)
     session = isinstance(request.settings, PoseSettings)
     with survey.open_marked(
-        path, request.options, request.threads, request.unused, session=session
+        path, request.options, request.threads, request.unused, session=session, joined=request.joined
     ) as reader:
         if reader.recording.calibrated is not None:  # a copy of what is there already helps nobody
             request = replace(request, report_only=True)

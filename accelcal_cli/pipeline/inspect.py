@@ -137,7 +137,7 @@ def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
         AccelcalError: it cannot be read.
     """
     request, settings = request.for_recording(path), request.recording_settings
-    with open_marked(path, request.options, unused=request.unused) as reader:
+    with open_marked(path, request.options, unused=request.unused, joined=request.joined) as reader:
         recording = reader.recording
         full |= recording.total_bytes <= SMALL_BYTES
         method = make_method(recording, settings)

@@ -23,7 +23,7 @@ from accelcal_cli.core.input_files import ANY, ARCHIVES, files_of, is_pattern
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
 from accelcal_cli.core.system import cpus, temporary_folder
-from accelcal_cli.formats import all_formats, refuse_unused, unused_options
+from accelcal_cli.formats import all_formats, is_export, refuse_unused, unused_options
 from accelcal_cli.output.report_view import ReportView, report_view
 from accelcal_cli.pipeline.options import FolderRules, StatedOption, stated_options, with_stated
 
@@ -315,6 +315,7 @@ class Request:
         unused: of this recording's options those that mean nothing; its report has a note of them.
         rules: reading options by name, of `study.toml`.
         parts: a folder or a pattern stands for the parts of one recording.
+        joined: so do the recordings in an archive, whatever their names.
         as_given: the reading options are all that counts; what files next to the recording state does not.
     """
 
@@ -337,6 +338,7 @@ class Request:
     unused: tuple[str, ...] = ()
     rules: tuple[FolderRules, ...] = ()
     parts: bool = False
+    joined: bool = True
     as_given: bool = False
 
     def options_of(self, path: Path) -> ReadOptions:
@@ -355,7 +357,7 @@ class Request:
             UnreadableError, UsageError: see `find_format` and `options_of`; or it is a folder, and parts are
                 not asked for.
         """
-        if not self.parts and is_folder(path):
+        if not self.parts and is_folder(path) and not is_export(path):
             hint = f"accelcal study {shlex.quote(printable(path))} -d OUT calibrates all recordings in it; "
             more = "with --parts it is read as the parts of one"
             raise UnreadableError("is a folder, not a recording", path=path, hint=hint + more)

@@ -127,16 +127,17 @@ def open_marked(
     unused: tuple[str, ...] = (),
     *,
     session: bool = False,
+    joined: bool = True,
 ) -> Reader:
     """Open a recording; rows at the sensor's range, and runs of zeros, are marked in `validity`.
 
     Args:
-        session: see `formats.open_recording`.
+        session, joined: see `formats.open_recording`.
 
     Raises:
         UnreadableError, UsageError: see `formats.open_recording`.
     """
-    return MarkingReader(open_recording(path, options, threads, unused, session=session))
+    return MarkingReader(open_recording(path, options, threads, unused, session=session, joined=joined))
 
 
 class MarkingReader(Reader):

@@ -18,10 +18,9 @@ from accelcal_cli.core.door import files_below, is_file, is_folder, is_link, is_
 from accelcal_cli.core.errors import AccelcalError, NoRecordingError, OutputError, UnreadableError, UsageError
 from accelcal_cli.core.formats import Format, ReadOptions, probe_file, without
 from accelcal_cli.core.input_files import ANY, files_of, is_no_part, pattern_of_siblings
-from accelcal_cli.formats import all_formats, holds_parts, named_format
+from accelcal_cli.formats import all_formats, belongs_to, holds_parts, named_format
 from accelcal_cli.formats.csv import bids_channels_path
 from accelcal_cli.formats.raw import folder_layout, named_layout
-from accelcal_cli.formats.unisens import belongs_to_another
 from accelcal_cli.output.files import looking_at, stored_schema
 from accelcal_cli.output.report_reading import load_our_json
 from accelcal_cli.pipeline import jobs
@@ -257,7 +256,7 @@ def _never(path: Path) -> bool:
     """Return True for what is certainly no recording: hidden, an output, options, a layout, a part."""
     name = path.name
     written = NAMES.fullmatch(name) is not None and (path.suffix not in SUMMARY or _is_study_file(path))
-    return name.startswith(".") or name.endswith(OURS) or written or belongs_to_another(path)
+    return name.startswith(".") or name.endswith(OURS) or written or belongs_to(path) is not None
 
 
 def _plain(path: Path) -> bool:

@@ -1,18 +1,19 @@
-"""Recordings in several files, read one at a time: parts of one recording, or the files of a session.
+"""Recordings in several files, read one at a time: in a folder, or in an archive.
 
 The parts of a recording are joined in the order of their times: a missing part is a gap, a repeated one is
-read once, and one that cannot be read is reported. The files of a session are recordings of their own on one
-device, such as one of each face. They follow one another by name, and their times are moved so that each file
-begins when the one before ends; when they were made, and in which order, does not matter.
+read once, and one that cannot be read is reported. An archive may hold one recording alone, which is read by
+its own reader, or an export of which one file is the recording; around several it is refused unless they are
+parts. The files of a session (`session.py`) are recordings of their own.
 """
 
 from __future__ import annotations
 
-import os
+import re
+import shlex
+import zipfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
@@ -23,6 +24,7 @@ from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import (
     AccelcalError,
     NoFormatError,
+    NoRecordingError,
     OutputError,
     UnreadableError,
     UsageError,
@@ -30,9 +32,8 @@ from accelcal_cli.core.errors import (
     listed,
     printable,
 )
-from accelcal_cli.core.input_files import files_of, is_no_part, size_of
-from accelcal_cli.core.local_time import NO_START
-from accelcal_cli.core.recording import CUT_SHORT, Chunk, PlacedFile, Problem, Reader, Recording
+from accelcal_cli.core.input_files import ARCHIVES, files_of, is_no_part, pattern_of_siblings, size_of
+from accelcal_cli.core.recording import CUT_SHORT, Chunk, Problem, Reader, Recording
 from accelcal_cli.core.system import new_folder, remove_folder
 from accelcal_cli.formats._parts import archive
 from accelcal_cli.formats._stamps import GAP_PERIODS
@@ -56,13 +57,13 @@ class RecordingPart:
 
     Attributes:
         recording: what its header says.
-        start_us: time of its first sample.
+        start_us: time of its first sample; None if it is not known.
         size: length [bytes].
     """
 
     path: Path
     recording: Recording
-    start_us: int
+    start_us: int | None
     size: int
 
 
@@ -74,22 +75,31 @@ AnyReader = TypeVar("AnyReader", bound=Reader)
 
 
 def open_parts(
-    path: Path, open_part: Open, kind: Callable[[Path, PartFiles, Open], AnyReader], threads: int = 1
+    path: Path,
+    open_part: Open,
+    kind: Callable[[Path, PartFiles, Open], AnyReader],
+    threads: int = 1,
+    *,
+    joined: bool,
+    belongs_to: Callable[[Path], Path | None],
 ) -> AnyReader:
     """Open a recording of several files: a folder, a pattern, or an archive.
 
     Args:
-        kind: the class of reader, `PartsReader` or `SessionReader`.
+        kind: the class of reader, `PartsReader` or `SessionReader` (`session.py`).
         threads: how many may work at a time on unpacking an archive.
+        joined: the recordings in an archive are parts of one, whatever their names.
+        belongs_to: see `Format`.
 
     Raises:
-        UnreadableError: none of them can be read, or they do not say when they begin.
+        UnreadableError: none of them can be read, they do not say when they begin, or they are not parts of
+            one recording.
         UsageError: they are of several devices, or an option contradicts them.
         OutputError: there is no room to unpack an archive.
     """
     files = files_of(path)
     if files is not None:
-        return kind(path, PartFiles(files), open_part)
+        return kind(path, _without_siblings(PartFiles(files, joined=joined), belongs_to), open_part)
     try:
         folder = new_folder()
     except OSError as error:
@@ -100,21 +110,36 @@ def open_parts(
         ) from error
     try:
         unpacked = archive.unpack(path, folder, lambda name: not is_no_part(Path(name)), threads)
-        part_files = PartFiles(unpacked.files, unpacked.damage, unpacked.lost_bytes, folder)
-        return kind(path, part_files, partial(_open_member, path, open_part))
+        part_files = PartFiles(unpacked.files, unpacked.damage, unpacked.lost_bytes, folder, joined)
+        part_files.aside += [counted(unpacked.empty, "empty file")] if unpacked.empty else []
+        with _naming(path, folder):
+            return kind(path, _without_siblings(part_files, belongs_to), open_part)
     except BaseException:
         remove_folder(folder)
         raise
 
 
-def _open_member(archived: Path, open_part: Open, unpacked: Path) -> Reader:
-    """Open a member of an archive; errors name the member, not the file it was unpacked to."""
+@contextmanager
+def _naming(archived: Path, folder: Path | None) -> Iterator[None]:
+    """Let errors name the member of an archive, not the file it was unpacked to."""
     try:
-        return open_part(unpacked)
+        yield
     except AccelcalError as error:
-        if error.path == unpacked:
-            error.path = archived / unpacked.name
+        if folder is not None:
+            unpacked = re.compile(rf"{re.escape(str(folder))}(?:/\d+)?(?:/meta)?/?")
+            if error.path is not None and unpacked.match(str(error.path)):
+                error.path = archived / unpacked.sub("", str(error.path))
+            error.message = unpacked.sub("", error.message)
+            error.hint = error.hint and unpacked.sub("", error.hint)
         raise
+
+
+def _without_siblings(part_files: PartFiles, belongs_to: Callable[[Path], Path | None]) -> PartFiles:
+    """Set aside what belongs to another file: further sensors of an export, and what describes it."""
+    of_another = [file for file in part_files.files if belongs_to(file) is not None]
+    part_files.aside += [printable(file.name) for file in of_another]
+    part_files.files = tuple(file for file in part_files.files if file not in of_another)
+    return part_files
 
 
 @dataclass(slots=True)
@@ -124,6 +149,7 @@ class PartFiles:
     Attributes:
         damage: what is wrong with the archive that held them.
         folder: temporary folder, to be removed.
+        joined: the files are parts of one recording, whatever their names.
         aside: names of files that are not recordings.
         problems: one for each file that cannot be read.
     """
@@ -132,6 +158,7 @@ class PartFiles:
     damage: str | None = None
     lost_bytes: int = 0
     folder: Path | None = None
+    joined: bool = True
     aside: list[str] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
 
@@ -155,6 +182,9 @@ class FilesReader(Reader):
         if self._part_files.folder is not None:
             remove_folder(self._part_files.folder)
 
+    def _named(self) -> AbstractContextManager[None]:
+        return _naming(self.recording.path, self._part_files.folder)
+
     def _open(self, path: Path) -> Reader:
         reader = self._open_part(path)
         reader.threads = self.threads
@@ -175,7 +205,10 @@ class PartsReader(FilesReader):
 
     def __init__(self, path: Path, part_files: PartFiles, open_part: Open) -> None:
         super().__init__(part_files, open_part)
-        self.parts = self._alike(path, self._described(path))
+        described = self._described(path)
+        if not part_files.joined:
+            self._refuse_several(path, described)
+        self.parts = self._alike(path, described)
         self._sizes = [part.size for part in self.parts]
         if part_files.damage is not None:
             lost = Problem(CUT_SHORT, part_files.damage, None, 0, lost_bytes=part_files.lost_bytes)
@@ -184,9 +217,9 @@ class PartsReader(FilesReader):
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """See `Reader`; reads a part at a time."""
-        joint = _PartPlacer(self.recording, self._part_files.problems)
+        joint = _PartPlacer(self.recording, self._part_files.problems, named=len(self.parts) > 1)
         for number, part in enumerate(self.parts):
-            with self._open(part.path) as reader:
+            with self._named(), self._open(part.path) as reader:
                 for chunk in reader.chunks(chunk_samples):
                     placed = joint.placed(part, chunk, self._share(number, chunk.end_byte))
                     if len(placed) or placed.problems:
@@ -200,38 +233,67 @@ class PartsReader(FilesReader):
         """See `Reader`; takes the beginnings of parts spread over the recording."""
         step = max(1, len(self.parts) // pieces)
         for number, part in enumerate(self.parts[::step][:pieces]):
-            with self._open(part.path) as reader:
+            with self._named(), self._open(part.path) as reader:
                 for chunk in reader.preview(chunk_samples, 1):
                     yield replace(_stripped(chunk, self.recording), end_byte=self._share(number * step, 0))
 
     def _described(self, path: Path) -> list[RecordingPart]:
         """Return the parts that can be read, by time."""
         parts: list[RecordingPart] = []
-        failure: UnreadableError | None = None
+        failures: list[tuple[Path, UnreadableError]] = []
         for file in self._part_files.files:
-            size = file.stat().st_size
             try:
                 with self._open(file) as reader:
                     recording = reader.recording
-            except NoFormatError:
+            except (NoFormatError, NoRecordingError):
                 self._part_files.aside.append(file.name)
-                continue
             except UnreadableError as error:
-                failure = failure or error
-                text = f"part {file.name} cannot be read: {error.message}"
-                self._part_files.problems.append(
-                    Problem("unreadable_part", printable(text), None, 0, 1, size)
-                )
-                continue
-            if recording.start_us is None:
-                hint = "the parts need times; join them to one file instead, if they follow each other"
-                raise UnreadableError("does not say when it begins", path=file, hint=hint)
-            parts.append(RecordingPart(file, recording, recording.start_us, size))
+                failures.append((file, error))
+            else:
+                parts.append(RecordingPart(file, recording, recording.start_us, file.stat().st_size))
         if not parts:
-            raise failure or UnreadableError(
-                "holds no parts of a recording", path=path, hint=_office_hint(path)
-            )
-        return sorted(parts, key=lambda part: (part.start_us, part.path.name))
+            raise self._none(path, [error for _, error in failures])
+        self._sort_out(parts, failures)
+        undated = next((part.path for part in parts if part.start_us is None), None)
+        if undated is not None and len(parts) > 1 and self._part_files.joined:
+            hint = "the parts need times; join them to one file instead, if they follow each other"
+            raise UnreadableError("does not say when it begins", path=undated, hint=hint)
+        return sorted(parts, key=lambda part: (part.start_us or 0, part.path.name))
+
+    def _none(self, path: Path, failures: Sequence[UnreadableError]) -> UnreadableError:
+        if failures:
+            return failures[0]
+        return UnreadableError("holds no parts of a recording", path=path, hint=_office_hint(path))
+
+    def _sort_out(
+        self, parts: Sequence[RecordingPart], failures: Sequence[tuple[Path, UnreadableError]]
+    ) -> None:
+        """Tell of files that cannot be read: damaged parts, or if no part has their suffix other files."""
+        suffixes = {part.path.suffix.lower() for part in parts}
+        tables = {part.recording.format for part in parts} == {"csv"}
+        for file, error in failures:
+            if file.stat().st_size == 0 or (tables and not self._part_files.joined):
+                self._part_files.aside.append(file.name)
+            elif file.suffix.lower() in suffixes or self._part_files.joined:
+                text = printable(f"part {file.name} cannot be read: {error.message}")
+                self._part_files.problems.append(
+                    Problem("unreadable_part", text, None, 0, 1, file.stat().st_size)
+                )
+            else:
+                self._part_files.aside.append(file.name)
+
+    def _refuse_several(self, path: Path, parts: Sequence[RecordingPart]) -> None:
+        """Raise UnreadableError for an archive of recordings whose names do not say that they are parts."""
+        files = [part.path for part in parts]
+        broken = [one for one in self._part_files.problems if one.code == "unreadable_part"]
+        siblings = {pattern_of_siblings(Path(file.name)) for file in files}
+        if len(files) + len(broken) == 1 or (len(siblings) == 1 and None not in siblings):
+            return
+        names = [printable(file.name) for file in files]
+        some = listed(names) if len(names) <= SHOWN else f"{', '.join(names[:SHOWN])} and more"
+        raise UnreadableError(
+            f"holds {len(files) + len(broken)} recordings ({some})", path=path, hint=_unpacking_hint(path)
+        )
 
     def _alike(self, path: Path, parts: list[RecordingPart]) -> list[RecordingPart]:
         """Return the parts that are like the first, as parts of one recording are."""
@@ -249,6 +311,21 @@ class PartsReader(FilesReader):
                 )
                 self._part_files.problems.append(Problem("other_part", text, None, 0, 1, part.size))
         return kept
+
+
+def _unpacking_hint(path: Path) -> str:
+    """Return the commands that make a study of the recordings in an archive."""
+    name = printable(path)
+    if path.is_dir():
+        return (
+            f"`accelcal study {shlex.quote(name)} -d OUT` calibrates each; with --parts they are parts of one"
+        )
+    folder = next((name[: -len(one)] for one in ARCHIVES if name.lower().endswith(one)), f"{name}_unpacked")
+    packed, here = shlex.quote(name), shlex.quote(folder)
+    how = f"mkdir {here} && tar -xf {packed} -C {here}"
+    if zipfile.is_zipfile(path):
+        how = f"unzip {packed} -d {here}"
+    return f"`{how}` and `accelcal study {here} -d OUT` calibrate each; with --parts they are parts of one"
 
 
 def unlike(first: Recording, other: Recording) -> str | None:
@@ -274,7 +351,7 @@ def _as_one(path: Path, parts: Sequence[RecordingPart], part_files: PartFiles) -
     lasts_s = None
     one_gyroscope = len({part.recording.gyro_dps_per_lsb for part in parts}) == 1
     if last.duration_s is not None:
-        lasts_s = (parts[-1].start_us - parts[0].start_us) / MICROSECONDS + last.duration_s
+        lasts_s = ((last.start_us or 0) - (first.start_us or 0)) / MICROSECONDS + last.duration_s
     return replace(
         first,
         path=path,
@@ -299,8 +376,8 @@ def _stripped(chunk: Chunk, recording: Recording) -> Chunk:
 class _PartPlacer:
     """Places the chunks of one part after another in the recording."""
 
-    def __init__(self, recording: Recording, problems: Sequence[Problem]) -> None:
-        self._recording = recording
+    def __init__(self, recording: Recording, problems: Sequence[Problem], *, named: bool) -> None:
+        self._recording, self._named = recording, named
         self._period_us = MICROSECONDS / recording.rate_hz
         self._samples, self._first_of_part = 0, 0
         self._last_us: int | None = None
@@ -315,7 +392,7 @@ class _PartPlacer:
             replace(
                 one,
                 sample=self._first_of_part + max(0, one.sample - self._dropped),
-                message=printable(f"{part.path.name}: {one.message}"),
+                message=printable(f"{part.path.name}: {one.message}") if self._named else one.message,
             )
             for one in chunk.problems
         ]
@@ -403,154 +480,3 @@ def _office_hint(path: Path) -> str | None:
     """Return what to do with an archive of an office program; None for any other."""
     of_office = is_file(path) and OFFICE in archive.first_names(path, 1)
     return "it is a workbook or document of an office program: save its table as CSV" if of_office else None
-
-
-class SessionReader(FilesReader):
-    """Reads the files of a session.
-
-    Unlike the parts of a recording, all of them are needed: one that cannot be read, or is not like the
-    first, ends the session.
-
-    Raises:
-        UnreadableError: one cannot be read.
-        UsageError: they are of several devices, or differ in rate, scale, range or time zone.
-    """
-
-    def __init__(self, path: Path, part_files: PartFiles, open_part: Open) -> None:
-        super().__init__(part_files, open_part)
-        if part_files.damage is not None:
-            raise UnreadableError(part_files.damage, path=path)
-        if not part_files.files:
-            raise UnreadableError("holds no recordings", path=path)
-        self._names, self._files = _files_by_name(path, part_files)
-        self._sizes = [file.stat().st_size for file in self._files]
-        described = [(file, self._described(file)) for file in self._files]
-        _refuse_unlike(described)
-        self.recording = _session_as_one(path, described[0][1], self._names)
-
-    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
-        """See `Reader`; reads a file at a time."""
-        placed: list[PlacedFile] = []
-        next_us: int | None = None
-        for number, file in enumerate(self._files):
-            one = _FilePlacer(self._names[number], sum(before.samples for before in placed), next_us)
-            with self._open(file) as reader:
-                for chunk in reader.chunks(chunk_samples):
-                    yield replace(one.placed(chunk), end_byte=self._share(number, chunk.end_byte))
-            placed.append(one.done(file))
-            next_us = one.last_us + round(MICROSECONDS / self.recording.rate_hz)
-        self.files = tuple(placed)
-
-    def _described(self, file: Path) -> Recording:
-        try:
-            with self._open(file) as reader:
-                return reader.recording
-        except NoFormatError as error:
-            error.hint = "every file of the session must be a recording; a list of poses is called poses.csv"
-            raise
-
-
-class _FilePlacer:
-    """Places the chunks of one file in the session.
-
-    Attributes:
-        last_us: time of the last row so far, as placed.
-    """
-
-    def __init__(self, name: str, first_sample: int, first_us: int | None) -> None:
-        self._name, self._first_sample, self._first_us = name, first_sample, first_us
-        self._moved_us: int | None = None
-        self._samples = self._problems = self._lost_bytes = 0
-        self._begun, self._dated, self.last_us = first_us is None, True, 0
-
-    def placed(self, chunk: Chunk) -> Chunk:
-        """Return a chunk of the file as one of the session."""
-        breaks = chunk.breaks
-        if len(chunk) and self._moved_us is None:
-            own_us = int(chunk.clock.times(0, 1)[0])
-            first_us = own_us if self._first_us is None else self._first_us
-            self._first_us, self._moved_us = first_us, first_us - own_us
-            breaks = breaks if self._begun else np.union1d([0], breaks).astype(np.int64)
-        self._dated &= all(problem.code != NO_START for problem in chunk.problems)
-        self._problems += len(chunk.problems)
-        self._lost_bytes += sum(one.lost_bytes + one.missing_bytes for one in chunk.problems)
-        here = self._first_sample
-        placed = replace(
-            chunk,
-            first_sample=here + self._samples,
-            clock=chunk.clock.shifted(self._moved_us or 0),
-            breaks=breaks,
-            temperature_mc=None,
-            gyro_counts=None,
-            problems=tuple(
-                replace(one, sample=here + one.sample, message=printable(f"{self._name}: {one.message}"))
-                for one in chunk.problems
-            ),
-        )
-        if len(chunk):
-            self._samples += len(chunk)
-            self.last_us = int(placed.clock.times(len(chunk) - 1, len(chunk))[0])
-        return placed
-
-    def done(self, file: Path) -> PlacedFile:
-        """Return the description of the whole file; raises UnreadableError if it has no samples."""
-        if self._first_us is None or self._moved_us is None:
-            raise UnreadableError("holds no samples", path=file)
-        return PlacedFile(
-            self._name,
-            self._first_sample,
-            self._samples,
-            self._first_us,
-            self._moved_us,
-            self._dated,
-            self._problems,
-            self._lost_bytes,
-        )
-
-
-def _files_by_name(path: Path, part_files: PartFiles) -> tuple[list[str], list[Path]]:
-    """Return the files and their names, relative to the folder that holds all; in an archive without folders.
-
-    Raises:
-        UnreadableError: an archive holds two of one name.
-    """
-    if part_files.folder is None:
-        base = Path(os.path.commonpath([file.parent for file in part_files.files]))
-        return [printable(file.relative_to(base).as_posix()) for file in part_files.files], [
-            *part_files.files
-        ]
-    files = sorted(part_files.files, key=lambda file: file.name)
-    names = [printable(file.name) for file in files]
-    if (twice := next((one for one, two in pairwise(names) if one == two), None)) is not None:
-        raise UnreadableError(f"holds two files called {twice}", path=path, hint="unpack it, or rename one")
-    return names, files
-
-
-def _refuse_unlike(described: Sequence[tuple[Path, Recording]]) -> None:
-    """Raise UsageError for a file that is not of the first one's device and settings."""
-    (first_file, first), *others = described
-    for file, other in others:
-        for name, word in (("serial", "serial number"), ("model", "model")):
-            one, two = getattr(first.device, name), getattr(other.device, name)
-            if None not in (one, two) and one != two:
-                text = f"is of another device than {first_file.name}: its {word} is {two}, not {one}"
-                raise UsageError(printable(text), path=file, hint="a session is of one device")
-        if (why := unlike(first, other)) is not None:
-            text = f"does not go with {first_file.name}: its {why} is another"
-            raise UsageError(printable(text), path=file, hint="a session is of one device, set up once")
-
-
-def _session_as_one(path: Path, first: Recording, names: Sequence[str]) -> Recording:
-    """Return the description of the session."""
-    some = ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
-    note = f"a session of {counted(len(names), 'file')} ({some}); the times between them are left out"
-    return replace(
-        first,
-        path=path,
-        total_bytes=size_of(path),
-        samples=None,
-        duration_s=None,
-        has_temperature=False,
-        gyro_dps_per_lsb=None,
-        notes=(*first.notes, note),
-    )

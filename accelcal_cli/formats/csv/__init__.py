@@ -41,6 +41,13 @@ def sniff(probe: Probe) -> int:
     return 40 + 10 * (probe.suffix in SUFFIXES) + 10 * (dialect.names is not None)
 
 
+def belongs_to(path: Path) -> Path | None:
+    """Return the table of accelerations of an export that a file belongs to; None for other files."""
+    from accelcal_cli.formats.csv.exports import belongs_to as found
+
+    return found(path)
+
+
 FORMAT = Format(
     "csv",
     "text file (CSV) with a column each for x, y and z",
@@ -48,4 +55,5 @@ FORMAT = Format(
     sniff,
     reader="accelcal_cli.formats.csv.reader:open_recording",
     ignores=("layout",),
+    belongs_to=belongs_to,
 )

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.door import has_file
-from accelcal_cli.core.errors import UnreadableError, UsageError, printable
+from accelcal_cli.core.errors import UnreadableError, UsageError, counted, printable
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions, agreed_rate
 from accelcal_cli.core.input_files import read_text
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Device
@@ -57,6 +57,7 @@ from accelcal_cli.formats.csv.columns import (
     why_not_read,
 )
 from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
+from accelcal_cli.formats.csv.exports import experiment_start
 from accelcal_cli.formats.csv.lines import Block, LineFile, RepeatedHeads, lone_block
 from accelcal_cli.formats.csv.rows import ParsedTable, TableParser
 from accelcal_cli.formats.csv.sensors import SensorWatch, dividing_columns, rows_of_sensor
@@ -135,6 +136,8 @@ class Detected:
         notes += [self.watch.note] if self.parser.sensor and self.watch else []
         notes += [*self.gyro_notes, *self.pace.notes]
         headings = (dialect.names is not self.export.names) + (dialect.units is not None)
+        if self.export.pauses:
+            notes.append(f"{counted(self.export.pauses, 'pause')} of the experiment are not in its times")
         above = dialect.skipped - self.export.preamble - headings
         if above > 0:
             notes.append(f"{above} lines before the header or the first row were not used")
@@ -152,6 +155,7 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     _refuse_not_positive(options)
     head = _head(path, False)
     export = bids_description(path) or export_description(head, path.name) or ExportDescription()
+    export = _with_start(export, path)
     if export.doubt is not None and options.unit is None:
         raise UnreadableError(export.doubt.message, path=path, line=1, hint=export.doubt.hint)
     dialect = find_dialect(head, export.preamble)
@@ -206,6 +210,13 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     )
 
 
+def _with_start(export: ExportDescription, path: Path) -> ExportDescription:
+    """Return the description of an export with the start that a file beside it tells."""
+    if export.title != "phyphox" or (start := experiment_start(path)) is None:
+        return export
+    return replace(export, start=Start(start.us), timezone="UTC", companion=start.path, pauses=start.pauses)
+
+
 def _refuse_not_positive(options: ReadOptions) -> None:
     for name, value in (("--rate", options.rate_hz), ("--lsb-per-g", options.lsb_per_g)):
         if value is not None and not 0 < value < np.inf:
@@ -233,7 +244,7 @@ def _with_names(dialect: Dialect, export: ExportDescription, path: Path) -> Dial
         UnreadableError: a sidecar describes another number of columns.
     """
     names = export.names or ()
-    if export.companion is not None and len(names) != dialect.columns:
+    if export.companion is not None and names and len(names) != dialect.columns:
         raise UnreadableError(
             f"has {dialect.columns} columns, and {printable(export.companion.name)} describes {len(names)}",
             path=path,

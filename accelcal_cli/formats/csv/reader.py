@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core import recording
 from accelcal_cli.core.clock import MICROSECONDS, RESET_US, Clock, StampClock, UniformClock, rate_fraction
-from accelcal_cli.core.errors import UnreadableError, counted
+from accelcal_cli.core.errors import AccelcalError, UnreadableError, counted, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.local_time import FOLLOWED, LocalStamps
 from accelcal_cli.core.recording import (
@@ -38,6 +38,8 @@ from accelcal_cli.formats._stamps import GAP_PERIODS, IMPOSSIBLE, Pace, SharedSt
 from accelcal_cli.formats._wraps import WRAPPED, RunningOn, Wraps, text_of
 from accelcal_cli.formats.csv.detect import HEAD_BYTES, Detected, detect, last_timestamp
 from accelcal_cli.formats.csv.dialect import Dialect
+from accelcal_cli.formats.csv.exports import sibling_gyroscope
+from accelcal_cli.formats.csv.gyroscope import READ_AS, WithGyroscope, can_join
 from accelcal_cli.formats.csv.lines import Block, LineCutter, LineFile, RepeatedHeads
 from accelcal_cli.formats.csv.rows import CsvRows, Fault, RowParser, joined_rows
 
@@ -199,7 +201,7 @@ def _emptied(stretches: list[CsvRows]) -> CsvRows:
     return rows
 
 
-def open_recording(path: Path, options: ReadOptions) -> CsvReader:
+def open_recording(path: Path, options: ReadOptions) -> Reader:
     """Open a text file of numbers.
 
     Raises:
@@ -207,7 +209,25 @@ def open_recording(path: Path, options: ReadOptions) -> CsvReader:
             hint says which option settles it.
         UsageError: an option names no column, or counts come without their scale.
     """
-    return CsvReader(path, detect(path, options))
+    reader = CsvReader(path, detect(path, options))
+    stated = options.gyro_unit is not None or options.gyro_columns is not None or options.columns is not None
+    gyro = None if stated else sibling_gyroscope(path)
+    if gyro is None or reader.recording.gyro_dps_per_lsb is not None:
+        return reader
+    read_as = ReadOptions(unit=READ_AS[gyro.unit][0], columns=gyro.columns, gyro_unit="none")
+    try:
+        rates = CsvReader(gyro.path, detect(gyro.path, read_as))
+    except AccelcalError as error:
+        return _noted(reader, f"{gyro.path.name} was not used: {error.message}")
+    if not can_join(reader, rates):
+        return _noted(reader, f"{gyro.path.name} was not used: it did not begin together with {path.name}")
+    return WithGyroscope(reader, rates, gyro.path.name, gyro.unit)
+
+
+def _noted(reader: CsvReader, note: str) -> CsvReader:
+    """Return a reader whose recording has one more note."""
+    reader.recording = replace(reader.recording, notes=(*reader.recording.notes, printable(note)))
+    return reader
 
 
 class CsvReader(Reader):

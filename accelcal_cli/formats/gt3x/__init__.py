@@ -20,18 +20,21 @@ def sniff(probe: Probe) -> int:
     if not by_name and ZIP_MAGIC not in probe.head:
         return 0
     # Only what may be a zip file needs zipfile.
-    from accelcal_cli.formats.gt3x.archive import NAMED, by_directory, holds_samples
+    from accelcal_cli.formats.gt3x.archive import NAMED, directory_names, holds_samples
 
-    if holds_samples({found[2].decode() for found in NAMED.finditer(probe.head)}):
-        return 100
-    if probe.compressed or not (by_name or probe.head.startswith(ZIP_MAGIC)):
-        return by_name
     try:
         with probe.path.open("rb") as file:
-            listed, *_ = by_directory(file)
+            names = None if probe.compressed else directory_names(file)
     except OSError:
-        return by_name
-    return 100 if holds_samples(set(listed)) else by_name
+        names = None
+    if names is None:  # damaged: the headers of its parts are looked for, not those of a recording within
+        first = probe.head[30 : 30 + int.from_bytes(probe.head[26:28], "little")]
+        found = (match[2] for match in NAMED.finditer(probe.head))
+        named = [first] if first.lower().endswith(tuple(map(str.encode, SUFFIXES))) else found
+        names = [name.decode("ascii", "replace") for name in named]
+    if holds_samples(names):
+        return 100
+    return 0 if any(name.lower().endswith(SUFFIXES) for name in names) else by_name
 
 
 FORMAT = Format(

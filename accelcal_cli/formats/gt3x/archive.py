@@ -10,13 +10,13 @@ import re
 import struct
 import zipfile
 from collections import Counter
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import BinaryIO
 
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import UnreadableError, listed, printable
 from accelcal_cli.core.formats import ZIP_MAGIC
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.recording import Closing, Problem
@@ -25,9 +25,11 @@ from accelcal_cli.formats._bytes import MOST_BYTES, STEP_BYTES, Inflater, ShortR
 INFO, LOG, ACTIVITY = "info.txt", "log.bin", "activity.bin"
 CALIBRATION, TEMPERATURE_CALIBRATION = "calibration.json", "temperature_calibration.json"
 NAMED = re.compile(
-    rb"PK\x03\x04.{22}(..)..(info\.txt|log\.bin|activity\.bin|(?:temperature_)?calibration\.json)", re.DOTALL
+    rb"PK\x03\x04.{22}(..)..((?:[^\0/\\]{1,100}[/\\]){0,3}"
+    rb"(?:info\.txt|log\.bin|activity\.bin|(?:temperature_)?calibration\.json))",
+    re.DOTALL,
 )
-"""Local header of one of the parts; the groups are the length of its name, and the name."""
+"""Local header of one of the parts, perhaps in a folder; the groups are the length of its name, and this."""
 
 WANTED = (INFO, LOG, ACTIVITY, CALIBRATION, TEMPERATURE_CALIBRATION)
 STORED, DEFLATED = zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED
@@ -35,12 +37,12 @@ ENCRYPTED = 99
 """Method that stands for any encryption; zip files use it for AES."""
 
 _LOCAL = struct.Struct("<4s5HIIIHH")
-_LONGEST_MATCH = _LOCAL.size + max(map(len, WANTED))
+_LONGEST_MATCH = _LOCAL.size + 303 + max(map(len, WANTED))
 _END = b"PK\x05\x06"
 _LONGEST_END = 22 + 0xFFFF
 _SCAN_BYTES = 1 << 20
 _IN_EXTRA = 0xFFFFFFFF
-_SIZES_FOLLOW = 0x08
+_SIZES_FOLLOW, _UTF8 = 0x08, 0x800
 _LARGEST_DIRECTORY = 1 << 20
 """Most bytes of a directory, enough for about 20 000 parts; devices write about ten.
 
@@ -101,25 +103,42 @@ def open_archive(path: Path) -> Archive:
     """Find the parts by the directory at the end of the file, else by the header before each.
 
     Raises:
-        UnreadableError: the file cannot be read.
+        UnreadableError: the file cannot be read, or holds several recordings.
     """
     try:
         with path.open("rb") as file:
             size = path.stat().st_size
-            listed, whole, repeated = by_directory(file)
+            known, whole, repeated = by_directory(file)
             if whole:
-                return Archive(path, size, listed, problems=repeated)
+                return Archive(path, size, known, problems=repeated)
             found, repeated = by_headers(file)
-            members, ends = listed | found, has_end(file, size)
+            members, ends = known | found, has_end(file, size)
+    except UnreadableError as error:
+        error.path = path
+        raise
     except OSError as error:
         raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
     lost = Problem("damaged_archive", LOST_DIRECTORY, None, 0)
     return Archive(path, size, members, ends, (lost, *repeated))
 
 
-def holds_samples(names: set[str]) -> bool:
-    """Return True if one of the names is of a part with samples, of either kind."""
-    return not names.isdisjoint((LOG, ACTIVITY))
+def holds_samples(names: Iterable[str]) -> bool:
+    """Return True if one of the names, perhaps in a folder, is of a part with samples, of either kind."""
+    return not {last_name(name) for name in names}.isdisjoint((LOG, ACTIVITY))
+
+
+def last_name(name: str) -> str:
+    """Return a part's name without its folders."""
+    return re.split(r"[/\\]", name)[-1]
+
+
+def directory_names(file: BinaryIO) -> list[str] | None:
+    """Return all names in the directory; None if it is damaged or missing."""
+    try:
+        with zipfile.ZipFile(ShortReads(file, _LARGEST_DIRECTORY)) as archive:
+            return archive.namelist()
+    except _BROKEN:
+        return None
 
 
 def has_end(file: BinaryIO, size: int) -> bool:
@@ -131,18 +150,31 @@ def has_end(file: BinaryIO, size: int) -> bool:
 def by_directory(file: BinaryIO) -> tuple[dict[str, Member], bool, tuple[Problem, ...]]:
     """Return the parts that the directory lists, whether it is sound, and which parts it lists twice.
 
-    A sound one lists samples, and each part at the place of its own header.
+    A sound one lists samples, and each part at the place of its own header. The parts may lie in a folder.
+
+    Raises:
+        UnreadableError: samples lie in several folders.
     """
     try:
         with zipfile.ZipFile(ShortReads(file, _LARGEST_DIRECTORY)) as archive:
-            entries = [entry for entry in archive.infolist() if entry.filename in WANTED]
-        placed = {entry.filename: _placed(file, entry) for entry in entries}
+            entries = _of_one_folder([one for one in archive.infolist() if last_name(one.filename) in WANTED])
+        placed = {last_name(entry.filename): _placed(file, entry) for entry in entries}
     except _BROKEN:
         return {}, False, ()
-    sound = all(true for _, true in placed.values()) and holds_samples(set(placed))
-    numbers = Counter(entry.filename for entry in entries)
-    listed = {name: member for name, (member, _) in placed.items()}
-    return listed, sound, tuple(_repeated(name, n, "last") for name, n in numbers.items() if n > 1)
+    sound = all(true for _, true in placed.values()) and holds_samples(placed)
+    numbers = Counter(last_name(entry.filename) for entry in entries)
+    found = {name: member for name, (member, _) in placed.items()}
+    return found, sound, tuple(_repeated(name, n, "last") for name, n in numbers.items() if n > 1)
+
+
+def _of_one_folder(entries: list[zipfile.ZipInfo]) -> list[zipfile.ZipInfo]:
+    """Return the entries of the folder that holds samples, of all if none does."""
+    places = {one.filename: one.filename.removesuffix(last_name(one.filename)) for one in entries}
+    folders = sorted({place for name, place in places.items() if holds_samples([name])})
+    if len(folders) > 1:
+        names = listed([printable(one.rstrip("/\\")) or "the file itself" for one in folders])
+        raise UnreadableError(f"holds {len(folders)} recordings, in {names}", hint="unpack it, and give each")
+    return [one for one in entries if not folders or places[one.filename] == folders[0]]
 
 
 def _repeated(name: str, number: int, which: str) -> Problem:
@@ -152,12 +184,12 @@ def _repeated(name: str, number: int, which: str) -> Problem:
 
 def _placed(file: BinaryIO, entry: zipfile.ZipInfo) -> tuple[Member, bool]:
     """Return a part listed in the directory, and whether its own header lies where it should."""
-    name = entry.filename.encode()
+    name = entry.orig_filename.encode("utf-8" if entry.flag_bits & _UTF8 else "cp437", "replace")
     file.seek(entry.header_offset)
     header = file.read(_LOCAL.size + len(name)).ljust(_LOCAL.size, b"\0")
     extra_bytes = _LOCAL.unpack_from(header)[-1]
     member = Member(
-        entry.filename,
+        last_name(entry.filename),
         ENCRYPTED if entry.flag_bits & 1 else entry.compress_type,
         entry.header_offset + _LOCAL.size + len(name) + extra_bytes,
         entry.compress_size,
@@ -176,9 +208,9 @@ def by_headers(file: BinaryIO) -> tuple[dict[str, Member], tuple[Problem, ...]]:
     while block := file.read(_SCAN_BYTES):
         base, data = base + max(0, len(data) - _LONGEST_MATCH), data[-_LONGEST_MATCH:] + block
         for match in NAMED.finditer(data):
-            name = match[2].decode()
-            if int.from_bytes(match[1], "little") != len(name):
+            if int.from_bytes(match[1], "little") != len(match[2]):
                 continue
+            name = last_name(match[2].decode("ascii", "replace"))
             places.setdefault(name, set()).add(base + match.start())
             if name not in members:
                 members[name] = _by_header(file, base + match.start(), name)

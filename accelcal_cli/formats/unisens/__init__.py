@@ -48,18 +48,19 @@ def accelerations(description: bytes) -> list[str]:
     return sorted(names, key=lambda name: not name.lower().endswith(".bin"))
 
 
-def belongs_to_another(path: Path) -> bool:
-    """Return True for a file of a Unisens recording that is named by another file.
+def belongs_to(path: Path) -> Path | None:
+    """Return the file that names the Unisens recording of another file; None if that names itself, or none.
 
     A folder is named by its accelerations, or by its description if they are missing.
     """
     text = sibling_description(path)
     names = [] if text is None else accelerations(text)
     if text is None or not names or path.name == names[0]:
-        return False
+        return None
+    acc = path.with_name(names[0])
     if path.name == DESCRIPTION:
-        return is_file(path.with_name(names[0]))
-    return path.name in listed_files(text)
+        return acc if is_file(acc) else None
+    return acc if path.name in listed_files(text) else None
 
 
 def sniff(probe: Probe) -> int:
@@ -79,4 +80,5 @@ FORMAT = Format(
     sniff,
     reader="accelcal_cli.formats.unisens.reader:open_recording",
     ignores=("columns", *TIMES_OF_TABLES, "layout", "sensor", *GYRO_OPTIONS),
+    belongs_to=belongs_to,
 )

@@ -11,8 +11,7 @@ import pytest
 from accelcal_cli.core.errors import AccelcalError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Chunk, Recording
-from accelcal_cli.formats import find_format, open_recording
-from accelcal_cli.formats.unisens import belongs_to_another
+from accelcal_cli.formats import belongs_to, find_format, open_recording
 from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_unisens import START_US, description, folder, signal
 
@@ -215,11 +214,11 @@ def test_a_folder_goes_by_the_name_of_its_accelerations(tmp_path: Path) -> None:
     ecg = signal("ecg.bin", "ecg", channels=("a",), unit="mV")
     table = ACC.replace("acc.bin", "acc.csv")
     xml = folder(tmp_path, description(table, ACC, ecg), acc=DATA, ecg=bytes(50), other=b"x")
-    others = {path.name: belongs_to_another(path) for path in (*tmp_path.iterdir(), tmp_path / "acc.csv")}
+    others = {path.name: belongs_to(path) is not None for path in (*tmp_path.iterdir(), tmp_path / "acc.csv")}
     expected = dict.fromkeys(("unisens.xml", "ecg.bin", "acc.csv"), True)
     assert others == expected | {"acc.bin": False, "other.bin": False}
     (tmp_path / "acc.bin").unlink()
-    assert not belongs_to_another(xml), "what is left of the folder is not lost in silence"
+    assert belongs_to(xml) is None, "what is left of the folder is not lost in silence"
 
 
 def test_a_preview_enters_the_file_anywhere(tmp_path: Path) -> None:

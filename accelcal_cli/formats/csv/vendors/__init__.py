@@ -91,6 +91,7 @@ class ExportDescription:
         time_unit_us: microseconds in one unit of the numbers of the time column.
         counts_from_start: these count from `start`, which has a date.
         companion: the sidecar that says all this, if it is not in the file itself.
+        pauses: how often it was paused without its times saying so.
         doubt: why it cannot be calibrated as it is; None for raw data.
     """
 
@@ -112,6 +113,7 @@ class ExportDescription:
     companion: Path | None = None
     time_unit_us: float | None = None
     counts_from_start: bool = False
+    pauses: int = 0
     doubt: Doubt | None = None
     gyro: tuple[int, int, int] | None = None
     gyro_unit: str | None = None
