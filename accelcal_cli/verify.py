@@ -338,7 +338,7 @@ def check_parquet(
     Raises:
         UsageError: values are to be compared, but there are none.
     """
-    path = None if written is None else _parquet_of(document.path)
+    path = None if written is None else jobs.parquet_of(document.path)
     if path is None or written is None:
         if values:
             raise UsageError(
@@ -368,13 +368,6 @@ def _other_schema(path: Path, columns: list[Column], document: Document) -> Iter
     if release(document.report["accelcal_version"]) < release(SAYS_TIME_ZONE):
         expected = expected | {"time_zone": described_now["time_zone"]}
     yield from differing(described_now, expected)
-
-
-def _parquet_of(report: Path) -> Path | None:
-    stem = report.name.removesuffix(jobs.REPORT_SUFFIX)
-    names = (stem + jobs.PARQUET_SUFFIX, stem + ".parquet", stem)
-    paths = (report.with_name(name) for name in names if name != report.name)
-    return next((path for path in paths if is_file(path)), None)
 
 
 def compare_values(run: RecordingRun, data: ReportInput, path: Path) -> Values:

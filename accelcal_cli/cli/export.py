@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from accelcal_cli.cli import options
-from accelcal_cli.cli.exit_codes import say, show
+from accelcal_cli.cli.exit_codes import OK, SOME_FAILED, of_all, of_failure, say, show
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import progress_bars
-from accelcal_cli.core.errors import OutputError, UsageError, counted
+from accelcal_cli.core.door import is_folder
+from accelcal_cli.core.errors import AccelcalError, OutputError, UsageError, counted, printable
+from accelcal_cli.core.system import cpus
 from accelcal_cli.exports.rows import WIDEST
 from accelcal_cli.output.files import exists, write_text
-from accelcal_cli.pipeline.jobs import refuse_nameless, refuse_overwriting
+from accelcal_cli.pipeline.jobs import refuse_dash, refuse_nameless, refuse_overwriting
+
+if TYPE_CHECKING:
+    from accelcal_cli.exports.data import ExportedData, ExportOptions
+    from accelcal_cli.exports.folder import Made
+    from accelcal_cli.exports.selection import Selected
 
 COEFFICIENTS = ("ggir", "biobank", "omconvert", "json")
 DATA = ("csv", "npz", "mhealth", "bids", "parquet")
+FOLDERS = ("ggir", "biobank", "actipy", "skdh", "csv", "npz", "mhealth", "parquet")
+"""Forms of which a folder of recordings can be made."""
+
+FORMS = tuple(dict.fromkeys((*COEFFICIENTS, "actipy", "skdh", *DATA)))
 
 
 class Width(options.AnyType):
@@ -37,13 +49,19 @@ class Width(options.AnyType):
     cls=Command,
     examples=(
         "export recording.calibration.json --to ggir -o coefficients.csv # for GGIR's backup.cal.coef",
+        "export calibrated --to ggir -d for-ggir # a study, with a script that runs GGIR",
         "export recording.calibrated.parquet --to csv -o recording.csv",
     ),
 )
 @click.argument("files", nargs=-1, required=True, type=options.FILE)
-@click.option("--to", "form", required=True, type=options.OneOf([*COEFFICIENTS, *DATA]),
+@click.option("--to", "form", required=True, type=options.OneOf(FORMS),
               help="The tool or the file format.")  # fmt: skip
 @click.option("-o", "--output", type=options.FILE, help="The new file. Without it, coefficients are printed.")
+@click.option("-d", "--output-dir", type=options.FILE,
+              help="Folder for the calibrated data of all recordings, with a script.")  # fmt: skip
+@click.option("--gzip", is_flag=True, help="With -d, compress tables (.csv.gz).")
+@click.option("-j", "--jobs", type=click.IntRange(1, 64), metavar="N",
+              help="With -d, recordings at a time.  [default: as many as there are CPUs]")  # fmt: skip
 @click.option("--resample", "resample_hz", type=options.Positive(100_000), metavar="HZ",
               help="Resample to HZ within each gap-free stretch.")  # fmt: skip
 @click.option("--smooth", type=Width(), metavar="auto|N",
@@ -55,20 +73,31 @@ class Width(options.AnyType):
 )
 @click.option("--force", is_flag=True, help="Replace files that are there.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
-def command(files: tuple[Path, ...], **values: Any) -> None:
+def command(files: tuple[Path, ...], **values: Any) -> int:
     """Export coefficients or calibrated data to other tools.
 
-    From reports (NAME.calibration.json), exports coefficients: ggir, biobank, omconvert or json. These tools
+    With -d DIR, exports the calibrated data of all recordings that FILES stand for: output folders of
+    `study`, study.json, reports (NAME.calibration.json), calibrated Parquet files, or patterns in quotes.
+    DIR is then ready for the tool: ggir, biobank, actipy or skdh have a script there. What was refused is
+    skipped, with a line each.
+
+    Without -d, exports coefficients from reports: ggir, biobank, omconvert or json. These tools
     cannot use misalignment, so a fit without it is exported, and a message gives the loss of accuracy. From
     one NAME.calibrated.parquet, exports the data: csv, npz, mhealth, bids, or (smoothed, resampled) parquet.
     """
+    if values["output_dir"] is not None:
+        return _folder(files, values)
+    for name in ("gzip", "jobs"):
+        if values[name]:
+            raise UsageError(f"--{name} is for a folder of recordings", hint="name one with -d, or omit it")
     if values["form"] in COEFFICIENTS:
-        _coefficients(files, values)
-    else:
-        _data(files, values)
+        return _coefficients(files, values)
+    return _data(files, values)
 
 
-def _coefficients(files: tuple[Path, ...], values: dict[str, Any]) -> None:
+def _coefficients(files: tuple[Path, ...], values: dict[str, Any]) -> int:
+    from accelcal_cli.exports.selection import select
+
     form, output = values["form"], values["output"]
     for name in ("resample_hz", "measured_only", "smooth"):
         if values[name] is not None and values[name] is not False:
@@ -76,34 +105,117 @@ def _coefficients(files: tuple[Path, ...], values: dict[str, Any]) -> None:
             raise UsageError(f"{option} is for data (--to {', '.join(DATA)})", hint="omit it")
     if output is not None:
         _refuse((output,), files, force=values["force"])
-    text = _text(form, files, quiet=values["quiet"])
+    reports = select(files, data=False)
+    done, codes = _each(reports, _reading(form))
+    text = _text(form, done, quiet=values["quiet"])
     if output is None:
-        show(text.rstrip("\n"))
-    else:
+        show(text.rstrip("\n")) if done else None
+    elif done:
         write_text(output, text)
+    return of_all(codes)
 
 
-def _text(form: str, files: tuple[Path, ...], *, quiet: bool) -> str:
+def _reading(form: str) -> Callable[[Path], Any]:
+    from accelcal_cli.exports import coefficients
+
+    return coefficients.as_json if form == "json" else coefficients.read_exported
+
+
+def _each(reports: list[Selected], read: Callable[[Path], Any]) -> tuple[list[Any], list[int]]:
+    """Read each report; what cannot be exported is said, and does not stop the rest."""
+    done, codes = [], []
+    for one in reports:
+        if one.skipped is not None or one.report is None:
+            say(f"{printable(one.path)}: {one.skipped}; skipped")
+            codes.append(SOME_FAILED)
+            continue
+        try:
+            done.append(read(one.report))
+            codes.append(OK)
+        except AccelcalError as error:
+            codes.append(of_failure(error))
+    return done, codes
+
+
+def _text(form: str, found: list[Any], *, quiet: bool) -> str:
     from accelcal_cli.exports import coefficients
 
     if form == "json":
-        return "".join(coefficients.as_json(path) + "\n" for path in files)
-    read_exported = [coefficients.read_exported(path) for path in files]
-    for one in read_exported:
+        return "".join(f"{line}\n" for line in found)
+    for one in found:
         for sentence in (coefficients.cost(one), coefficients.temperature_note(one, form)):
             if sentence is not None and not quiet:
                 say(f"{one.path}: {sentence}")
-    if form == "ggir":
-        return coefficients.ggir(read_exported)
-    return "".join(coefficients.LINES[form](one) + "\n" for one in read_exported)
+    return coefficients.TABLES[form](found)
 
 
-def _data(files: tuple[Path, ...], values: dict[str, Any]) -> None:
+def _folder(files: tuple[Path, ...], values: dict[str, Any]) -> int:
+    """Export many recordings into a folder."""
+    from accelcal_cli.exports import folder
+    from accelcal_cli.exports.data import ExportOptions
+    from accelcal_cli.exports.selection import select
+
+    form, out, quiet = values["form"], values["output_dir"], values["quiet"]
+    refuse_dash(out)
+    if values["output"] is not None:
+        raise UsageError("-o names one file, and -d a folder", hint="give one of them")
+    if form not in FOLDERS:
+        hint = f"choose one of {', '.join(FOLDERS)}, or give -o instead of -d"
+        raise UsageError(f"--to {form} writes no folder of recordings", hint=hint)
+    wanted = ExportOptions(
+        out, values["resample_hz"], values["measured_only"], values["smooth"], values["gzip"]
+    )
+    selected = select(files, data=True)
+    planned = folder.plan(form, selected, wanted, force=values["force"])
+    made = []
+    with progress_bars(str(out), quiet=quiet, unit="") as bars:
+        shown = bars("recordings", len(planned))
+        for one in folder.export_folder(form, planned, wanted, values["jobs"] or cpus()):
+            made.append(one)
+            shown(len(made))
+            _say_made(one, form, quiet=quiet)
+    return _end_folder(form, selected, made, wanted, quiet=quiet)
+
+
+def _say_made(one: Made, form: str, *, quiet: bool) -> None:
+    if one.error is not None:
+        say(f"{one.error}; skipped")
+    elif one.written is not None:
+        show(printable(one.planned.output))
+        if not quiet:
+            say(_about(one.planned.output, form, one.written))
+
+
+def _end_folder(
+    form: str, selected: list[Selected], made: list[Made], wanted: ExportOptions, *, quiet: bool
+) -> int:
+    """Say what was skipped, write script and coefficients, and sum up."""
+    from accelcal_cli.exports import folder
+
+    for one in selected:
+        if one.skipped is not None:
+            say(f"{printable(one.path)}: {one.skipped}; skipped")
+    number = sum(one.written is not None for one in made)
+    if not number:
+        return SOME_FAILED
+    messages = folder.write_coefficients(form, made, wanted.output)
+    script = folder.write_script(form, made, wanted)
+    if not quiet:
+        for message in messages:
+            say(message)
+        what = f"{number} of {counted(len(selected), 'recording')} exported to {printable(wanted.output)}"
+        how = "" if script is None else f"; next: {folder.RUN_BY[script.suffix]} {printable(script)}"
+        say(f"{what}{how}")
+    return OK if number == len(selected) else SOME_FAILED
+
+
+def _data(files: tuple[Path, ...], values: dict[str, Any]) -> int:
     from accelcal_cli.exports.data import ExportOptions, export_data, outputs_of
+    from accelcal_cli.exports.folder import WRITTEN_AS
 
-    form, output = values["form"], values["output"]
-    if len(files) > 1:
-        raise UsageError("data are exported from one file at a time", hint="name one calibrated Parquet file")
+    form, output = WRITTEN_AS.get(values["form"], values["form"]), values["output"]
+    if len(files) > 1 or is_folder(files[0]):
+        raise UsageError("several recordings need a folder", hint="name one with -d instead of -o")
     if output is None:
         raise UsageError(f"--to {form} writes a file, which needs a name", hint="give one with -o")
     _refuse(outputs_of(form, output), files, force=values["force"])
@@ -111,13 +223,19 @@ def _data(files: tuple[Path, ...], values: dict[str, Any]) -> None:
     with progress_bars(files[0].name, quiet=values["quiet"], unit="") as bars:
         written = export_data(form, files[0], wanted, bars)
     if not values["quiet"]:
-        about = written.about
-        zone = "UTC" if about.utc and form != "mhealth" else "of the device's clock"
-        limits = "" if about.range_g is None else f", range -{about.range_g:g} to {about.range_g:g} g"
-        gaps = counted(written.stretches - 1, "gap")
-        rows = f"{counted(written.rows, 'row')} at {about.rate_hz:g} Hz with {gaps}"
-        means = "" if about.smoothed is None else f", a rolling mean of {about.smoothed} samples"
-        say(f"{output}: {rows}{means}, times {zone}{limits}")
+        say(_about(output, form, written))
+    return OK
+
+
+def _about(output: Path, form: str, written: ExportedData) -> str:
+    """Return in a sentence what was written."""
+    about = written.about
+    zone = "UTC" if about.utc and form not in ("mhealth", "biobank") else "of the device's clock"
+    limits = "" if about.range_g is None else f", range -{about.range_g:g} to {about.range_g:g} g"
+    gaps = counted(written.stretches - 1, "gap")
+    rows = f"{counted(written.rows, 'row')} at {about.rate_hz:g} Hz with {gaps}"
+    means = "" if about.smoothed is None else f", a rolling mean of {about.smoothed} samples"
+    return f"{output}: {rows}{means}, times {zone}{limits}"
 
 
 def _refuse(outputs: tuple[Path, ...], inputs: tuple[Path, ...], *, force: bool) -> None:

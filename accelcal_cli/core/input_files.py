@@ -64,7 +64,7 @@ def files_of(path: Path) -> tuple[Path, ...] | None:
         if status is not None and stat.S_ISDIR(status.st_mode):
             found = _below(path)
         elif is_pattern(path):
-            found = _matching(path)
+            found = matching(path)
         else:
             return None
         return tuple(sorted(one for one in found if is_file(one) and not is_no_part(one)))
@@ -92,7 +92,7 @@ def is_pattern(path: Path) -> bool:
         return False
 
 
-def _matching(path: Path) -> Iterable[Path]:
+def matching(path: Path) -> Iterable[Path]:
     """Return the files whose path fits a pattern in which only `*` has a meaning."""
     parts = path.parts
     first = next(number for number, part in enumerate(parts) if ANY in part)

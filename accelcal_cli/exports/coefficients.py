@@ -11,6 +11,7 @@ import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
+from functools import partial
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
@@ -293,3 +294,15 @@ def temperature_note(one: ExportedReport, tool: str) -> str | None:
 
 LINES: dict[str, Callable[[ExportedReport], str]] = {"biobank": biobank, "omconvert": omconvert}
 """Forms with one line for each report."""
+
+
+def lines(form: str, reports: Sequence[ExportedReport]) -> str:
+    """Return the text of a form with one line for each report."""
+    return "".join(LINES[form](one) + "\n" for one in reports)
+
+
+TABLES: dict[str, Callable[[Sequence[ExportedReport]], str]] = {
+    "ggir": ggir,
+    **{form: partial(lines, form) for form in LINES},
+}
+"""Text of each form for any number of reports."""

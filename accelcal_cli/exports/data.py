@@ -6,6 +6,7 @@ lengths are known.
 
 from __future__ import annotations
 
+import gzip
 import json
 import re
 import shutil
@@ -16,7 +17,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, cast
 
 import numpy as np
 import pyarrow as pa
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, StampClock, Stretches
 from accelcal_cli.core.errors import UnreadableError, UsageError, output_error, printable
 from accelcal_cli.core.gravity import STANDARD_GRAVITY
+from accelcal_cli.core.local_time import UTC
 from accelcal_cli.exports.rows import (
     LARGEST_RATIO,
     LEAST_RATIO,
@@ -49,6 +51,7 @@ MOTION = re.compile(r"sub-[a-zA-Z0-9]+_(?:[a-z]+-[a-zA-Z0-9]+_)*task-([a-zA-Z0-9
 
 MOTION_EXAMPLE = "sub-01_task-freeliving_tracksys-wrist_motion.tsv"
 COPIED_BYTES = 1 << 20
+GZIP_LEVEL = 4
 
 
 @dataclass
@@ -57,11 +60,13 @@ class ExportedData:
 
     Attributes:
         resampled: True if they have a fixed rate.
+        gzip: True if tables of text are compressed.
     """
 
     about: CalibratedFile
     stretches: int = 0
     resampled: bool = False
+    gzip: bool = False
     _clock: Stretches = field(init=False)
 
     def __post_init__(self) -> None:
@@ -103,6 +108,7 @@ class ExportOptions:
         resample_hz: a fixed rate; None: the original samples.
         measured_only: leave out rows that the device filled in, and those of damaged blocks.
         smooth: samples of a rolling mean; 0: the usual number for the rate; None: no mean.
+        gzip: compress text tables.
         batch_rows: rows in memory at a time; the output does not depend on it.
     """
 
@@ -110,6 +116,7 @@ class ExportOptions:
     resample_hz: float | None = None
     measured_only: bool = False
     smooth: int | None = None
+    gzip: bool = False
     batch_rows: int = 1 << 17
 
 
@@ -158,6 +165,7 @@ def export_data(
         with ExitStack() as stack:
             places = [stack.enter_context(replacing(place)) for place in outputs_of(form, options.output)]
             written = ExportedData(about, resampled=options.resample_hz is not None)
+            written.gzip = options.gzip
             try:
                 FORMS[form](places, options.output, portions, written)
             except OSError as error:
@@ -196,6 +204,49 @@ def _iso(rows: SampleRows, written: ExportedData) -> dict[str, pa.Array]:
     return {"time": times, **_axes(rows.xyz), **_celsius(rows)}
 
 
+def ggir(
+    places: Sequence[Path], _output: Path, portions: Iterator[SampleRows], written: ExportedData
+) -> None:
+    """Write `time,x,y,z[,temperature]` for GGIR: seconds since 1970, which R reads without a zone.
+
+    They are those of the device's clock where R has no name for its zone (`r_zone`).
+    """
+    names = ["time", *"xyz", *(["temperature"] if written.about.has_temperature else [])]
+    _text(places[0], names, portions, written, _unix)
+
+
+def _unix(rows: SampleRows, written: ExportedData) -> dict[str, pa.Array]:
+    ahead_us = written.about.clock_ahead_s * MICROSECONDS if r_zone(written.about) is None else 0
+    return {"time": pa.array((rows.time_us + ahead_us) / MICROSECONDS), **_axes(rows.xyz), **_celsius(rows)}
+
+
+def r_zone(about: CalibratedFile) -> str | None:
+    """Return the name that R has for the zone of a recording in UTC; None for the device's clock."""
+    zone = about.recording.get("timezone")
+    if not about.utc or not isinstance(zone, str):
+        return None
+    if "/" in zone or zone == UTC:
+        return zone
+    hours, rest = divmod(about.clock_ahead_s, 3600)
+    return None if rest or not -12 <= hours <= 14 else f"Etc/GMT{-hours:+d}" if hours else UTC
+
+
+def biobank(
+    places: Sequence[Path], _output: Path, portions: Iterator[SampleRows], written: ExportedData
+) -> None:
+    """Write `time,x,y,z` for accProcess, which takes times for those of the device's clock, and its zone."""
+    _text(places[0], ["time", *"xyz"], portions, written, _device_iso)
+
+
+def _device_iso(rows: SampleRows, written: ExportedData) -> dict[str, pa.Array]:
+    return {"time": _clock_text(rows.time_us + _ahead_us(written), "us"), **_axes(rows.xyz)}
+
+
+def _ahead_us(written: ExportedData) -> int:
+    """Return how far the device's clock is ahead of the times [us]."""
+    return written.about.clock_ahead_s * MICROSECONDS if written.about.utc else 0
+
+
 def mhealth(
     places: Sequence[Path], _output: Path, portions: Iterator[SampleRows], written: ExportedData
 ) -> None:
@@ -204,8 +255,7 @@ def mhealth(
 
 
 def _local(rows: SampleRows, written: ExportedData) -> dict[str, pa.Array]:
-    ahead_us = written.about.clock_ahead_s * MICROSECONDS if written.about.utc else 0
-    times = _clock_text((rows.time_us + ahead_us + 500) // 1000, "ms")
+    times = _clock_text((rows.time_us + _ahead_us(written) + 500) // 1000, "ms")
     return {"HEADER_TIME_STAMP": times, **_axes(rows.xyz)}
 
 
@@ -283,7 +333,11 @@ def _text(
 ) -> None:
     """Write a text table: with these names as its head and commas, or with tabs and without a head."""
     writer = None
-    with place.open("wb") as file:
+    with ExitStack() as stack:
+        file: IO[bytes] = stack.enter_context(place.open("wb"))
+        if written.gzip:  # without a name and a time: the same bytes at any time of day
+            packed = gzip.GzipFile("", "wb", GZIP_LEVEL, file, mtime=0)
+            file = cast("IO[bytes]", stack.enter_context(packed))
         if names is not None:
             file.write((",".join(names) + "\n").encode())
         options = pa.csv.WriteOptions(
@@ -381,6 +435,8 @@ def _member(archive: zipfile.ZipFile, name: str, kind: str, shape: tuple[int, ..
 
 FORMS: dict[str, Callable[[Sequence[Path], Path, Iterator[SampleRows], ExportedData], None]] = {
     "csv": csv,
+    "ggir": ggir,
+    "biobank": biobank,
     "npz": npz,
     "mhealth": mhealth,
     "bids": bids,

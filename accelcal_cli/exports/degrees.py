@@ -5,9 +5,8 @@ that of GGIR, raw * 75 / 256 - 50 for all (GGIRread 1.0.9, R/readAxivity.R), and
 and of omconvert, (raw * 150 - 20500) / 1000 for all (AxivityReader.java, omconvert.c). Between any two of
 them lies a line, so that a slope can be exported exactly.
 
-Where a tool reads the degrees that the file states, they are ours. From other formats it reads no
-temperature,
-or that of another thermometer: GGIR takes the air's of a Matrix, accelcal the skin's.
+Where a tool reads the degrees that the file states, they are ours. A tool reads no temperature from files of
+other formats, or that of another thermometer: GGIR takes the air's of a Matrix, accelcal the skin's.
 """
 
 from __future__ import annotations

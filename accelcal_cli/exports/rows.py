@@ -207,14 +207,15 @@ def open_calibrated(
     """
     from accelcal_cli.parquet import ParquetSource  # pyarrow, which no help needs
 
-    about = _described(path)
+    about = described_file(path)
     temperature = ("temperature",) if about.has_temperature else ()
     more = about.more if everything else ()
     with ParquetSource(path, (*NAMES, *temperature, *more, "validity")) as source:
         yield CalibratedRows(source, about, more, measured_only=measured_only)
 
 
-def _described(path: Path) -> CalibratedFile:
+def described_file(path: Path) -> CalibratedFile:
+    """Return the description of a calibrated file; raises UnreadableError as `open_calibrated`."""
     if not is_file(path):
         raise UnreadableError("is not a file that can be read", path=path, hint=NAME_ONE)
     from accelcal_cli.output.columns import described  # pyarrow

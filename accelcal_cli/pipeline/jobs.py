@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from accelcal_cli.core.door import is_folder, look
+from accelcal_cli.core.door import is_file, is_folder, look
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import IF_GIVEN, ReadOptions, without
 from accelcal_cli.core.input_files import ANY, ARCHIVES, files_of, is_pattern
@@ -99,6 +99,19 @@ class Job:
 
     def _sibling(self, suffix: str) -> Path:
         return self.report.with_name(self.report.name.removesuffix(REPORT_SUFFIX) + suffix)
+
+
+def parquet_of(report: Path) -> Path | None:
+    """Return the calibrated file beside a report; None if there is none of its name."""
+    stem = report.name.removesuffix(REPORT_SUFFIX)
+    paths = (report.with_name(name) for name in (stem + PARQUET_SUFFIX, stem + PARQUET, stem))
+    return next((path for path in paths if path != report and is_file(path)), None)
+
+
+def report_of(parquet: Path) -> Path:
+    """Return where the report of a calibrated file is."""
+    name = parquet.name.removesuffix(PARQUET_SUFFIX)
+    return parquet.with_name(name.removesuffix(PARQUET) + REPORT_SUFFIX)
 
 
 def real(path: Path) -> Path:

@@ -165,7 +165,7 @@ def test_data_say_what_they_are(tmp_path: Path, capsys: Capture) -> None:
     [
         (("--to", "csv"), "writes a file, which needs a name; give one with -o"),
         (("--to", "npz", "-o", "a.csv"), "an array file has to end in .npz"),
-        (("--to", "bids", "-o", "a.tsv"), "is no name of Motion-BIDS"),
+        (("--to", "bids", "-o", "a.tsv"), "is not a Motion-BIDS name"),
         (("--to", "ggir", "--resample", "30"), "--resample is for data"),
         (("--to", "json", "--measured-only"), "--measured-only is for data"),
         (("--to", "csv", "-o", "-"), "results are not written to standard output"),

@@ -1,0 +1,148 @@
+"""Finds the recordings that paths stand for: reports, calibrated files, folders of studies, patterns."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli.core.door import files_below, is_file, is_folder
+from accelcal_cli.core.errors import AccelcalError, UnreadableError, UsageError, printable
+from accelcal_cli.core.input_files import is_pattern, matching
+from accelcal_cli.core.results import Outcome
+from accelcal_cli.exports.coefficients import NO_RECORDING
+from accelcal_cli.output.report_reading import check_sections, read_document
+from accelcal_cli.pipeline.jobs import PARQUET_SUFFIX, REPORT_SUFFIX, parquet_of, report_of
+
+TABLE, SUMMARY = "study.parquet", "study.json"
+SECTIONS = ("recording", "outcome", "message", "file_health")
+
+
+@dataclass(frozen=True, slots=True)
+class Selected:
+    """A recording to export.
+
+    Attributes:
+        path: what stands for it in messages.
+        report, parquet: None where it has none.
+        held: the content of its report.
+        skipped: why it cannot be exported, None if it can.
+    """
+
+    path: Path
+    report: Path | None = None
+    parquet: Path | None = None
+    held: dict[str, Any] | None = None
+    skipped: str | None = None
+
+
+def select(inputs: Iterable[Path], *, data: bool) -> list[Selected]:
+    """Return the recordings that paths stand for, in their order; each once if data are wanted.
+
+    Args:
+        data: calibrated files are wanted; else reports.
+
+    Raises:
+        UsageError: a pattern or a folder has none.
+    """
+    found: list[Selected] = []
+    for path in inputs:
+        there = list(_of(path, data=data))
+        if not there:
+            hint = f"name the output folder of a study, or reports ({REPORT_SUFFIX})"
+            raise UsageError("holds no reports of recordings", path=path, hint=hint)
+        found += there
+    once = {(one.report or one.parquet or one.path).absolute(): one for one in found}
+    return list(once.values()) if data else found
+
+
+def _of(path: Path, *, data: bool) -> Iterator[Selected]:
+    if is_folder(path):
+        yield from _of_folder(path, data=data)
+    elif path.name == SUMMARY and is_file(path.with_name(TABLE)):
+        yield from _of_folder(path.parent, data=data)
+    elif is_pattern(path):
+        reports = sorted(one for one in matching(path) if one.name.endswith((REPORT_SUFFIX, PARQUET_SUFFIX)))
+        if not reports:
+            raise UsageError("matches no report", path=path, hint=f"reports are named NAME{REPORT_SUFFIX}")
+        for one in reports:
+            yield from _of(one, data=data)
+    elif data and path.suffix == ".parquet":
+        report = report_of(path)
+        yield of_report(report, path) if is_file(report) else Selected(path, parquet=path)
+    else:
+        yield of_report(path) if data else Selected(path, path)
+
+
+def _of_folder(folder: Path, *, data: bool) -> Iterator[Selected]:
+    """Yield a study's recordings: those of its table where there is one, or all whose reports lie there."""
+    rows = _rows(folder / TABLE)
+    known = None if rows is None else {row["report"] for row in rows}
+    for report in _reports_below(folder):
+        if known is not None and printable(report.relative_to(folder)) not in known:
+            continue
+        one = of_report(report) if data else _unless_refused(of_report(report))
+        if (one.held or {}).get("recording", {}).get("format") not in NO_RECORDING:
+            yield one
+    for row in rows or ():
+        if not row["report"]:
+            yield Selected(Path(row["path"]), skipped=f"failed ({row['message']})")
+
+
+def _reports_below(folder: Path) -> list[Path]:
+    faults: list[OSError] = []
+    found = [
+        place / name
+        for place, _, names in files_below(folder, faults)
+        for name in names
+        if name.endswith(REPORT_SUFFIX)
+    ]
+    for error in faults:
+        why, hint = f"cannot be read ({error.strerror or error})", "check its permissions and its disk"
+        raise UnreadableError(why, path=error.filename or folder, hint=hint) from error
+    return sorted(found)
+
+
+def _unless_refused(one: Selected) -> Selected:
+    """Return a recording whose calibrated file does not matter."""
+    refused = one.held is None or one.held["outcome"] == Outcome.REFUSED
+    return one if refused else Selected(one.path, one.report, held=one.held)
+
+
+def _rows(table: Path) -> list[dict[str, Any]] | None:
+    """Return what a study's table says of each recording's report; None without one."""
+    if not is_file(table):
+        return None
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        with table.open("rb") as source, pq.ParquetFile(source, pre_buffer=False) as file:
+            rows: list[dict[str, Any]] = file.read(
+                columns=["path", "report", "message"], use_threads=False
+            ).to_pylist()
+    except (pa.ArrowException, OSError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise UnreadableError(f"cannot be read ({reason})", path=table, hint="run the study again") from error
+    if rows and rows[0].keys() != {"path", "report", "message"}:
+        raise UnreadableError("is not the table of a study", path=table, hint="name reports")
+    return rows
+
+
+def of_report(report: Path, parquet: Path | None = None) -> Selected:
+    """Return the recording of a report, with the calibrated file next to it."""
+    try:
+        document = read_document(report)
+        check_sections(document, SECTIONS)
+    except AccelcalError as error:
+        return Selected(report, report, skipped=str(error).removeprefix(f"{printable(report)}: "))
+    held, parquet = document.report, parquet or parquet_of(report)
+    why = None
+    if held["outcome"] == Outcome.REFUSED:
+        why = f"refused: {held['message']}"
+    elif parquet is None:
+        name = os.path.basename(held["recording"]["path"])  # noqa: PTH119 (printed as it is)
+        why = f"there is no calibrated Parquet file next to it: calibrate {name} without --report-only"
+    return Selected(report, report, parquet, held, why)
