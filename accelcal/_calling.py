@@ -70,9 +70,7 @@ def _worded(text: str) -> str:
 
     def keyword(found: re.Match[str]) -> str:
         name, value = found[1].replace("-", "_"), found[2]
-        if name not in known:
-            return found[0]
-        kind, field = known[name]
+        kind, field = known.get(name, (Settings, "profile"))
         if value is None or value.isupper() or value in setting_of(kind, field).choices or _is_number(value):
             return (
                 name

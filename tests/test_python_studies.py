@@ -1,0 +1,390 @@
+"""`accelcal.study` wherever it is called, and other functions for many files: the bits of the commands."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import accelcal
+from tests.cli.run import run
+from tests.cli.studies import NAMES, results, study_folder
+from tests.conftest import ROOT
+from tests.recordings import LSB_PER_G, directions, still_counts
+
+Capture = pytest.CaptureFixture[str]
+PLAIN = """
+import accelcal
+
+with open("runs", "a") as file:
+    file.write("ran\\n")
+table = accelcal.study("in", "out", jobs=2)
+print(table["outcome"].tolist())
+"""
+CALIBRATE = """
+import accelcal
+from concurrent.futures import ThreadPoolExecutor
+
+with ThreadPoolExecutor(2) as pool:
+    found = list(pool.map(accelcal.calibrate, ["in/north/a.raw", "in/north/b.raw"]))
+    tables = list(pool.map(lambda name: accelcal.study("in", name, jobs=1, report_only=True), ["1", "2"]))
+    two = list(pool.map(lambda name: accelcal.study("in", name, jobs=2), ["out", "3"]))
+assert [one.outcome for one in found] == ["calibrated"] * 2
+assert all(table["outcome"].tolist() == ["calibrated"] * 2 for table in [*tables, *two])
+print(["calibrated"] * 2)
+"""
+IN_CHILDREN = """
+import multiprocessing, os, sys
+
+METHOD = sys.argv[1]
+
+
+def work(name):
+    import accelcal
+
+    return accelcal.study("in", name, jobs=2)["outcome"].tolist()
+
+
+if __name__ == "__main__":
+    if METHOD == "fork":  # the server of workers is the parent's
+        work("before")
+    context = multiprocessing.get_context(METHOD)
+    with context.Pool(1) as pool:
+        print(pool.map(work, ["out"])[0])
+    if METHOD == "fork" and (child := os.fork()) == 0:
+        os._exit(work("child") != ["calibrated"] * 2)
+    elif METHOD == "fork":
+        assert os.waitpid(child, 0)[1] == 0
+"""
+NOTEBOOK = """
+from jupyter_client.manager import start_new_kernel
+
+said = []
+manager, client = start_new_kernel(kernel_name="python3")
+cells = ["import accelcal", "table = accelcal.study('in', 'out', jobs=2)", "print(table['outcome'].tolist())"]
+for cell in [*cells, "accelcal.calibrate('in/north/a.raw')"]:
+    reply = client.execute_interactive(cell, output_hook=lambda message: said.append(message["content"]))
+    assert reply["content"]["status"] == "ok", reply
+client.stop_channels()
+manager.shutdown_kernel()
+assert any("verdict" in one.get("data", {}).get("text/html", "") for one in said)
+print("".join(one.get("text", "") for one in said))
+"""
+PROGRAMS = {
+    "script": (PLAIN, ["program.py"]),
+    "stdin": (PLAIN, ["-"]),
+    "threads": (CALIBRATE, ["program.py"]),
+    "spawn": (IN_CHILDREN, ["program.py", "spawn"]),
+    "fork": (IN_CHILDREN, ["program.py", "fork"]),
+    "forkserver": (IN_CHILDREN, ["program.py", "forkserver"]),
+    "notebook": (NOTEBOOK, ["program.py"]),
+}
+FAST = ("script", "stdin")
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, object]]:
+    """A folder of two recordings, and what the command makes of it."""
+    here = tmp_path_factory.mktemp("study")
+    study_folder(here / "in", NAMES[:2])
+    words = [sys.executable, "-m", "accelcal_cli", "study", "in", "-d", "command", "-j", "1", "-q"]
+    subprocess.run(words, cwd=here, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)
+    return here, results(here / "command")
+
+
+@pytest.mark.parametrize(
+    "how", [pytest.param(one, marks=[] if one in FAST else pytest.mark.nightly) for one in PROGRAMS]
+)
+def test_p2_a_study_is_that_of_the_command_wherever_it_is_called(
+    how: str, tmp_path: Path, expected: tuple[Path, dict[str, object]]
+) -> None:
+    if how == "notebook":
+        pytest.importorskip("ipykernel")
+    text, words = PROGRAMS[how]
+    (tmp_path / "in").symlink_to(expected[0] / "in")
+    (tmp_path / "program.py").write_text(textwrap.dedent(text))
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    environment = {
+        **os.environ,
+        "PYTHONPATH": path,
+        "IPYTHONDIR": str(tmp_path),
+        "JUPYTER_PLATFORM_DIRS": "1",
+    }
+    done = subprocess.run(
+        [sys.executable, *words], input=text if "-" in words else None, cwd=tmp_path, env=environment,
+        capture_output=True, text=True, timeout=200, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0 and (how == "notebook" or not done.stderr), done.stderr
+    assert "['calibrated', 'calibrated']" in done.stdout
+    assert results(tmp_path / "out") == expected[1]
+    if text == PLAIN:
+        assert (tmp_path / "runs").read_text() == "ran\n"
+
+
+@pytest.mark.parametrize("kind", ["one job", "pool of threads"])
+def test_p10_the_work_is_done_in_this_process(
+    kind: str, tmp_path: Path, expected: tuple[Path, dict[str, object]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(expected[0])
+    monkeypatch.setattr("accelcal_cli.studies.run.ProcessPool", None)
+    with ThreadPoolExecutor(2) as pool:
+        how: dict[str, Any] = {"jobs": 1} if kind == "one job" else {"executor": pool}
+        table = accelcal.study("in", tmp_path / "out", **how)
+    assert table["exit_code"].tolist() == [0, 0]
+    assert results(tmp_path / "out") == expected[1]
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("kind", ["client", "address", "worker"])
+def test_p10_dask_does_the_work(
+    kind: str, tmp_path: Path, expected: tuple[Path, dict[str, object]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.chdir(expected[0])
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        if kind == "worker":
+            client.submit(accelcal.study, "in", tmp_path / "out", jobs=1, pure=False).result()
+        else:
+            executor = client if kind == "client" else cluster.scheduler_address
+            accelcal.study("in", tmp_path / "out", executor=executor)
+    assert results(tmp_path / "out") == expected[1]
+
+
+def test_p10_a_study_shows_a_bar_only_if_asked_for(tmp_path: Path, capsys: Capture) -> None:
+    folder = study_folder(tmp_path / "in", NAMES[:1])
+    (folder / "broken.cwa").write_bytes(b"MD" + bytes(1000))
+    table = accelcal.study(folder, tmp_path / "out", jobs=1, progress=True, report_only=True)
+    assert sorted(table["outcome"]) == ["calibrated", "failed"]
+    said = capsys.readouterr().err
+    assert "failed=1" in said and "%" in said
+    accelcal.study(folder, tmp_path / "out", jobs=1, report_only=True, retry_failed=True)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"borrow": True, "include": ["*.raw"], "exclude": ["south/*"]},
+         ["--borrow", "--include", "*.raw", "--exclude", "south/*"]),
+        ({"pool": True, "model": "6"}, ["--pool", "device", "--model", 6]),
+        ({"prior": "study", "newer_than": datetime(2020, 1, 2)},
+         ["--prior", "study", "--newer-than", "2020-01-02"]),
+        ({"timeout": 5.0, "jobs": 2, "html": True}, ["--timeout", 5, "--html"]),
+    ],
+)  # fmt: skip
+def test_p10_options_of_a_study_are_those_of_the_command(
+    options: dict[str, Any], words: list[object], tmp_path: Path, capsys: Capture
+) -> None:
+    folder = study_folder(tmp_path / "in")
+    accelcal.study([folder], tmp_path / "out", **{"jobs": 1, "report_only": True, **options})
+    run(capsys, "study", folder, "-d", tmp_path / "command", "-j", 1, "--report-only", "-q", *words)
+    made, told = results(tmp_path / "out"), results(tmp_path / "command")
+    assert made.keys() == told.keys() and ("study.html" in made) == ("html" in options)
+    assert {name for name in made if made[name] != told[name]} <= {name for name in made if "html" in name}
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "text"),
+    [
+        ({"prior": "device", "pool": True}, accelcal.AccelcalError, "prior='device' does not go with pool"),
+        ({"executor": 3}, TypeError, "executor is the address"),
+        ({"n_jobs": 3}, TypeError, "did you mean 'jobs'"),
+    ],
+)
+def test_a_study_that_cannot_be(
+    options: dict[str, Any], kind: type[Exception], text: str, tmp_path: Path
+) -> None:
+    with pytest.raises(kind, match=text):
+        accelcal.study(tmp_path, tmp_path / "out", **options)
+
+
+@pytest.fixture(scope="module")
+def result() -> accelcal.Result:
+    return accelcal.calibrate(ROOT / "sample_data/recording.bin")
+
+
+@pytest.mark.parametrize("form", ["ggir", "biobank", "omconvert", "json"])
+def test_p7_coefficients_are_exported_as_by_the_command(
+    form: Any, result: accelcal.Result, tmp_path: Path, capsys: Capture
+) -> None:
+    _, report = result.write(tmp_path)
+    told = run(capsys, "export", report, "--to", form, "-q").out
+    assert accelcal.export(report, to=form) == told
+    made = accelcal.export([result], to=form, output=tmp_path / "made")
+    assert (tmp_path / "made").read_text() == made
+    if form != "json":
+        assert made == told
+    with pytest.raises(accelcal.AccelcalError, match="is there already; give force=True"):
+        accelcal.export(report, to=form, output=tmp_path / "made")
+
+
+def test_p7_data_are_exported_as_by_the_command(
+    result: accelcal.Result, tmp_path: Path, capsys: Capture
+) -> None:
+    parquet, _ = result.write(tmp_path)
+    assert accelcal.export(result, to="csv", output=tmp_path / "a.csv", smooth="auto", resample=10)
+    words = ("--to", "csv", "-o", tmp_path / "b.csv", "--smooth", "auto", "--resample", 10, "-q")
+    run(capsys, "export", parquet, *words)
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    with pytest.raises(accelcal.AccelcalError, match="output=FILE"):
+        accelcal.export(result, to="csv")
+
+
+def test_p7_pages_are_those_of_the_command(result: accelcal.Result, tmp_path: Path, capsys: Capture) -> None:
+    _, path = result.write(tmp_path)
+    run(capsys, "report", path, "-q")
+    page = (tmp_path / "recording.html").read_text()
+    assert accelcal.report(path, tmp_path / "own.html").read_text() == page
+    stamp = next(line for line in page.splitlines(keepends=True) if "accelcal-made-of" in line)
+
+    def without_command(text: str) -> list[str]:
+        own = ("accelcal.", "python", "<dt>time<")
+        return [line for line in text.splitlines() if not any(word in line.lower() for word in own)]
+
+    assert without_command(result.to_html()) == without_command(page.replace(stamp, ""))
+    assert accelcal.report(result, tmp_path / "r.html").exists()
+    with pytest.raises(accelcal.AccelcalError, match="needs a name"):
+        accelcal.report(result)
+    (tmp_path / "mine.html").write_text("<p>mine</p>")
+    with pytest.raises(accelcal.AccelcalError):
+        result.to_html(tmp_path / "mine.html")
+
+
+def test_p7_a_simulated_recording_is_that_of_the_command(tmp_path: Path, capsys: Capture) -> None:
+    options: dict[str, Any] = {"days": 0.02, "rate": 50, "seed": 3, "temp_slope": (0.0, 0.0, 1.0)}
+    path, truth = accelcal.simulate(tmp_path / "a", format="cwa", **options)
+    words = ("--days", 0.02, "--rate", 50, "--seed", 3, "--temp-slope", 0, 0, 1)
+    run(capsys, "simulate", tmp_path / "b", "--format", "cwa", *words, "-q")
+    assert path.read_bytes() == (tmp_path / "b.cwa").read_bytes()
+    assert truth == json.loads((tmp_path / "b.truth.json").read_text())
+    for wrong in ({"days": -1}, {"rate": 1e9}, {"seed": -1}, {"format": "doc"}):
+        with pytest.raises(accelcal.AccelcalError):
+            accelcal.simulate(tmp_path / "c", **wrong)
+
+
+def test_p12_temperatures_that_are_not_there(result: accelcal.Result) -> None:
+    found = result.calibration
+    xyz = np.array([[0.0, 0.1, 1.0], [0.5, 0.5, 0.5], [1.0, 0.0, 0.0]])
+    whole = accelcal.apply(result, xyz, [20.0, 21.0, 22.0])
+    for missing in (np.nan, np.inf, 1e30):
+        made = accelcal.apply(result, xyz, [20.0, missing, 22.0])
+        assert np.isnan(made[1]).all() and (made[[0, 2]] == whole[[0, 2]]).all()
+    assert (found(xyz[1], 21.0) == whole[1]).all() and found(xyz[1], 21.0).shape == (3,)
+    assert (found(xyz, 21) == accelcal.apply(result, xyz, [21.0] * 3)).all()
+    assert found(np.zeros((0, 3)), []).shape == (0, 3)
+    plain = accelcal.calibrate(ROOT / "sample_data/recording.bin", no_temperature=True, report_only=True)
+    assert (
+        np.isfinite(plain.calibration(xyz, [np.nan] * 3)).all()
+        and plain.calibration.reference_temperature is None
+    )
+    for wrong in (xyz.T[:, :2], xyz[0, :2], xyz[np.newaxis], 1.0):
+        with pytest.raises(ValueError, match="not"):
+            found(wrong, 20)
+    with pytest.raises(ValueError, match="temperature has the shape"):
+        found(xyz, [20.0, 21.0])
+
+
+def test_p7_a_result_shows_itself(result: accelcal.Result) -> None:
+    text = repr(result)
+    assert text.count("\n") == 4 and max(map(len, text.splitlines())) < 180
+    assert "recording.bin: calibrated" in text and f"{result.calibration_error_mg:.2g}" in text
+    html = result._repr_html_()
+    assert "<svg" in html and "Good" in html and len(html) < 30_000
+    assert "recording.bin" in html and "{{" not in html and "<html" not in html
+    assert result.calibration.gain.shape == (3, 3)
+    assert result.calibration.offset.tolist() == result["calibration"]["offset_g"]
+    assert result.calibration.slope.tolist() == result["calibration"]["temperature"]["slope_g_per_c"]
+    assert result.summary()["outcome"] == "calibrated" and result.summary()["path"] == "recording.bin"
+    assert repr(result.calibration).count("gain") == 3
+    again = accelcal.Calibration(result.report)
+    assert (again.gain == result.calibration.gain).all()
+
+
+def test_p7_a_refusal_shows_itself() -> None:
+    still = accelcal.calibrate(np.tile([0.0, 0.0, 1.0], (5000, 1)), rate=50)
+    assert not still.usable and "refused" in repr(still) and repr(still).count("\n") == 4
+    assert "Refused" in still._repr_html_() and "Refused" in still.to_html()
+    with pytest.raises(accelcal.AccelcalError, match="nothing to apply"):
+        _ = still.calibration
+    points = accelcal.fit(np.eye(3))
+    assert (
+        "refused" in repr(points)
+        and "Refused" in points._repr_html_()
+        and points.summary()["outcome"] == "refused"
+    )
+
+
+def test_p7_values_in_the_forms_of_other_libraries(result: accelcal.Result) -> None:
+    pandas, polars, arrow = result.to_pandas(), result.to_polars(), result.to_arrow()
+    assert (polars["x"].to_numpy() == pandas["x"].to_numpy()).all() and polars.columns == arrow.column_names
+    xarray = pytest.importorskip("xarray")
+    made = result.to_xarray()
+    assert isinstance(made, xarray.Dataset) and made["x"].attrs["units"] == "g"
+    assert (made["x"].to_numpy() == pandas["x"].to_numpy()).all()
+
+
+def test_p7_a_plot_says_verdict_limit_and_zone() -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    axes = accelcal.calibrate(ROOT / "sample_data/evening.csv.gz", timezone="Europe/Berlin").plot()
+    assert "evening.csv.gz: Good" in axes.get_title() and "Europe/Berlin" in axes.get_xlabel()
+    assert "1 g ± 10 mg" in [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+FIRST_LINES: dict[str, str | None] = {
+    'accelcal.read("sample_data/recording.bin")': None,
+    'accelcal.read("sample_data/recording.bin").to_pandas()': None,
+    'accelcal.read_cwa("x.cwa")': r'type accelcal.read\("recording.cwa"\)',
+    'accelcal.process("x.cwa")': r'type accelcal.calibrate\("recording.cwa"\)',
+    'accelcal.calibrate("sample_data/recording.bin")': None,
+    "accelcal.calibrate(df)": None,
+    "accelcal.calibrate(xyz, fs=25)": "did you mean 'rate'?",
+    "accelcal.calibrate(xyz, 25)": "the others have names, such as rate=",
+    "result.data": r"type result.to_pandas\(\)",
+    "data, info = result": r"one object: use .to_pandas\(\) and .report",
+    "result.calibration.transform(xyz)": r"type result.calibration\(xyz, temperature\)",
+    "result.coef_": "type result.calibration.gain, .offset and .slope",
+    "accelcal.Calibration().fit(xyz).transform(xyz)": r"accelcal.calibrate\(xyz, rate=100\).calibration",
+    "accelcal.CalibrateAccelerometer()": r'accelcal.calibrate\("recording.cwa"\).calibration',
+    "accelcal.fit(xyz)": r"raw samples, .*accelcal.calibrate\(xyz, rate=HZ\)",
+    'accelcal.load("x.json")': r'accelcal.Calibration\("recording.calibration.json"\)',
+    'accelcal.calibrate("nope.cwa")': "check the path",
+    "accelcal.calibrat(xyz)": "did you mean 'calibrate'",
+    "result.to_csv('x.csv')": "type result.write",
+    "accelcal.plot(result)": r"\.plot\(\)",
+}
+"""Lines that users of pandas, scikit-learn, actipy and skdh type first, and the answer to those that fail."""
+
+
+@pytest.mark.parametrize("line", FIRST_LINES)
+def test_p6_the_first_lines_of_a_user_work_or_are_answered(
+    line: str, result: accelcal.Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ROOT)
+    xyz = still_counts(directions(10)) / LSB_PER_G
+    df = pd.DataFrame(xyz, columns=[*"xyz"], index=pd.date_range("2024-03-04", periods=len(xyz), freq="40ms"))
+    names = {"accelcal": accelcal, "result": result, "xyz": xyz, "df": df}
+    answer = FIRST_LINES[line]
+    call: Callable[[], None] = lambda: exec(line, names)  # noqa: E731
+    if answer is None:
+        call()
+    else:
+        with pytest.raises((AttributeError, TypeError, accelcal.AccelcalError), match=answer):
+            call()
