@@ -74,6 +74,7 @@ _OFFSETS_H = {
 }
 """Hours east of UTC, by the names of zones that stand for one."""
 
+UNREAD_ZONE = "the time zone {!r} of the header is not understood: --timezone gives that of the clock"
 AMBIGUOUS = {
     "CST": "Central Standard Time (-06:00) and China (+08:00)",
     "IST": "India (+05:30), Israel (+02:00) and Ireland (+01:00)",
@@ -212,6 +213,13 @@ def stated_zone(text: str) -> str | None:
         return None if hours is None else zone_of(round(60 * hours)) if hours else "UTC"
     minutes = _minutes(*bare.groups())
     return None if minutes is None else zone_of(minutes)
+
+
+def header_zone(text: str) -> tuple[str | None, tuple[str, ...]]:
+    """Return the zone that a header states, None if it states none, and a note if it is not understood."""
+    zone, text = stated_zone(text), text.strip()
+    notes = () if zone is not None or not text else (UNREAD_ZONE.format(text[:40]),)
+    return ("UTC" if zone == "+00:00" else zone), notes
 
 
 def zone_of(minutes: int) -> str:

@@ -127,7 +127,7 @@ class Detected:
         dialect, roles = self.parser.dialect, self.parser.roles
         axes = ", ".join(map(dialect.column_name, roles.xyz))
         how = " (judged by the length of gravity)" if self.guessed_unit else ""
-        notes = [f"an export of {self.export.title}"] * bool(self.export.title)
+        notes = [f"an export of {self.export.title}"] * bool(self.export.title) + [*self.export.notes]
         notes += [f"x, y, z: {axes}", f"unit: {self.scale.unit}{how}"]
         if roles.time is not None:
             dates = "" if roles.date is None else f"{dialect.column_name(roles.date)} and "

@@ -15,10 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from accelcal_cli.core.clock import MICROSECONDS, WIDEST_OFFSET_H, iso_time
+from accelcal_cli.core.clock import MICROSECONDS, iso_time
 from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Device, Problem, Reader, Recording, first_row
+from accelcal_cli.core.written_times import header_zone
 from accelcal_cli.formats._pages.files import ScannedFile
 from accelcal_cli.formats._pages.pages import GOOD
 from accelcal_cli.formats._pages.reader import PagedReader, PageScheme
@@ -85,7 +86,6 @@ header, even if its lines end in carriage returns alone, or the end of the line 
 
 _RANGE = re.compile(r"-\s*(\d+(?:\.\d+)?)\s*to\s*(\d+(?:\.\d+)?)")
 _DRIFT = re.compile(r"clock drift (-?\d+(?:\.\d+)?) ?s")
-_ZONE = re.compile(r"GMT\s*([+-]\d{2}:[0-5]\d)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ class Header:
         data_start: where the first page lies, bytes.
         rate: configured rate [Hz].
         range_g: the sensor clips at +- this.
-        timezone: of the device's clock, `UTC` or such as `+01:00`.
+        timezone: of the device's clock, `UTC` or such as `+01:00`; zone_notes: that it is not understood.
         factory: the calibration block.
         pages: the number that it announces.
         reset: its times are those of a device that was reset.
@@ -109,6 +109,7 @@ class Header:
     rate: Fraction | None = None
     range_g: float | None = None
     timezone: str | None = None
+    zone_notes: tuple[str, ...] = ()
     factory: Factory | None = None
     pages: int | None = None
     reset: bool = False
@@ -130,6 +131,7 @@ def parse_header(head: bytes) -> Header:
     rate = number(about.get("Measurement Frequency", "").encode("ascii", "replace"))
     range_g = _range_g(about.get("Accelerometer Range", ""))
     serial = about.get("Device Unique Serial Code")
+    zone, zone_notes = header_zone(about.get("Time Zone", ""))
     needed = {
         "serial number": serial,
         "measurement frequency": rate,
@@ -141,7 +143,8 @@ def parse_header(head: bytes) -> Header:
         device=_device(about, serial),
         rate=rate,
         range_g=range_g,
-        timezone=_zone(about.get("Time Zone", "")),
+        timezone=zone,
+        zone_notes=zone_notes,
         factory=factory,
         pages=whole_number(measured.get("Number of Pages", "")),
         reset=any(about.get(key, "").startswith(RESET_DATE) for key in ("Config Time", "Start Time")),
@@ -175,14 +178,6 @@ def _range_g(text: str) -> float | None:
     """Return 8 for `-8 to 8`, None for a range that is not symmetric."""
     match = _RANGE.search(text)
     return float(match[2]) if match and float(match[1]) == float(match[2]) > 0 else None
-
-
-def _zone(text: str) -> str | None:
-    """Return `+01:00` for `GMT +01:00`, None if the text is not a zone."""
-    match = _ZONE.fullmatch(text)
-    if match is None or int(match[1][1:3]) > WIDEST_OFFSET_H:
-        return None
-    return "UTC" if match[1][1:] == "00:00" else match[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -393,7 +388,7 @@ def notes(first: FirstPages, header: Header, options: ReadOptions) -> tuple[str,
         texts.append(HEADER_RESET)
     if header.drift_s is not None:
         texts.append(f"the header notes a clock drift of {header.drift_s} s; the times are the device's own")
-    return tuple(texts)
+    return (*texts, *header.zone_notes)
 
 
 def duration_s(scheme: TextScheme, start_us: int | None) -> float | None:

@@ -24,14 +24,17 @@ from accelcal_cli.formats._bytes import MOST_BYTES, STEP_BYTES, Inflater, ShortR
 
 INFO, LOG, ACTIVITY = "info.txt", "log.bin", "activity.bin"
 CALIBRATION, TEMPERATURE_CALIBRATION = "calibration.json", "temperature_calibration.json"
+ABOUT = "info.json"
+"""Only files of CentrePoint have it; its times count from 1970."""
+
 NAMED = re.compile(
     rb"PK\x03\x04.{22}(..)..((?:[^\0/\\]{1,100}[/\\]){0,3}"
-    rb"(?:info\.txt|log\.bin|activity\.bin|(?:temperature_)?calibration\.json))",
+    rb"(?:info\.(?:txt|json)|log\.bin|activity\.bin|(?:temperature_)?calibration\.json))",
     re.DOTALL,
 )
 """Local header of one of the parts, perhaps in a folder; the groups are the length of its name, and this."""
 
-WANTED = (INFO, LOG, ACTIVITY, CALIBRATION, TEMPERATURE_CALIBRATION)
+WANTED = (INFO, LOG, ACTIVITY, CALIBRATION, TEMPERATURE_CALIBRATION, ABOUT)
 STORED, DEFLATED = zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED
 ENCRYPTED = 99
 """Method that stands for any encryption; zip files use it for AES."""

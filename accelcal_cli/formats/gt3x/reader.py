@@ -8,7 +8,6 @@ year 1, on the device's clock.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Generator, Iterator
 from contextlib import closing
@@ -18,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from accelcal_cli.core.clock import MICROSECONDS, WIDEST_OFFSET_H
+from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import (
@@ -33,10 +32,12 @@ from accelcal_cli.core.recording import (
     Recording,
     first_row,
 )
+from accelcal_cli.core.written_times import header_zone
 from accelcal_cli.formats._problems import ProblemLog
 from accelcal_cli.formats.gt3x import records as log
 from accelcal_cli.formats.gt3x import sensors
 from accelcal_cli.formats.gt3x.archive import (
+    ABOUT,
     ACTIVITY,
     INFO,
     LOG,
@@ -73,7 +74,7 @@ YEAR_1_TO_1970_US = 62_135_596_800 * 1_000_000
 LATEST_US = (1 << 32) * 1_000_000
 HIGHEST_RATE_HZ = 1000
 
-ZONE = re.compile(r"([+-])?(\d\d):([0-5]\d):\d\d")
+CENTREPOINT = "times are UTC, as CentrePoint writes them; the wearer's zone is {0}: --worn-zone {0} shows it"
 DAY_S = 86_400
 LONGEST_S = 366 * DAY_S
 NO_INFO = "info.txt is missing from the zip file"
@@ -105,6 +106,7 @@ class Info:
         start_us, last_us: first and last sample, or planned start and stop, local time.
         scale: counts in one g.
         zone: offset of the local time from UTC, such as -05:00.
+        notes: that a zone is there and is not understood.
     """
 
     device: Device = field(default_factory=Device)
@@ -114,6 +116,7 @@ class Info:
     scale: float | None = None
     range_g: float | None = None
     zone: str | None = None
+    notes: tuple[str, ...] = ()
 
 
 def parse_info(data: bytes) -> Info:
@@ -130,7 +133,7 @@ def parse_info(data: bytes) -> Info:
         _time_us(values.get("Last Sample Time")) or _time_us(values.get("Stop Date")),
         _positive(_number(values.get("Acceleration Scale")), LARGEST_LSB_PER_G),
         None if low is None or high is None else _positive(min(-low, high), LARGEST_G),
-        _zone(values.get("TimeZone")),
+        *header_zone(values.get("TimeZone", "")),
     )
 
 
@@ -153,14 +156,6 @@ def _time_us(text: str | None) -> int | None:
         return None
     time_us = int(text[:30]) // TICKS_PER_US - YEAR_1_TO_1970_US
     return time_us if 0 < time_us < LATEST_US else None
-
-
-def _zone(text: str | None) -> str | None:
-    """Return -05:00:00 as -05:00, 02:00:00 as +02:00, 00:00:00 as UTC; None if it is not a zone."""
-    match = ZONE.fullmatch(text or "")
-    if match is None or int(match[2]) > WIDEST_OFFSET_H:
-        return None
-    return f"{match[1] or '+'}{match[2]}:{match[3]}" if match[2] + match[3] != "0000" else "UTC"
 
 
 def read_info(archive: Archive) -> tuple[Info, tuple[Problem, ...]]:
@@ -423,6 +418,7 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
     member, span = archive.members[LOG], span_of(info, beginning)
     file = LogFile(archive, member, description.sensor, span, problems + calibration_files.problems, applied)
     start_us = first_time(file)
+    centrepoint = ABOUT in archive.members or archive.path.name.lower().removesuffix(".zip").endswith(".agdc")
     recording = Recording(
         path=archive.path,
         format="gt3x",
@@ -432,13 +428,18 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
         device=info.device,
         range_g=description.scale.range_g,
         start_us=start_us,
-        timezone="UTC" if beginning.utc else info.zone,
+        timezone="UTC" if beginning.utc or centrepoint else info.zone,
         duration_s=lasted_s(info, start_us),
         has_temperature=description.has_temperature or beginning.first_mc is not None,
         gyro_dps_per_lsb=description.gyro_dps_per_lsb,
         factory=applied.factory,
         zero_counts=first_row(ZEROS if uncalibrated is None else calibrated_counts(ZEROS, uncalibrated)),
-        notes=description.notes + calibration_files.notes(applied),
+        notes=(
+            *description.notes,
+            *calibration_files.notes(applied),
+            *info.notes,
+            *([CENTREPOINT.format(info.zone)] if centrepoint and info.zone else []),
+        ),
     )
     return Gt3xReader(recording, file)
 
@@ -473,7 +474,7 @@ def open_activity_bin(
         timezone=info.zone,
         samples=file.samples,
         duration_s=None if file.samples is None else file.samples / rate,
-        notes=(OLDER_KIND,) if CalibrationFiles.of(archive).acceleration.is_open else (),
+        notes=(*((OLDER_KIND,) if CalibrationFiles.of(archive).acceleration.is_open else ()), *info.notes),
     )
     return Gt3xReader(recording, file)
 

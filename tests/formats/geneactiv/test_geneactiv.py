@@ -111,13 +111,17 @@ def test_notes_of_several_lines(tmp_path: Path) -> None:
         ("GMT +00:00", "UTC"),
         ("GMT -04:00", "-04:00"),
         ("GMT +05:45", "+05:45"),
+        ("GMT +5:30", "+05:30"),
         ("GMT +99:00", None),
         ("", None),
     ],
 )
 def test_the_zone_of_the_header(tmp_path: Path, text: str, zone: str | None) -> None:
     path = written(tmp_path / "a.bin", pages(random_counts(300)), header(zone=text))
-    assert opened(path).recording.timezone == zone
+    recording = opened(path).recording
+    assert recording.timezone == zone
+    noted = [note for note in recording.notes if "time zone" in note]
+    assert len(noted) == (zone is None and text != "")
     forced = opened(path, timezone="Europe/Paris", force_timezone=True)
     assert forced.recording.timezone == "Europe/Paris"
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.core.recording import Device
@@ -243,3 +244,34 @@ def test_an_impossible_range_counts_as_missing(tmp_path: Path) -> None:
     text = info(50).replace("-8.0", "-1e200").replace("8.0", "1e200")
     path = written(tmp_path / "a.gt3x", seconds(random_counts(150), 50), text)
     assert opened(path).recording.range_g == 8.0
+
+
+@pytest.mark.parametrize("name", ["a.agdc", "a.gt3x"])
+def test_t12_times_of_centrepoint_are_utc(tmp_path: Path, name: str) -> None:
+    """A file of ActiLife has no info.json, and its times are those of the zone that it states."""
+    text = info(50, TimeZone="-05:00:00")
+    beside = {} if name.endswith(".agdc") else {"info": {"startDate": START_S}}
+    recording = opened(written(tmp_path / name, seconds(random_counts(100), 50), text, **beside)).recording
+    assert (recording.timezone, recording.start_us) == ("UTC", START_US)
+    assert any("--worn-zone -05:00" in note for note in recording.notes)
+    local = opened(written(tmp_path / "b.gt3x", seconds(random_counts(100), 50), text)).recording
+    assert (local.timezone, local.notes) == ("-05:00", ())
+
+
+def test_t12_the_centrepoint_recording_of_the_cases(real_data: Path) -> None:
+    recording = opened(real_data / "cases" / "centrepoint_utc.agdc").recording
+    assert iso_time(recording.start_us, 0) == "2022-08-18T16:18:00.000000+00:00"
+    assert recording.timezone == "UTC"
+
+
+@pytest.mark.parametrize(
+    ("text", "zone"),
+    [("-5", "-05:00"), ("+5:30", "+05:30"), ("00:00:00", "UTC"), ("Mars", None), ("+77", None)],
+)
+def test_t11_a_zone_is_used_or_noted(tmp_path: Path, text: str, zone: str | None) -> None:
+    path = written(tmp_path / "a.gt3x", seconds(random_counts(100), 50), info(50, TimeZone=text))
+    recording = opened(path).recording
+    assert recording.timezone == zone
+    assert len([note for note in recording.notes if f"time zone {text!r} of the header" in note]) == (
+        zone is None
+    )

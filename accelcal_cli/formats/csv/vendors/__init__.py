@@ -92,6 +92,7 @@ class ExportDescription:
         counts_from_start: these count from `start`, which has a date.
         companion: the sidecar that says all this, if it is not in the file itself.
         pauses: how often it was paused without its times saying so.
+        notes: on what the header says, for people.
         doubt: why it cannot be calibrated as it is; None for raw data.
     """
 
@@ -114,6 +115,7 @@ class ExportDescription:
     time_unit_us: float | None = None
     counts_from_start: bool = False
     pauses: int = 0
+    notes: tuple[str, ...] = ()
     doubt: Doubt | None = None
     gyro: tuple[int, int, int] | None = None
     gyro_unit: str | None = None

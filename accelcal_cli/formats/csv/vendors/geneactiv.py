@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import re
 
-from accelcal_cli.core.clock import WIDEST_OFFSET_H
 from accelcal_cli.core.recording import Device
+from accelcal_cli.core.written_times import header_zone, stated_zone
 from accelcal_cli.formats.csv.vendors import Doubt, ExportDescription, Head, Vendor
 
 FIRST = re.compile(r"\W*Device Type[^\S\t]*([,;\t])\s*GENEActiv", re.IGNORECASE)
 ROW = re.compile(r'"?\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d')
-ZONE = re.compile(r"GMT\s*([+-])(\d{1,2})(?::?(\d\d))?$")
 RANGE = re.compile(r"-(\d{1,3}(?:\.\d{1,3})?) to (\d{1,3}(?:\.\d{1,3})?)$")
 RATE = re.compile(r"(\d{1,4}(?:[.,]\d{1,4})?)\s*Hz$")
 
@@ -43,8 +42,9 @@ def describe(head: Head) -> ExportDescription:
         names=COLUMNS if columns == len(COLUMNS) else None,
         unit="g" if header.get("Units", "g") == "g" else None,
         rate_hz=_number(RATE.match(header.get("Measurement Frequency", ""))),
-        timezone=_zone(header.get("Time Zone", "")),
+        timezone=stated_zone(header.get("Time Zone", "")),
         range_g=_range(header.get("Range", "")),
+        notes=header_zone(header.get("Time Zone", ""))[1],
         doubt=_doubt(columns),
     )
 
@@ -74,14 +74,6 @@ def _number(match: re.Match[str] | None) -> float | None:
 def _range(text: str) -> float | None:
     match = RANGE.match(text)
     return _number(match) if match and match[1] == match[2] else None
-
-
-def _zone(text: str) -> str | None:
-    """Return `GMT +01:00` as `+01:00`; None for anything else."""
-    match = ZONE.match(text)
-    if match is None or int(match[2]) > WIDEST_OFFSET_H or int(match[3] or 0) > 59:
-        return None
-    return f"{match[1]}{int(match[2]):02d}:{match[3] or '00'}"
 
 
 def _doubt(columns: int) -> Doubt | None:
