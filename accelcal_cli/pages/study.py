@@ -103,6 +103,7 @@ class StudyContent:
         nameless: number of recordings without a serial number.
         drift_limit_mg: drift of an offset in a month that is a reason for service.
         csv: name of the table next to the page.
+        origin: folder, command and time of the newest result, by name.
     """
 
     rows: Sequence[dict[str, Any]]
@@ -112,6 +113,7 @@ class StudyContent:
     nameless: int
     drift_limit_mg: float
     csv: str = "study.csv"
+    origin: Sequence[tuple[str, str]] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +189,7 @@ def page(study: StudyContent) -> str:
         drift_limit=f"{study.drift_limit_mg:g}",
         nameless=counted(study.nameless, "recording") if study.nameless else None,
         csv=study.csv,
+        origin=[(name, printable(value)) for name, value in study.origin],
         recordings=len(once),
         data=embedded(
             {"recordings": _recordings_table(entries, scatter), "devices": _devices_table(devices)}

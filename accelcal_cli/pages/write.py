@@ -121,9 +121,10 @@ def write_study_pages(out: Path, *, force: bool = False) -> PagesMade:
     reviewed = review(out, Rules(), time.time())
     rows = _table_rows(out / table.NAME)
     made = PagesMade(out / STUDY_PAGE)
+    reports = _reports(out, rows)
     links = [
         None if report is None else _write_recording_page(out, report, made, force=force)
-        for report in _reports(out, rows)
+        for report in reports
     ]
     content = study.StudyContent(
         rows,
@@ -132,6 +133,7 @@ def write_study_pages(out: Path, *, force: bool = False) -> PagesMade:
         [_device_line(one) for one in reviewed.devices],
         reviewed.records.nameless,
         reviewed.rules.drift_mg,
+        origin=_origin(out, [report for report in reports if report is not None]),
     )
     text = study.page(content)
     stamp = stamp_for(text.encode())
@@ -140,6 +142,21 @@ def write_study_pages(out: Path, *, force: bool = False) -> PagesMade:
         refuse_foreign_page(made.page, force=force)
         write_text(made.page, stamped(text, stamp))
     return made
+
+
+def _origin(out: Path, reports: Sequence[Path]) -> list[tuple[str, str]]:
+    """Return the folder of a study, and the command and time of its newest result."""
+    found = [("Results in", out.resolve().name)]
+    there = {path: path.stat().st_mtime_ns for path in reports if is_file(path)}
+    if there and (report := load_our_json(max(sorted(there), key=there.__getitem__))):
+        made = report.get("provenance")
+        if isinstance(made, dict):
+            command, moment = made.get("command"), made.get("time")
+            if isinstance(command, list):
+                found.append(("Command", " ".join(map(str, command))[: recording.LONGEST_TEXT]))
+            if isinstance(moment, str):
+                found.append(("Newest result", moment[:16].replace("T", " ") + " UTC"))
+    return found
 
 
 def _table_rows(path: Path) -> list[dict[str, Any]]:
