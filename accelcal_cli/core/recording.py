@@ -233,6 +233,7 @@ class Problem:
             damaged; 0 for what is missing, repeated or normal.
         missing_bytes: number of bytes that are known to be missing from the file, since its header or its
             parts announce them. A file that breaks off in any other way has 0 and the code CUT_SHORT.
+        empty_rows: number of rows without values, which are missing time and no damage.
     """
 
     code: str
@@ -242,6 +243,7 @@ class Problem:
     count: int = 1
     lost_bytes: int = 0
     missing_bytes: int = 0
+    empty_rows: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

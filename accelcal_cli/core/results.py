@@ -439,6 +439,7 @@ class Facts:
             start is unknown.
         damaged_bytes, missing_bytes, used_bytes: bytes of the (uncompressed) file that damage took, those
             that are known to be missing from it, and those that the samples were made of.
+        empty_rows: rows of a table without values, which are missing time.
         cut_short: the file breaks off, whether or not it is known how much is missing.
         span_us: time from the first sample to the last [us], the sum of the stretches of its clock.
         resets: jumps at which its clock was reset.
@@ -464,6 +465,7 @@ class Facts:
     damaged_bytes: int = 0
     missing_bytes: int = 0
     used_bytes: int = 0
+    empty_rows: int = 0
     cut_short: bool = False
     jumps: Jumps = Jumps()
     span_us: int = 0

@@ -30,6 +30,7 @@ class Event:
         lost_bytes: as in a Problem.
         line: of a text file; 0 in others.
         scattered: it stands for several places, not for one.
+        empty_rows: as in a Problem.
     """
 
     position: int
@@ -43,6 +44,7 @@ class Event:
     lost_bytes: int = 0
     line: int = 0
     scattered: bool = False
+    empty_rows: int = 0
 
     @property
     def kind(self) -> Kind:
@@ -60,6 +62,7 @@ class Run:
     count: int = 0
     amount_us: int = 0
     lost_bytes: int = 0
+    empty_rows: int = 0
 
     def add(self, event: Event) -> None:
         """Add an event to the totals."""
@@ -68,6 +71,7 @@ class Run:
         self.count += event.count
         self.amount_us += event.amount_us
         self.lost_bytes += event.lost_bytes
+        self.empty_rows += event.empty_rows
 
 
 def text_with_count(run: Run) -> str:
@@ -171,4 +175,5 @@ class ProblemLog:
     def _problem(self, run: Run) -> Problem:
         event = run.event
         text = self._describe(run)
-        return Problem(event.code, text, event.byte_offset, event.sample, run.count, run.lost_bytes)
+        amounts = run.count, run.lost_bytes
+        return Problem(event.code, text, event.byte_offset, event.sample, *amounts, empty_rows=run.empty_rows)

@@ -37,7 +37,10 @@ ODD_REST = (
 RAW_SETTLED = (Outcome.ALREADY_GOOD, Outcome.PROVISIONAL)
 """Outcomes that say themselves how a result compares with the raw data, more sharply than its interval."""
 
-MILD = ("sides_unchecked", "not_converged")
+EMPTY_FROM_PERCENT = 0.1
+"""Share of rows without values [%] from which on it is told."""
+
+MILD = ("sides_unchecked", "not_converged", "rows_without_values")
 """Codes of cautions that a good result may have."""
 
 
@@ -111,13 +114,17 @@ def of_file(
     return found
 
 
-def of_clock(facts: Facts) -> list[Reason]:
-    """Return the caution that the clock was reset."""
+def of_rows(facts: Facts) -> list[Reason]:
+    """Return the cautions that rows hold no values, and that the clock was reset."""
+    share = 100 * facts.empty_rows / max(1, facts.empty_rows + facts.samples)
+    found = []
+    if share >= EMPTY_FROM_PERCENT:
+        found.append(Reason.of("rows_without_values", empty_percent=share, empty_rows=facts.empty_rows))
     if not facts.resets:
-        return []
+        return found
     first, offset_s = facts.resets[0], facts.utc_offset_s
     around = {"before": iso_time(first.before_us, offset_s), "after": iso_time(first.after_us, offset_s)}
-    return [Reason.of("clock_reset", sample=first.sample, **around, resets=len(facts.resets))]
+    return [*found, Reason.of("clock_reset", sample=first.sample, **around, resets=len(facts.resets))]
 
 
 def _unconverged(report: ReportView) -> list[Reason]:

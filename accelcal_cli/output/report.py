@@ -23,7 +23,7 @@ from accelcal_cli.core.recording import Problem, Recording
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import EffectiveSettings
 from accelcal_cli.core.version import __version__
-from accelcal_cli.output.advice import completed, of_clock
+from accelcal_cli.output.advice import completed, of_rows
 from accelcal_cli.output.coefficients import EQUATION as DRAWS_EQUATION
 from accelcal_cli.output.coefficients import coefficients_json
 from accelcal_cli.output.files import json_text
@@ -387,7 +387,7 @@ def build(data: ReportInput) -> dict[str, Any]:
     raw = data.facts.rest.error_mg
     windows = {**asdict(data.windows), "raw_error_mg": rounded(raw)}
     change = change_json(data.judgement.change, data.facts.utc_offset_s)
-    judgement = replace(data.judgement, cautions=(*of_clock(data.facts), *data.judgement.cautions))
+    judgement = replace(data.judgement, cautions=(*of_rows(data.facts), *data.judgement.cautions))
     return completed(document(_recording(data), _health(data), windows, data, change) | data.taken, judgement)
 
 

@@ -79,7 +79,7 @@ class FactsObserver(Observer):
         self.gaps_omitted = self._gaps = self._gap_us = self._back = 0
         self.problems: list[Problem] = []
         self._problems_omitted = self._followed = 0
-        self._damaged_bytes = self._missing_bytes = self._used_bytes = 0
+        self._damaged_bytes = self._missing_bytes = self._used_bytes = self._empty_rows = 0
         self._cut_short = False
         self._run_start_us = self._run_first = 0
         self._run_steps = self._run_us = 0
@@ -126,6 +126,7 @@ class FactsObserver(Observer):
             damaged_bytes=self._damaged_bytes,
             missing_bytes=self._missing_bytes,
             used_bytes=self._used_bytes,
+            empty_rows=self._empty_rows,
             cut_short=self._cut_short,
             jumps=Jumps(self._gaps, self._gap_us, self._back),
             span_us=self._stretches.span_us,
@@ -183,6 +184,7 @@ class FactsObserver(Observer):
         self.problems += problems[:left]
         self._problems_omitted += len(problems[left:])
         self._damaged_bytes += sum(problem.lost_bytes for problem in problems)
+        self._empty_rows += sum(problem.empty_rows for problem in problems)
         self._missing_bytes += sum(problem.missing_bytes for problem in problems)
         self._cut_short |= any(problem.code == CUT_SHORT for problem in problems)
         if self.recording.stamped:

@@ -23,7 +23,7 @@ from accelcal_cli.judge.model_ladder import Fitting, postures
 from accelcal_cli.judge.refusal import advised, damage_verdict, strict_if_odd
 from accelcal_cli.judge.verdict import judge_calibrated
 from accelcal_cli.output import report as reports
-from accelcal_cli.output.advice import of_clock, of_file
+from accelcal_cli.output.advice import of_file, of_rows
 from accelcal_cli.output.report import (
     clock_json,
     damage_json,
@@ -229,7 +229,7 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
 def _of_the_file(facts: Facts) -> list[Reason]:
     lost = (facts.lost_bytes, facts.lost_percent())
     health = of_file(facts.missing_if_known, *lost, facts.counts.filled_samples, facts.samples)
-    return [*health, *of_clock(facts)]
+    return [*health, *of_rows(facts)]
 
 
 def _values(inspection: Inspection) -> dict[str, Any] | None:

@@ -159,6 +159,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "factory_calibration_differs": [{"applied_here": here} for here in (False, True)],
     "few_orientations_differ_in_temperature": [{}],
     "few_still_stretches": [{}],
+    "rows_without_values": [{"empty_percent": 60.0, "empty_rows": 5400}],
     "clock_reset": [
         {"sample": 8960, "before": "2024-03-04T00:02:59.2", "after": "2000-01-01T00:00:00.0", "resets": 1}
     ],

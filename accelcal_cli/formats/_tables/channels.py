@@ -161,7 +161,8 @@ class Axes:
         parts = [selection.read(source) for source in sources]
         counts, faults = self.scale.counts(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1))
         for code, bad in faults.items():
-            selection.leave_out((code, FAULTS[code]), bad)
+            leave_out = selection.leave_out_empty if code == "missing_value" else selection.leave_out
+            leave_out((code, FAULTS[code]), bad)
         return counts
 
 

@@ -24,7 +24,7 @@ from accelcal_cli.core.recording import Channels, Chunk, Device, Problem, Reader
 from accelcal_cli.core.vocabulary import PER_G, TABLES, normalized
 from accelcal_cli.formats._gravity import guess_unit, likely_counts, usual_length
 from accelcal_cli.formats._problems import ProblemLog, Run
-from accelcal_cli.formats._stamps import GAP_PERIODS
+from accelcal_cli.formats._stamps import GAP_PERIODS, LOST
 from accelcal_cli.formats._tables.channels import (
     LARGEST_G,
     Axes,
@@ -174,7 +174,7 @@ def plan_of(source: TableSource, format_name: str) -> ReadingPlan:
     channels, notes = find_channels(source.table, source.tracks, source.accel, source.options)
     chosen = source.table.chosen if isinstance(source.table, SensorRowsTable) else None
     about = () if chosen is None else (chosen.note,)
-    recording = _recording(source, format_name, timeline, rate, accel, channels)
+    recording = _recording(source, format_name, _begun(source, timeline, rate), rate, accel, channels)
     plan = ReadingPlan(
         recording=replace(recording, notes=about + timeline.notes + scale_notes + notes + recording.notes),
         rows=source.accel.rows,
@@ -270,7 +270,34 @@ def _some_values(source: TableSource) -> NDArray[np.float64]:
     with np.errstate(over="ignore", invalid="ignore"):
         parts = [spread_rows(source.table, item).astype(np.float64) for item in source.group]
     rows = min(map(len, parts))
-    return np.concatenate([part[:rows] for part in parts], axis=1)
+    values = np.concatenate([part[:rows] for part in parts], axis=1)
+    return _first_values(source)[1] if np.isnan(values).any(axis=1).all() else values
+
+
+def _first_values(source: TableSource) -> tuple[int, NDArray[np.float64]]:
+    """Return the first row with values, and the rest of its block (n, 3); row 0 if none has any."""
+    sources, values = [*map(source.table.rows, source.group)], np.empty((0, 3))
+    for start in range(0, source.accel.rows, BLOCK_ROWS):
+        parts = [one.read(start, min(start + BLOCK_ROWS, source.accel.rows))[0] for one in sources]
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = np.concatenate(parts, axis=1).astype(np.float64)
+        known = ~np.isnan(values).any(axis=1)
+        if known.any():
+            row = int(np.argmax(known))
+            return start + row, values[row:]
+    return 0, values
+
+
+def _begun(source: TableSource, timeline: TableTimeline, rate: float) -> TableTimeline:
+    """Return the timeline with the time of the first row that has values as its start."""
+    if timeline.start_us is None or all(item.dtype.kind != "f" for item in source.group):
+        return timeline
+    with source.table.guard(f"{source.table.word}s"):
+        row = _first_values(source)[0]
+    stamps, start_us = timeline.stamps, timeline.start_us + round(row * MICROSECONDS / rate)
+    if stamps is not None and row:
+        start_us = int(stored_stamps(source.table.rows(stamps.track), stamps.scale, row, row + 1)[0])
+    return replace(timeline, start_us=start_us) if row and start_us > LOST else timeline
 
 
 def _unit_and_lsb(source: TableSource) -> tuple[str | None, float | None]:

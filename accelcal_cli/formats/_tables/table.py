@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from posixpath import basename, dirname
 from typing import Any, Protocol
@@ -306,6 +306,7 @@ class RowSelection:
         self.row_bytes = row_bytes
         self.keep = np.ones(stop - start, np.bool_)
         self._as_one: set[Kind] = set()
+        self._empty: set[Kind] = set()
         self._faults: dict[tuple[Kind, Offset, int], list[NDArray[np.int64]]] = {}
 
     def read(self, source: RowSource) -> NDArray[Any]:
@@ -325,6 +326,11 @@ class RowSelection:
         bad = bad & self.keep
         self.note(kind, np.flatnonzero(bad), offset, self.row_bytes)
         self.keep &= ~bad
+
+    def leave_out_empty(self, kind: Kind, empty: NDArray[np.bool_]) -> None:
+        """Drop rows without values, which are no damage."""
+        self._empty.add(kind)
+        self.leave_out(kind, empty)
 
     def note(self, kind: Kind, rows: NDArray[np.int64], offset: Offset = nowhere, row_bytes: int = 0) -> None:
         """Note rows, given by their numbers within the selection, without dropping them."""
@@ -357,7 +363,8 @@ class RowSelection:
                 row = int(rows[index])
                 start, sample = self.start + row, first_sample + int(np.searchsorted(kept, row))
                 amounts = (count, 0, count * row_bytes)
-                yield Event(start, count, *kind, offset(start), sample, *amounts, scattered=scattered)
+                made = Event(start, count, *kind, offset(start), sample, *amounts, scattered=scattered)
+                yield replace(made, lost_bytes=0, empty_rows=count) if kind in self._empty else made
 
 
 def chosen_axes(

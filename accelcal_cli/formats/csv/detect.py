@@ -78,6 +78,8 @@ ACCEL, GYRO, AXES = "ACCEL", "GYRO", ("x", "y", "z")
 CELSIUS = ("oC", "\u00b0C", "degC")
 FASTEST_HZ = 100_000.0
 
+SPARSE = "one row in {} holds acceleration; the others are left out"
+
 Sidecar = list[dict[str, str]]
 """Rows of a table of Motion-BIDS, by the names of its columns."""
 
@@ -92,6 +94,7 @@ class Detected:
         gyro: how rotation rates become counts, None without a gyroscope; gyro_notes: how it was understood.
         head: the file up to its first row.
         wraps: what its clock may do.
+        stride: rows from one with values to the next, in a table that other sensors share.
         watch: over columns that may separate several sensors, with the head seen; None without such columns.
     """
 
@@ -108,6 +111,7 @@ class Detected:
     gyro_notes: tuple[str, ...] = ()
     watch: SensorWatch | None = None
     wraps: Wraps = field(default_factory=Wraps)
+    stride: int = 1
 
     @property
     def has_dates(self) -> bool:
@@ -134,6 +138,7 @@ class Detected:
             how = "" if self.parser.time is None else self.parser.time.how
             notes.append(f"time: {dates}{dialect.column_name(roles.time)}{how}")
         notes += [self.watch.note] if self.parser.sensor and self.watch else []
+        notes += [SPARSE.format(self.stride)] * (self.stride > 1)
         notes += [*self.gyro_notes, *self.pace.notes]
         headings = (dialect.names is not self.export.names) + (dialect.units is not None)
         if self.export.pauses:
@@ -186,28 +191,17 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     if table.rates is not None and (fault := why_not_read(table.values, table.rates)):
         gyro, gyro_notes, parser = None, (fault,), replace(parser, roles=roles)
     scale, guessed = _find_scale(table.values, roles, export, options, path)
-    pace = _pace(table, export, options, path)
+    stride = usual_stride(table.values)
+    measured = table if stride == 1 else table.only(np.asarray(~np.isnan(table.values).any(axis=1)))
+    pace = _pace(measured, export, options, path)
     start_us = None
     if parser.time is None and export.start is not None:
         start_us = export.start.us(options.date_format or export.date_order, path)
     line_bytes = len(block.data) / max(len(table.line), 1) or 1.0
     turns = None if gyro is None else gyro.scale
     first = _first_values(table)
-    return Detected(
-        export,
-        start_us,
-        parser,
-        scale,
-        pace,
-        first,
-        line_bytes,
-        guessed,
-        above,
-        turns,
-        gyro_notes,
-        watch,
-        wraps,
-    )
+    about = (export, start_us, parser, scale, pace, first, line_bytes, guessed, above, turns, gyro_notes)
+    return Detected(*about, watch, wraps, stride)
 
 
 def _with_start(export: ExportDescription, path: Path) -> ExportDescription:
@@ -387,6 +381,12 @@ def _wraps(parser: TableParser, table: ParsedTable) -> Wraps:
     if time.unit_us is None:
         return find_wraps(table.time_us, None, DATES if time.since_1970 else TIMES_OF_DAY)
     return find_wraps(table.time_us, None if time.since_1970 and not time.dated else time.unit_us)
+
+
+def usual_stride(values: NDArray[np.float64]) -> int:
+    """Return the usual distance [rows] between rows (n, 3) with values, 1 where they follow one another."""
+    places = np.flatnonzero(~np.isnan(values).any(axis=1))
+    return max(1, int(np.median(np.diff(places)))) if len(places) > 1 else 1
 
 
 def _find_pace(stamps: NDArray[np.int64], user_hz: float | None, path: Path) -> Pace:

@@ -64,9 +64,8 @@ BACK = ("clock_back", "the time goes back{jump} before line {line}{repeated}")
 WITH_ITS_ZONE = (FOLLOWED, "the times follow a change of the clocks in {zone} before line {{line}}")
 NO_LINE_END = "no_line_end"
 BROKEN_OFF = "the compressed data ends early or is damaged; the rows before that were read"
-CODES = [code for code, _ in (MISSING, OUT_OF_RANGE, IMPOSSIBLE_TIME, ASLEEP, AHEAD, BACK, WITH_ITS_ZONE)] + [
-    WRAPPED
-]
+KINDS = MISSING, OUT_OF_RANGE, IMPOSSIBLE_TIME, ASLEEP, AHEAD, BACK, WITH_ITS_ZONE
+CODES = [*(code for code, _ in KINDS), WRAPPED]
 """The order of problems that only the end of the file completes."""
 
 NO_DATE = "the file has no date; times count from 1970-01-01"
@@ -275,7 +274,7 @@ class CsvReader(Reader):
             for chunk in assembler.chunks(rows, block, max(samples, 1)):
                 if len(chunk):
                     return int(chunk.clock.times(0, 1)[0]) if self._detected.has_dates else None
-            if assembler.rows and block.offset > 16 * HEAD_BYTES:
+            if assembler.rows > 2 * assembler.empty and block.offset > 16 * HEAD_BYTES:
                 break
         raise _unusable(self._detected, f"none of its first {assembler.rows} rows holds usable values")
 
@@ -377,8 +376,7 @@ class CsvAssembler:
         self._last_row = -1
         self._last_us = 0
         self._last_jump: Kind | None = None
-        self.samples = 0
-        self.rows = 0
+        self.samples = self.rows = self.empty = 0
 
     def chunks(self, rows: CsvRows, block: Block, chunk_samples: int) -> Iterator[Chunk]:
         """Yield the good rows of the next ones, which end with a block, at most `chunk_samples` a chunk."""
@@ -393,6 +391,7 @@ class CsvAssembler:
         for event in events:
             self._log.add(event)
         self.rows += len(rows)
+        self.empty += int(np.count_nonzero(rows.fault == Fault.EMPTY))
         problems = self._log.take(self.rows)
         pieces = max(1, -(-len(counts) // chunk_samples))
         borders = [len(counts) * piece // pieces for piece in range(pieces + 1)]
@@ -420,7 +419,7 @@ class CsvAssembler:
         Raises:
             UnreadableError: most rows cannot be used.
         """
-        if 2 * self.samples < self.rows or not self.samples:
+        if 2 * self.samples < self.rows - self.empty or not self.samples:
             what = f"only {self.samples} of {self.rows} rows hold usable values"
             raise _unusable(self._detected, what)
         more = _joined_files(repeated_heads, self.samples)
@@ -441,7 +440,9 @@ class CsvAssembler:
         good = rows.fault == Fault.NONE
         flags: list[tuple[Kind, NDArray[np.bool_], int]] = []
         if not good.all():
-            flags.append((MISSING, rows.fault == Fault.MISSING, self._row_bytes))
+            missing = rows.fault == Fault.MISSING
+            missing |= (rows.fault == Fault.EMPTY) & (self._detected.stride == 1)
+            flags.append((MISSING, missing, self._row_bytes))
             flags.append((OUT_OF_RANGE, rows.fault == Fault.OUT_OF_RANGE, self._row_bytes))
             flags.append((IMPOSSIBLE_TIME, rows.fault == Fault.TIME, self._row_bytes))
         if rows.filled is not None and rows.filled.any():
@@ -455,8 +456,9 @@ class CsvAssembler:
             for index, count, scattered in self._log.runs(kind, places):
                 place = int(places[index])
                 row, line, sample = rows.first_row + place, int(rows.line[place]), int(before[place])
-                amounts = (self.samples + sample, count, 0, count * row_bytes)
-                yield Event(row, count, *kind, None, *amounts, line, scattered)
+                empty = int(np.count_nonzero(rows.fault[places[index : index + count]] == Fault.EMPTY))
+                amounts = (self.samples + sample, count, 0, (count - empty) * row_bytes)
+                yield Event(row, count, *kind, None, *amounts, line, scattered, empty)
 
     def _wrap_events(self, rows: CsvRows) -> Iterator[Event]:
         for row, jump_us in self._ran_on.taken(rows.first_row + len(rows)):
@@ -515,7 +517,7 @@ class CsvAssembler:
         before = int(kept.row[0]) - 1 if self._last_row < 0 else self._last_row
         if kept.keep is None and kept.row[0] == before + 1:
             return np.ones(1, np.int64)
-        return np.diff(kept.row, prepend=before)
+        return -(-np.diff(kept.row, prepend=before) // self._detected.stride)
 
     def _jumps(
         self, kind: Kind, places: NDArray[np.int64], kept: _GoodRows, steps: NDArray[np.int64], stop: int

@@ -326,6 +326,7 @@ class Fault(IntEnum):
     MISSING = 1
     OUT_OF_RANGE = 2
     TIME = 3
+    EMPTY = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -429,7 +430,7 @@ class RowParser:
         self._refuse_fractions(table)
         counts, fault = self._counts(table.values)
         if table.time_us is not None:
-            fault[table.time_us == NO_TIME] = Fault.MISSING
+            fault[(table.time_us == NO_TIME) & (fault != Fault.EMPTY)] = Fault.MISSING
             fault[table.time_us == IMPOSSIBLE] = Fault.TIME
         channels: Channels = {
             name: CHANNELS[name].channel(table.channels[name]) for name in self._last_values
@@ -458,7 +459,7 @@ class RowParser:
         limit = self._scale.limit
         if len(scaled) and not (scaled.max() <= limit and scaled.min() >= -limit):
             fault[(np.abs(scaled) > limit).any(axis=1)] = Fault.OUT_OF_RANGE
-            fault[np.isnan(scaled).any(axis=1)] = Fault.MISSING
+            fault[np.isnan(scaled).any(axis=1)] = Fault.EMPTY
             scaled = np.where((fault == Fault.NONE)[:, None], scaled, 0.0)
         return scaled.astype(np.int32), fault
 

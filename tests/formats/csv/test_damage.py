@@ -166,9 +166,9 @@ def test_many_problems_become_few_records_whatever_the_blocks(
 
 
 def test_mostly_unusable_rows_are_refused(tmp_path: Path) -> None:
-    path = written(tmp_path, HEADER + rows(40) + "".join(row(number, "0,,") for number in range(40, 90)))
+    path = written(tmp_path, HEADER + rows(40) + "".join(row(number, "0,999,0") for number in range(40, 90)))
     with pytest.raises(UnreadableError, match="only 40 of 90 rows hold usable values"):
-        read(path)
+        read(path, unit="g")
 
 
 @pytest.mark.parametrize(
