@@ -187,7 +187,7 @@ def calibrate(
     Args:
         source: a path; the content of a file as bytes, or an open file; an (n, 3) array of x, y, z, which
             needs `rate` or `time`; or a table (pandas, polars, pyarrow, xarray, a dictionary of columns)
-            with columns x, y, z and time. What is no file is written to a temporary one (in TMPDIR).
+            with columns x, y, z and time. Anything but a path is written to a temporary file (in TMPDIR).
         temperature: of an array, (n,) [degrees C].
         gyroscope: of an array, (n, 3) [degrees/s], or in `gyro_unit`.
         time: of an array, (n,) datetime64.
@@ -267,7 +267,7 @@ def fit(points: Source, **options: Unpack[FitOptions]) -> Report:
         options: how they are fitted.
 
     Raises:
-        AccelcalError: it is no table of points but, for example, raw samples, or the options do not go
+        AccelcalError: it is not a table of points but, for example, raw samples, or the options do not go
             together.
         ValueError: an array has another shape.
 

@@ -1,4 +1,4 @@
-"""What the functions return: a report that shows itself, a result with its values, and a calibration."""
+"""Results that functions return: a report that shows itself, a result with its values, a calibration."""
 
 from __future__ import annotations
 
@@ -196,12 +196,12 @@ class Report:
 
     @property
     def cautions(self) -> tuple[Reason, ...]:
-        """What speaks against trusting the result without a look."""
+        """Reasons not to trust the result without a look."""
         return tuple(Reason(**one) for one in self.report["cautions"])
 
     @property
     def advice(self) -> tuple[Reason, ...]:
-        """What to do about it."""
+        """Steps to take next."""
         return tuple(Reason(**one) for one in self.report["advice"])
 
     @property
@@ -311,7 +311,7 @@ class Result(Report):
         """Yield the calibrated recording in pieces with the columns of the Parquet file; reads it once more.
 
         Raises:
-            AccelcalError: the recording was refused, changed meanwhile, or cannot be read on.
+            AccelcalError: the recording was refused, changed while it was read, or cannot be read on.
         """
         import pyarrow as pa
 
@@ -382,7 +382,7 @@ class Result(Report):
         return None if made is None else json.loads(dumps_quality(quality_json(made)))
 
     def write(self, folder: AnyPath | None = None, *, force: bool = False) -> tuple[Path | None, Path]:
-        """Write the files of the command `calibrate`, beside the recording or into a folder.
+        """Write the files of the command `calibrate` next to the recording, or into a folder.
 
         Returns:
             the Parquet file (None without calibrated values) and the report.
@@ -408,6 +408,7 @@ class Result(Report):
             the axes, with the verdict as title, the limit as a band and the time zone at the axis.
         """
         import matplotlib.pyplot as plt
+        from matplotlib.dates import ConciseDateFormatter
 
         windows, zone = self.windows(), self.view.recording.timezone
         axes = plt.subplots(figsize=(9, 3.8))[1] if axes is None else axes
@@ -421,6 +422,10 @@ class Result(Report):
         axes.axhspan(1 - limit / 1000, 1 + limit / 1000, color="C2", alpha=0.15, label=f"1 g ± {limit:g} mg")
         axes.set_ylabel("|a| of still windows [g]")
         axes.set_xlabel(f"time ({zone or ('UTC' if windows['time'].dt.tz is not None else 'device clock')})")
-        axes.set_title(f"{self._given.path.name}: {page_verdict(self.view).headline}", fontsize=9, wrap=True)
+        verdict = page_verdict(self.view)
+        title = " ".join([f"{self._given.path.name}: {verdict.headline}", *verdict.error[:1]])
+        axes.set_title(title, fontsize=9, wrap=True)
+        formatter: Any = ConciseDateFormatter  # it has no types
+        axes.xaxis.set_major_formatter(formatter(axes.xaxis.get_major_locator()))
         axes.legend(loc="upper right", fontsize=8)
         return axes

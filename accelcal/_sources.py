@@ -1,7 +1,7 @@
-"""What a recording may be given as: a path, bytes, an open file, an array, or a table of any library.
+"""Recordings as users have them: a path, bytes, an open file, an array, or a table of any library.
 
-What is no file becomes one in a folder of its own for temporary files, so that it is read, and judged, as a
-file of the same values is: the results are the same bits.
+All but paths become temporary files, so that they are read and judged as a file of the same values is: the
+results are the same bits.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Channels:
         self.arrays = {name: np.asarray(one) for name, one in given.items() if one is not None}
 
     def checked(self, rows: int) -> dict[str, NDArray[Any]]:
-        """Return them by name; raises ValueError if one does not belong to so many rows."""
+        """Return them by name; raises ValueError if one has another number of rows."""
         for name, one in self.arrays.items():
             wanted = (rows, 3) if name == "gyroscope" else (rows,)
             if one.shape != wanted:
@@ -140,7 +140,7 @@ def as_file(source: Source, channels: Channels | None = None) -> Given:
 
 
 def _written(source: Any, extra: Channels, folder: Path) -> Path:
-    """Write what is no file into a folder, and return its path."""
+    """Write a source into a folder, and return the path of the new file."""
     if isinstance(source, BYTES) or hasattr(source, "read"):
         _refuse_channels(extra, "a file has its own")
         return _spooled(source, folder)
@@ -202,7 +202,7 @@ def array_of(source: Any, name: str = "xyz") -> NDArray[Any]:
     """Return (n, 3) numbers as an array.
 
     Raises:
-        TypeError: they are no numbers. ValueError: they have another shape.
+        TypeError: they are not numbers. ValueError: they have another shape.
     """
     array: NDArray[Any] | None = None
     with suppress(ValueError):  # rows of different lengths

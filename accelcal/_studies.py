@@ -17,7 +17,7 @@ from accelcal._calling import public, values_of
 from accelcal._options import StudyOptions
 from accelcal._results import Report, Result
 from accelcal._sources import AnyPath
-from accelcal_cli.core.errors import OutputError, UsageError
+from accelcal_cli.core.errors import AccelcalError, OutputError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.output.files import exists, write_text
@@ -29,8 +29,10 @@ from accelcal_cli.studies.study import Study, with_learnt_prior
 if TYPE_CHECKING:
     import pandas as pd
 
+    from accelcal_cli.exports.data import ExportOptions
+
 Coefficients = Literal["ggir", "biobank", "omconvert", "json"]
-Data = Literal["csv", "npz", "mhealth", "bids", "parquet"]
+Data = Literal["actipy", "skdh", "csv", "npz", "mhealth", "bids", "parquet"]
 SIMULATED = {
     "days": (0, 1e5), "rate_hz": (0.01, 1e5), "errors": (0, 100), "misalignment": (-100, 100),
     "noise_mg": (0, 1e5), "lsb_per_g": (1, 1e6), "range_g": (1, 1e4), "seed": (0, 2**32 - 1),
@@ -204,6 +206,9 @@ def export(
     *,
     to: Coefficients | Data,
     output: AnyPath | None = None,
+    folder: AnyPath | None = None,
+    gzip: bool = False,
+    jobs: int | None = None,
     resample: float | None = None,
     smooth: int | Literal["auto"] | None = None,
     measured_only: bool = False,
@@ -212,20 +217,23 @@ def export(
     """Write results in the form of another tool, as `accelcal export` does.
 
     Args:
-        results: results, or paths of reports (for coefficients) or of one calibrated Parquet file (for data).
-        to: `ggir`, `biobank`, `omconvert` or `json`: coefficients; `csv`, `npz`, `mhealth`, `bids` or
-            `parquet`: data.
+        results: results, or paths of reports, of calibrated Parquet files or of output folders of studies.
+        to: `ggir`, `biobank`, `omconvert` or `json`: coefficients, unless a folder is given; `actipy`,
+            `skdh`, `csv`, `npz`, `mhealth`, `bids` or `parquet`: data.
         output: the new file; coefficients need none.
+        folder: where the data of all results go, with a script for the tool.
+        gzip: compress tables in the folder; jobs: recordings at a time, None for one a CPU.
         resample: of data, the rate that they get [Hz].
         smooth: of data, samples of a rolling mean; `auto`: by the rate.
         measured_only: of data, leave out rows that were not measured.
         force: replace a file that is there.
 
     Returns:
-        coefficients as text; of data, the path of the new file.
+        coefficients as text; else the path of the file or the folder. A warning names each recording of
+        several that was refused and is skipped.
 
     Raises:
-        AccelcalError: there are no coefficients or no data, or the file cannot be written.
+        AccelcalError: there are no coefficients or no data, or a file cannot be written.
 
     Example:
         >>> import accelcal
@@ -233,52 +241,84 @@ def export(
         >>> "recording.bin" in text
         True
     """
+    from accelcal_cli.exports.data import ExportOptions
+
     given = [results] if isinstance(results, str | PathLike | Result) else [*results]
-    with TemporaryDirectory(prefix="accelcal-") as folder:
-        if to in ("ggir", "biobank", "omconvert", "json"):
-            paths = [_file(one, Path(folder) / str(place), parquet=False) for place, one in enumerate(given)]
-            text = _coefficients(to, paths)
-            if output is not None:
-                _refuse((Path(output),), paths, force=force)
-                write_text(Path(output), text)
-            return text
-        if len(given) != 1 or output is None:
-            raise UsageError(
-                "data are exported from one result into a file", hint="give one, and output=FILE"
-            )
-        path = _file(given[0], Path(folder), parquet=True)
-        return _data(to, path, Path(output), (resample, measured_only, smooth), force=force)
+    width = 0 if smooth == "auto" else smooth
+    with TemporaryDirectory(prefix="accelcal-") as place:
+        text = folder is None and to in ("ggir", "biobank", "omconvert", "json")
+        paths = [_file(one, Path(place) / str(n), data=not text) for n, one in enumerate(given)]
+        if folder is not None:
+            wanted = ExportOptions(Path(folder), resample, measured_only, width, gzip)
+            return _folder(to, paths, wanted, jobs, force=force)
+        if text:
+            return _coefficients(to, paths, None if output is None else Path(output), force=force)
+        if len(paths) != 1 or output is None:
+            hint = "give one and output=FILE, or folder=DIR"
+            raise UsageError("data are exported from one result into a file", hint=hint)
+        return _data(to, paths[0], ExportOptions(Path(output), resample, measured_only, width), force=force)
 
 
-def _file(one: Result | AnyPath, folder: Path, *, parquet: bool) -> Path:
+def _file(one: Result | AnyPath, folder: Path, *, data: bool) -> Path:
     """Return the file of a result, which is written into a folder if it has none."""
     if not isinstance(one, Result):
         return Path(one)
     written, made = one.write(folder)
-    if parquet and written is None:
-        raise UsageError(f"there are no calibrated values: {one.outcome}: {one.message}")
-    return written if parquet and written is not None else made
+    return written if data and written is not None else made
 
 
-def _coefficients(form: str, paths: Sequence[Path]) -> str:
+def _coefficients(form: str, paths: Sequence[Path], output: Path | None, *, force: bool) -> str:
     from accelcal_cli.exports import coefficients
+    from accelcal_cli.exports.selection import select
 
-    if form == "json":
-        return "".join(coefficients.as_json(path) + "\n" for path in paths)
-    found = [coefficients.read_exported(path) for path in paths]
-    if form == "ggir":
-        return coefficients.ggir(found)
-    return "".join(coefficients.LINES[form](one) + "\n" for one in found)
+    if output is not None:
+        _refuse((output,), paths, force=force)
+    selected = select(paths, data=False)
+    read = coefficients.as_json if form == "json" else coefficients.read_exported
+    done: list[Any] = []
+    for one in selected:
+        try:
+            if one.report is None or one.skipped is not None:
+                raise UsageError(one.skipped or "has no report", path=one.path)
+            done.append(read(one.report))
+        except AccelcalError as error:
+            if len(selected) == 1:
+                raise
+            warnings.warn(f"{error}; skipped", stacklevel=4)
+    if not done:
+        raise UsageError("none of the recordings has coefficients that can be exported")
+    text = "".join(f"{line}\n" for line in done) if form == "json" else coefficients.TABLES[form](done)
+    if output is not None:
+        write_text(output, text)
+    return text
 
 
-def _data(form: str, path: Path, output: Path, how: tuple[Any, bool, Any], *, force: bool) -> str:
-    from accelcal_cli.exports.data import ExportOptions, export_data, outputs_of
+def _folder(form: str, paths: Sequence[Path], wanted: ExportOptions, jobs: int | None, *, force: bool) -> str:
+    from accelcal_cli.core.system import cpus
+    from accelcal_cli.exports import folder
+    from accelcal_cli.exports.selection import select
 
-    resample, measured_only, smooth = how
-    _refuse(outputs_of(form, output), [path], force=force)
-    width = 0 if smooth == "auto" else smooth
-    export_data(form, path, ExportOptions(output, resample, measured_only, width), no_progress)
-    return str(output)
+    selected = select(paths, data=True)
+    planned = folder.plan(form, selected, wanted, force=force)
+    made = list(folder.export_folder(form, planned, wanted, jobs or cpus()))
+    skipped = [f"{one.path}: {one.skipped}" for one in selected if one.skipped is not None]
+    for text in [*skipped, *(str(one.error) for one in made if one.error is not None)]:
+        warnings.warn(f"{text}; skipped", stacklevel=4)
+    if not any(one.written for one in made):
+        raise UsageError("none of the recordings has calibrated values that can be exported")
+    folder.write_coefficients(form, made, wanted.output)
+    folder.write_script(form, made, wanted)
+    return str(wanted.output)
+
+
+def _data(form: str, path: Path, wanted: ExportOptions, *, force: bool) -> str:
+    from accelcal_cli.exports.data import export_data, outputs_of
+    from accelcal_cli.exports.folder import WRITTEN_AS
+
+    form = WRITTEN_AS.get(form, form)
+    _refuse(outputs_of(form, wanted.output), [path], force=force)
+    export_data(form, path, wanted, no_progress)
+    return str(wanted.output)
 
 
 def _refuse(outputs: Iterable[Path], inputs: Sequence[Path], *, force: bool) -> None:
@@ -295,7 +335,7 @@ def report(what: Report | AnyPath, output: AnyPath | None = None, *, force: bool
 
     Args:
         what: a result, the path of a report, or the output folder of a study: then all pages that changed.
-        output: the page; None: beside the report. A result needs one.
+        output: the page; None: next to the report. A result needs one.
         force: replace a file that accelcal did not write.
 
     Returns:
@@ -353,7 +393,7 @@ def simulate(
         force: replace files that are there.
 
     Returns:
-        the recording's path, and the content of OUT.truth.json, which is written beside it.
+        the recording's path, and the content of OUT.truth.json, which is written next to it.
 
     Raises:
         AccelcalError: the format cannot hold it, or a file cannot be written.

@@ -21,7 +21,7 @@ import accelcal
 from tests.cli.run import run
 from tests.cli.studies import NAMES, results, study_folder
 from tests.conftest import ROOT
-from tests.recordings import LSB_PER_G, directions, still_counts
+from tests.recordings import LSB_PER_G, directions, still_counts, write_raw
 
 Capture = pytest.CaptureFixture[str]
 PLAIN = """
@@ -242,8 +242,23 @@ def test_p7_data_are_exported_as_by_the_command(
     words = ("--to", "csv", "-o", tmp_path / "b.csv", "--smooth", "auto", "--resample", 10, "-q")
     run(capsys, "export", parquet, *words)
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
-    with pytest.raises(accelcal.AccelcalError, match="output=FILE"):
+    with pytest.raises(accelcal.AccelcalError, match="output=FILE, or folder=DIR"):
         accelcal.export(result, to="csv")
+
+
+def test_p3_a_study_is_exported_as_by_the_command(tmp_path: Path, capsys: Capture) -> None:
+    folder = study_folder(tmp_path / "in", NAMES[:2])
+    write_raw(folder / "few.raw", still_counts(directions(1)))
+    accelcal.study(folder, tmp_path / "out", jobs=1)
+    with pytest.warns(UserWarning, match="few.*skipped"):
+        accelcal.export(tmp_path / "out", to="ggir", folder=tmp_path / "made", gzip=True, jobs=1)
+    run(capsys, "export", tmp_path / "out", "--to", "ggir", "-d", tmp_path / "told", "--gzip", "-q")
+    made, told = results(tmp_path / "made"), results(tmp_path / "told")
+    assert made.keys() == told.keys() and len(made) >= 4
+    assert all(made[name] == told[name] for name in made if not name.endswith(".R"))
+    with pytest.warns(UserWarning, match="few.*skipped"):
+        table = accelcal.export(tmp_path / "out", to="ggir")
+    assert table == run(capsys, "export", tmp_path / "out", "--to", "ggir", "-q").out
 
 
 def test_p7_pages_are_those_of_the_command(result: accelcal.Result, tmp_path: Path, capsys: Capture) -> None:

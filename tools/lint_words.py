@@ -226,6 +226,7 @@ def everything(paths: list[Path]) -> Iterator[Text]:
 
 
 DEFAULT = [
+    ROOT / "accelcal",
     ROOT / "accelcal_cli",
     ROOT / "docs",
     *sorted(path for path in ROOT.glob("*.md") if path.name != "README.md"),
