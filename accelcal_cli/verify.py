@@ -25,6 +25,7 @@ from accelcal_cli.judge.errors import difference_mg, directions
 from accelcal_cli.output.coefficients import Coefficients, calibration_of, learnt_prior_of, read_coefficients
 from accelcal_cli.output.columns import described, schema_of, values_of
 from accelcal_cli.output.files import metadata_of, stored_schema
+from accelcal_cli.output.registry import held_in
 from accelcal_cli.output.report import ReportInput, build, result_json
 from accelcal_cli.output.report_reading import (
     LATER,
@@ -441,6 +442,9 @@ def donor_of(document: Document, stated: Path | None) -> Coefficients | None:
     original = document.path.parent / then if by_content else then
     places = (stated,) if stated is not None else (original, sibling)
     existing = [path for path in places if is_file(path)]
+    for path in existing if by_content else ():
+        if (held := held_in(path, used.sha256)) is not None:
+            return held
     unchanged = [
         path
         for path in existing

@@ -12,11 +12,13 @@ import click
 from accelcal_cli.cli import options
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import run_jobs
+from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.output.coefficients import read_coefficients
 from accelcal_cli.pipeline.apply import apply, keep_coefficients
 from accelcal_cli.pipeline.jobs import Request, plan
 from accelcal_cli.pipeline.options import read_options, with_values
+from accelcal_cli.pipeline.registry import apply as apply_best
 
 
 @click.command(
@@ -28,8 +30,10 @@ from accelcal_cli.pipeline.options import read_options, with_values
     ),
 )
 @options.place_options
-@click.option("--coefficients", required=True, type=options.FILE, metavar="NAME.calibration.json",
+@click.option("--coefficients", type=options.FILE, metavar="NAME.calibration.json",
               help="Report with the coefficients.")  # fmt: skip
+@click.option("--registry", type=options.FILE, metavar="FILE.json",
+              help="Registry (`accelcal devices`) whose best calibration is applied.")  # fmt: skip
 @click.option("--any-device", is_flag=True, help="Accept recordings of any device.")
 @click.option("--no-temperature", is_flag=True, help="Use the coefficients at their reference temperature.")
 @options.printing_options
@@ -40,12 +44,17 @@ from accelcal_cli.pipeline.options import read_options, with_values
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Apply known coefficients to each RECORDING; `-` reads standard input.
 
-    The coefficients come from a report of this recording, or of another one of the same device.
+    The coefficients come from a report of this recording, or of another one of the same device, or are the
+    best ones of the device in a registry: nearest in time and temperature, weighed by their intervals.
     Writes NAME.calibrated.parquet and NAME.calibration.json, and prints the same line as `calibrate`. The
     errors are measured on the recording's own still windows.
     """
     jobs = plan(list(recordings), values["output_dir"], values["output"])
-    keep_coefficients(values["coefficients"], jobs)
+    if (values["coefficients"] is None) == (values["registry"] is None):
+        hint = "--coefficients NAME.calibration.json or --registry FILE.json"
+        raise UsageError("the coefficients come from a report or from a registry", hint=f"give {hint}")
+    path, given = values["coefficients"], values["coefficients"] is not None
+    keep_coefficients(path if given else values["registry"], jobs)
     request = Request(
         options=read_options(values),
         parts=values["parts"],
@@ -54,7 +63,9 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         chunk_samples=values["chunk_samples"],
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),
-        coefficients=read_coefficients(values["coefficients"]),
+        coefficients=read_coefficients(path) if given else None,
+        registry=options.registry_of(values),
         any_device=values["any_device"],
     ).for_jobs(jobs)
-    return run_jobs(jobs, lambda job, bars, source: apply(job, request, bars, source), values)
+    work = apply if given else apply_best
+    return run_jobs(jobs, lambda job, bars, source: work(job, request, bars, source), values)

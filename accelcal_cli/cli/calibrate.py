@@ -53,7 +53,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     (error by hour) next to it. At a terminal, prints one sentence per recording; in a pipe or with --tsv,
     tab-separated fields.
     """
-    from accelcal_cli.pipeline.calibrate import calibrate  # it takes longer to load than to show --help
+    from accelcal_cli.pipeline.registry import calibrate  # it takes longer to load than to show --help
 
     if values["draws"] and _without_posterior(chosen_settings(values)):
         raise UsageError("--draws needs a prior: without one no posterior is known", hint="omit --draws")

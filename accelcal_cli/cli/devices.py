@@ -19,11 +19,13 @@ from accelcal_cli.cli.options import FILE, Positive, Within
 from accelcal_cli.cli.output import aligned, refuse_both
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.devices.findings import DeviceReview, Verdict
+from accelcal_cli.devices.register import added
 from accelcal_cli.devices.review import Review, as_json, columns, review, row
 from accelcal_cli.devices.table import OFFSETS, PARAMETERS, Kind, Usage
 from accelcal_cli.devices.trends import Rules, Trend
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.numbers import formatted, with_error
+from accelcal_cli.output.registry import is_registry
 from accelcal_cli.output.study_words import in_words, of_device
 
 HEAD = ("device", "recordings", "used", "refused", "first", "last", "held out mg", "mg/month", "%/month")
@@ -168,6 +170,8 @@ def limits(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--csv", "as_csv", is_flag=True, help="Print one CSV table with a row for each recording.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing on stderr.")
 @limits
+@click.option("--registry", type=FILE, metavar="FILE.json",
+              help="Add the good calibrations to a registry, or make one.")  # fmt: skip
 @click.option(
     "--reference-c", type=Within(-100, 200), metavar="C",
     help="Temperature at which offsets are compared.  [default: the median of each device's recordings]",
@@ -178,8 +182,16 @@ def command(out: Path, **values: Any) -> int:
     OUT is the output folder of `accelcal study`; only its study.parquet is read. One line is printed for each
     device: its recordings, the fastest drift of an offset and of scale or misalignment with standard errors,
     and a verdict (two sensors, service, watch, good or unknown) with the first reason.
+
+    With --registry, the good calibrations of the study (or of another registry, if OUT is one) are added to
+    FILE.json, from which `calibrate`, `apply` and `study` take the best one for a recording that cannot be
+    calibrated by itself. Registries merge in any order to the same file.
     """
     refuse_both(as_json=values["as_json_"], as_csv=values["as_csv"])
+    if values["registry"] is not None:
+        exit_codes.say(added(out, values["registry"]))
+        if is_registry(out):
+            return exit_codes.OK
     rules = Rules(**{field.name: values[field.name] for field in fields(Rules)})
     reviewed = review(out, rules, time.time())
     devices = _chosen(reviewed, values["device"], out)

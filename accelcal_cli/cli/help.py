@@ -18,7 +18,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "report_only", "effect", "windows", "draws", "keep_refused", "precision_mg", "integers",
         "all_failures", "force", "quiet", "verbose", "help",
     ),
-    "Other recordings of the device": ("borrow", "pool"),
+    "Other recordings of the device": ("registry", "borrow", "pool"),
     "Running": ("jobs", "dry_run", "timeout", "shard", "collect", "dask", "takeover", "unlock"),
     "Reading the file": (
         "format", "unit", "lsb_per_g", "rate_hz", "columns", "time_column", "sensor", "layout", "parts",

@@ -27,6 +27,8 @@ from accelcal_cli.pipeline.options import FolderRules, chosen_settings, folder_r
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 if TYPE_CHECKING:
+    from accelcal_cli.output.registry import RegistryEntry
+
     AnyType = click.ParamType[Any]
     AnyChoice = click.Choice[Any]
 else:  # older versions of click know no kinds of these
@@ -311,6 +313,20 @@ comparing_options = _decorate([*_METHOD, *_settings_options("model", "temperatur
 """Options of a method, without the optimizer and the prior."""
 
 
+registry_option = click.option(
+    "--registry", type=FILE, metavar="FILE.json",
+    help="Registry of devices (`accelcal devices`), for recordings that cannot be calibrated by themselves.",
+)  # fmt: skip
+
+
+def registry_of(values: dict[str, Any]) -> list[RegistryEntry] | None:
+    """Return the entries of --registry; raises UnreadableError for a file that is none."""
+    from accelcal_cli.output.registry import read_registry  # which --help does not need
+
+    path: Path | None = values["registry"]
+    return None if path is None else read_registry(path)
+
+
 config_option = click.option(
     "--config", type=FILE, metavar="FILE.toml",
     help="Set reading options by file name, as in a study.toml.",
@@ -357,7 +373,7 @@ def study_options(command: Command) -> Command:
 
 def _calibrating(command: Command) -> Command:
     limits = (recalibrate_option, limit_options, strict_option)
-    for decorator in (*limits, config_option, reading_options, printing_options):
+    for decorator in (*limits, registry_option, config_option, reading_options, printing_options):
         command = decorator(command)
     return _REPORT_ONLY(_KEEP_REFUSED(_INTEGERS(_EFFECT(command))))
 
@@ -377,6 +393,7 @@ def request_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) 
         integers=values["integers"],
         windows=values.get("windows"),
         draws=values.get("draws") or 0,
+        registry=registry_of(values),
         effect=values["effect"],
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),

@@ -155,11 +155,15 @@ def read_coefficients(path: Path, *, by_content: bool = False) -> Coefficients:
         UnreadableError: see `read_document`; or a key is missing, wrong or contradicts another, or
             the report's recording was refused.
     """
-    document = read_document(path)
+    return coefficients_in(read_document(path), by_content=by_content)
+
+
+def coefficients_in(document: Document, *, by_content: bool) -> Coefficients:
+    """Return the coefficients of a report that was read; raises what `read_coefficients` does."""
     report = document.report
     if "calibration" in report and report["calibration"] is None:
         why = printable(str(report.get("message")))
-        raise UnreadableError(f"holds no coefficients: the recording was refused ({why})", path=path)
+        raise UnreadableError(f"holds no coefficients: the recording was refused ({why})", path=document.path)
     check_sections(document, USED)
     if report.get("outcome") == Outcome.REFUSED:
         raise damaged(document, "its recording was refused, but it holds coefficients")

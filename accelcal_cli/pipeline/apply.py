@@ -453,24 +453,36 @@ def borrow(
         AccelcalError: the recording or a report cannot be read, or changed; or the outputs cannot be written.
     """
     with open_run(job, request, progress, before=before) as run:
-        prepare(job, force=request.force)
-        own = run.result(OwnCalibration(request.recording_settings)) if must_be_better else None
-        reasons: list[Reason] = []
-        for path in reports:
-            donor = read_coefficients(path, by_content=True)
-            try:
-                recipient, judge = _other(run, donor)
-                found = recipient.result(judge)
-                verdict = found.data.judgement
-                if verdict.holdout is None:
-                    return Borrowed(None, (_untested(verdict),))
-                why = _why_not(judge, verdict.holdout) or _why_own(own, judge)
-            except UsageError as error:
-                why = Reason.of("not_tried", message=printable(error.message))
-            if why is None:
-                return Borrowed(recipient.write(_relocatable(found, job)), tuple(reasons))
-            reasons.append(Reason.of("donor", path=printable(donor.origin.path), why=why))
-        return Borrowed(None, tuple(reasons))
+        donors = [read_coefficients(path, by_content=True) for path in reports]
+        return borrow_in(run, donors, must_be_better=must_be_better, tested=True)
+
+
+def borrow_in(
+    run: RecordingRun, donors: Sequence[Coefficients], *, must_be_better: bool = False, tested: bool = False
+) -> Borrowed:
+    """Do what `borrow` does, in an open run, with coefficients that were read.
+
+    Args:
+        tested: a recording whose stillness cannot test them borrows none.
+    """
+    prepare(run.job, force=run.request.force)
+    own = run.result(OwnCalibration(run.request.recording_settings)) if must_be_better else None
+    reasons: list[Reason] = []
+    for donor in donors:
+        try:
+            recipient, judge = _other(run, donor)
+            found = recipient.result(judge)
+            verdict = found.data.judgement
+            if verdict.outcome is Outcome.REFUSED or (tested and verdict.holdout is None):
+                return Borrowed(None, (_untested(verdict),))
+            why = None if verdict.holdout is None else _why_not(judge, verdict.holdout)
+            why = why or _why_own(own, judge)
+        except UsageError as error:
+            why = Reason.of("not_tried", message=printable(error.message))
+        if why is None:
+            return Borrowed(recipient.write(_relocatable(found, run.job)), tuple(reasons))
+        reasons.append(Reason.of("donor", path=printable(donor.origin.path), why=why))
+    return Borrowed(None, tuple(reasons))
 
 
 def _other(run: RecordingRun, donor: Coefficients) -> tuple[RecordingRun, DonorCoefficients]:

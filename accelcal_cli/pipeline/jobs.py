@@ -29,6 +29,7 @@ from accelcal_cli.pipeline.options import FolderRules, StatedOption, stated_opti
 
 if TYPE_CHECKING:
     from accelcal_cli.output.coefficients import Coefficients
+    from accelcal_cli.output.registry import RegistryEntry
 
 STDIN = Path("-")
 PARQUET_SUFFIX = ".calibrated.parquet"
@@ -314,6 +315,7 @@ class Request:
         settings: those of a session with known orientations, or of any other recording.
         poses: a file that lists a session's poses; None: the six faces are found.
         coefficients: those to apply, None to find the recording's own.
+        registry: good calibrations of devices, for recordings that cannot be calibrated by themselves.
         any_device: apply them to recordings of any device.
         report_only: write no Parquet.
         keep_refused: write the raw values of a recording that is refused.
@@ -345,6 +347,7 @@ class Request:
     force: bool = False
     command: tuple[str, ...] = ()
     coefficients: Coefficients | None = None
+    registry: Sequence[RegistryEntry] | None = None
     any_device: bool = False
     threads: int = field(default_factory=cpus)
     several: bool = False

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS
 from accelcal_cli.core.version import __version__
+from accelcal_cli.output.registry import content_sha256
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.studies.discovery import Where
 
@@ -136,6 +137,7 @@ class Study:
             **self.request.effective_settings(self.request.options.layout).as_json(),
             "integers": self.request.integers,
             **({"keep_refused": True} if self.request.keep_refused else {}),
+            **({} if self.request.registry is None else {"registry": content_sha256(self.request.registry)}),
         }
 
     @property

@@ -24,9 +24,9 @@ from accelcal_cli.core.errors import (
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.system import keep_freed_memory
 from accelcal_cli.output.study_words import kept
-from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.pipeline.jobs import FileStamp, Job, Progress, Request, Result, file_stamp
 from accelcal_cli.pipeline.outputs import applied_by_hand
+from accelcal_cli.pipeline.registry import calibrate
 from accelcal_cli.studies import summary
 from accelcal_cli.studies.records import Entry, Item, ProgressCallback
 

@@ -25,7 +25,7 @@ from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.simulate import SimulatedSensor, SimulationPlan, describe
 
 RATE_HZ = 10.0
-EPOCH, REST, MOVED = (seconds * int(RATE_HZ) for seconds in (5, 120, 60))
+EPOCH, REST, MOVED = (seconds * int(RATE_HZ) for seconds in (1, 60, 60))
 SCATTER_MG = (0.3, 1.5, 4.0)
 MEASURES = ("enmo_mg", "mad_mg", "mvpa_min", "pim_mg_s", "zcm", "angle_deg")
 
@@ -77,7 +77,7 @@ def held(numbers: range, folder: Path) -> Iterator[dict[str, float]]:
     for number in numbers:
         path = folder / f"{number}.bin"
         simulated(path, number)
-        found = effect(path, Request(threads=1), 5).effect
+        found = effect(path, Request(threads=1), epoch_s=1).effect
         path.unlink()
         if (intervals := found["ci95"]) is None:
             continue
