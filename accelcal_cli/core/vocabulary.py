@@ -231,7 +231,7 @@ TIMES: Names = {
 }
 """Names of a column of times."""
 
-NOT_RAW = frozenset({"gravity", "linear", "lin"})
+NOT_RAW = frozenset({"gravity", "linear", "lin", "free"})
 """Words of an acceleration that was computed from the measured one."""
 
 

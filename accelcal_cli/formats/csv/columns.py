@@ -337,6 +337,14 @@ def _placed_axes(dialect: Dialect, path: Path) -> tuple[int, int, int]:
     what = (
         f"columns {', '.join(dialect.names)}" if dialect.names else f"{dialect.columns} columns without names"
     )
+    without = [title.axis for title in titles_of(dialect) if title.axis and NOT_RAW & set(title.stem)]
+    if len(set(without)) == len(AXES):
+        raise UnreadableError(
+            f"holds acceleration without gravity only, in {what}",
+            path=path,
+            line=dialect.names_line,
+            hint="export the acceleration that was measured; or give --columns X,Y,Z to read it anyway",
+        )
     raise UnreadableError(
         f"which columns are x, y and z cannot be told from {what}",
         path=path,

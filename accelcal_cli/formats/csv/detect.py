@@ -46,6 +46,7 @@ from accelcal_cli.formats.csv.cells import (
     AccelScale,
     acceleration_unit,
     is_year_first,
+    number_of,
     year_first,
 )
 from accelcal_cli.formats.csv.columns import (
@@ -61,7 +62,15 @@ from accelcal_cli.formats.csv.exports import experiment_start
 from accelcal_cli.formats.csv.lines import Block, LineFile, RepeatedHeads, lone_block
 from accelcal_cli.formats.csv.rows import ParsedTable, TableParser
 from accelcal_cli.formats.csv.sensors import SensorWatch, dividing_columns, rows_of_sensor
-from accelcal_cli.formats.csv.times import DateColumn, TimeRules, date_texts, find_order, find_time_format
+from accelcal_cli.formats.csv.times import (
+    FASTEST_HZ,
+    DateColumn,
+    TimeRules,
+    date_texts,
+    find_order,
+    find_time_format,
+    rate_above,
+)
 from accelcal_cli.formats.csv.vendors import ExportDescription, Start, export_description
 
 HEAD_BYTES = 1 << 20
@@ -76,7 +85,6 @@ ABOUT = "_motion.json"
 LARGEST_SIDECAR = 1 << 20
 ACCEL, GYRO, AXES = "ACCEL", "GYRO", ("x", "y", "z")
 CELSIUS = ("oC", "\u00b0C", "degC")
-FASTEST_HZ = 100_000.0
 
 SPARSE = "one row in {} holds acceleration; the others are left out"
 
@@ -172,6 +180,10 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     above = head[: dialect.offset]
     block = RepeatedHeads(above).without(_head_block(head, dialect))
     roles = find_roles(dialect, options, path, export.xyz, export.time)
+    roles = replace(roles, rate_hz=rate_above(above[-HEAD_BYTES // 64 :].decode("latin-1")))
+    if roles.time is None and options.rate_hz is None and export.rate_hz is None and roles.rate_hz:
+        said = f"rate: {roles.rate_hz:g} Hz, by a line above the rows"
+        export = replace(export, rate_hz=roles.rate_hz, notes=(*export.notes, said))
     gyro, gyro_notes = find_gyroscope(dialect, roles, export, options, path)
     all_roles = roles if gyro is None else replace(roles, gyro=gyro.xyz)
     dividing = dividing_columns(dialect, all_roles)
@@ -267,7 +279,8 @@ def _table_parser(
         unit_us=export.time_unit_us or roles.time_unit_us,
         ticks=roles.ticks,
         fine=roles.fine_ticks,
-        rate_hz=options.rate_hz or export.rate_hz or roles.rate_hz,
+        rate_hz=options.rate_hz or export.rate_hz,
+        hint_hz=roles.rate_hz,
         zone=roles.zone,
         decimal_comma=dialect.normaliser.decimal_comma,
         more=cells,
@@ -287,7 +300,9 @@ def _table_parser(
     written = [*zip(dialect.cells(roles.time), dialect.lines, strict=True)]
     time = find_time_format(written, rules, path)
     if export.start is not None and (export.companion is not None or export.counts_from_start):
-        time = time.counted_from(export.start.us(None, path))
+        first = next((value for cell, _ in written if (value := number_of(cell)) is not None), 0.0)
+        begin_us = round(first * (time.unit_us or 0)) if export.counts_from_start else 0
+        time = time.counted_from(export.start.us(None, path) - begin_us)
     return TableParser(path, dialect, roles, time)
 
 

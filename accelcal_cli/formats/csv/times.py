@@ -35,7 +35,7 @@ from accelcal_cli.core.written_times import (
     stated_zone,
     undated,
 )
-from accelcal_cli.formats._stamps import EPOCH_DAYS, IMPOSSIBLE, NO_TIME, PLAUSIBLE_HZ
+from accelcal_cli.formats._stamps import DISAGREEMENT, EPOCH_DAYS, IMPOSSIBLE, NO_TIME, PLAUSIBLE_HZ
 from accelcal_cli.formats._written import Written, digits_alone, strptime_form, written_form
 from accelcal_cli.formats.csv.cells import (
     MISSING,
@@ -63,6 +63,14 @@ EMPTY_NS = -(1 << 63)
 DAY_US = 86_400e6
 UNITS_US = (1e6, 1e3, 1.0, 1e-3)
 """Units in which a plain number may count time [us]."""
+
+FASTEST_HZ = 100_000.0
+RATE = re.compile(
+    r"(?:sampl\w{0,5}|update|output|data|logging|acc\w{0,12}|measurement)[ _-]*(?:rate|freq\w{0,8})"
+    r"\W*(?:\(?Hz\)?\W*)?(\d{1,6}(?:[.,]\d{1,6})?)(?!\d|[.,]\d|:)\s*(?!k?s\b|kHz|MHz|%|min)",
+    re.IGNORECASE,
+)
+"""A sampling rate among the lines above a table."""
 
 TICK_US = 100.0
 """A tick of Xsens' clock of 10 kHz [us]."""
@@ -255,6 +263,12 @@ class DateColumn:
         return pa.chunked_array(parts, pa.string())
 
 
+def rate_above(text: str) -> float | None:
+    """Return the rate [Hz] in lines above a table, such as `Sample rate: 100 Hz`; None without one."""
+    rates = {float(rate.replace(",", ".")) for rate in RATE.findall(text)}
+    return rates.pop() if len(rates) == 1 and 0 < min(rates) <= FASTEST_HZ else None
+
+
 @dataclass(frozen=True, slots=True)
 class TimeRules:
     """The facts known of a column of times before its cells are looked at.
@@ -263,7 +277,7 @@ class TimeRules:
         asked: --time-format.
         unit_us: microseconds in one unit, by the name of the column or the vendor.
         ticks: the column counts ticks of an unknown length; fine: it is Xsens' SampleTimeFine.
-        rate_hz: sampling rate, as the user or a header says.
+        rate_hz: sampling rate, as the user or a vendor's header says; hint_hz: as lines above the table do.
         order: of day, month and year in numbers.
         zone: of the clock, by the name of the column.
         decimal_comma: decimals are written with a comma.
@@ -275,6 +289,7 @@ class TimeRules:
     ticks: bool = False
     fine: bool = False
     rate_hz: float | None = None
+    hint_hz: float | None = None
     order: str | None = None
     zone: str | None = None
     decimal_comma: bool = False
@@ -400,6 +415,8 @@ def _form_of_digits(texts: Sequence[str], rules: TimeRules) -> Written | None:
 
 def _number_format(values: Sequence[float], rules: TimeRules, path: Path) -> TimeFormat:
     step, middle = _usual_step(values), sorted(values)[len(values) // 2]
+    hinted = replace(rules, rate_hz=rules.rate_hz or rules.hint_hz)
+    rules = hinted if _fitting_units(step, hinted) else rules
     unit_us, rate_hz = rules.unit_us, rules.rate_hz
     since = _units_since_1970(UNITS_US if unit_us is None else (unit_us,), step, middle)
     fitting = _fitting_units(step, rules)
@@ -431,7 +448,8 @@ def _fitting_units(step: float, rules: TimeRules) -> list[float]:
     """
     rate_hz = rules.rate_hz
     low, high = (rate_hz / 2, rate_hz * 2) if rate_hz else PLAUSIBLE_HZ
-    units: tuple[float, ...] = (*UNITS_US, TICK_US, DAY_US) if rate_hz else (*UNITS_US, DAY_US)
+    exact = rate_hz is not None and 1 / DISAGREEMENT < step * TICK_US * rate_hz / 1e6 < DISAGREEMENT
+    units: tuple[float, ...] = (*UNITS_US, TICK_US, DAY_US) if exact else (*UNITS_US, DAY_US)
     units = (TICK_US, 1.0) if rules.fine else () if rules.ticks and not rate_hz else units
     periods = {unit: step * unit for unit in units}
     return [unit for unit, period in periods.items() if period > 0 and low <= 1e6 / period <= high]
