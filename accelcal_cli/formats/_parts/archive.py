@@ -116,34 +116,32 @@ class _Files:
     whole: list[Path] = field(default_factory=list)
     empty: int = 0
     _target: Path | None = None
-    _holds: bool = False
     _without_bytes: int = 0
     _folders: dict[str, Path] = field(default_factory=dict)
     _taken: set[Path] = field(default_factory=set)
 
-    def take(self, name: str, piece: bytes | None) -> None:
-        """Take a piece of a member; None comes before a member, b"" after it."""
-        if piece is None or self._target is None:
-            self._target, self._holds = self._place(name), False
-        elif piece:
-            _write(self._target, piece, first=not self._holds)
-            self._holds = True
+    def take(self, name: str, piece: bytes) -> None:
+        """Take the next piece of a member; b"" comes after it."""
+        if piece:
+            first, self._target = self._target is None, self._target or self._place(name)
+            _write(self._target, piece, first=first)
         else:
-            self._end(self._target)
+            self._end(name)
 
     def begun_bytes(self) -> int:
         """Return the bytes of a member that is not complete."""
-        return self._target.stat().st_size if self._target is not None and self._holds else 0
+        return self._target.stat().st_size if self._target is not None else 0
 
-    def _end(self, target: Path) -> None:
-        self._target = None
-        if not self._holds:
+    def _end(self, name: str) -> None:
+        if self._target is None:
             self._without_bytes += 1
             if self._without_bytes > MOST_EMPTY:
                 self.empty += 1
                 return
-            _write(target, b"", first=True)
-        self.whole.append(target)
+            self._target = self._place(name)
+            _write(self._target, b"", first=True)
+        self.whole.append(self._target)
+        self._target = None
 
     def _place(self, name: str) -> Path:
         """Return where a member goes: beside others of its folder, unless one there has its name."""
@@ -162,11 +160,10 @@ class _Files:
         return self._folders.setdefault(place, self.folder / f"{len(self._folders):06d}")
 
 
-def _pieces(path: Path, wanted: Callable[[str], bool]) -> Iterator[tuple[str, bytes | None]]:
-    """Yield wanted members in pieces, with their names; None comes before a member, b"" after it."""
+def _pieces(path: Path, wanted: Callable[[str], bool]) -> Iterator[tuple[str, bytes]]:
+    """Yield wanted members in pieces, with their names; b"" comes after a member."""
     for name, stream in members(path, Allowance(path, MOST_BYTES, MOST_TIMES)):
         if wanted(name.rpartition("/")[2]):
-            yield name, None
             while piece := stream.read(COPIED_BYTES):
                 yield name, piece
             yield name, b""

@@ -257,6 +257,8 @@ def _zip_members(path: Path, allowance: Allowance) -> Iterator[Member]:
         try:
             with zipfile.ZipFile(ShortReads(file, allowance.directory_bytes)) as archive:
                 entries = archive.infolist()
+            if min((entry.header_offset for entry in entries), default=0) > 0:
+                raise zipfile.BadZipFile("its directory is that of a zip file within")
         except zipfile.BadZipFile:
             yield from _zip_stream(path, file, allowance)
             return
@@ -283,7 +285,9 @@ def _zip_stream(path: Path, file: BinaryIO, allowance: Allowance) -> Iterator[Me
         member.at, member.packed, member.size, member.crc = at, packed, size, crc
         if follows := bool(flags & _SIZES_FOLLOW):
             member.crc, member.size = None, -1
-            member.packed = packed or (_UNKNOWN if method == zipfile.ZIP_DEFLATED else 0)
+            member.packed = packed or _UNKNOWN
+            if not packed and method == zipfile.ZIP_STORED:
+                raise zipfile.BadZipFile("only its directory, which is missing, says how long a member is")
         yield name, None if name.endswith("/") else member
         at = member.passed(follows)
 
@@ -357,6 +361,8 @@ class ZipMember:
         self.file.seek(end)
         data = self.file.read(26)
         first = len(_DESCRIPTOR) if data.startswith(_DESCRIPTOR) else 0
+        if len(data) < first + 12:
+            raise EOFError("the archive ends early")
         if self._begun and int.from_bytes(data[first : first + 4], "little") != self._sum:
             raise zipfile.BadZipFile("a member has a wrong checksum")
         return next((n for n in (first + 12, first + 20) if data[n : n + 2] in (b"PK", b"")), len(data))

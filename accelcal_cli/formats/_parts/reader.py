@@ -49,6 +49,7 @@ OFFICE = "[Content_Types].xml"
 """First member of an Office Open XML file (ECMA-376)."""
 
 SHOWN = 3
+UNPACK = "unpack it, and give the files in it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,10 +246,13 @@ class PartsReader(FilesReader):
             try:
                 with self._open(file) as reader:
                     recording = reader.recording
-            except (NoFormatError, NoRecordingError):
-                self._part_files.aside.append(file.name)
             except UnreadableError as error:
-                failures.append((file, error))
+                if isinstance(error, NoFormatError) and archive.is_archive(file):
+                    error = UnreadableError("is an archive within", path=file, hint=UNPACK)
+                if isinstance(error, NoFormatError | NoRecordingError):
+                    self._part_files.aside.append(file.name)
+                else:
+                    failures.append((file, error))
             else:
                 parts.append(RecordingPart(file, recording, recording.start_us, file.stat().st_size))
         if not parts:
@@ -263,7 +267,8 @@ class PartsReader(FilesReader):
     def _none(self, path: Path, failures: Sequence[UnreadableError]) -> UnreadableError:
         if failures:
             return failures[0]
-        return UnreadableError("holds no parts of a recording", path=path, hint=_office_hint(path))
+        damage = "" if self._part_files.damage is None else f"; {self._part_files.damage}"
+        return UnreadableError(f"holds no parts of a recording{damage}", path=path, hint=_office_hint(path))
 
     def _sort_out(
         self, parts: Sequence[RecordingPart], failures: Sequence[tuple[Path, UnreadableError]]

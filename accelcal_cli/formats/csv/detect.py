@@ -58,7 +58,7 @@ from accelcal_cli.formats.csv.columns import (
     why_not_read,
 )
 from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
-from accelcal_cli.formats.csv.exports import experiment_start
+from accelcal_cli.formats.csv.exports import PHYPHOX_HEAD, experiment_start
 from accelcal_cli.formats.csv.lines import Block, LineFile, RepeatedHeads, lone_block
 from accelcal_cli.formats.csv.rows import ParsedTable, TableParser
 from accelcal_cli.formats.csv.sensors import SensorWatch, dividing_columns, rows_of_sensor
@@ -168,7 +168,7 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     _refuse_not_positive(options)
     head = _head(path, False)
     export = bids_description(path) or export_description(head, path.name) or ExportDescription()
-    export = _with_start(export, path)
+    export = _with_start(export, head, path)
     if export.doubt is not None and options.unit is None:
         raise UnreadableError(export.doubt.message, path=path, line=1, hint=export.doubt.hint)
     dialect = find_dialect(head, export.preamble)
@@ -216,9 +216,9 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     return Detected(*about, watch, wraps, stride)
 
 
-def _with_start(export: ExportDescription, path: Path) -> ExportDescription:
-    """Return the description of an export with the start that a file beside it tells."""
-    if export.title != "phyphox" or (start := experiment_start(path)) is None:
+def _with_start(export: ExportDescription, head: bytes, path: Path) -> ExportDescription:
+    """Return the description of an export with the start that a file next to it tells."""
+    if not PHYPHOX_HEAD.match(head) or (start := experiment_start(path)) is None:
         return export
     return replace(export, start=Start(start.us), timezone="UTC", companion=start.path, pauses=start.pauses)
 

@@ -19,6 +19,9 @@ def sniff(probe: Probe) -> int:
     by_name = 30 if probe.suffix in SUFFIXES else 0
     if not by_name and ZIP_MAGIC not in probe.head:
         return 0
+    first = probe.head[30 : 30 + int.from_bytes(probe.head[26:28], "little")].lower()
+    if probe.head.startswith(ZIP_MAGIC) and first.endswith(tuple(map(str.encode, SUFFIXES))):
+        return 0  # a zip file around a recording
     # Only what may be a zip file needs zipfile.
     from accelcal_cli.formats.gt3x.archive import NAMED, directory_names, holds_samples
 
@@ -27,11 +30,8 @@ def sniff(probe: Probe) -> int:
             names = None if probe.compressed else directory_names(file)
     except OSError:
         names = None
-    if names is None:  # damaged: the headers of its parts are looked for, not those of a recording within
-        first = probe.head[30 : 30 + int.from_bytes(probe.head[26:28], "little")]
-        found = (match[2] for match in NAMED.finditer(probe.head))
-        named = [first] if first.lower().endswith(tuple(map(str.encode, SUFFIXES))) else found
-        names = [name.decode("ascii", "replace") for name in named]
+    if names is None:  # damaged: the headers of its parts are looked for
+        names = [match[2].decode("ascii", "replace") for match in NAMED.finditer(probe.head)]
     if holds_samples(names):
         return 100
     return 0 if any(name.lower().endswith(SUFFIXES) for name in names) else by_name

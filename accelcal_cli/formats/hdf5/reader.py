@@ -138,6 +138,10 @@ class Hdf5Table(SensorTable):
             raise
 
 
+DEEPEST = 64
+"""Groups within groups that are entered; each costs as many steps again as it lies deep."""
+
+
 def as_track(path: str, dataset: Any) -> Track | None:
     """Return a dataset as a track of rows of 1 or 3 numbers; None if it cannot be read so."""
     if dataset.shape is None or MATLAB_EMPTY in dataset.attrs:
@@ -160,7 +164,7 @@ def all_tracks(file: Any) -> tuple[tuple[Track, ...], int]:
             if address in seen:
                 continue
             seen.add(address)
-            if isinstance(node, h5py.Group):
+            if isinstance(node, h5py.Group) and parent.count("/") < DEEPEST:
                 groups.append((f"{parent}/{name}", node))
             elif isinstance(node, h5py.Dataset) and (track := _track(f"{parent}/{name}", node)):
                 found.append(track)

@@ -65,7 +65,7 @@ def belongs_to(path: Path) -> Path | None:
 
 def sniff(probe: Probe) -> int:
     """Return 100 for a description; 98 for a binary file of accelerations listed by the one next to it."""
-    if ROOT.search(probe.head[:4096]):
+    if probe.head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<") and ROOT.search(probe.head[:4096]):
         return 100
     if probe.suffix != ".bin":
         return 0

@@ -46,6 +46,9 @@ WIDE = np.iinfo(np.int32)
 MOST_FIRST_ROWS = 1 << 16
 SMALLEST_LSB_PER_G = 1e-6
 MOST_RATIO = 100
+LARGEST_DPS = 100_000.0
+"""Largest step of rotation rates that any sensor has."""
+
 
 NO_START = "the description does not tell when the recording began: times count from its start"
 OTHER_GYRO = (
@@ -109,6 +112,18 @@ class Description:
         return next((one for one in self.signals if one.kind in kinds and one.number is not None), None)
 
 
+class DeclarationError(ValueError):
+    """A description declares a type of document, and perhaps entities that grow without bound."""
+
+
+class _NoDeclarations(ElementTree.TreeBuilder):
+    """Builds the tree of a description without declarations, whatever its encoding."""
+
+    def doctype(self, _name: str, _public: str | None, _system: str | None) -> None:
+        """Refuse, before the declarations are read."""
+        raise DeclarationError("has declarations, which Unisens does not use")
+
+
 def load_description(path: Path) -> Description:
     """Read `unisens.xml`.
 
@@ -118,9 +133,9 @@ def load_description(path: Path) -> Description:
     try:
         with open_found(path) as file:
             text = file.read(MOST_BYTES)
-        if b"<!" in text.replace(b"<!--", b""):
-            raise UnreadableError("has declarations, which Unisens does not use", path=path, hint=COPY_AGAIN)
-        root = ElementTree.fromstring(text)
+        root = ElementTree.fromstring(text, ElementTree.XMLParser(target=_NoDeclarations()))
+    except DeclarationError as error:
+        raise UnreadableError(str(error), path=path, hint=COPY_AGAIN) from error
     except OSError as error:
         what = f"cannot be read ({error.strerror or error})"
         raise UnreadableError(what, path=path, hint=COPY_AGAIN) from error
@@ -441,5 +456,5 @@ def is_rotation(signal: Signal) -> bool:
         whole
         and len(signal.channels) == len(AXES)
         and signal.unit.lower() in UNISENS.rotations
-        and signal.lsb > 0
+        and 0 < signal.lsb <= LARGEST_DPS
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import struct
+import time
 from pathlib import Path
 from typing import Any
 
@@ -899,3 +900,20 @@ def test_times_since_1970_are_utc_whatever_the_attribute_names(path: Path) -> No
     found = read(path).recording
     assert (found.timezone, found.start_us) == ("UTC", START_US)
     assert "it names the time zone Europe/Berlin" in found.notes[-1]
+
+
+@pytest.mark.parametrize("deep", [10, 1500])
+def test_h6_groups_within_groups_cost_what_a_recording_costs(path: Path, deep: int) -> None:
+    with h5py.File(path, "w") as file:
+        group = file
+        for _ in range(deep):
+            group = group.create_group("g")
+        group["acceleration"] = counts() / 1000
+        group["acceleration"].attrs.update(unit="g", rate_hz=50.0)
+    begun = time.process_time()
+    if deep < 64:
+        assert len(read(path).counts) == ROWS
+    else:
+        with pytest.raises(UnreadableError):
+            read(path)
+    assert time.process_time() - begun < 5

@@ -226,3 +226,23 @@ def test_a_preview_enters_the_file_anywhere(tmp_path: Path) -> None:
         pieces = list(reader.preview(48, 4))
     assert [piece.first_sample for piece in pieces] == [0, 240, 480, 720]
     assert (pieces[2].counts == COUNTS[480:528]).all()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le"])
+def test_h8_declarations_are_refused_in_any_encoding(tmp_path: Path, encoding: str) -> None:
+    bomb = f"<?xml version='1.0' encoding='{encoding[:6]}'?>" * (encoding != "utf-16-le")
+    bomb += "<!DOCTYPE x [<!ENTITY a 'b'><!ENTITY c '&a;&a;'>]><unisens measurementId='&c;'/>"
+    (tmp_path / "unisens.xml").write_bytes(bomb.encode(encoding))
+    with pytest.raises(UnreadableError, match="has declarations, which Unisens does not use"):
+        read(tmp_path / "unisens.xml", ReadOptions(format="unisens"))
+
+
+@pytest.mark.parametrize("step", ["1e300", "1e306", "-1", "nan", "100001"])
+@pytest.mark.filterwarnings("error")
+def test_h7_a_gyroscope_of_an_impossible_step_is_not_used(tmp_path: Path, step: str) -> None:
+    gyro = signal("gyro.bin", "gyro", unit="dps", lsbValue=step)
+    xml = folder(tmp_path, description(ACC, gyro), acc=DATA, gyro=DATA)
+    recording, chunks = read(xml)
+    if recording.gyro_dps_per_lsb is not None:
+        assert max(recording.gyro_dps_per_lsb) <= 1, "an unusable step is no step"
+    assert np.array_equal(joined(chunks), COUNTS)
