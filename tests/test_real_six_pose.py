@@ -142,6 +142,31 @@ def test_the_ferraris_method_finds_the_same_matrix(real_data: Path, tmp_path: Pa
     np.testing.assert_allclose(ours["O"], theirs.b_a / G, atol=0.003)
 
 
+def test_whole_revolutions_give_the_gyroscope_that_the_ferraris_method_gives(
+    real_data: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    """imucal is given the revolutions as picked from the plotted session; they are found here."""
+    imucal = pytest.importorskip("imucal.ferraris_calibration")
+    turns = {"x": (66, 70), "y": (79, 83), "z": (90, 94)}
+    parts: dict[str, np.ndarray] = {}
+    for kind in ("acc", "gyr"):
+        values = samples(real_data, kind)
+        for face, part in picked(values).items():
+            parts[f"{kind}_{face[1]}_{'p' if face[0] == '+' else 'a'}"] = part
+        for axis, (first, last) in turns.items():
+            parts[f"{kind}_{axis}_rot"] = values[LENGTH * first : LENGTH * last]
+    theirs = imucal.FerrarisCalibration(grav=G, expected_angle=-360).compute(
+        imucal.FerrarisSignalRegions(**parts), RATE_HZ, from_acc_unit="m/s^2", from_gyr_unit="deg/s"
+    )
+    ours = calibrated(capsys, real_data, tmp_path, "--gyro-unit", "deg/s")["gyroscope"]
+    assert (ours["outcome"], ours["reason"]) == ("calibrated", "gyroscope_by_revolutions")
+    assert ours["values"]["revolutions"] == 3 and ours["values"]["turns"] == 8
+    scale = np.diag(np.linalg.inv(theirs.K_g @ theirs.R_g))
+    np.testing.assert_allclose(np.diag(ours["scale"]), scale, rtol=0.005)
+    np.testing.assert_allclose(ours["bias_dps"], theirs.b_g, atol=0.3)
+    assert ours["holdout_deg"]["after"] < 0.5 * ours["holdout_deg"]["before"]
+
+
 @pytest.mark.parametrize("name", ["nilspod_84965c0.bin", "nilspod_92338c81.bin"])
 def test_a_device_held_by_hand_is_refused(
     real_data: Path, tmp_path: Path, capsys: Capture, name: str

@@ -31,6 +31,9 @@ LONGEST_S = 30.0
 ROUGH_TURN_DEG = 15.0
 """Smallest turn [degrees] by raw values, so that all turns of 20 degrees by calibrated ones are included."""
 
+REVOLUTION_DEG = 180.0
+"""Raw angle [degrees] about an axis above which a turn that ends as it began may be a whole revolution."""
+
 MOST_DEG = 180.0
 """Turn [degrees] from one sample to the next beyond which the direction is ambiguous."""
 
@@ -127,10 +130,19 @@ class TurnCollector:
 
     Args:
         length: number of samples of a window.
+        revolutions: also keep turns that bring gravity back to where it was, as in a session.
     """
 
-    def __init__(self, length: int, rate_hz: float, dps_per_lsb: Triple, lsb_per_g: float) -> None:
-        self._length = length
+    def __init__(
+        self,
+        length: int,
+        rate_hz: float,
+        dps_per_lsb: Triple,
+        lsb_per_g: float,
+        *,
+        revolutions: bool = False,
+    ) -> None:
+        self._length, self._revolutions = length, revolutions
         self._dps_per_lsb, self._lsb_per_g = dps_per_lsb, lsb_per_g
         self._period_s = 1 / rate_hz
         self._longest = round(LONGEST_S * rate_hz)
@@ -199,8 +211,15 @@ class TurnCollector:
         turn = Turn(_rest(before.tail, self._length), _rest(after.head, self._length), counts, period_us)
         limits = np.iinfo(np.int16)  # devices use them up to their range
         saturated = counts.dtype == np.int16 and (counts.min() == limits.min or counts.max() == limits.max)
-        if period_us > 0 and _turned(turn) and not saturated and self._is_unambiguous(turn):
+        kept = _turned(turn) or (self._revolutions and self._revolved(turn))
+        if period_us > 0 and kept and not saturated and self._is_unambiguous(turn):
             self._kept.add(turn)
+
+    def _revolved(self, turn: Turn) -> bool:
+        """Return True if the raw rates add up to most of a revolution."""
+        sums = turn.counts.sum(axis=0, dtype=np.int64)
+        scale = np.abs(self._dps_per_lsb) * (turn.period_us / 1e6)
+        return bool((np.abs(sums) * scale).max() > REVOLUTION_DEG)
 
     def _is_unambiguous(self, turn: Turn) -> bool:
         """Return True if no axis turns by more than half a turn from one sample to the next."""

@@ -76,31 +76,38 @@ def judge_gyroscope(found: Turns, calibration: Calibration | None, least_range_c
         calibration: the accelerometer's; None if it was refused.
         least_range_c: range of temperatures that a slope of the bias needs; None: no slope is fitted.
     """
-    bias = bias_at_rest(found.rates, found.dps_per_lsb, found.period_s, least_range_c)
+    bias = bias_on_grid(found, least_range_c)
     if bias is None:
-        return _refused(Reason("gyroscope_never_at_rest"), 0, found, None)
-    b, c = (_triple(np.rint(np.array(one) * GRID) / GRID) for one in (bias.dps, bias.slope_dps_per_c))
-    bias = replace(bias, dps=b, slope_dps_per_c=c)
+        return refused(Reason("gyroscope_never_at_rest"), 0, found, None)
     if calibration is None:
-        return _refused(Reason("accelerometer_not_calibrated"), 0, found, bias)
-    pairs = _pairs(found, calibration)
+        return refused(Reason("accelerometer_not_calibrated"), 0, found, bias)
+    pairs = wide_turns(found, calibration)
     reason = _too_little(pairs, found.dps_per_lsb)
     if reason is not None:
-        return _refused(reason, len(pairs.turns), found, bias)
+        return refused(reason, len(pairs.turns), found, bias)
     return _judged(pairs, found, bias)
 
 
-def _judged(pairs: _Pairs, found: Turns, bias: Bias) -> Gyroscope:
+def bias_on_grid(found: Turns, least_range_c: float | None) -> Bias | None:
+    """Return the bias at rest as it is applied, in multiples of 1 / GRID; None without rest."""
+    bias = bias_at_rest(found.rates, found.dps_per_lsb, found.period_s, least_range_c)
+    if bias is None:
+        return None
+    b, c = (_triple(np.rint(np.array(one) * GRID) / GRID) for one in (bias.dps, bias.slope_dps_per_c))
+    return replace(bias, dps=b, slope_dps_per_c=c)
+
+
+def _judged(pairs: TurnPairs, found: Turns, bias: Bias) -> Gyroscope:
     gravity = TurningGravity(pairs.turns, pairs.before, found.dps_per_lsb)
     raw = gravity.turned(np.eye(3))
     try:
         fit = _fitted(gravity, pairs.after, raw)
         errors = fit.standard_errors()
     except ValueError:
-        return _refused(UNDETERMINED, len(pairs.turns), found, bias)
+        return refused(UNDETERMINED, len(pairs.turns), found, bias)
     holdout = _holdout(fit, gravity, pairs.after, raw)
     known = replace(
-        _refused(UNDETERMINED, len(pairs.turns), found, bias), holdout=holdout, standard_errors=_rows(errors)
+        refused(UNDETERMINED, len(pairs.turns), found, bias), holdout=holdout, standard_errors=rows_of(errors)
     )
     if holdout.after > LARGEST_DEG:
         return replace(known, reason=Reason.of("gravity_still_off", after_deg=holdout.after))
@@ -120,11 +127,12 @@ def _judged(pairs: _Pairs, found: Turns, bias: Bias) -> Gyroscope:
         after_deg=holdout.after,
         unusual=bool(np.abs(fit.scale - np.eye(3)).max() > UNUSUAL),
     )
-    scale = _rows(np.rint(fit.scale * GRID) / GRID)
+    scale = rows_of(np.rint(fit.scale * GRID) / GRID)
     return replace(known, outcome="calibrated", reason=why, scale=scale)
 
 
-def _refused(reason: Reason, pairs: int, found: Turns, bias: Bias | None) -> Gyroscope:
+def refused(reason: Reason, pairs: int, found: Turns, bias: Bias | None) -> Gyroscope:
+    """Return the verdict that there is no scale, for a reason."""
     return Gyroscope("refused", reason, pairs, found.left_out, bias=bias)
 
 
@@ -133,13 +141,14 @@ def _triple(values: Floats) -> Triple:
     return x, y, z
 
 
-def _rows(matrix: Floats) -> tuple[Triple, Triple, Triple]:
+def rows_of(matrix: Floats) -> tuple[Triple, Triple, Triple]:
+    """Return the rows of a matrix (3, 3)."""
     x, y, z = map(_triple, matrix)
     return x, y, z
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Pairs:
+class TurnPairs:
     """Turns, and the unit vectors of gravity (n, 3) before and after them."""
 
     turns: Sequence[Turn]
@@ -147,18 +156,18 @@ class _Pairs:
     after: Floats
 
 
-def _pairs(found: Turns, calibration: Calibration) -> _Pairs:
+def wide_turns(found: Turns, calibration: Calibration) -> TurnPairs:
     """Return the turns of at least LEAST_TURN_DEG."""
     before, after = (
-        _directions([getattr(turn, side) for turn in found.turns], calibration, found.lsb_per_g)
+        directions([getattr(turn, side) for turn in found.turns], calibration, found.lsb_per_g)
         for side in ("before", "after")
     )
     cosine = before[:, 0] * after[:, 0] + before[:, 1] * after[:, 1] + before[:, 2] * after[:, 2]
     wide = np.flatnonzero(cosine <= cos(radians(LEAST_TURN_DEG)))
-    return _Pairs([found.turns[index] for index in wide], before[wide], after[wide])
+    return TurnPairs([found.turns[index] for index in wide], before[wide], after[wide])
 
 
-def _directions(rests: list[Rest], calibration: Calibration, lsb_per_g: float) -> Floats:
+def directions(rests: list[Rest], calibration: Calibration, lsb_per_g: float) -> Floats:
     """Return unit vectors of the calibrated means, (n, 3)."""
     if not rests:
         return np.empty((0, 3))
@@ -176,7 +185,7 @@ def _directions(rests: list[Rest], calibration: Calibration, lsb_per_g: float) -
     return np.stack([x / length, y / length, z / length], axis=1)
 
 
-def _too_little(pairs: _Pairs, dps_per_lsb: Triple) -> Reason | None:
+def _too_little(pairs: TurnPairs, dps_per_lsb: Triple) -> Reason | None:
     """Return why the turns alone do not allow the scale to be found, or None."""
     if len(pairs.turns) < LEAST_PAIRS:
         return Reason.of(
@@ -286,10 +295,16 @@ def _holdout(fit: _Fit, gravity: TurningGravity, after: Floats, raw: Turned) -> 
     scales = np.empty((3, 3, number))
     for one in range(FOLDS):
         scales[:, :, fold == one] = (fit.scale + fit.step(fold != one))[:, :, np.newaxis]
+    return turn_errors(raw, gravity.turned(scales), after)
+
+
+def turn_errors(raw: Turned, calibrated: Turned, after: Floats) -> TurnHoldout:
+    """Return the errors of turns that took no part in the fit: angles from gravity as measured after them."""
     before, angles = (
         [2 * degrees(asin(min(1.0, apart / 2))) for apart in _distances(turned.direction, after).tolist()]
-        for turned in (raw, gravity.turned(scales))
+        for turned in (raw, calibrated)
     )
+    number = len(after)
     half = student_t_975(number - 1) * sqrt(number) / 2
     low, high = (max(0.0, min(1.0, (number / 2 + one) / number)) for one in (-half, half))
     ordered = sorted(angles)

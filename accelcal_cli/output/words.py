@@ -341,6 +341,9 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     # gyroscope
     "gyroscope_calibrated": "The scale was fitted to {turns:n turn} between rests. On held-out turns "
     "gravity is {after_deg:.2g} degrees off, {before_deg:.2g} before.{unusual_scale}",
+    "gyroscope_by_revolutions": "The scale was fitted to {revolutions:n whole revolution} about the "
+    "vertical. On {turns:n turn} between faces gravity is {after_deg:.2g} degrees off, "
+    "{before_deg:.2g} before.",
     "gyroscope_never_at_rest": "The gyroscope is never at rest for a second together with the accelerometer.",
     "accelerometer_not_calibrated": "The accelerometer has no calibration to compare the gyroscope with.",
     "scale_not_determined": "The turns do not determine the scale.",

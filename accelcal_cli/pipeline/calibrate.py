@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,6 +159,8 @@ class Judge:
     """
 
     settings: Settings
+    revolutions: ClassVar[bool] = False
+    """True if whole revolutions count for the gyroscope, as in a session."""
 
     def method(self, recording: Recording) -> procedures.Method:
         """Return the method of the first pass."""
@@ -364,7 +366,9 @@ class RecordingRun:
         method = judge.method(recording)
         method = method if log is None else log.watch(method, recording.rate_hz)
         timeline = timeline_of(method, recording)
-        turns = None if recording.gyro_dps_per_lsb is None else Turning(recording)
+        turns = (
+            None if recording.gyro_dps_per_lsb is None else Turning(recording, revolutions=judge.revolutions)
+        )
         others = [one for one in (log, timeline, turns) if one is not None]
         facts = self.survey(method, *others)
         long = recording.total_bytes >= HASHED_IN_BACKGROUND

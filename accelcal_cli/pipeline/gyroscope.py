@@ -22,6 +22,7 @@ from accelcal_cli.core.recording import Chunk, Recording, Validity
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.judge.gyroscope import judge_gyroscope
+from accelcal_cli.judge.revolutions import judge_revolutions
 from accelcal_cli.pipeline.survey import Observer
 from accelcal_cli.segment import MOST_SQUARES, still_rule
 from accelcal_cli.segment.segmenter import Blocks, Segmenter, centred_squares, exact_sums
@@ -35,13 +36,20 @@ of sensors from an AX6 to an Xsens MTi; a wrist that moves slowly has several.""
 
 
 class Turning(Observer):
-    """Collects the turns of a recording that has a gyroscope."""
+    """Collects the turns of a recording that has a gyroscope.
 
-    def __init__(self, recording: Recording) -> None:
+    Args:
+        revolutions: also whole revolutions, which bring gravity back to where it was.
+    """
+
+    def __init__(self, recording: Recording, *, revolutions: bool = False) -> None:
+        self.revolutions = revolutions
         assert recording.gyro_dps_per_lsb is not None
         length = max(2, round(WINDOW_S * recording.rate_hz))
         dps_per_lsb, lsb_per_g = recording.gyro_dps_per_lsb, recording.lsb_per_g
-        self._collector = TurnCollector(length, recording.rate_hz, dps_per_lsb, lsb_per_g)
+        self._collector = TurnCollector(
+            length, recording.rate_hz, dps_per_lsb, lsb_per_g, revolutions=revolutions
+        )
         rule = _Resting(self._collector, dps_per_lsb, lsb_per_g)
         self._segmenter = Segmenter(length, rule)
 
@@ -58,7 +66,9 @@ class Turning(Observer):
 def gyroscope_of(turns: Turning, judgement: Judgement, settings: Settings) -> Gyroscope:
     """Return the verdict, by the calibration that the recording has in the end, its own or another's."""
     least_range_c = settings.min_temperature_range_c if settings.temperature else None
-    return judge_gyroscope(turns.result(), judgement.calibration, least_range_c)
+    found, calibration = turns.result(), judgement.calibration
+    whole = judge_revolutions(found, calibration, least_range_c) if turns.revolutions else None
+    return whole or judge_gyroscope(found, calibration, least_range_c)
 
 
 class _Resting:

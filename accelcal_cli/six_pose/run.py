@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import sqrt
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -409,6 +409,8 @@ class KnownOrientations(Judge):
         listed: the listed poses; none: the six faces are looked for.
         rolls: places where the device was rolled, to check the calibration by.
     """
+
+    revolutions: ClassVar[bool] = True
 
     poses: PoseSettings
     listed: Sequence[ListedPose]

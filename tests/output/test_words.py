@@ -167,6 +167,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "fit_diverges": [{}],
     "gravity_is_zero": [{"of": "rest"}, {"of": "samples"}],
     "gravity_still_off": [{"after_deg": 12.5}],
+    "gyroscope_by_revolutions": [{"revolutions": 3, "turns": 8, "before_deg": 1.4, "after_deg": 0.56}],
     "gyroscope_calibrated": [
         {"turns": 40, "before_deg": 4.5, "after_deg": 0.53, "unusual": unusual} for unusual in (False, True)
     ],
