@@ -6,7 +6,6 @@ number for each row is one more `ColumnRule` there, and an entry of `opal.LAYOUT
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +15,14 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, NOT_CALIBRATED, Counts, Validity
+from accelcal_cli.core.thermometers import (
+    CELSIUS,
+    MILLI,
+    UNITS,
+    HeatUnit,
+    find_thermometer,
+    unit_by_values,
+)
 from accelcal_cli.core.vocabulary import PER_G, TABLES, normalized
 from accelcal_cli.formats._tables.table import (
     BLOCK_ROWS,
@@ -27,8 +34,9 @@ from accelcal_cli.formats._tables.table import (
     Track,
     chosen_axes,
     described,
-    find_by_name,
     find_gyro,
+    find_heat,
+    good_rows,
     readable,
     split_unit,
 )
@@ -171,13 +179,13 @@ class ValueColumn:
     """A track of one number for each row.
 
     Attributes:
-        factor: how much of its unit is one unit of the rule.
+        unit: of its numbers.
         first: its first value, in steps of the channel.
     """
 
     rule: ColumnRule
     tracks: Group
-    factor: float
+    unit: HeatUnit
     first: int
 
     def values(
@@ -188,7 +196,7 @@ class ValueColumn:
         Args:
             before: the value (1,) of the row before, None at the beginning.
         """
-        values = self.rule.steps_of(*sources[0].read(selection.start, selection.stop), self.factor)
+        values = self.rule.steps_of(*sources[0].read(selection.start, selection.stop), self.unit)
         missing = np.isnan(values)
         if missing.any():
             kind = ("missing_value", f"rows without a {self.rule.noun}; the last one before them holds")
@@ -221,18 +229,12 @@ class ColumnRule:
 
     Attributes:
         noun: the channel in messages; `unit`: the unit of its limits in messages.
-        names: of its track, normalized.
-        units: how much of a unit is one unit of the limits, by the normalized names of the unit.
-        endings: of names that state the unit; decimal fractions that state nothing have it too.
         low, high: values beyond these are not believed.
         steps: of the channel in one unit.
     """
 
     noun: str
     unit: str
-    names: frozenset[str]
-    units: Mapping[str, float]
-    endings: tuple[str, ...]
     low: float
     high: float
     steps: int
@@ -240,40 +242,45 @@ class ColumnRule:
 
     def candidates(self, tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
         """Return tracks that may hold it."""
-        return find_by_name(tracks, accel, self.names)
+        return find_heat(tracks, accel)[0]
 
     def find(self, table: SensorTable, group: Group, unit: str | None = None) -> ValueColumn | str:
         """Return the channel in a track, or why it is not used; `unit` outweighs what is stated."""
-        factor = self.units.get(normalized(unit)) if unit else self._stated_factor(table, group[0])
-        if factor is None:
-            return f"its unit is not {self.unit}"
+        stated, rows = unit or table.own(group[0].path).text("units", "unit"), table.rows(group[0])
+        found, _ = find_thermometer([(group[0].name, stated)])
         try:
-            first = self._first(table.rows(group[0]), group[0].rows, factor)
+            scale = UNITS.get(normalized(stated)) if stated else None if found is None else found.unit
+            if scale is None and not stated and group[0].dtype.kind == "f":
+                scale = unit_by_values(self._first_block(rows, group[0].rows))
+            if scale is None:
+                return f"its unit is not {self.unit}"
+            first = self._first(rows, group[0].rows, scale)
         except (UnreadableError, *READ_ERRORS):
             return "it is damaged"
-        return f"it holds no {self.noun}" if first is None else ValueColumn(self, group, factor, first)
+        return f"it holds no {self.noun}" if first is None else ValueColumn(self, group, scale, first)
 
-    def _stated_factor(self, table: SensorTable, track: Track) -> float | None:
-        unit = table.own(track.path).text("units", "unit")
-        if unit is not None:
-            return self.units.get(normalized(unit))
-        return 1.0 if track.name.lower().endswith(self.endings) or track.dtype.kind == "f" else None
+    def _first_block(self, source: RowSource, rows: int) -> NDArray[np.float64]:
+        """Return the first block with values (n,)."""
+        values = np.empty(0)
+        for start in range(0, rows, BLOCK_ROWS):
+            values = good_rows(source, start, min(start + BLOCK_ROWS, rows))[:, 0].astype(np.float64)
+            if not np.isnan(values).all():
+                break
+        return values
 
-    def _first(self, source: RowSource, rows: int, factor: float) -> int | None:
+    def _first(self, source: RowSource, rows: int, unit: HeatUnit) -> int | None:
         """Return the first value [steps], None if there is none at all."""
         for start in range(0, rows, BLOCK_ROWS):
-            values = self.steps_of(*source.read(start, min(start + BLOCK_ROWS, rows)), factor)
+            values = self.steps_of(*source.read(start, min(start + BLOCK_ROWS, rows)), unit)
             known = values[~np.isnan(values)]
             if len(known):
                 return int(known[0])
         return None
 
-    def steps_of(self, rows: NDArray[Any], good: NDArray[np.bool_], factor: float) -> NDArray[np.float64]:
+    def steps_of(self, rows: NDArray[Any], good: NDArray[np.bool_], unit: HeatUnit) -> NDArray[np.float64]:
         """Return rows (n, 1) as steps of the channel (n,), NaN where there is no believable value."""
         with np.errstate(over="ignore", invalid="ignore"):
-            values = rows[:, 0].astype(np.float64)
-            if factor != 1:
-                values /= factor
+            values = unit.celsius(rows[:, 0].astype(np.float64))
             believable = good & (values >= self.low) & (values <= self.high)
             values *= self.steps
             np.rint(values, out=values)
@@ -333,9 +340,6 @@ CHANNELS: dict[str, TurnRule | ColumnRule] = {
     "temperature_mc": ColumnRule(
         noun="temperature",
         unit="degrees Celsius",
-        names=TABLES.thermometer,
-        units=TABLES.temperatures,
-        endings=("_c", "_degc"),
         low=-273.15,
         high=1000.0,
         steps=1000,
@@ -373,7 +377,10 @@ def find_channels(
             notes.append(f"{readable(groups[0][0].path)} is not used: {channel}")
         else:
             channels[name] = channel
-    return channels, tuple(notes)
+            if isinstance(channel, ValueColumn) and channel.unit not in (CELSIUS, MILLI):
+                notes.append(f"{readable(groups[0][0].path)} is in {channel.unit.name}")
+    like = ", ".join(readable(track.path) for track in find_heat(tracks, accel)[1])
+    return channels, (*notes, *([f"not read, though it looks like a temperature: {like}"] if like else []))
 
 
 def _candidates(

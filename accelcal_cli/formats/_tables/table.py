@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import NoRecordingError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.thermometers import BARE, find_thermometer
 from accelcal_cli.core.vocabulary import AXES, TABLES, UNIT_AT_END, normalized
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog
 
@@ -460,14 +461,30 @@ def find_gyro(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
     )
 
 
-def find_by_name(tracks: tuple[Track, ...], accel: Track, names: frozenset[str]) -> tuple[Group, ...]:
-    """Find the nearest tracks of one of these names with one number for each row of the acceleration."""
-    return _nearest(_columns(tracks, accel, lambda name: name in names), accel)
+def find_heat(tracks: tuple[Track, ...], accel: Track) -> tuple[tuple[Group, ...], tuple[Track, ...]]:
+    """Find the nearest tracks of temperatures of the same length, and those that only look like one."""
+    groups = _columns(tracks, accel, lambda _name: True)
+    timed = any(_is_time(group[0].name) and group[0].name != BARE for group in groups)
+    free = [group for group in groups if timed or group[0].name != BARE]
+    named = tuple(group for group in free if find_thermometer([(group[0].name, None)])[0])
+    near = [*_nearest([*named], accel)]
+    found, _ = find_thermometer([(group[0].name, None) for group in near])
+    best = (near[found.number],) if found is not None else tuple(near)
+    _, like = find_thermometer([(group[0].name, None) for group in free if group not in named])
+    others = [group for group in free if group not in named]
+    left = [group[0] for group in near if group not in best]
+    return best, (*left, *(others[number][0] for number in like))
 
 
 def find_time(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
     """Find the nearest tracks of times of the same length."""
-    return _nearest(_columns(tracks, accel, lambda name: split_time_name(name)[0] in TABLES.times), accel)
+    found = _nearest(_columns(tracks, accel, _is_time), accel)
+    named = tuple(group for group in found if group[0].name != BARE)
+    return named or found
+
+
+def _is_time(name: str) -> bool:
+    return split_time_name(name)[0] in TABLES.times
 
 
 def split_unit(name: str) -> tuple[str, str | None]:

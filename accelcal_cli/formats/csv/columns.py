@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.thermometers import BARE, HeatUnit, find_thermometer
 from accelcal_cli.core.vocabulary import CSV, NOT_RAW
 from accelcal_cli.core.written_times import is_date, is_digits_of_day, stated_zone
 from accelcal_cli.formats._tables.channels import NOT_READ, CountScale, turn_scale
@@ -73,14 +74,10 @@ class ChannelRule:
     """How a column of numbers becomes a channel.
 
     Attributes:
-        names: of the column, in lower case.
-        units: that its title may mention, in lower case; "" for none.
         steps: of the channel in one unit of the column.
         limit: values of this magnitude (in the column's unit) and above are not believed.
     """
 
-    names: frozenset[str]
-    units: frozenset[str]
     steps: int
     limit: float
 
@@ -94,9 +91,8 @@ class ChannelRule:
         return channel
 
 
-CHANNELS = {
-    "temperature_mc": ChannelRule(CSV.thermometer, frozenset({"", "deg", *CSV.temperatures}), 1000, 1000.0)
-}
+HEAT = "temperature_mc"
+CHANNELS = {HEAT: ChannelRule(1000, 1000.0)}
 """Channels that a text file may have, by their name in Chunk; nothing else is particular to one."""
 
 
@@ -114,6 +110,8 @@ class Roles:
         ticks: its name says that it counts ticks; fine_ticks: those of Xsens.
         zone: of the clock, by the name of the time column.
         rate_hz: a rate above the names of the columns.
+        heat: unit of the temperature, None if only its values tell.
+        like_heat: columns that look like a temperature and are not read.
     """
 
     xyz: tuple[int, int, int]
@@ -127,6 +125,8 @@ class Roles:
     fine_ticks: bool = False
     zone: str | None = None
     rate_hz: float | None = None
+    heat: HeatUnit | None = None
+    like_heat: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +198,7 @@ def _axis_apart(word: str) -> tuple[str, ...]:
 
 def _is_unit(word: str) -> bool:
     known = acceleration_unit(word) is not None or microseconds_in(word) is not None
-    return known or _is_turn_unit(word) or any(word in rule.units for rule in CHANNELS.values())
+    return known or _is_turn_unit(word) or word in CSV.temperatures or word in ("", "deg")
 
 
 def _is_turn_unit(word: str) -> bool:
@@ -244,17 +244,20 @@ def find_roles(
     units = {acceleration_unit(title.hint) for title in titles if title.number in xyz}
     free = [title for title in titles if title.number not in (*xyz, time, date)]
     hints = frozenset(unit for unit in units if unit is not None)
+    channels, heat, like_heat = _channels(dialect, [title.number for title in free])
     name = dialect.names[time] if dialect.names is not None and time is not None else ""
     return Roles(
         xyz,
         time,
-        _channels(dialect, free),
+        channels,
         hints,
         _time_unit_us(titles, time),
         date,
         ticks=re.search("tick", name, re.IGNORECASE) is not None,
         fine_ticks=re.fullmatch(r"sample_?time_?fine", name.strip(), re.IGNORECASE) is not None,
         zone=_zone_in(name),
+        heat=heat,
+        like_heat=like_heat,
     )
 
 
@@ -379,6 +382,8 @@ def _time_columns(
     if options.time_column is not None:
         return _chosen_time(dialect, options.time_column, dated, path)
     named = [title.number for title in titles if title.number not in xyz and title.is_time]
+    if len(named) > 1:
+        named = [column for column in named if not _is_bare_heat(dialect, column)]
     both = sorted({*named} & {*dated})
     for columns in (both, dated, named):
         if pair := _date_and_time(dialect, columns):
@@ -394,6 +399,10 @@ def _time_columns(
         return found[0], None
     untitled = not titles and min(xyz) > 0
     return (0, None) if untitled and _may_be_time(dialect, 0) else (None, None)
+
+
+def _is_bare_heat(dialect: Dialect, column: int) -> bool:
+    return dialect.names is not None and name_and_hint(dialect.names[column])[0] == BARE
 
 
 def _chosen_time(dialect: Dialect, name: str, dated: list[int], path: Path) -> tuple[int | None, int | None]:
@@ -421,18 +430,24 @@ def _date_and_time(dialect: Dialect, columns: list[int]) -> tuple[int, int] | No
     return None
 
 
-def _channels(dialect: Dialect, titles: list[Title]) -> dict[str, int]:
-    """Return the column of each channel for which exactly one column of numbers has a fitting name."""
-    columns: dict[str, int] = {}
-    for name, rule in CHANNELS.items():
-        found = [
-            title.number
-            for title in titles
-            if len(words := {*title.words}) == 1 and words <= rule.names and title.hint.lower() in rule.units
-        ]
-        if len(found) == 1 and dialect.kinds[found[0]] is CellKind.NUMBER:
-            columns[name] = found[0]
-    return columns
+def _channels(dialect: Dialect, free: list[int]) -> tuple[dict[str, int], HeatUnit | None, tuple[int, ...]]:
+    """Return the column of the temperature, its unit, and columns that look like one and are not read."""
+    names, units = dialect.names or (), dialect.units or ("",) * dialect.columns
+    numbers = [number for number in free if names and dialect.kinds[number] is CellKind.NUMBER]
+    found, like = find_thermometer([(names[number], units[number]) for number in numbers])
+    others = tuple(numbers[one] for one in like)
+    return ({}, None, others) if found is None else ({HEAT: numbers[found.number]}, found.unit, others)
+
+
+def heat_notes(dialect: Dialect, roles: Roles) -> list[str]:
+    """Return which column is the temperature, and which look like one and are not read."""
+    notes = []
+    if HEAT in roles.channels and roles.heat is not None:
+        notes.append(f"temperature: {dialect.column_name(roles.channels[HEAT])}, in {roles.heat.name}")
+    if roles.like_heat:
+        names = ", ".join(map(dialect.column_name, sorted(roles.like_heat)))
+        notes.append(f"not read, though it looks like a temperature: {names}")
+    return notes
 
 
 class GyroColumns(NamedTuple):

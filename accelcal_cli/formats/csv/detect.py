@@ -55,12 +55,13 @@ from accelcal_cli.formats.csv.columns import (
     Roles,
     find_gyroscope,
     find_roles,
+    heat_notes,
     why_not_read,
 )
 from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
 from accelcal_cli.formats.csv.exports import PHYPHOX_HEAD, experiment_start
 from accelcal_cli.formats.csv.lines import Block, LineFile, RepeatedHeads, lone_block
-from accelcal_cli.formats.csv.rows import ParsedTable, TableParser
+from accelcal_cli.formats.csv.rows import ParsedTable, TableParser, usual_stride, with_heat_unit
 from accelcal_cli.formats.csv.sensors import SensorWatch, dividing_columns, rows_of_sensor
 from accelcal_cli.formats.csv.times import (
     FASTEST_HZ,
@@ -146,6 +147,7 @@ class Detected:
             how = "" if self.parser.time is None else self.parser.time.how
             notes.append(f"time: {dates}{dialect.column_name(roles.time)}{how}")
         notes += [self.watch.note] if self.parser.sensor and self.watch else []
+        notes += heat_notes(dialect, roles)
         notes += [SPARSE.format(self.stride)] * (self.stride > 1)
         notes += [*self.gyro_notes, *self.pace.notes]
         headings = (dialect.names is not self.export.names) + (dialect.units is not None)
@@ -192,7 +194,7 @@ def detect(path: Path, options: ReadOptions) -> Detected:
         block, dialect = RepeatedHeads(above).without(sensor.block), sensor.sample_of(dialect)
     parser = _table_parser(block, dialect, roles, export, options, path)
     parser = replace(parser, roles=all_roles, sensor=() if sensor is None else sensor.texts)
-    table = parser.parse(block)
+    parser, table, roles = with_heat_unit(parser, parser.parse(block), roles)
     wraps = _wraps(parser, table)
     if table.time_us is not None:
         table = replace(table, time_us=RunningOn(wraps).running_on(table.time_us))
@@ -396,12 +398,6 @@ def _wraps(parser: TableParser, table: ParsedTable) -> Wraps:
     if time.unit_us is None:
         return find_wraps(table.time_us, None, DATES if time.since_1970 else TIMES_OF_DAY)
     return find_wraps(table.time_us, None if time.since_1970 and not time.dated else time.unit_us)
-
-
-def usual_stride(values: NDArray[np.float64]) -> int:
-    """Return the usual distance [rows] between rows (n, 3) with values, 1 where they follow one another."""
-    places = np.flatnonzero(~np.isnan(values).any(axis=1))
-    return max(1, int(np.median(np.diff(places)))) if len(places) > 1 else 1
 
 
 def _find_pace(stamps: NDArray[np.int64], user_hz: float | None, path: Path) -> Pace:

@@ -21,6 +21,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.parallel import parallel_map
 from accelcal_cli.core.recording import Channels, cut_channels, cut_columns, joined_channels, joined_columns
 from accelcal_cli.core.system import process_is_ours
+from accelcal_cli.core.thermometers import unit_by_values
 from accelcal_cli.core.vocabulary import COUNTS, PHYSICAL_UNITS
 from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME
 from accelcal_cli.formats._tables.channels import CountScale
@@ -36,7 +37,7 @@ from accelcal_cli.formats.csv.cells import (
     floats,
     split_line,
 )
-from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN, Roles
+from accelcal_cli.formats.csv.columns import CHANNELS, HEAT, UNKNOWN, Roles
 from accelcal_cli.formats.csv.dialect import Dialect
 from accelcal_cli.formats.csv.lines import Block, lone_block
 from accelcal_cli.formats.csv.times import DateColumn, TimeFormat
@@ -177,7 +178,10 @@ class TableParser:
         stamps = None if self.time is None else self.time.microseconds(table[str(self.roles.time)])
         if stamps is not None and impossible is not None:
             stamps[impossible] = IMPOSSIBLE
-        channels = {name: floats(table[str(column)]) for name, column in self.roles.channels.items()}
+        channels: Channels = {}
+        for name, column in self.roles.channels.items():
+            heat = floats(table[str(column)])
+            channels[name] = heat if self.roles.heat is None else self.roles.heat.celsius(heat)
         rates = None if self.roles.gyro is None else _xyz(table, self.roles.gyro)
         parsed = ParsedTable(line, values, stamps, channels, rates)
         return parsed.only(self._of_sensor(block)) if self.sensor else parsed
@@ -307,6 +311,31 @@ def _text_values(column: Any) -> CellTexts:
         indices = pa.chunked_array([chunk.indices.cast(pa.int64())])
         parts.append(np.array([*own, -1], np.int32)[filled(indices, np.int64, -1)])
     return CellTexts(tuple(numbers), np.concatenate(parts))
+
+
+def with_heat_unit(
+    parser: TableParser, table: ParsedTable, roles: Roles
+) -> tuple[TableParser, ParsedTable, Roles]:
+    """Return the parser, its first rows, and the roles, with the unit that the temperature's values show.
+
+    A column whose unit nothing shows is not read.
+    """
+    if HEAT not in table.channels or roles.heat is not None:
+        return parser, table, roles
+    values, unit = table.channels[HEAT], unit_by_values(table.channels[HEAT])
+    if unit is None:
+        changed: dict[str, Any] = {"channels": {}, "like_heat": (*roles.like_heat, roles.channels[HEAT])}
+        channels = {}
+    else:
+        changed, channels = {"heat": unit}, {HEAT: unit.celsius(values)}
+    parser = replace(parser, roles=replace(parser.roles, **changed))
+    return parser, replace(table, channels=channels), replace(roles, **changed)
+
+
+def usual_stride(values: NDArray[np.float64]) -> int:
+    """Return the usual distance [rows] between rows (n, 3) with values, 1 where they follow one another."""
+    places = np.flatnonzero(~np.isnan(values).any(axis=1))
+    return max(1, int(np.median(np.diff(places)))) if len(places) > 1 else 1
 
 
 class RowWatch(Protocol):

@@ -181,6 +181,7 @@ def test_latin1_in_names_and_unused_cells(tmp_path: Path) -> None:
     assert found.temperature.tolist() == [30500, 30500]
 
 
-def test_a_temperature_in_fahrenheit_is_not_taken(tmp_path: Path) -> None:
+def test_a_temperature_in_fahrenheit_is_converted(tmp_path: Path) -> None:
     path = written(tmp_path, "time,x,y,z,temp [F]\n" + f"{stamp(0)},0,0,1,86\n{stamp(10_000)},0,0,1,86\n")
-    assert read(path).temperature is None
+    found = read(path).temperature
+    assert found is not None and found.tolist() == [30_000, 30_000]
