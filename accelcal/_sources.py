@@ -6,6 +6,7 @@ results are the same bits.
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -109,10 +110,23 @@ class Given:
         source = self.path if self.folder is None else Path(self.path.name)
         return Job(source, source, source)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let a temporary file go along to another process."""
+        if self.folder is None:
+            return Given, (self.path,)
+        return _unpacked, (self.path.name, self.path.read_bytes(), self.path.stat().st_mtime_ns)
+
     def close(self) -> None:
         """Remove the temporary file."""
         if self._removal is not None:
             self._removal()
+
+
+def _unpacked(name: str, content: bytes, changed_ns: int) -> Given:
+    folder = new_folder()
+    (folder / name).write_bytes(content)
+    os.utime(folder / name, ns=(changed_ns, changed_ns))
+    return Given(folder / name, folder)
 
 
 def as_file(source: Source, channels: Channels | None = None) -> Given:
@@ -144,6 +158,13 @@ def _written(source: Any, extra: Channels, folder: Path) -> Path:
     if isinstance(source, BYTES) or hasattr(source, "read"):
         _refuse_channels(extra, "a file has its own")
         return _spooled(source, folder)
+    if names := getattr(getattr(source, "dtype", None), "names", None):  # records of numpy
+        source = {name: source[name] for name in names}
+    if isinstance(source, Mapping):
+        _refuse_channels(extra, "name it among the columns")
+        columns: dict[str, Any] = {str(name): np.asarray(column) for name, column in source.items()}
+        np.savez(folder / "columns.npz", **columns)
+        return folder / "columns.npz"
     if (table := arrow_of(source)) is not None:
         _refuse_channels(extra, "make it a column of the table")
         import pyarrow.feather

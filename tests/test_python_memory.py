@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import pickle
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,26 @@ TABLES = {
 def test_p4_a_table_is_calibrated_as_a_file_of_it(kind: str, tmp_path: Path) -> None:
     FRAME.to_parquet(tmp_path / "file.parquet")
     same(accelcal.calibrate(TABLES[kind]()), accelcal.calibrate(tmp_path / "file.parquet"))
+
+
+def test_p4_columns_and_records_of_arrays() -> None:
+    """As scikit-digital-health has them, and numpy's records."""
+    file = accelcal.calibrate(XYZ, time=TIMES, temperature=CELSIUS)
+    seconds = TIMES.astype("int64") / 1e6
+    found = accelcal.calibrate({"time": seconds, "accel": XYZ, "temperature": CELSIUS})
+    assert found["calibration"] == file["calibration"] and found["recording"]["time_zone"] == "UTC"
+    records = np.rec.fromarrays([TIMES, *XYZ.T, CELSIUS], names="time,x,y,z,temperature")
+    same(accelcal.calibrate(records), file)
+
+
+@pytest.mark.parametrize("kind", ["file", "memory"])
+def test_a_result_can_go_to_another_process(kind: str) -> None:
+    source = ROOT / "sample_data/evening.csv.gz" if kind == "file" else FRAME
+    result = accelcal.calibrate(source)
+    packed, values = pickle.dumps(result), result.to_arrow()
+    del result
+    again = pickle.loads(packed)
+    assert again.to_arrow().equals(values) and len(again.windows()) and repr(again)
 
 
 def test_p4_an_array_of_xarray_brings_its_times() -> None:
