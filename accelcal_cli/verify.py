@@ -7,6 +7,7 @@ calibrated Parquet file next to a report is compared with the report, and on dem
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,9 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.door import is_file
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.door import is_file, is_folder
+from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import noted_unused
+from accelcal_cli.core.input_files import files_of, is_pattern
 from accelcal_cli.core.reasons import significant
 from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.core.version import __version__
@@ -439,7 +441,7 @@ def donor_of(document: Document, stated: Path | None) -> Coefficients | None:
     by_content = used.without_provenance
     then = Path(used.path)
     sibling = document.path.parent / then.name
-    original = document.path.parent / then if by_content else then
+    original = document.path.parent / then if by_content else place_of(document, "coefficients") or then
     places = (stated,) if stated is not None else (original, sibling)
     existing = [path for path in places if is_file(path)]
     for path in existing if by_content else ():
@@ -457,6 +459,31 @@ def donor_of(document: Document, stated: Path | None) -> Coefficients | None:
         path=document.path,
         hint="name the file with --coefficients",
     )
+
+
+def place_of(document: Document, name: str) -> Path | None:
+    """Return where a file was that a report was made of; None where the report does not say it."""
+    place = section(document.report, "provenance", "files").get(name)
+    return Path(place) if isinstance(place, str) else None
+
+
+def recording_of(report: Path) -> Path:
+    """Return the recording that a report names: the one next to it, else the one that it was made of.
+
+    Raises:
+        UnreadableError: the report cannot be read.
+        UsageError: neither is there.
+    """
+    document = read_document(report)
+    check_sections(document, ("recording",))
+    name = Path(document.recording.path).name
+    places = [report.with_name(name)] if name else []
+    then = place_of(document, "recording") or Path(document.recording.path)
+    for place in (*places, then):
+        if is_file(place) or is_folder(place) or (is_pattern(place) and files_of(place)):
+            return place
+    hint = f"accelcal verify {shlex.quote(printable(report))} RECORDING"
+    raise UsageError(f"its recording, {document.recording.path}, is not next to it", path=report, hint=hint)
 
 
 def pool_of(document: Document) -> Document | None:

@@ -52,7 +52,7 @@ def command(points: Path, output: Path | None, as_json: bool, force: bool, **val
     if output is not None and not force:
         refuse_report_of_another(output, points)
     fitted = fit_points(points, fit_settings(values))
-    report = with_provenance(fitted, ("accelcal", *sys.argv[1:]))
+    report = with_provenance(fitted, ("accelcal", *sys.argv[1:]), recording=points)
     view = report_view(report)
     refused = view.outcome is Outcome.REFUSED
     if output is not None and not refused:

@@ -26,12 +26,12 @@ SHOWN_KEYS = 5
     "verify",
     cls=Command,
     examples=(
-        "verify recording.calibration.json recording.cwa",
+        "verify recording.calibration.json",
         "verify recording.calibration.json recording.cwa --values # also every value of the Parquet file",
     ),
 )
 @click.argument("report", type=FILE)
-@click.argument("recording", type=FILE)
+@click.argument("recording", required=False, type=FILE)
 @click.option("--values", is_flag=True,
               help="Also compare every value of the Parquet file next to the report.")  # fmt: skip
 @click.option("--layout", type=FILE, help="Layout file of a raw dump, if not next to the recording.")
@@ -41,16 +41,18 @@ SHOWN_KEYS = 5
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
 @chunk_option
-def command(report: Path, recording: Path, **values: Any) -> int:
+def command(report: Path, recording: Path | None, **values: Any) -> int:
     """Reproduce REPORT from its RECORDING and compare the two bit for bit; nothing is written.
 
-    Uses the settings and reading options of the report. Prints one tab-separated line: path,
-    `identical` or `differs`, the largest and the mean difference of calibrated vectors in mg, the
-    version that wrote the report, this version, and the keys that differ. The exit code is 1 if
-    anything differs.
+    Without RECORDING, takes the one that the report names, next to the report or where it was. Uses the
+    settings and reading options of the report. Prints one tab-separated line: path, `identical` or
+    `differs`, the largest and the mean difference of calibrated vectors in mg, the version that wrote the
+    report, this version, and the keys that differ. The exit code is 1 if anything differs.
     """
-    from accelcal_cli.verify import VerifyOptions, verify  # with pyarrow, which --help does not need
+    # with pyarrow, which --help does not need
+    from accelcal_cli.verify import VerifyOptions, recording_of, verify
 
+    recording = recording or recording_of(report)
     names = ("layout", "poses", "coefficients", "values", "chunk_samples")
     options = VerifyOptions(**{name: values[name] for name in names})
     with progress_bars(recording.name, quiet=values["quiet"]) as bars:

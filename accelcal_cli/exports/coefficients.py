@@ -26,7 +26,7 @@ from accelcal_cli.output.coefficients import (
     without_misalignment,
 )
 from accelcal_cli.output.files import csv_text
-from accelcal_cli.output.report_reading import check_sections
+from accelcal_cli.output.report_reading import check_sections, section
 from accelcal_cli.output.report_view import ErrorsView, FitView, ReportRecording, record
 
 ALIGNED = ("0", "3", "6", "3T", "6T")
@@ -83,6 +83,7 @@ class ExportedReport:
         windows_s: total length of the windows that were used [s].
         whole: its calibration; errors: the errors of that.
         simple: the calibration without misalignment; simple_errors: the errors of that.
+        place: where the recording was, None where the report does not say it.
     """
 
     path: Path
@@ -92,6 +93,7 @@ class ExportedReport:
     errors: ErrorsView
     simple: Calibration
     simple_errors: ErrorsView
+    place: str | None = None
 
     @property
     def file_name(self) -> str:
@@ -138,15 +140,15 @@ def read_exported(path: Path) -> ExportedReport:
             hint="export the calibrated data (--to csv), or calibrate with --recalibrate never",
         )
     windows_s = record(FitView, report["fit"]).windows["used"] * report["settings"]["segment_seconds"]
-    errors = record(ErrorsView, report)
+    errors, place = record(ErrorsView, report), section(report, "provenance", "files").get("recording")
     if whole.model in ALIGNED:
-        return ExportedReport(path, recording, windows_s, whole, errors, whole, errors)
+        return ExportedReport(path, recording, windows_s, whole, errors, whole, errors, place)
     simple = without_misalignment(found)
     if simple is None:
         text, hint = _why_none(report, whole)
         raise UsageError(text, path=path, hint=hint)
     simple_errors = record(ErrorsView, report["without_misalignment"])
-    return ExportedReport(path, recording, windows_s, whole, errors, simple, simple_errors)
+    return ExportedReport(path, recording, windows_s, whole, errors, simple, simple_errors, place)
 
 
 def _why_none(report: dict[str, Any], whole: Calibration) -> tuple[str, str]:
@@ -257,7 +259,7 @@ def decimal(value: float) -> str:
 
 def _file(one: ExportedReport) -> str:
     """Return the recording as one word of a shell's command line, and no option."""
-    path = printable(one.recording.path)
+    path = printable(one.place or one.recording.path)
     return shlex.quote(f"./{path}" if path.startswith("-") else path)
 
 

@@ -7,7 +7,9 @@ check bit by bit.
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core import results
@@ -453,7 +455,7 @@ def _recording(data: ReportInput) -> ReportRecording:
     start = facts.first_us if recording.start_us is None else recording.start_us
     dated = not any(problem.code == "no_start_time" for problem in facts.problems)
     return ReportRecording(
-        path=printable(recording.path),
+        path=file_name(recording.path),
         sha256=data.sha256,
         bytes=recording.total_bytes,
         format=recording.format,
@@ -472,6 +474,11 @@ def _recording(data: ReportInput) -> ReportRecording:
         thermometer=None if recording.thermometer is None else asdict(recording.thermometer),
         factory_calibration=None if recording.factory is None else recording.factory.as_json(),
     )
+
+
+def file_name(path: Path) -> str:
+    """Return the name of a file or folder, however its path was typed."""
+    return printable(path.name or Path(os.path.abspath(path)).name)  # noqa: PTH100 (links keep their names)
 
 
 def duration_s(recording: Recording, facts: Facts) -> float:

@@ -58,7 +58,11 @@ class PointsInput(reports.JudgedInput):
 def build_points(data: PointsInput) -> dict[str, Any]:
     """Return the report of a table of points without `provenance`."""
     recording = ReportRecording(
-        path=printable(data.path), sha256=data.sha256, bytes=data.bytes, format="points", samples=data.rows
+        path=reports.file_name(data.path),
+        sha256=data.sha256,
+        bytes=data.bytes,
+        format="points",
+        samples=data.rows,
     )
     return completed(reports.document(recording, reports.FileHealth(), _windows(data), data), data.judgement)
 

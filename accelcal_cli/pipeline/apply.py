@@ -31,6 +31,7 @@ from accelcal_cli.output.coefficients import (
     read_coefficients,
     without_misalignment,
 )
+from accelcal_cli.output.report import file_name
 from accelcal_cli.output.report_reading import Document, check_sections
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.calibrate import (
@@ -406,7 +407,7 @@ def _warnings(holdout: Holdout | None, limit_mg: float) -> tuple[Reason, ...]:
 def _origin_json(donor: Coefficients) -> dict[str, Any]:
     origin = donor.origin
     return {
-        "path": printable(donor.document.path),
+        "path": file_name(donor.document.path),
         "sha256": donor.sha256,
         **({"without_provenance": True} if donor.by_content else {}),
         "recording_path": origin.path,
@@ -480,7 +481,8 @@ def borrow_in(
         except UsageError as error:
             why = Reason.of("not_tried", message=printable(error.message))
         if why is None:
-            return Borrowed(recipient.write(_relocatable(found, run.job)), tuple(reasons))
+            found = _relocatable(found, run.job, donor.document.path)
+            return Borrowed(recipient.write(found), tuple(reasons))
         reasons.append(Reason.of("donor", path=printable(donor.origin.path), why=why))
     return Borrowed(None, tuple(reasons))
 
@@ -519,9 +521,9 @@ def _why_own(own: FirstPass | None, judge: DonorCoefficients) -> Reason | None:
     return None
 
 
-def _relocatable(found: FirstPass, job: Job) -> FirstPass:
+def _relocatable(found: FirstPass, job: Job, coefficients: Path) -> FirstPass:
     """Name the coefficient file by its path from the report, so that both may be moved together."""
     used = found.data.taken["coefficients"]
-    path = Path(os.path.relpath(used["path"], job.report.parent)).as_posix()
+    path = printable(Path(os.path.relpath(coefficients, job.report.parent)).as_posix())
     taken = {**found.data.taken, "coefficients": {**used, "path": path}}
     return replace(found, data=replace(found.data, taken=taken))

@@ -438,7 +438,10 @@ class RecordingRun:
         else:
             write_text(self.job.quality, dumps_quality(quality_json(quality)))
         outputs.remove_page(self.job.page)
-        report = outputs.with_provenance(reports.build(data), self.request.command)
+        donor = None if self.request.coefficients is None else self.request.coefficients.document.path
+        report = outputs.with_provenance(
+            reports.build(data), self.request.command, recording=self.job.source, coefficients=donor
+        )
         if written is not None:
             outputs.refuse_replaced(written, metadata)
         outputs.save_report(self.job.report, report)

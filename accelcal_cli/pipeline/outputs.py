@@ -32,7 +32,7 @@ from accelcal_cli.output.report_reading import (
     upgraded,
 )
 from accelcal_cli.output.windows import is_window_table
-from accelcal_cli.pipeline.jobs import Job, Request, Result, real, sha256
+from accelcal_cli.pipeline.jobs import STDIN, Job, Request, Result, real, sha256
 
 PACKAGES = ("numpy", "pyarrow", "h5py", "click")
 """Packages whose versions the provenance names."""
@@ -167,7 +167,7 @@ def refuse_replaced(path: Path, metadata: dict[str, Any]) -> None:
 def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:
     """Raise OutputError if a report stands for another recording, neither moved nor changed."""
     recorded = report["recording"]
-    if real(Path(recorded["path"])) in {real(Path(printable(path))) for path in (job.source, source)}:
+    if _place(report) in {real(Path(printable(path))) for path in (job.source, source)}:
         return
     if recorded["sha256"] != sha256(source):
         raise OutputError(
@@ -175,6 +175,11 @@ def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:
             path=job.report,
             hint="choose another folder with -d, a name with -o, or use --force to replace it",
         )
+
+
+def _place(report: dict[str, Any]) -> Path:
+    """Return where the recording of a report was; of an earlier version's, as its path was typed."""
+    return real(Path(section(report, "provenance", "files").get("recording") or report["recording"]["path"]))
 
 
 def _is_of(report: dict[str, Any], source: Path) -> bool:
@@ -257,7 +262,7 @@ def withdraw(job: Job) -> None:
     report = load_report(job.report) if exists(job.report) else None
     if report is None or _made_by(report) != CALIBRATE:
         return
-    if real(Path(report["recording"]["path"])) == real(Path(printable(job.source))):
+    if _place(report) == real(Path(printable(job.source))):
         for path in (job.parquet, job.uncalibrated):
             if written_by_us(path):
                 remove(path)
@@ -332,9 +337,18 @@ def _versions() -> tuple[tuple[str, str], ...]:
     return tuple(versions)
 
 
-def with_provenance(report: dict[str, Any], command: tuple[str, ...]) -> dict[str, Any]:
-    """Return the report with its provenance."""
-    return {**report, "provenance": provenance(list(command))}
+def with_provenance(report: dict[str, Any], command: tuple[str, ...], **files: Path | None) -> dict[str, Any]:
+    """Return the report with its provenance.
+
+    Args:
+        files: what it was made of, by name: the report itself says no folders.
+    """
+    where = {name: printable(_absolute(path)) for name, path in files.items() if path is not None}
+    return {**report, "provenance": provenance(list(command)) | ({"files": where} if where else {})}
+
+
+def _absolute(path: Path) -> Path:
+    return path if path == STDIN else real(path)
 
 
 def save_report(path: Path, report: dict[str, Any]) -> None:

@@ -102,7 +102,8 @@ def test_another_recording_of_the_device_is_judged_by_its_own_stillness(
     given = report_of(coefficients)
     assert report["calibration"] == given["calibration"]
     used = report["coefficients"]
-    assert used["path"] == str(coefficients)
+    assert used["path"] == coefficients.name
+    assert report["provenance"]["files"] == {"recording": str(other), "coefficients": str(coefficients)}
     assert used["device"]["serial"] == "A1"
     for part in (given["recording"]["path"], used["recording_sha256"][:12], "A1"):
         assert part in report["message"]
@@ -191,7 +192,7 @@ def test_a_report_of_apply_passes_the_coefficients_on_with_their_origin(
     assert run(capsys, "apply", "--coefficients", by_way, week(tmp_path / "d.raw", 4, serial="B2")).code == 2
     assert run(capsys, "apply", "--coefficients", by_way, third).code == 0
     used = report_of(tmp_path / "c.calibration.json")["coefficients"]
-    assert (used["path"], used["device"]["serial"]) == (str(by_way), "A1")
+    assert (used["path"], used["device"]["serial"]) == (by_way.name, "A1")
     assert used["recording_sha256"] == report_of(first)["recording"]["sha256"]
     ran = run(capsys, "apply", "--coefficients", by_way, tmp_path / "donor.raw", "-d", tmp_path / "out")
     assert ran.code == 2

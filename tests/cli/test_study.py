@@ -173,7 +173,9 @@ def test_no_folder_and_no_recording_are_wrong_usage(tmp_path: Path, capsys: Capt
 
 def test_json_gives_the_reports(tmp_path: Path, capsys: Capture) -> None:
     ran = study(capsys, study_folder(tmp_path / "in", NAMES[:2]), "--json", "-q")
-    found = {json.loads(line)["recording"]["path"] for line in ran.lines}
+    reports = [json.loads(line) for line in ran.lines]
+    assert {report["recording"]["path"] for report in reports} == {Path(name).name for name in NAMES[:2]}
+    found = {report["provenance"]["files"]["recording"] for report in reports}
     assert found == {str(tmp_path / "in" / name) for name in NAMES[:2]}
 
 

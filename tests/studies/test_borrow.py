@@ -109,7 +109,7 @@ def test_coefficients_that_make_it_worse_are_refused_and_the_own_result_stays(
     for lender, part in zip(("near", "late", "far"), said, strict=True):
         before, after, postures = own_errors_mg(path, report(out, f"good/{lender}")["calibration"])
         assert after > 10
-        start = f"ith the coefficients of {folder}/good/{lender}.raw: "
+        start = f"ith the coefficients of {lender}.raw: "
         assert part.startswith(start) and part.endswith(f"{why}.")
         told = re.match(r"([\d.]+) mg become ([\d.]+) mg in (\d+) orientations", part.removeprefix(start))
         assert told is not None

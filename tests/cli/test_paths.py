@@ -1,0 +1,102 @@
+"""Results do not depend on how a path was typed, and a report leads back to its recording."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.cli.run import assert_one_line, run
+from tests.recordings import good_csv, good_raw
+
+Capture = pytest.CaptureFixture[str]
+
+
+def without_provenance(path: Path) -> dict:
+    report = json.loads(path.read_text())
+    del report["provenance"]
+    return report
+
+
+def test_p8_relative_absolute_and_linked_paths_give_the_same_bytes(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Parquet to the byte, reports but for the provenance; through a linked folder, a link, and `..`."""
+    folder = tmp_path / "data"
+    folder.mkdir()
+    path = good_csv(folder)
+    (tmp_path / "linked").symlink_to(folder)
+    (tmp_path / "links").mkdir()
+    (tmp_path / "links/good.csv").symlink_to(path)
+    monkeypatch.chdir(folder)
+    typed = [
+        "good.csv",
+        path,
+        "./good.csv",
+        "../data/good.csv",
+        "../linked/good.csv",
+        tmp_path / "links/good.csv",
+    ]
+    found = []
+    for number, words in enumerate(typed):
+        out = tmp_path / f"out{number}"
+        assert run(capsys, "calibrate", words, "-d", out, "-q").code == 0
+        report = without_provenance(out / "good.calibration.json")
+        found.append(((out / "good.calibrated.parquet").read_bytes(), json.dumps(report)))
+        assert report["recording"]["path"] == "good.csv"
+        assert run(capsys, "calibrate", path, "-d", out).err.count("up to date") == 1  # whichever was typed
+    assert len(set(found)) == 1
+
+
+def test_p8_a_folder_a_pattern_and_coefficients_are_names_too(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, donor = good_raw(tmp_path), tmp_path / "c"
+    assert run(capsys, "calibrate", path, "-d", donor, "-q").code == 0
+    monkeypatch.chdir(tmp_path)
+    found = []
+    for number, coefficients in enumerate([donor / "good.calibration.json", "c/good.calibration.json"]):
+        out = tmp_path / f"out{number}"
+        words = ("apply", "--coefficients", coefficients, "good.raw", "-d", out, "-q")
+        assert run(capsys, *words).code == 0
+        found.append(without_provenance(out / "good.calibration.json"))
+        monkeypatch.chdir("/")
+        assert run(capsys, "verify", out / "good.calibration.json", path).code == 0
+        monkeypatch.chdir(tmp_path)
+    assert found[0] == found[1] and found[0]["coefficients"]["path"] == "good.calibration.json"
+
+
+def test_a_report_of_another_recording_of_the_name_is_not_replaced(tmp_path: Path, capsys: Capture) -> None:
+    """The report holds no folder; its provenance says where the recording was."""
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    one, other = good_csv(tmp_path / "a"), good_raw(tmp_path / "b")
+    out = tmp_path / "out"
+    assert run(capsys, "calibrate", one, "-d", out, "-q").code == 0
+    ran = run(capsys, "calibrate", other, "-d", out, "-q")
+    assert ran.code == 5 and "is the report of another recording" in ran.err
+    one.write_text(one.read_text() + "2024-03-05T00:00:00,0,0,1\n")  # the same place: changed, not another
+    assert run(capsys, "calibrate", one, "-d", out, "-q").code == 0
+
+
+def test_verify_finds_the_recording_that_the_report_names(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = good_csv(tmp_path)
+    assert run(capsys, "calibrate", path, "-d", tmp_path / "out", "-q").code == 0
+    report = tmp_path / "out/good.calibration.json"
+    assert run(capsys, "verify", report).out.split("\t")[1] == "identical"  # where it was
+    moved = tmp_path / "moved"
+    moved.mkdir()
+    for one in (path, report, tmp_path / "out/good.calibrated.parquet"):
+        shutil.move(one, moved)
+    monkeypatch.chdir(moved)
+    assert run(capsys, "verify", "good.calibration.json").out.split("\t")[1] == "identical"  # next to it
+    (moved / "good.csv").unlink()
+    ran = run(capsys, "verify", "good.calibration.json")
+    assert ran.code == 2
+    assert_one_line(
+        ran, "its recording, good.csv, is not next to it; accelcal verify good.calibration.json RECORDING"
+    )
