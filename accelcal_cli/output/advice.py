@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from accelcal_cli.core.clock import iso_time
+from accelcal_cli.core.local_time import NO_START
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import NEAR_ONE_G, Facts, Judgement, Outcome, sides_not_up
 from accelcal_cli.core.settings import DEFAULT, PAPER
@@ -37,10 +38,14 @@ ODD_REST = (
 RAW_SETTLED = (Outcome.ALREADY_GOOD, Outcome.PROVISIONAL)
 """Outcomes that say themselves how a result compares with the raw data, more sharply than its interval."""
 
+LIKELY_YEARS = ("1990", "2036")
+"""First year in which a recording may begin, and the first one in which it may not: clocks that were never
+set, or overflowed, begin in 1980, 2036, 2079 or 2106."""
+
 EMPTY_FROM_PERCENT = 0.1
 """Share of rows without values [%] from which on it is told."""
 
-MILD = ("sides_unchecked", "not_converged", "rows_without_values")
+MILD = ("sides_unchecked", "not_converged", "rows_without_values", "unlikely_year")
 """Codes of cautions that a good result may have."""
 
 
@@ -115,9 +120,13 @@ def of_file(
 
 
 def of_rows(facts: Facts) -> list[Reason]:
-    """Return the cautions that rows hold no values, and that the clock was reset."""
+    """Return the cautions of rows without values, of an unlikely year, and of a clock that was reset."""
     share = 100 * facts.empty_rows / max(1, facts.empty_rows + facts.samples)
     found = []
+    dated = facts.first_us is not None and all(one.code != NO_START for one in facts.problems)
+    start = iso_time(facts.first_us, None) or ""
+    if dated and not LIKELY_YEARS[0] <= start[:4] < LIKELY_YEARS[1]:
+        found.append(Reason.of("unlikely_year", start=start[:19]))
     if share >= EMPTY_FROM_PERCENT:
         found.append(Reason.of("rows_without_values", empty_percent=share, empty_rows=facts.empty_rows))
     if not facts.resets:

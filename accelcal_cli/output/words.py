@@ -384,6 +384,8 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "sleep, or rows of zeros). They take no part in the calibration or in means.",
     "rows_without_values": "{empty_percent:.1f} % of the rows hold no values ({empty_rows:n row}), as where "
     "the device was not worn. They are gaps.",
+    "unlikely_year": "The recording begins in {start:time}, as where a clock was never set or overflowed. "
+    "Correct its times with --shift. The calibration does not need them.",
     "clock_reset": "The clock was reset: it jumps from {before:time} to {after:time} at sample {sample} "
     "({resets:n reset} in all). Times on one side of that are wrong. The calibration does not need them.",
     "scatter_over_limit": "The still windows scatter by {scatter_mg:mg} mg. Check --stillness.",

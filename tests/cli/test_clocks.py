@@ -75,6 +75,18 @@ def test_t3_a_clock_that_was_reset_is_a_stretch_of_its_own(tmp_path: Path, then:
     assert report["file_health"]["clock"]["gap_seconds"] == 0
 
 
+@pytest.mark.parametrize(
+    ("year", "unlikely"), [("1970", 1), ("1980", 1), ("2036", 1), ("2106", 1), ("1990", 0), ("2035", 0)]
+)
+def test_t11_a_year_in_which_nobody_records_has_a_caution(tmp_path: Path, year: str, unlikely: int) -> None:
+    path = tmp_path / "a.csv"
+    with_clock(path, [np.datetime64(f"{year}-03-04", "us").astype(np.int64)])
+    assert exit_code("calibrate", path, "-d", tmp_path, "-q") == 0
+    report = json.loads((tmp_path / "a.calibration.json").read_text())
+    assert codes(report["cautions"]).count("unlikely_year") == unlikely
+    assert not unlikely or f"begins in {year}-03-04T00:00:00" in told(report, "unlikely_year")
+
+
 @pytest.mark.nightly
 @settings(max_examples=25, deadline=None)
 @given(

@@ -160,6 +160,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "few_orientations_differ_in_temperature": [{}],
     "few_still_stretches": [{}],
     "rows_without_values": [{"empty_percent": 60.0, "empty_rows": 5400}],
+    "unlikely_year": [{"start": "2079-06-06T00:00:00"}],
     "clock_reset": [
         {"sample": 8960, "before": "2024-03-04T00:02:59.2", "after": "2000-01-01T00:00:00.0", "resets": 1}
     ],

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.clock import MICROSECONDS, iso_time
 from accelcal_cli.core.door import has_file
 from accelcal_cli.core.errors import UnreadableError, UsageError, counted, printable
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions, agreed_rate
@@ -410,7 +410,7 @@ def _find_pace(stamps: NDArray[np.int64], user_hz: float | None, path: Path) -> 
     pace = shared_pace(stamps) if shares_stamps(stamps) else _pace_of_single_stamps(stamps)
     if pace is None and user_hz is None:
         raise UnreadableError(
-            "the sampling rate cannot be found from the times of its rows",
+            f"the sampling rate cannot be found from the times of its rows{_alike(stamps)}",
             path=path,
             hint="give it with --rate",
         )
@@ -423,6 +423,13 @@ def _find_pace(stamps: NDArray[np.int64], user_hz: float | None, path: Path) -> 
             hint="omit --rate, or ignore the times with --time-column none",
         )
     return Pace(user_hz, pace.stamp_period_us)
+
+
+def _alike(stamps: NDArray[np.int64]) -> str:
+    """Return what is wrong with times (n,) that show no rate, for a message."""
+    if not len(stamps):
+        return ": none of the first ones exists"
+    return f": {iso_time(int(stamps[0]), None)} in each of the first {len(stamps)}" * (not np.ptp(stamps))
 
 
 def _agreeing_pace(stamps: NDArray[np.int64], header_hz: float, path: Path) -> Pace:

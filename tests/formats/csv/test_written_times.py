@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.written_times import (
     is_date,
@@ -325,3 +326,68 @@ def test_dates_and_their_patterns() -> None:
         "ymd",
         None,
     )
+
+
+@pytest.mark.parametrize("year", [1, 1601, 1980, 2036, 2262, 9999])
+def test_h17_any_year_of_the_calendar_is_read(tmp_path: Path, year: int) -> None:
+    first = datetime(year, 3, 4)
+    cells = [f"{moment.isoformat(' ', 'milliseconds')}" for moment in _moments(first)]
+    _check(read(written(tmp_path, _table(cells))), None, first)
+
+
+@pytest.mark.parametrize("text", ["0001-01-01 00:00:00", "9999-12-31T23:59:59", "2024-03-04 00:00:00"])
+def test_h17_times_that_stand_still_are_shown(tmp_path: Path, text: str) -> None:
+    with pytest.raises(UnreadableError, match=f"rows: {text[:10]}T{text[11:]}.* in each of the first 90"):
+        read(written(tmp_path, _table([text] * 90)))
+
+
+def test_h17_a_leap_second_in_the_times(tmp_path: Path) -> None:
+    """Rows of the second 60 are those of the next minute's first, which comes again."""
+    minutes = [("2016-12-31 23:59", second) for second in range(50, 61)]
+    minutes += [("2017-01-01 00:00", second) for second in range(60)]
+    cells = [f"{minute}:{second:02d}.{tenth}" for minute, second in minutes for tenth in range(10)]
+    found = read(written(tmp_path, _table(cells)), 33)
+    assert len(found.times) == 710 and found.codes == ["clock_back"]
+    assert found.times[100] == _us(datetime(2017, 1, 1))
+
+
+@pytest.mark.parametrize(
+    ("name", "zone"),
+    [
+        ("Timestamp UTC", "UTC"),
+        ("time (UTC)", "UTC"),
+        ("utc_time", "UTC"),
+        ("TimestampUTC", "UTC"),
+        ("time [GMT+1]", "+01:00"),
+        ("timestamp (+0530)", "+05:30"),
+        ("time (Europe/Berlin)", "Europe/Berlin"),
+        ("timestamp", None),
+        ("local time", None),
+    ],
+)
+@pytest.mark.parametrize("form", ["ISO with T", "MATLAB"])
+def test_t11_the_zone_in_the_name_of_the_column(
+    tmp_path: Path, name: str, zone: str | None, form: str
+) -> None:
+    text = _table([FORMS[form](moment) for moment in _moments()]).replace("time;", f"{name};", 1)
+    _check(read(written(tmp_path, text)), zone)
+
+
+CASES = {
+    "19_biobank_times.csv.gz": ("2024-03-14T10:41:40.000000", "UTC", 360),
+    "21_matlab_times.csv.gz": ("2024-03-14T10:41:40.000000", None, 360),
+    "22_comma_before_milliseconds.csv.gz": ("2024-03-14T10:41:40.000000", None, 360),
+    "24_hhmmss.csv.gz": (None, None, 360),
+    "26_actigraph_year_first_slash.csv.gz": ("2024-03-04T10:00:00.000000", None, 360),
+    "27_actigraph_month_name.csv.gz": ("2024-03-04T10:00:00.000000", None, 360),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_t6_t8_the_cases(real_data: Path, name: str) -> None:
+    start, zone, seconds = CASES[name]
+    found = read(real_data / "cases" / name)
+    about = found.recording
+    assert (iso_time(about.start_us, None), about.timezone) == (start, zone)
+    assert found.times[-1] - found.times[0] == round(1e6 * (seconds - 1 / about.rate_hz))
+    assert [code for code in found.codes if code != "no_start_time"] == []
