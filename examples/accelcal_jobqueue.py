@@ -1,6 +1,6 @@
 """Runs a study on up to 20 Slurm jobs, as needed: `python accelcal_jobqueue.py FOLDER OUT [OPTION...]`.
 
-Needs `pip install 'accelcal[dask]' dask-jobqueue`. Runs until the study is done, on a login node or in a job.
+Needs `pip install distributed dask-jobqueue`. Runs until the study is done, on a login node or in a job.
 """
 
 import subprocess

@@ -9,7 +9,7 @@ PARTS = {
     "methods": "Every optimizer on the same points of each recording (Table 3 in the paper).",
     "stillness": "Every stillness rule on the same recordings.",
     "segments": "Calibrate segments, and compare their error estimates with the rest of the recording.",
-    "duration": "Calibration error by hours of wear; what a refused recording lacks.",
+    "duration": "Calibration error by hours of wear, and how many hours a refused recording lacks.",
     "homogeneity": "Compare devices that were moved together, raw and calibrated.",
     "smoothing": "Noise at rest after a rolling mean or median (Table 1 of Grammenos et al. 2018).",
     "gravity": "Standard versus local gravity (Table 8 of Grammenos et al. 2018).",

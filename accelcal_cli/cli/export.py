@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,13 @@ from accelcal_cli.core.errors import AccelcalError, OutputError, UsageError, cou
 from accelcal_cli.core.system import cpus
 from accelcal_cli.exports.rows import WIDEST
 from accelcal_cli.output.files import exists, write_text
-from accelcal_cli.pipeline.jobs import refuse_dash, refuse_nameless, refuse_overwriting
+from accelcal_cli.pipeline.jobs import (
+    PARQUET_SUFFIX,
+    REPORT_SUFFIX,
+    refuse_dash,
+    refuse_nameless,
+    refuse_overwriting,
+)
 
 if TYPE_CHECKING:
     from accelcal_cli.exports.data import ExportedData, ExportOptions
@@ -95,6 +102,15 @@ def command(files: tuple[Path, ...], **values: Any) -> int:
     return _data(files, values)
 
 
+def _refuse_other_kind(path: Path, form: str) -> None:
+    """Raise UsageError for data where a report is needed, or the other way round, naming the other file."""
+    kinds = [(DATA, PARQUET_SUFFIX, "calibrated data"), (COEFFICIENTS, REPORT_SUFFIX, "a report")]
+    (_, suffix, needed), (_, given, _) = kinds[::-1] if form in COEFFICIENTS else kinds
+    if path.name.endswith(given):
+        other = shlex.quote(printable(path.with_name(path.name.removesuffix(given) + suffix)))
+        raise UsageError(f"--to {form} needs {needed}", path=path, hint=f"give {other} instead")
+
+
 def _coefficients(files: tuple[Path, ...], values: dict[str, Any]) -> int:
     from accelcal_cli.exports.selection import select
 
@@ -103,6 +119,8 @@ def _coefficients(files: tuple[Path, ...], values: dict[str, Any]) -> int:
         if values[name] is not None and values[name] is not False:
             option = f"--{name.removesuffix('_hz').replace('_', '-')}"
             raise UsageError(f"{option} is for data (--to {', '.join(DATA)})", hint="omit it")
+    for path in files:
+        _refuse_other_kind(path, form)
     if output is not None:
         _refuse((output,), files, force=values["force"])
     reports = select(files, data=False)
@@ -216,8 +234,11 @@ def _data(files: tuple[Path, ...], values: dict[str, Any]) -> int:
     form, output = WRITTEN_AS.get(values["form"], values["form"]), values["output"]
     if len(files) > 1 or is_folder(files[0]):
         raise UsageError("several recordings need a folder", hint="name one with -d instead of -o")
+    _refuse_other_kind(files[0], form)
     if output is None:
-        raise UsageError(f"--to {form} writes a file, which needs a name", hint="give one with -o")
+        name = shlex.quote(printable(f"{files[0].name.removesuffix(PARQUET_SUFFIX)}.{form}"))
+        hint = f"add -o {name}" if form in ("csv", "npz", "parquet") else "give one with -o"
+        raise UsageError(f"--to {form} writes a file, which needs a name", hint=hint)
     _refuse(outputs_of(form, output), files, force=values["force"])
     wanted = ExportOptions(output, values["resample_hz"], values["measured_only"], values["smooth"])
     with progress_bars(files[0].name, quiet=values["quiet"], unit="") as bars:

@@ -11,7 +11,7 @@ import click
 
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.help import Command
-from accelcal_cli.cli.output import bytes_of
+from accelcal_cli.cli.output import bytes_of, counted_once
 from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
@@ -93,7 +93,7 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
     if about["lsb_per_g"] >= FLOAT_LSB_PER_G:
         scale = "decimal values, in steps of 2^-24 g"
     hours = None if about["duration_s"] is None else f"{about['duration_s'] / 3600:.2f} h"
-    problems = [f"{one['code']}: {one['message']}" for one in shown["file_health"]["problems"][:5]]
+    problems = counted_once((one["code"], one["message"]) for one in shown["file_health"]["problems"])[:5]
     lines = [
         about["path"],
         f"  format       {about['format']}, {about['bytes']} bytes",
@@ -128,9 +128,8 @@ def _values(values: dict[str, Any] | None) -> list[str]:
     rest = values["rest"]
     if rest is not None:
         low, middle, high = (rest[name] for name in ("p5_g", "median_g", "p95_g"))
-        lines += [
-            f"  at rest      |a| {low:.3f} to {high:.3f} g in nine windows of ten, median {middle:.3f} g"
-        ]
+        spread = f"5th to 95th percentile {low:.3f} to {high:.3f} g"
+        lines += [f"  at rest      |a|: median {middle:.3f} g, {spread}"]
     return lines
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.core.errors import AccelcalError, UsageError, printable
+from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output import words
@@ -18,7 +20,17 @@ from accelcal_cli.output.advice import LIMIT_MG, RAW_SETTLED, advice, cautions, 
 from accelcal_cli.output.numbers import formatted, mg, percent, times_smaller
 from accelcal_cli.output.report_view import ReportView, error_columns, factor_columns
 from accelcal_cli.output.words import outcome_words, parameters_of
-from accelcal_cli.pipeline.jobs import STDIN, Job, Progress, ProgressMaker, Result, no_progress, spooled
+from accelcal_cli.pipeline.jobs import (
+    PAGE_SUFFIX,
+    REPORT_SUFFIX,
+    STDIN,
+    Job,
+    Progress,
+    ProgressMaker,
+    Result,
+    no_progress,
+    spooled,
+)
 
 ALWAYS_SAID = ("cut_short", "nothing_checks_poses", "roll_alone_checks_poses", "worse_here", "much_left")
 """Codes of cautions that even a quiet run prints."""
@@ -228,7 +240,7 @@ def run_jobs(
         values: the options `quiet`, `verbose` and `as_json`.
         written: the output that a result's line names.
     """
-    codes = []
+    codes, outcomes = [], []
     for job in jobs:
         try:
             with (
@@ -248,7 +260,24 @@ def run_jobs(
             show_result(result.view, result.job.source, written(result), values)
         _comment(result, values)
         codes.append(exit_codes.REFUSED if result.outcome is Outcome.REFUSED else exit_codes.OK)
+        outcomes.append(result.outcome)
+    pages = bool(values.get("html"))
+    if (len(jobs) > 1 or (pages and outcomes)) and _in_words(values) and not values["quiet"]:
+        exit_codes.show(_sum_of(jobs, outcomes, pages=pages))
     return exit_codes.of_all(codes)
+
+
+def _sum_of(jobs: Sequence[Job], outcomes: Sequence[Outcome], *, pages: bool) -> str:
+    """Sum up several recordings in one line, and name the pages or the command that makes them."""
+    if len(jobs) == 1:
+        return f"Page: {printable(jobs[0].page)}"
+    numbers = Counter(str(one).replace("_", " ") for one in outcomes)
+    numbers["failed"] = len(jobs) - len(outcomes)
+    counts = ", ".join(f"{number} {name}" for name, number in numbers.items() if number)
+    folders = dict.fromkeys(shlex.quote(str(job.report.parent)) for job in jobs)
+    made = " ".join(f"{folder}/*{PAGE_SUFFIX if pages else REPORT_SUFFIX}" for folder in folders)
+    page = f"Pages: {made}" if pages else f"For pages: accelcal report {made}"
+    return printable(f"{counted(len(jobs), 'recording')}: {counts}. {page}")
 
 
 @contextlib.contextmanager
@@ -269,6 +298,21 @@ def bytes_of(recording: Path) -> Iterator[Path]:
         except AccelcalError as error:
             error.path = STDIN if error.path == copy else error.path
             raise
+
+
+def counted_once(problems: Iterable[tuple[str, str]]) -> list[str]:
+    """Return problems, by code and message, as texts; those that differ in their number alone are one."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for code, message in problems:
+        stem, mark, number = message.rpartition(": ")
+        countable = mark and number.isdecimal()
+        found.setdefault((code, stem if countable else message), []).append(number if countable else "")
+    return [_in_all(code, stem, numbers) for (code, stem), numbers in found.items()]
+
+
+def _in_all(code: str, stem: str, numbers: list[str]) -> str:
+    total = f": {sum(map(int, numbers))}" if numbers[0] else ""
+    return f"{code}: {stem}{total}{f', in {len(numbers)} places' if len(numbers) > 1 else ''}"
 
 
 def _grave(report: ReportView) -> list[Reason]:
@@ -301,11 +345,11 @@ def _comment(result: Result, values: dict[str, Any]) -> None:
         return
     if result.up_to_date:
         exit_codes.say(f"{name}: up to date")
-    problems = report.file_health.problems
-    for problem in problems if values["verbose"] else problems[:1]:
+    problems = counted_once((one.code, one.message) for one in report.file_health.problems)
+    for text in problems if values["verbose"] else problems[:1]:
         omitted = 0 if values["verbose"] else len(problems) - 1
         more = f" (and {omitted} more; see the report)" if omitted else ""
-        exit_codes.say(f"{name}: {problem.code}: {problem.message}{more}")
+        exit_codes.say(f"{name}: {text}{more}")
     if values["verbose"]:
         if result.outcome is not Outcome.REFUSED:
             exit_codes.say(f"{name}: {report.message}")

@@ -49,9 +49,9 @@ def study_pages(out: Path, *, force: bool, quiet: bool) -> int:
 
     made = write_study_pages(out, force=force)
     if not quiet:
-        own = "" if made.changed else " (unchanged)"
-        pages = f"{counted(made.made, 'page')} of recordings made, {made.kept} unchanged"
-        exit_codes.say(f"{printable(made.page)}{own}; {pages}")
+        own = "Wrote" if made.changed else "Unchanged:"
+        kept = f" ({made.kept} unchanged)" if made.kept else ""
+        exit_codes.say(f"{own} {printable(made.page)} and {counted(made.made, 'recording page')}{kept}")
     for fault in made.faults:
         exit_codes.say(fault)
     return exit_codes.SOME_FAILED if made.faults else exit_codes.OK

@@ -297,9 +297,9 @@ def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, value
         counts += [f"{summary.copies} copied from others"] if summary.copies else []
         more = {"unchanged": summary.up_to_date, "not started": summary.waiting}
         counts += [f"{number} {name}" for name, number in more.items() if number]
-        counts += [counted(summary.left_out, "no recording")] if summary.left_out else []
         counts += [f"{summary.kept} kept, made with other options"] if summary.kept else []
         table = printable(study.out / f"{study.shard.basename}.csv")
         total = ": ".join(filter(None, [counted(len(summary.rows), "recording"), ", ".join(counts)]))
-        exit_codes.say(f"{total}; see {table}")
+        others = f". {counted(summary.left_out, 'other file')} skipped" if summary.left_out else ""
+        exit_codes.say(f"{total}{others}. Results: {table}")
     return exit_codes.SOME_FAILED if unfinished else exit_codes.of_all(observer.codes)

@@ -18,7 +18,7 @@ from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.help import Command
 from accelcal_cli.core.calibration import Transform
 from accelcal_cli.core.door import is_file, is_same
-from accelcal_cli.core.errors import UnreadableError, UsageError, output_error, printable
+from accelcal_cli.core.errors import UsageError, output_error, printable, unread
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.system import ending_signals
 from accelcal_cli.output.files import exists
@@ -112,7 +112,7 @@ class _Signals:
                 raise exit_codes.InterruptedBySignalError
             return os.read(source.fileno(), PIECE_BYTES)
         except OSError as error:
-            raise _unreadable(error, self._recording) from error
+            raise unread(error, self._recording) from error
         finally:
             self._waiting = False
 
@@ -133,17 +133,12 @@ def _input(recording: Path) -> Iterator[BinaryIO]:
     try:
         file = recording.open("rb", buffering=0)
     except OSError as error:
-        raise _unreadable(error, recording) from error
+        raise unread(error, recording) from error
     try:
         yield file
     finally:
         with contextlib.suppress(OSError):  # all that was read is sound
             file.close()
-
-
-def _unreadable(error: OSError, recording: Path) -> UnreadableError:
-    what = f"cannot be read ({error.strerror or error})"
-    return UnreadableError(what, path=recording, hint="check the path and permissions")
 
 
 class _Outputs:

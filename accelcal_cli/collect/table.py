@@ -30,7 +30,7 @@ from accelcal_cli.collect.grid import (
     width_for,
 )
 from accelcal_cli.core.arithmetic import ONE, rounded_quotient
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import UnreadableError, unread
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet, Saturated, Windows
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
@@ -198,9 +198,12 @@ def _frame(path: Path) -> pd.DataFrame:
         raise UnreadableError(
             "a line has more fields than the header line", path=path, hint="give each column a name"
         ) from error
-    except (OSError, EOFError, zlib.error) as error:
-        shown = getattr(error, "strerror", None) or error
-        raise UnreadableError(f"cannot be read ({shown})", path=path) from error
+    except OSError as error:
+        raise unread(error, path) from error
+    except (EOFError, zlib.error) as error:
+        raise UnreadableError(f"cannot be read ({error})", path=path) from error
+    except UnicodeDecodeError as error:
+        raise UnreadableError("is not a CSV or Parquet table", path=path, hint=_HINT) from error
     except (ValueError, pd.errors.ParserError) as error:
         raise UnreadableError(
             f"is not a table of points ({str(error).strip()})", path=path, hint=_HINT

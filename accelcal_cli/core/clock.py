@@ -237,7 +237,7 @@ class ClockReset(NamedTuple):
 
 
 class Stretches:
-    """Follows the times of all rows, and adds up the stretches of a clock that may begin anew.
+    """Follows the times of all rows, and adds up the stretches of a clock that may restart.
 
     A new one begins where it jumps by more than `RESET_US`, or goes back, unless it only returns: to
     a time after the one before the last jump ahead, as after stamps that came late, or after the one

@@ -198,6 +198,14 @@ class FixedPointOverflowError(DivergedError):
     """A value left the range of its fixed-point format; nothing was wrapped."""
 
 
+def unread(error: OSError, path: Path | str) -> UnreadableError:
+    """Return the error to show for a file that cannot be read."""
+    if isinstance(error, FileNotFoundError):
+        return UnreadableError("file not found", path=path, hint="check the path")
+    what = f"cannot be read ({error.strerror or error})"
+    return UnreadableError(what, path=path, hint="check its permissions and its disk")
+
+
 def output_error(error: OSError, path: Path) -> OutputError:
     """Return the error to show for a failed write."""
     hint = "check the folder and its permissions, or choose another with -d"

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.clock import FIRST_US, LAST_US, MICROSECONDS
-from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError, UsageError, listed
+from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError, UsageError, listed, unread
 from accelcal_cli.core.local_time import Retiming, retimed
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.settings import Option, setting, setting_of
@@ -139,8 +139,10 @@ TIMES_OF_TABLES = ("time_column", "date_format", "time_format")
 IF_GIVEN = ("time_format", "start", "shift_s", "configured_zone", "worn_zone", *GYRO_OPTIONS)
 """Options that a report names only if they were given."""
 
-UNUSED = re.compile(r"(--.*) means? nothing for format (\S+) and (?:was|were) not used")
-"""Pattern of a note on unused options; the groups are the options and the format."""
+UNUSED = re.compile(
+    r"(--.*) (?:means? nothing for|do(?:es)? not apply to) format (\S+) and (?:was|were) not used"
+)
+"""Pattern of a note on unused options, in reports of all versions; groups: the options, the format."""
 
 
 def option_name(name: str) -> str:
@@ -157,14 +159,15 @@ def without(options: ReadOptions, names: Iterable[str]) -> ReadOptions:
 
 
 def mean_nothing(names: Sequence[str]) -> str:
-    """Return some options and a verb: `--unit and --columns mean nothing`."""
-    return f"{listed([option_name(name) for name in names])} {'means' if len(names) == 1 else 'mean'} nothing"
+    """Return some options and a verb: `--unit and --columns do not apply`."""
+    verb = "does not apply" if len(names) == 1 else "do not apply"
+    return f"{listed([option_name(name) for name in names])} {verb}"
 
 
 def unused_note(names: Sequence[str], format_name: str) -> str:
     """Return the note of a recording for which some options mean nothing."""
     verb = "was" if len(names) == 1 else "were"
-    return f"{mean_nothing(names)} for format {format_name} and {verb} not used"
+    return f"{mean_nothing(names)} to format {format_name} and {verb} not used"
 
 
 def noted_unused(recording: Mapping[str, Any]) -> tuple[str, ...]:
@@ -294,9 +297,7 @@ def probe_file(path: Path, options: ReadOptions) -> Probe:
         if compressed:
             head = read_gzip_head(path)
     except OSError as error:
-        raise UnreadableError(
-            f"cannot be read ({error.strerror or error})", path=path, hint="check the path and permissions"
-        ) from error
+        raise unread(error, path) from error
     return Probe(path, head, size, compressed, options)
 
 

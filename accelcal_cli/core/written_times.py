@@ -169,7 +169,8 @@ def read_date(text: str, order: str | None = None) -> date | None:
 
 
 def _with_month(numbers: list[str], month: int, order: str | None) -> date | None:
-    """Return the date of a day and a year beside the name of a month; of two digits, the year is the last."""
+    """Return the date of a day and a year next to the name of a month; of two digits, the year is the
+    last."""
     first, last = numbers
     if len(first) == 4 or (order == "ymd" and len(first) == len(last) == 2):
         first, last = last, first

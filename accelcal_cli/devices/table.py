@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -14,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.door import is_file, matching
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.door import is_file, is_folder, matching
+from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.report_view import ERROR_COLUMNS
@@ -213,8 +214,13 @@ def _check_there(path: Path) -> None:
         raise UsageError(
             "does not exist; only shards have been run", path=path, hint="run the study with --collect first"
         )
-    hint = "give the folder that was given to `accelcal study` with -d, or run the study first"
-    raise UsageError("does not exist", path=path, hint=hint)
+    folder, reports = path.parent, "*.calibration.json"
+    if not is_folder(folder):
+        raise UsageError("does not exist", path=folder, hint="check the path")
+    hint = "give the folder that was given to accelcal study with -d, or run the study first"
+    if matching(folder, reports):
+        hint += f"; for pages of single reports: accelcal report {shlex.quote(printable(folder))}/{reports}"
+    raise UsageError(f"is not the output folder of a study: no {path.name}", path=folder, hint=hint)
 
 
 def _not_ours(path: Path, names: list[str], missing: list[str]) -> UnreadableError:

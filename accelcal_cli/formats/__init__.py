@@ -82,10 +82,9 @@ def find_format(path: Path, options: ReadOptions) -> Format:
         refuse_not_recordings(probe)
     if confidence == 0:
         raise NoFormatError(
-            "its content matches no known format",
+            "format not recognised",
             path=path,
-            byte_offset=0,
-            hint="name one with --format, or describe a raw dump with --layout",
+            hint="name it with --format, or describe a raw dump in a layout file (--layout)",
         )
     return item
 
@@ -194,7 +193,7 @@ def _refuse_options(names: Sequence[str], formats: Sequence[str], path: Path | N
     """Raise UsageError if any options are named, which mean nothing for these formats."""
     if names:
         kinds, them = "formats" if len(formats) > 1 else "format", "it" if len(names) == 1 else "them"
-        text = f"{mean_nothing(names)} for {kinds} {listed(formats)}"
+        text = f"{mean_nothing(names)} to {kinds} {listed(formats)}"
         hint = f"omit {them}, or name the format with --format if it is another"
         raise UsageError(text, path=path, hint=hint)
 

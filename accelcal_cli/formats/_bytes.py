@@ -18,7 +18,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import UnreadableError, unread
 from accelcal_cli.core.formats import GZIP_MAGIC
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.recording import Closing
@@ -164,7 +164,7 @@ class ByteSource(Closing):
         return part
 
     def _unreadable(self, error: OSError) -> UnreadableError:
-        return UnreadableError(f"cannot be read ({error.strerror or error})", path=self.path)
+        return unread(error, self.path)
 
 
 class GzipFault(Enum):

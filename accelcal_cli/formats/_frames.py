@@ -27,8 +27,8 @@ FIRST_ROWS = 1 << 16
 AFTER_BYTES = 8
 """Bytes after the announced frames that an intake keeps."""
 
-CUT_OFF = "bytes of an incomplete sample at the end of the file, left out"
-BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomplete sample, left out"
+CUT_OFF = "an incomplete sample at the end of the file, bytes left out"
+BROKEN_OFF = "the compressed data is damaged or ends early; an incomplete sample, bytes left out"
 NEVER_CAME = "samples that the file announces are missing at its end"
 
 

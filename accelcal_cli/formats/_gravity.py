@@ -30,7 +30,7 @@ def guess_unit(values: NDArray[np.float64], path: Path) -> str:
         if unit.rest[0] <= median <= unit.rest[1]:
             return name
     raise UnreadableError(
-        f"the unit of the acceleration is not clear (its usual length is {median:g})",
+        f"cannot tell the unit: the median length of the acceleration is {median:.4g}",
         path=path,
         hint=GIVE_UNIT + likely_counts(median),
     )

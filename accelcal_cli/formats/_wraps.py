@@ -1,8 +1,9 @@
 """Makes the times of a table run on where its clock shows less than the time: counters that wrap, lost days.
 
-A counter of 16, 24 or 32 bits begins anew after so many ticks. A logger may write the date of its start all
-night, or hours of a 12-hour clock without AM or PM. `find_wraps` says, by the first rows, by what such
-times may jump back and still run on; `RunningOn` puts them in order. A jump is taken for one of these only
+A counter of 16, 24 or 32 bits starts again after 2^16, 2^24 or 2^32 ticks. A logger may write the date of its
+start all night, or hours of a 12-hour clock without AM or PM. `find_wraps` says, by the first rows, by what
+such times may jump back and still run on; `RunningOn` puts them in order. A jump is treated as one of these
+only
 if no other reading of it is likely: the time after it has to be where the clock would have been.
 """
 
@@ -30,7 +31,7 @@ DAY_US = 24 * HOUR_US
 LONG_US = 60 * MICROSECONDS
 """Length of a cycle from which on a second may be missing where it ends."""
 
-READ_ON = "the times begin anew{jump} before line {line}{repeated}: read as those of a clock that runs on"
+READ_ON = "the times start again{jump} before line {line}{repeated}: read as those of a clock that runs on"
 TWELVE_HOURS = (
     "the hours before line {line}{repeated} are those of a 12-hour clock without AM or PM, read as those of "
     "a clock that runs on; add --shift 43200 if its first time is in the afternoon"
@@ -38,12 +39,12 @@ TWELVE_HOURS = (
 HALF_DAYS_US = (DAY_US // 2, -DAY_US)
 
 TIMES_OF_DAY, DATES = "times of day", "dates"
-"""What texts of times hold."""
+"""Contents of texts of times."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wraps:
-    """What a clock may do.
+    """Jumps that a clock may make while time runs on.
 
     Attributes:
         cycles: (cycle, longest) [us]: if the times jump back by a cycle less at most `longest`, they run on.
@@ -85,7 +86,7 @@ def _longest(cycle_us: int, near_us: int, back: NDArray[np.int64]) -> int:
 
 
 def text_of(jump_us: int) -> str:
-    """Return the text of the problem that times were read on by so much, for a line of a text file."""
+    """Return the text of the problem that times were read on by a jump, for a line of a text file."""
     return TWELVE_HOURS if jump_us in HALF_DAYS_US else READ_ON
 
 

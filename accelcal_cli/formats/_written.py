@@ -209,5 +209,5 @@ def strptime_form(text: str) -> Written:
     try:
         re.compile(pattern)
     except re.error as error:
-        raise ValueError("a directive stands twice") from error
+        raise ValueError("a directive is used twice") from error
     return Written(f"^{pattern}$", directives=tuple(directives))

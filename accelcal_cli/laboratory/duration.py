@@ -243,8 +243,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     Segments of each length are calibrated as if they were all there is: the share with a calibration, and
     with a provisional one, the mean and the 90th percentile of their error over all orientations against the
     calibration of the rest of the recording, the error that their reports claim, and that of raw data. Kinds
-    of devices are apart, by model and by the wear site if the name of the file or folder has it. Of a
-    recording that is refused, what it lacks, and how many more hours usually bring it.
+    of devices are apart, by model and by the wear site if the name of the file or folder has it. For
+    a refused recording, shows what it lacks, and how many more hours usually bring it.
     """
     refuse_both(as_json=values["as_json_"], as_csv=values["as_csv"])
     reading, settings = read_options(values), chosen_settings(values)

@@ -20,7 +20,7 @@ from typing import Any
 
 from accelcal_cli.core.calibration import FIRST_NAMES
 from accelcal_cli.core.door import look
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import UnreadableError, unread
 from accelcal_cli.output.files import looking_at, parsed
 from accelcal_cli.output.report_view import ReportRecording, record
 
@@ -151,9 +151,7 @@ def document_bytes(path: Path) -> bytes:
         with path.open("rb") as file:
             data = file.read(LARGEST_BYTES + 1)
     except OSError as error:
-        raise UnreadableError(
-            f"cannot be read ({error.strerror or error})", path=path, hint="check the path and permissions"
-        ) from error
+        raise unread(error, path) from error
     if len(data) > LARGEST_BYTES:
         raise UnreadableError("is too large for a report", path=path, hint=NAME_ONE)
     return data

@@ -310,9 +310,9 @@ def need_temperature(calibration: Calibration, recording: Recording, *, has: boo
     """Raise UsageError if a calibration has slopes but the recording no temperature."""
     if calibration.temperature is not None and not has:
         raise UsageError(
-            "has no temperature, but the coefficients have slopes",
+            "has no temperature, but the coefficients depend on it",
             path=recording.path,
-            hint=f"--no-temperature uses them as they are at {calibration.reference_c():.1f} C",
+            hint=f"--no-temperature applies them as at {calibration.reference_c():.1f} °C",
         )
 
 

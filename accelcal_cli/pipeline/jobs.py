@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from accelcal_cli.core.door import is_file, is_folder, look
-from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable
+from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable, unread
 from accelcal_cli.core.formats import IF_GIVEN, ReadOptions, without
 from accelcal_cli.core.input_files import ANY, ARCHIVES, files_of, is_pattern
 from accelcal_cli.core.results import Outcome
@@ -198,9 +198,10 @@ def refuse_misnamed(output: Path, suffix: str) -> None:
     """Raise UsageError for an output without a name, or with one that promises another kind of file."""
     refuse_nameless(output)
     if output.suffix.lower() not in ("", suffix):
-        kind = suffix[1:].upper() if suffix == JSON else "Parquet"
-        hint = f"give a name that ends in {suffix}, such as {printable(output.with_suffix(suffix))}"
-        raise UsageError(f"{printable(output)} would be a {kind} file, not {output.suffix}", hint=hint)
+        hint = f"use {shlex.quote(printable(output.with_suffix(suffix)))}"
+        if suffix == PARQUET:
+            hint += "; for CSV, calibrate first and then use accelcal export --to csv"
+        raise UsageError(f"{printable(output)} has to end in {suffix}", hint=hint)
 
 
 def refuse_overwriting(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
@@ -254,7 +255,7 @@ def sha256(path: Path) -> str:
                 digest.update(block[:size])
             return digest.hexdigest()
     except OSError as error:
-        raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
+        raise unread(error, path) from error
 
 
 def file_stamp(path: Path) -> FileStamp | None:
@@ -374,9 +375,11 @@ class Request:
                 not asked for.
         """
         if not self.parts and is_folder(path) and not is_export(path):
-            hint = f"accelcal study {shlex.quote(printable(path))} -d OUT calibrates all recordings in it; "
-            more = "with --parts it is read as the parts of one"
-            raise UnreadableError("is a folder, not a recording", path=path, hint=hint + more)
+            hint = (
+                f"to calibrate the recordings in it: accelcal study {shlex.quote(printable(path))} -d OUT; "
+            )
+            more = "if its files are parts of one recording, add --parts"
+            raise UnreadableError("is a folder", path=path, hint=hint + more)
         said = self.choices_of(path)
         options = with_stated(self.options, said, path)
         unused = unused_options(path, options) if self.several or said else ()

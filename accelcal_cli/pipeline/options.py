@@ -246,8 +246,8 @@ def fit_settings(values: dict[str, Any], chosen: Settings = DEFAULT, *, in_study
     prior = _prior(changed, values.get("prior"))
     if prior in LEARNT_PRIORS and not in_study:
         raise UsageError(
-            f"--prior {prior} is learnt from other recordings",
-            hint="use it with `accelcal study FOLDER -d OUT`",
+            f"--prior {prior} uses other recordings and is available in a study only",
+            hint=f"use accelcal study FOLDER -d OUT --prior {prior}",
         )
     recalibrate = _recalibrate(changed, values.get("recalibrate"))
     temperature = changed.temperature and not values["no_temperature"]

@@ -14,11 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.segment.adaptive import AdaptiveRule
 from accelcal_cli.segment.segmenter import Blocks, Rule, ShortGaps, centred_squares
 
+FEWEST_SAMPLES = 2
+"""Samples in a window at least."""
 MOST_SQUARES = 1 << 62
 """Larger than any sum of squares that int64 holds exactly: with a larger limit, every window is still."""
 
@@ -106,9 +109,13 @@ def chosen_rule(settings: Settings, lsb_per_g: float, length: int) -> Rule:
 
 
 def window_length(settings: Settings, rate_hz: float) -> int:
-    """Return the number of samples in a window."""
+    """Return the number of samples in a window; raises UsageError for one, which never shows movement."""
     fewest = 1 if settings.adaptive is None else settings.adaptive.min_samples
-    return max(fewest, round(settings.segment_seconds * rate_hz))
+    length = max(fewest, round(settings.segment_seconds * rate_hz))
+    if length < FEWEST_SAMPLES:
+        text = f"--segment-seconds {settings.segment_seconds:g} is less than two samples at {rate_hz:g} Hz"
+        raise UsageError(text, hint=f"use --segment-seconds {FEWEST_SAMPLES / rate_hz:.2g} or more")
+    return length
 
 
 def short_gaps(settings: Settings | PoseSettings, length: int, rate_hz: float) -> ShortGaps:

@@ -118,7 +118,7 @@ def _pattern(recordings: Sequence[Path], poses: Path | None) -> Path:
     files = [one for one in dict.fromkeys(recordings) if not is_no_part(one)]
     for one in files:
         if not is_file(one):
-            what = "is a folder" if is_folder(one) else "cannot be read (No such file or directory)"
+            what = "is a folder" if is_folder(one) else "file not found"
             raise UnreadableError(what, path=one, hint="name the files of one session, or their folder alone")
     if poses in files:
         hint = "call it poses.csv, or keep it elsewhere"
@@ -497,7 +497,7 @@ class KnownOrientations(Judge):
         counts = found.method.segmenter.counts
         if counts.still:
             return DivergedError(
-                "still windows hold nothing but constant values: the device did not measure",
+                "every still window holds one constant value: the sensor was off or asleep",
                 hint="turn off its sleep mode",
             )
         return DivergedError(

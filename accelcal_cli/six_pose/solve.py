@@ -97,14 +97,24 @@ def _require(session: Session, condition: float, settings: PoseSettings) -> None
         raise DivergedError(_no_poses(session, settings), hint=_LONGER)
     number, limit = session.orientations, settings.max_condition
     if number < FEWEST or condition > limit:
-        few = counted(number, "pose") if number < FEWEST else "the poses"
-        known = "" if settings.unchecked else ", and a fifth to judge the fit by"
-        bad = "" if number < FEWEST else f" (its condition number is {condition:.3g}, and may be {limit:g})"
         raise DivergedError(
-            f"{few}{_which(session)} cannot determine twelve parameters: that needs four whose matrix [a 1] "
-            f"has rank 4{bad}{known}",
+            _too_few(session, settings.unchecked)
+            if number < FEWEST
+            else _too_alike(session, condition, limit),
             hint=f"{_missing(session)}{_way(session)}",
         )
+
+
+def _too_few(session: Session, unchecked: bool) -> str:
+    """Say how many poses there are, and how many are needed."""
+    found = f"only {counted(session.orientations, 'pose')} found{_which(session)}"
+    return f"{found}, and at least {FEWEST if unchecked else FEWEST + 1} are needed"
+
+
+def _too_alike(session: Session, condition: float, limit: float) -> str:
+    """Say that the directions of the poses do not separate the parameters."""
+    numbers = f"the condition number of [a 1] is {condition:.3g}, the limit {limit:g}"
+    return f"the poses{_which(session)} do not determine twelve parameters: {numbers}"
 
 
 def _way(session: Session) -> str:

@@ -251,7 +251,7 @@ def connected(address: str, notify: Notify) -> Iterator[Any]:
     try:
         import distributed
     except ImportError as error:
-        raise UsageError("--dask needs dask.distributed", hint="pip install 'accelcal[dask]'") from error
+        raise UsageError("--dask needs dask.distributed", hint="pip install distributed") from error
     with contextlib.ExitStack() as stack:
         stack.callback(logging.disable, logging.root.manager.disable)
         logging.disable(logging.CRITICAL)

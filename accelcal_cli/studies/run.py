@@ -107,10 +107,8 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         planned = plan(study, ledger)
         refuse_foreign(study.out, base, planned.sources(), force=study.request.force)
         if study.collect and planned.waiting and not planned.done:
-            text = (
-                f"none of {counted(len(planned.waiting), 'recording')} has a result made with these options"
-            )
-            raise UsageError(text, hint="give --collect the options of the parts, or run these first")
+            text = f"no results of {counted(len(planned.waiting), 'recording')} were found for these options"
+            raise UsageError(text, hint="run the parts first, or give --collect the options used for them")
         for text in planned.notes:
             observer.note(printable(text))
         _tidy(planned, lease)

@@ -39,7 +39,7 @@ def refuse(capsys: Capture, path: Path, code: int, *parts: str, options: tuple[o
 
 
 def test_a_missing_file(tmp_path: Path, capsys: Capture) -> None:
-    refuse(capsys, tmp_path / "absent.csv", 3, "No such file")
+    refuse(capsys, tmp_path / "absent.csv", 3, "file not found")
 
 
 def test_an_empty_file(tmp_path: Path, capsys: Capture) -> None:

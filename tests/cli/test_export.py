@@ -163,7 +163,7 @@ def test_data_say_what_they_are(tmp_path: Path, capsys: Capture) -> None:
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (("--to", "csv"), "writes a file, which needs a name; give one with -o"),
+        (("--to", "csv"), "writes a file, which needs a name; add -o a.csv"),
         (("--to", "npz", "-o", "a.csv"), "an array file has to end in .npz"),
         (("--to", "bids", "-o", "a.tsv"), "is not a Motion-BIDS name"),
         (("--to", "ggir", "--resample", "30"), "--resample is for data"),
@@ -181,10 +181,10 @@ def test_words_that_do_not_fit_together(
 
 def test_the_other_kind_of_file_is_told(tmp_path: Path, capsys: Capture) -> None:
     report, data = donor(tmp_path), tmp_path / "donor.calibrated.parquet"
-    ran = run(capsys, "export", data, "--to", "ggir")
+    ran = run(capsys, "export", data.rename(tmp_path / "renamed.parquet"), "--to", "ggir")
     assert ran.code == 3
     assert_one_line(ran, "name a report, NAME.calibration.json")
-    for path in (report, good_csv(tmp_path)):
+    for path in (report.rename(tmp_path / "renamed.json"), good_csv(tmp_path)):
         ran = run(capsys, "export", path, "--to", "csv", "-o", tmp_path / "b.csv")
         assert ran.code == 3
         assert_one_line(ran, "name a Parquet file that accelcal wrote, NAME.calibrated.parquet")
@@ -197,3 +197,20 @@ def test_coefficients_need_no_pyarrow(tmp_path: Path) -> None:
     )
     (found,) = lists(f"{code}\n{PRINT}")
     assert "accelcal_cli.exports.coefficients" in found and "pyarrow" not in found
+
+
+@pytest.mark.parametrize(
+    ("given", "form", "needed", "other"),
+    [
+        ("a b.calibration.json", "csv", "calibrated data", "'{}/a b.calibrated.parquet'"),
+        ("a.calibration.json", "bids", "calibrated data", "{}/a.calibrated.parquet"),
+        ("a.calibrated.parquet", "ggir", "a report", "{}/a.calibration.json"),
+        ("a.calibrated.parquet", "json", "a report", "{}/a.calibration.json"),
+    ],
+)
+def test_u7_a_file_of_the_other_kind_names_the_one_to_give(
+    tmp_path: Path, capsys: Capture, given: str, form: str, needed: str, other: str
+) -> None:
+    ran = run(capsys, "export", tmp_path / given, "--to", form)
+    assert ran.code == 2
+    assert_one_line(ran, f"--to {form} needs {needed}; give {other.format(tmp_path)} instead")

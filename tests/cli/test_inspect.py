@@ -52,7 +52,7 @@ def test_people_see_what_the_values_are_like(tmp_path: Path, capsys: Capture) ->
     assert values["rest"]["windows"] > 100 and 0.9 < values["rest"]["median_g"] < 1.1
     shown = run(capsys, "inspect", path).out
     assert shown.count("2024-03-04T00:00:00.0") == 4 and "  values       x -" in shown
-    assert "  at rest      |a| 0.9" in shown
+    assert "  at rest      |a|: median " in shown
 
 
 def test_it_writes_nothing(tmp_path: Path, capsys: Capture) -> None:

@@ -165,7 +165,7 @@ def test_what_is_stated_and_means_nothing_is_noted_by_every_command(mixed: Path,
     done = run(capsys, "calibrate", mixed / "a.raw", "-d", mixed.parent / "alone")
     assert done.code == 0, done.err
     report = json.loads((mixed.parent / "alone/a.calibration.json").read_text())
-    assert "--unit means nothing for format raw and was not used" in report["recording"]["notes"]
+    assert "--unit does not apply to format raw and was not used" in report["recording"]["notes"]
 
 
 def test_a_dry_run_says_why_a_recording_would_fail(mixed: Path, capsys: Capture) -> None:
@@ -269,4 +269,4 @@ def test_links_to_folders_are_followed_or_named(tmp_path: Path, capsys: Capture)
 def test_a_folder_given_to_calibrate_names_study(mixed: Path, capsys: Capture) -> None:
     done = run(capsys, "calibrate", mixed)
     assert done.code == 3
-    assert f"is a folder, not a recording; accelcal study {mixed} -d OUT calibrates all" in done.err
+    assert f"is a folder; to calibrate the recordings in it: accelcal study {mixed} -d OUT;" in done.err

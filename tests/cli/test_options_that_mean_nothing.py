@@ -19,7 +19,7 @@ from tests.formats import make_cwa
 from tests.recordings import RATE_HZ, directions, good_csv, good_raw, still_counts
 
 Capture = pytest.CaptureFixture[str]
-NOTE = "--unit means nothing for format raw and was not used"
+NOTE = "--unit does not apply to format raw and was not used"
 
 
 def mixed(folder: Path) -> Path:
@@ -52,7 +52,7 @@ def test_for_one_recording_they_are_wrong_usage(
     ran = run(capsys, command, path, *words)
     assert ran.code == 2
     several = " and " in name
-    assert_one_line(ran, f"{name} {'mean' if several else 'means'} nothing for format {kind}; omit ")
+    assert_one_line(ran, f"{name} {'do' if several else 'does'} not apply to format {kind}; omit ")
     assert ("omit them" in ran.err) == several
     assert sorted(tmp_path.iterdir()) == before
 
@@ -61,7 +61,7 @@ def test_columns_of_a_cwa_are_wrong_usage(tmp_path: Path, capsys: Capture) -> No
     made = make_cwa.make(tmp_path, still_counts(directions(2)), RATE_HZ, 256.0)
     ran = run(capsys, "calibrate", made.path, "--columns", "x,y,z", "--unit", "mg")
     assert ran.code == 2
-    assert_one_line(ran, "--unit and --columns mean nothing for format cwa")
+    assert_one_line(ran, "--unit and --columns do not apply to format cwa")
 
 
 def test_of_several_those_that_they_are_not_meant_for_say_so(tmp_path: Path, capsys: Capture) -> None:
@@ -71,7 +71,7 @@ def test_of_several_those_that_they_are_not_meant_for_say_so(tmp_path: Path, cap
     told, used = report(tmp_path / "a.calibration.json"), report(tmp_path / "b.calibration.json")
     assert (told["settings"]["input"]["unit"], told["recording"]["notes"]) == (None, [NOTE])
     assert used["settings"]["input"]["unit"] == "g"
-    assert not any("means nothing" in note for note in used["recording"]["notes"])
+    assert not any("not apply" in note for note in used["recording"]["notes"])
 
 
 @pytest.mark.nightly
@@ -96,22 +96,23 @@ def test_in_a_study_they_must_mean_something_for_one(tmp_path: Path, capsys: Cap
     cwa = make_cwa.make(folder, still_counts(directions(2)), RATE_HZ, 256.0).path
     ran = study(capsys, folder, "--sensor", "imu")
     assert ran.code == 2
-    assert_one_line(ran, "--sensor means nothing for formats cwa and raw")
+    assert_one_line(ran, "--sensor does not apply to formats cwa and raw")
     assert not list((tmp_path / "out").glob("*.json"))
     ran = run(capsys, "calibrate", raw, cwa, "--sensor", "imu")
     assert ran.code == 2
-    assert_one_line(ran, "--sensor means nothing for formats cwa and raw")
+    assert_one_line(ran, "--sensor does not apply to formats cwa and raw")
 
 
+@pytest.mark.parametrize("note", [NOTE, "--unit means nothing for format raw and was not used"])
 def test_reports_of_before_that_hold_such_an_option_are_still_verified(
-    tmp_path: Path, capsys: Capture
+    tmp_path: Path, capsys: Capture, note: str
 ) -> None:
     """They named it among the settings, and had the note."""
     path = good_raw(tmp_path)
     assert run(capsys, "calibrate", path, "--report-only").code == 0
     old = report(tmp_path / "good.calibration.json")
     old["settings"]["input"]["unit"] = "mg"
-    old["recording"]["notes"].append(NOTE)
+    old["recording"]["notes"].append(note)
     (tmp_path / "old.calibration.json").write_text(json.dumps(old))
     ran = run(capsys, "verify", tmp_path / "old.calibration.json", path)
     assert (ran.code, ran.out.split("\t")[1]) == (0, "identical"), ran
@@ -143,7 +144,7 @@ def test_two_of_them_are_noted_in_a_sentence_and_verified(tmp_path: Path, capsys
     words = ("--unit", "g", "--columns", "1,2,3", "--report-only", "-d", tmp_path)
     assert run(capsys, "calibrate", *sorted(folder.glob("[ab].[rc]*")), *words).code == 0
     told = tmp_path / "a.calibration.json"
-    note = "--unit and --columns mean nothing for format raw and were not used"
+    note = "--unit and --columns do not apply to format raw and were not used"
     assert report(told)["recording"]["notes"] == [note]
     ran = run(capsys, "verify", told, folder / "a.raw")
     assert (ran.code, ran.out.split("\t")[1]) == (0, "identical"), ran

@@ -47,7 +47,7 @@ def test_a_layout_is_never_overwritten(tmp_path: Path, capsys: Capture, option: 
     given = (*option, layout) if option else ()
     ran = run(capsys, "calibrate", path, "-o", layout, "--force", *given)
     assert ran.code == 2
-    assert_one_line(ran, str(layout), "would be overwritten" if option else "would be a Parquet file")
+    assert_one_line(ran, str(layout), "would be overwritten" if option else "has to end in .parquet")
     assert layout.read_bytes() == before
 
 

@@ -32,7 +32,7 @@ def only(folder: Path, *names: str) -> bool:
 @pytest.mark.parametrize(
     ("poses", "told"),
     [
-        (["+x"], "1 pose (+x) cannot determine twelve parameters"),
+        (["+x"], "only 1 pose found (+x), and at least 5 are needed"),
         (["+x", "-x", "+y", "-y"], "missing: +z, -z"),
         (["+x", "+y", "+z"], "missing: -x, -y, -z"),
         (["+x", "-x", "+y", "+z"], "leave none to judge the fit by; missing: -y, -z"),
@@ -56,7 +56,7 @@ def test_no_stillness(tmp_path: Path, capsys: Capture) -> None:
 def test_a_device_that_repeats_one_value(tmp_path: Path, capsys: Capture) -> None:
     held = np.repeat(np.array(list(UP.values()), float), 500, axis=0)
     path = write_csv(tmp_path / "s.csv", held)
-    assert "nothing but constant values" in refused(capsys, 4, path)
+    assert "holds one constant value" in refused(capsys, 4, path)
 
 
 def test_a_wrong_unit(tmp_path: Path, capsys: Capture) -> None:
@@ -116,7 +116,7 @@ def test_tilted_faces_are_refused_with_a_report_that_says_which(tmp_path: Path, 
         (["3,13,1,0,0", "900,910,-1,0,0"], 4, "poses.csv, line 3: no still window of 1 s"),
         (["0,2.9,1,0,0"], 4, "poses.csv, line 2: no still window of 1 s"),
         (["3,13,1,0,0", "12,20,-1,0,0"], 2, "poses.csv, line 3: overlaps line 2"),
-        (["3,13,1,0,0"], 4, "1 pose (+x) cannot determine twelve parameters"),
+        (["3,13,1,0,0"], 4, "only 1 pose found (+x), and at least 5 are needed"),
     ],
 )
 def test_a_list_that_is_wrong(
@@ -139,7 +139,7 @@ def test_swapped_lines_of_a_list_are_refused(tmp_path: Path, capsys: Capture) ->
 
 
 def test_a_missing_recording_and_a_missing_list(tmp_path: Path, capsys: Capture) -> None:
-    assert "nothing.csv: cannot be read" in refused(capsys, 3, tmp_path / "nothing.csv")
+    assert "nothing.csv: file not found" in refused(capsys, 3, tmp_path / "nothing.csv")
     path = six_faces(tmp_path, seconds=4.0)
     assert "none.csv: the list of poses cannot be read" in refused(
         capsys, 2, path, "--poses", tmp_path / "none.csv"

@@ -176,7 +176,7 @@ def test_a_file_that_does_not_belong_ends_the_session(tmp_path: Path, capsys: Ca
     folder = folder_of(tmp_path / "faces")
     other = folder / "z_other.csv"
     for content, code, said in (
-        (b"hello\n" * 20, 3, "z_other.csv, byte 0: its content matches no known format"),
+        (b"hello\n" * 20, 3, "z_other.csv: format not recognised"),
         (b"", 3, "z_other.csv"),
         (b"\x00" * 2000, 3, "z_other.csv"),
     ):
@@ -232,7 +232,7 @@ def test_what_no_pattern_stands_for_is_wrong_usage(tmp_path: Path, capsys: Captu
     some = [folder / name for name in ("plus_x.csv", "plus_z.csv")]
     assert "cannot be told from other files by a pattern" in refused(capsys, 2, *some)
     assert "standard input is one recording" in refused(capsys, 2, some[0], "-")
-    assert "none.csv: cannot be read" in refused(capsys, 3, some[0], folder / "none.csv")
+    assert "none.csv: file not found" in refused(capsys, 3, some[0], folder / "none.csv")
     assert "faces: is a folder" in refused(capsys, 3, some[0], folder)
     (tmp_path / "empty").mkdir()
     assert "holds no recordings" in refused(capsys, 3, tmp_path / "empty")
@@ -318,7 +318,7 @@ def test_a_roll_is_told_in_the_report(tmp_path: Path, capsys: Capture) -> None:
     assert run(capsys, "report", tmp_path / "s.calibration.json").code == 0
     page = check((tmp_path / "s.html").read_text())
     tables = {one.all("caption")[0].text: one for one in page.all("table")}
-    cells = [cell.text for cell in tables["Rolls with one axis level, which should show nothing"].all("td")]
+    cells = [cell.text for cell in tables["Rolls about a level axis, on which gravity should be 0"].all("td")]
     assert cells[0] == "55 to 75 s"
     assert re.fullmatch(r"4[45]\.?\d? \(1[12]\.?\d?\)", cells[1])
     assert len(tables["Poses, and the errors of their vectors"].all("tr")) == 5

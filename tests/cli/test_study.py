@@ -26,7 +26,10 @@ def test_the_folders_are_mirrored_and_summed_up(tmp_path: Path, capsys: Capture)
     ran = study(capsys, folder)
     assert ran.code == 0
     assert {line.split("\t")[0] for line in ran.lines} == {str(folder / name) for name in NAMES}
-    assert ran.err == f"accelcal: 3 recordings: 3 calibrated, 1 no recording; see {out / 'study.csv'}\n"
+    assert (
+        ran.err
+        == f"accelcal: 3 recordings: 3 calibrated. 1 other file skipped. Results: {out / 'study.csv'}\n"
+    )
     kinds = ("calibrated.parquet", "calibration.json", "quality.json")
     written = [f"{name[:-4]}.{kind}" for name in NAMES for kind in kinds]
     assert set(results(out)) == {*written, "study.csv", "study.parquet", "study.json"}
@@ -186,7 +189,7 @@ def test_verdicts_14_copies_are_said_and_count_once(tmp_path: Path, capsys: Capt
         (folder / f"again.{suffix}").write_bytes((folder / f"{NAMES[1][:-4]}.{suffix}").read_bytes())
     ran = study(capsys, folder)
     assert "accelcal: north/b.raw: a copy of again.raw, which counts once" in ran.err
-    assert "3 recordings: 2 calibrated, 1 copied from others, 1 no recording; see" in ran.err
+    assert "3 recordings: 2 calibrated, 1 copied from others. 1 other file skipped. Results: " in ran.err
     assert {row["path"]: row["copy_of"] for row in rows(out)} == {
         "again.raw": "",
         "north/a.raw": "",

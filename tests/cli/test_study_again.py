@@ -164,7 +164,10 @@ def test_nothing_to_collect_leaves_the_table_as_it_is(tmp_path: Path, capsys: Ca
     held = (out / "study.csv").read_bytes()
     ran = study(capsys, folder, "--collect")
     assert (ran.code, (out / "study.csv").read_bytes()) == (2, held)
-    assert "none of 2 recordings has a result made with these options; give --collect the options" in ran.err
+    assert (
+        "no results of 2 recordings were found for these options; run the parts first, or give --collect"
+        in ran.err
+    )
     assert study(capsys, folder, "--collect", "--report-only").code == 0
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accelcal_cli.cli.output import show_row
+from accelcal_cli.cli.output import counted_once, show_row
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.output import words
 from tests.cli.run import codes, exit_code, run, told
@@ -208,3 +208,34 @@ def test_points_of_another_tool_cannot_be_borrowed_for(tmp_path: Path, terminal:
     path.write_text("x,y,z\n0,0,1\n")
     _, *ways = terminal("fit", path)
     assert len(ways) == 2 and "with -x, +x, -y, +y and -z pointing up" in ways[1]
+
+
+def test_u1_several_recordings_are_summed_up_with_their_pages(tmp_path: Path, terminal: Seen) -> None:
+    good, odd = good_csv(tmp_path), tmp_path / "odd.csv"
+    odd.write_text("no recording")
+    report = tmp_path / "good.calibration.json"
+    with_page = terminal("calibrate", good, "--html")
+    assert with_page[-1] == f"Page: {tmp_path / 'good.html'}"
+    assert not any("page" in line.lower() for line in terminal("calibrate", good))
+    several = terminal("calibrate", good, odd)
+    assert (
+        f"2 recordings: 1 calibrated, 1 failed. For pages: accelcal report {tmp_path}/*.calibration.json"
+        in several
+    )
+    assert f"2 recordings: 1 calibrated, 1 failed. Pages: {tmp_path}/*.html" in terminal(
+        "calibrate", good, odd, "--html"
+    )
+    assert report.exists() and not any(
+        "2 recordings" in line for line in terminal("calibrate", good, odd, "-q")
+    )
+    assert not any("2 recordings" in line for line in terminal("calibrate", good, odd, "--tsv"))
+
+
+def test_s4_a_problem_is_listed_once_with_its_count() -> None:
+    problems = [("checksum", "pages with a wrong checksum, left out: 1")] * 4
+    problems += [("checksum", "pages with a wrong checksum, left out: 36"), ("note", "odd: head")]
+    assert counted_once([*problems, ("truncated", "an incomplete page, bytes left out: 320")]) == [
+        "checksum: pages with a wrong checksum, left out: 40, in 5 places",
+        "note: odd: head",
+        "truncated: an incomplete page, bytes left out: 320",
+    ]

@@ -167,7 +167,7 @@ def test_what_cannot_be_is_refused_in_a_line(recording: Path, tmp_path: Path, ca
         ((recording, "--to", "csv"), 2, "--to is for --output only"),
         ((recording, "-o", output), 2, "exists already"),
         ((recording, "-o", recording), 2, "is the recording itself"),
-        ((tmp_path / "nothing.csv",), 3, "cannot be read"),
+        ((tmp_path / "nothing.csv",), 3, "file not found"),
         ((tmp_path,), 3, "is a folder"),
     ):
         ran = run(capsys, "watch", *words)

@@ -131,7 +131,7 @@ def test_a_start_goes_with_a_zone_but_not_against_one(tmp_path: Path) -> None:
 
 
 def test_a_start_that_the_file_states_is_not_replaced(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"says when it began, 2024-03-04T00:00:00\.000000") as caught:
+    with pytest.raises(UsageError, match=r"states its own start, 2024-03-04T00:00:00\.000000") as caught:
         make_csv.read(good_csv(tmp_path), start="2024-03-04T10:00")
     assert "--shift" in caught.value.hint
 

@@ -76,7 +76,9 @@ def test_a_start_two_days_ahead_is_another_zone_and_later_a_wrong_clock(tmp_path
 
 
 def test_no_table(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="does not exist; give the folder"):
+    with pytest.raises(
+        UsageError, match=r"is not the output folder of a study: no .*parquet; give the folder"
+    ):
         read(tmp_path, NOW_S)
     (tmp_path / "study.2-of-8.parquet").write_bytes(b"x")
     with pytest.raises(UsageError, match="run the study with --collect"):

@@ -91,7 +91,7 @@ def test_what_is_no_report(tmp_path: Path, data: bytes, part: str) -> None:
 
 
 def test_no_file_a_folder_and_a_recording(tmp_path: Path) -> None:
-    assert "No such file" in refused(tmp_path / "absent.json")
+    assert "file not found" in refused(tmp_path / "absent.json")
     assert "cannot be read" in refused(tmp_path)
     big = tmp_path / "big.json"
     with big.open("wb") as file:

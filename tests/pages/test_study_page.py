@@ -388,7 +388,7 @@ def test_a_damaged_report_costs_its_own_page_alone(tmp_path: Path, capsys: Captu
     done = run(capsys, "report", out)
     assert done.code == 1
     assert "S00003_wrist_week3.calibration.json: is not valid JSON" in done.err
-    assert "2 pages of recordings made" in done.err
+    assert "study.html and 2 recording pages" in done.err
     assert 'aria-label="site03/S00003' not in (out / "study.html").read_text()
 
 
@@ -402,7 +402,9 @@ def test_a_page_of_somebody_else_is_not_replaced(tmp_path: Path, capsys: Capture
 
 
 def test_a_folder_without_a_study_is_refused(tmp_path: Path, capsys: Capture) -> None:
-    assert_refused(run(capsys, "report", tmp_path), 2, "study.parquet", "does not exist")
+    assert_refused(
+        run(capsys, "report", tmp_path), 2, "is not the output folder of a study: no study.parquet"
+    )
 
 
 def test_a_study_makes_its_pages_and_again_only_what_is_new(tmp_path: Path, capsys: Capture) -> None:
@@ -412,7 +414,7 @@ def test_a_study_makes_its_pages_and_again_only_what_is_new(tmp_path: Path, caps
     words = ("study", folder, "-d", out, "--report-only", "-j", "1", "--html")
     done = run(capsys, *words)
     assert done.code == 0
-    assert "1 page of recordings made, 0 unchanged" in done.err
+    assert "study.html and 1 recording page" in done.err
     root = elements((out / "study.html").read_text())
     check_page(root)
     (link,) = {
@@ -425,7 +427,7 @@ def test_a_study_makes_its_pages_and_again_only_what_is_new(tmp_path: Path, caps
     assert made_by["Newest result"].endswith(" UTC")
     assert (out / "a<b>&.html").is_file()
     before = stamps(out)
-    assert "(unchanged); 0 pages of recordings made, 1 unchanged" in run(capsys, *words).err
+    assert "study.html and 0 recording pages (1 unchanged)" in run(capsys, *words).err
     assert stamps(out) == before
     assert_refused(run(capsys, *words, "--shard", "1/2"), 2, "--html")
 

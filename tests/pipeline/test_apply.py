@@ -143,9 +143,9 @@ def test_slopes_are_dropped_where_temperature_is_not_wanted(tmp_path: Path) -> N
     need_temperature(warm.calibration, described(path), has=True)
     with pytest.raises(UsageError) as refusal:
         need_temperature(warm.calibration, described(path), has=False)
-    assert refusal.value.message == "has no temperature, but the coefficients have slopes"
-    at_c = f"{scale.reference_mc / 1000:.1f} C"
-    assert refusal.value.hint == f"--no-temperature uses them as they are at {at_c}"
+    assert refusal.value.message == "has no temperature, but the coefficients depend on it"
+    at_c = f"{scale.reference_mc / 1000:.1f} °C"
+    assert refusal.value.hint == f"--no-temperature applies them as at {at_c}"
 
 
 def judged(

@@ -178,7 +178,7 @@ def test_files_and_their_times() -> None:
         (3_000_000, 4_000_000),
         (10_000_000, 11_500_000),
     ]
-    for text, place in (("c.csv", "'c.csv' is none"), ("1,2", "'1,2' is none"), ("c,1,2", "'c' is none")):
+    for text, place in (("c.csv", "'c.csv' is not a"), ("1,2", "'1,2' is not a"), ("c,1,2", "'c' is not a")):
         with pytest.raises(UsageError, match=place):
             span_of_roll(rolls_of([f"z,{text}"])[0], origins)
 

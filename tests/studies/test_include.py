@@ -40,7 +40,7 @@ def test_others_keep_their_rows_and_are_remembered(here: Path, capsys: Capture) 
     ran = study(capsys, here / "in", "--include", "a.raw")
     assert (ran.code, [line.split("\t")[0] for line in ran.lines]) == (0, [str(here / "in/north/a.raw")])
     assert ran.err.startswith(
-        "accelcal: 4 recordings: 3 calibrated, 1 failed, 4 unchanged, 1 no recording; see "
+        "accelcal: 4 recordings: 3 calibrated, 1 failed, 4 unchanged. 1 other file skipped. Results: "
     )
     assert results(here / "out") == before
     assert "4 unchanged" in study(capsys, here / "in").err
@@ -117,6 +117,6 @@ def test_collected_without_an_option_a_later_round_is_not_forgotten(tmp_path: Pa
     pooled = study(capsys, tmp_path / "in", *POOL, "--collect")
     assert pooled.err.startswith("accelcal: 2 recordings: 2 calibrated;")
     ran = study(capsys, tmp_path / "in", "--collect")
-    assert (ran.code, "none of 2 recordings has a result made with these options" in ran.err) == (2, True)
+    assert (ran.code, "no results of 2 recordings were found for these options" in ran.err) == (2, True)
     assert list((tmp_path / "out").glob("study.pool.*")), "both were made with it"
     assert "2 unchanged" in study(capsys, tmp_path / "in", *POOL, "--collect").err

@@ -60,7 +60,7 @@ def test_names_are_those_the_user_said(tmp_path: Path, monkeypatch: pytest.Monke
     one, two = both(here, Path(name), monkeypatch, Request())
     assert [answer.entry.row for answer in one] == [answer.entry.row for answer in two]
     messages = [row["message"] for answer in two if (row := answer.entry.row) and row["exit_code"]]
-    assert [one.partition(";")[0] for one in messages] == ["byte 0: its content matches no known format"]
+    assert [one.partition(";")[0] for one in messages] == ["format not recognised"]
     report = json.loads((here / "out/a.calibration.json").read_text())
     assert report["recording"]["path"] == "a.raw"
 

@@ -31,7 +31,7 @@ FAULTY_ROWS = "missing_value", "samples without a usable value, left out"
 BLANK_BYTES = 16
 """Least number of bytes of 0xFF at the end that were never written; fewer may belong to a number."""
 
-CUT_OFF = "bytes of an incomplete page or frame at the end of the file, left out"
+CUT_OFF = "an incomplete page or frame at the end of the file, bytes left out"
 BROKEN_OFF = "the compressed data is damaged or ends early"
 
 NO_PAGES = np.empty(0, np.int64)
@@ -147,7 +147,7 @@ class PageEvents(EventMaker):
         block = self.block
         if not block.broken and is_erased(leftover) and (blank or not leftover):
             return
-        text = f"{BROKEN_OFF}; bytes of an incomplete page or frame, left out" if block.broken else CUT_OFF
+        text = f"{BROKEN_OFF}; an incomplete page or frame, bytes left out" if block.broken else CUT_OFF
         offset = block.end - len(leftover)
         event = Event(block.next_position, 1, "truncated", text, offset, rows_in, len(leftover))
         yield replace(event, lost_bytes=len(leftover) + block.undecoded)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 
-from accelcal_cli.core.errors import OutputError, UnreadableError
+from accelcal_cli.core.errors import OutputError, UnreadableError, unread
 from accelcal_cli.core.formats import ZIP_MAGIC
 from accelcal_cli.core.input_files import TAR_MAGIC, TAR_MAGIC_AT
 from accelcal_cli.core.parallel import prefetch
@@ -94,7 +94,7 @@ def unpack(path: Path, folder: Path, wanted: Callable[[str], bool], threads: int
                 files.take(name, piece)
     except BROKEN as error:
         if isinstance(error, OSError) and error.errno is not None:  # of the disk, not of what is packed
-            raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
+            raise unread(error, path) from error
         if not files.whole:
             text = f"damaged archive: nothing can be unpacked ({error})"
             raise UnreadableError(text, path=path, hint="copy it again from its source") from error

@@ -58,7 +58,7 @@ FARTHEST = 1 << 50
 """Largest time since the first one that is believed, in any unit: 13 days in ns."""
 
 LEAST_SHARE = 0.5
-"""Share of the time that its rows take below which the span of a table's times is no length."""
+"""Share of the time that its rows take below which the span of a table's times is not its length."""
 
 SLOWEST_HZ, FASTEST_HZ = 0.01, 100_000.0
 RATE_NAMES = (

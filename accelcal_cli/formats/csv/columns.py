@@ -337,19 +337,21 @@ def _placed_axes(dialect: Dialect, path: Path) -> tuple[int, int, int]:
         return 1, 2, 3
     if dialect.names is None and dialect.columns == 5 and _date_and_time(dialect, [0, 1]):
         return 2, 3, 4
-    what = (
-        f"columns {', '.join(dialect.names)}" if dialect.names else f"{dialect.columns} columns without names"
+    columns = (
+        f"the columns {', '.join(dialect.names)}"
+        if dialect.names
+        else f"{dialect.columns} columns without names"
     )
     without = [title.axis for title in titles_of(dialect) if title.axis and NOT_RAW & set(title.stem)]
     if len(set(without)) == len(AXES):
         raise UnreadableError(
-            f"holds acceleration without gravity only, in {what}",
+            f"holds acceleration without gravity only, in {columns}",
             path=path,
             line=dialect.names_line,
             hint="export the acceleration that was measured; or give --columns X,Y,Z to read it anyway",
         )
     raise UnreadableError(
-        f"which columns are x, y and z cannot be told from {what}",
+        f"cannot tell which of {columns} are x, y and z",
         path=path,
         line=dialect.names_line,
         hint=f"give --columns X,Y,Z as names, or as numbers from 0{_advice_on_commas(dialect)}",

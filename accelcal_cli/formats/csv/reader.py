@@ -50,7 +50,7 @@ MOST_JOINED = 1 << 18
 """Rows that are joined however many are wanted: more of them are made no faster, and take memory."""
 
 LEAST_SHARE = 0.5
-"""Share of the time that its rows take below which the span of a file's times is no length."""
+"""Share of the time that its rows take below which the span of a file's times is not its length."""
 
 SINGLE = 50
 """Problems of one kind that are given one by one; more are summed up."""

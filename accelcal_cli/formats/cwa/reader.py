@@ -52,7 +52,7 @@ UNTIMED = (
 )
 AHEAD = ("clock_gap", "jumps of the device clock ahead")
 BACK = ("clock_back", "jumps of the device clock back")
-CUT_OFF = "bytes of an incomplete sector at the end of the file, left out"
+CUT_OFF = "an incomplete sector at the end of the file, bytes left out"
 
 SEARCH_SECTORS = 2048
 """Sectors that are read at a time in search of the first intact one."""
@@ -130,7 +130,7 @@ class SectorEvents(EventMaker):
         """Report an incomplete sector at the end, unless it is empty."""
         if not raw.broken and (is_erased(raw.tail) or not any(raw.tail)):
             return
-        text = f"{BROKEN_OFF}; bytes of an incomplete sector, left out" if raw.broken else CUT_OFF
+        text = f"{BROKEN_OFF}; an incomplete sector, bytes left out" if raw.broken else CUT_OFF
         event = self.event(raw.next_position, ("truncated", text), sample, len(raw.tail))
         yield replace(event, lost_bytes=len(raw.tail) + raw.undecoded)
 

@@ -368,7 +368,7 @@ def _signals_by_label(header: Header, options: ReadOptions, path: Path) -> Signa
             what, path=path, hint=f"give --sensor NAME ({names}), or --columns with three signals"
         )
     raise UnreadableError(
-        f"which signals are x, y and z of an accelerometer cannot be told from {_labels(header)}",
+        f"cannot tell which signals are x, y and z of an accelerometer: {_labels(header)}",
         path=path,
         hint="name them with --columns, by label or number",
     )

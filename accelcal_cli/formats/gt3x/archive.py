@@ -16,7 +16,7 @@ from enum import Enum
 from pathlib import Path
 from typing import BinaryIO
 
-from accelcal_cli.core.errors import UnreadableError, listed, printable
+from accelcal_cli.core.errors import UnreadableError, listed, printable, unread
 from accelcal_cli.core.formats import ZIP_MAGIC
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.recording import Closing, Problem
@@ -120,7 +120,7 @@ def open_archive(path: Path) -> Archive:
         error.path = path
         raise
     except OSError as error:
-        raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
+        raise unread(error, path) from error
     lost = Problem("damaged_archive", LOST_DIRECTORY, None, 0)
     return Archive(path, size, members, ends, (lost, *repeated))
 
@@ -403,7 +403,7 @@ class MemberStream(Closing):
             )
 
     def _unreadable(self, error: OSError) -> UnreadableError:
-        return UnreadableError(f"cannot be read ({error.strerror or error})", path=self._path)
+        return unread(error, self._path)
 
 
 def small_part(archive: Archive, name: str) -> bytes | None:

@@ -59,7 +59,7 @@ DOCKED_BYTES = 1
 
 ACTIVITY_PIECE_BYTES = PAIR_BYTES << 16
 ASLEEP = "samples that repeat the one before for a second or longer, treated as idle sleep of the device"
-CUT_SAMPLE = "bytes of an incomplete sample at the end of activity.bin, left out"
+CUT_SAMPLE = "an incomplete sample at the end of activity.bin, bytes left out"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -47,7 +47,7 @@ JITTER_S = 2
 
 CHECKSUM: Kind = ("checksum", "records of log.bin with a wrong checksum, left out")
 NO_RECORD: Kind = ("bad_bytes", "bytes of log.bin that are not records, left out")
-CUT_OFF: Kind = ("truncated", "bytes of an incomplete record at the end of log.bin, left out")
+CUT_OFF: Kind = ("truncated", "an incomplete record at the end of log.bin, bytes left out")
 LENGTH: Kind = ("record_length", "activity records of more or less than one second")
 REPEATED: Kind = ("duplicate_record", "activity records that repeat the one before, left out")
 AHEAD: Kind = ("clock_gap", "jumps ahead in the times of activity records, with no sleep recorded")

@@ -192,9 +192,7 @@ def _scipy_optimize(optimizer: str) -> Any:
     try:
         import scipy.optimize
     except ImportError as error:
-        raise UsageError(
-            f"optimizer {optimizer} needs SciPy", hint="pip install 'accelcal[methods]'"
-        ) from error
+        raise UsageError(f"optimizer {optimizer} needs SciPy", hint="pip install scipy") from error
     return scipy.optimize
 
 

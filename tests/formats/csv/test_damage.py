@@ -252,7 +252,7 @@ def test_an_endless_line_is_refused(tmp_path: Path) -> None:
 
 
 def test_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UnreadableError, match="cannot be read"):
+    with pytest.raises(UnreadableError, match="file not found"):
         read(tmp_path / "none.csv")
 
 

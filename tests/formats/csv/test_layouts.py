@@ -126,7 +126,9 @@ def test_columns_by_number_and_time_by_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize("row", ["0,0,1,0,0,0,1", "0,0,1,0,0", "0,0,1,0,0,0", "5,4,1,9"])
 def test_columns_without_names_are_asked_about(tmp_path: Path, row: str) -> None:
     path = written(tmp_path, f"{row}\n" * 9)
-    with pytest.raises(UnreadableError, match=r"line 1: which columns are x, y and z .* --columns"):
+    with pytest.raises(
+        UnreadableError, match=r"line 1: cannot tell which of .* are x, y and z; .* --columns"
+    ):
         read(path, rate_hz=30.0)
 
 
@@ -135,7 +137,7 @@ def test_columns_without_names_are_asked_about(tmp_path: Path, row: str) -> None
 def test_names_that_say_nothing_are_asked_about_in_their_line(tmp_path: Path, above: str, below: str) -> None:
     path = written(tmp_path, f"{above}a,b,c,d\n{below}" + "1,0,0,1\n" * 9)
     line = 1 + above.count("\n")
-    with pytest.raises(UnreadableError, match=f"line {line}: which columns are .* from columns a, b, c, d"):
+    with pytest.raises(UnreadableError, match=f"line {line}: cannot tell which of the columns a, b, c, d"):
         read(path, rate_hz=30.0)
 
 

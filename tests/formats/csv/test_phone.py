@@ -107,7 +107,9 @@ def test_g_force_names(tmp_path: Path) -> None:
 
 def test_acceleration_without_gravity_is_no_calibration_data(tmp_path: Path) -> None:
     rows = "".join(f"{row / 100},0.0{row % 7},-0.01,0.02\n" for row in range(50))
-    with pytest.raises(UnreadableError, match="the unit of the acceleration is not clear"):
+    with pytest.raises(
+        UnreadableError, match="cannot tell the unit: the median length of the acceleration is"
+    ):
         read(written(tmp_path, "time,acc_x,acc_y,acc_z\n" + rows))
 
 

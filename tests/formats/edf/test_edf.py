@@ -171,8 +171,8 @@ def test_sensor_columns_unit_and_scale_of_the_user(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"unit": "uV"}, "cannot be told"),
-        ({"label": "EMG"}, "cannot be told"),
+        ({"unit": "uV"}, "cannot tell which signals are x, y and z"),
+        ({"label": "EMG"}, "cannot tell which signals are x, y and z"),
         ({"unit": "", "label": "Acc X"}, r"the unit of the acceleration is not known.*--unit"),
         ({"unit": "mg", "label": "Acc X"}, "the unit of the acceleration is not known"),
         ({"limits": ("a", "1", 0, 1)}, r"the range of signal 'Acc X' is not usable \(a, 1, 0, 1\)"),

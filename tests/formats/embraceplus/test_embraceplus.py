@@ -197,7 +197,7 @@ def test_other_ways_of_packing(tmp_path: Path, codec: str, words: str) -> None:
 def test_other_avro_files_are_not_taken_for_it(tmp_path: Path) -> None:
     path = tmp_path / "a.avro"
     path.write_bytes(container(long(5), "int"))
-    with pytest.raises(UnreadableError, match="matches no known format"):
+    with pytest.raises(UnreadableError, match="format not recognised"):
         find_format(path, ReadOptions())
     path.write_bytes(gzip.compress(written(COUNTS, 2048.0)))
     assert find_format(path, ReadOptions()) is FORMAT

@@ -126,7 +126,7 @@ def test_rotation_rates_of_an_ax6(path: Path) -> None:
 
 def test_other_sounds_are_no_recordings(path: Path) -> None:
     written(path, head=header(len(DATA), said="Time: 2018-03-18 17:24:47.536"))
-    with pytest.raises(UnreadableError, match="no known format"):
+    with pytest.raises(UnreadableError, match="format not recognised"):
         find_format(path, OPTIONS)
     with pytest.raises(UnreadableError, match="channels of x, y and z"):
         read(path, ReadOptions(format="wav"))
