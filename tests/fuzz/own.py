@@ -18,6 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tests.fuzz import command
+from tests.fuzz.archives import archives
 from tests.fuzz.blind import blind
 from tests.fuzz.made import GAIN, OFFSET, directions, recording
 from tests.fuzz.options import options
@@ -390,4 +391,5 @@ TARGETS: dict[str, Callable[[Path], Attempt]] = {
     "studies": study_tables,
     "remembered": study_files,
     "options": options,
+    "archives": archives,
 }

@@ -266,7 +266,7 @@ def _zip_members(path: Path, allowance: Allowance) -> Iterator[Member]:
             member = ZipMember(path, file, entry.filename, entry.flag_bits, entry.compress_type, allowance)
             member.at = entry.header_offset
             member.packed, member.size, member.crc = entry.compress_size, entry.file_size, entry.CRC
-            yield entry.filename, None if entry.is_dir() else member
+            yield entry.filename, None if entry.filename.endswith("/") else member
 
 
 def _zip_stream(path: Path, file: BinaryIO, allowance: Allowance) -> Iterator[Member]:

@@ -229,7 +229,7 @@ def find_roles(
         UsageError: --columns or --time-column names no column of the file.
     """
     titles = titles_of(dialect)
-    xyz = chosen_axes(dialect, options.columns, path) or known_xyz
+    xyz = chosen_axes(dialect, options.columns, path) or _within(dialect, known_xyz)
     xyz = xyz or _named_axes(titles, path) or _placed_axes(dialect, path)
     for column in xyz:
         if dialect.kinds[column] is not CellKind.NUMBER:
@@ -459,6 +459,11 @@ class GyroColumns(NamedTuple):
     scale: CountScale
 
 
+def _within(dialect: Dialect, xyz: tuple[int, int, int] | None) -> tuple[int, int, int] | None:
+    """Return the columns that a header names; None if the rows do not have them all."""
+    return xyz if xyz is not None and max(xyz) < dialect.columns else None
+
+
 def find_gyroscope(
     dialect: Dialect, roles: Roles, export: ExportDescription, options: ReadOptions, path: Path
 ) -> tuple[GyroColumns | None, tuple[str, ...]]:
@@ -471,7 +476,7 @@ def find_gyroscope(
     chosen = chosen_axes(dialect, options.gyro_columns, path, "--gyro-columns")
     used = {*roles.xyz, roles.time, roles.date, *roles.channels.values()}
     titles = [title for title in titles_of(dialect) if title.number not in used]
-    known = chosen or export.gyro
+    known = chosen or _within(dialect, export.gyro)
     groups = [known] if known else _named_gyroscopes(titles, dialect, roles)
     if not groups:
         return None, ()
