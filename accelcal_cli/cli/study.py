@@ -29,6 +29,7 @@ from accelcal_cli.cli.report import study_pages
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.system import workers
+from accelcal_cli.output.words import clause, sentence
 from accelcal_cli.pipeline.jobs import refuse_dash
 from accelcal_cli.pipeline.options import json_value
 from accelcal_cli.studies.discovery import Where
@@ -259,7 +260,8 @@ def _preview(study: Study, values: dict[str, Any]) -> int:
         if not values["quiet"]:
             exit_codes.say(text)
 
-    for item, state in sorted(preview(study, note).items(), key=lambda pair: pair[0].name):
+    states, left = preview(study, note)
+    for item, state in sorted(states.items(), key=lambda pair: pair[0].name):
         path = printable(item.source)
         if values["as_json"]:
             stated = {one.field: {"value": json_value(one.value), "from": one.origin} for one in item.choices}
@@ -270,6 +272,12 @@ def _preview(study: Study, values: dict[str, Any]) -> int:
             exit_codes.show(
                 "\t".join([path, state, *_stated(item), *([item.refusal] if item.refusal else [])])
             )
+    for name, why in left.items():
+        if values["as_json"]:
+            about = {"path": printable(name), "state": "left_out", **why.as_json(), "message": sentence(why)}
+            exit_codes.show(json.dumps(about))
+        elif not values["quiet"]:
+            exit_codes.say(f"{printable(name)}: left out: {clause(why)}")
     return exit_codes.OK
 
 
@@ -298,6 +306,9 @@ def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, value
         more = {"unchanged": summary.up_to_date, "not started": summary.waiting}
         counts += [f"{number} {name}" for name, number in more.items() if number]
         counts += [f"{summary.kept} kept, made with other options"] if summary.kept else []
+        if values["verbose"]:
+            for name, why in summary.files_left_out.items():
+                exit_codes.say(f"{printable(name)}: left out: {clause(why)}")
         table = printable(study.out / f"{study.shard.basename}.csv")
         total = ": ".join(filter(None, [counted(len(summary.rows), "recording"), ", ".join(counts)]))
         others = f". {counted(summary.left_out, 'other file')} skipped" if summary.left_out else ""

@@ -8,6 +8,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from accelcal_cli.core.reasons import Reason
+
 NO_BYTES = re.compile("[\ud800-\udc7f\udd00-\udfff]")
 """Halves of characters that stand for no byte of a file name; JSON text may hold them."""
 
@@ -167,7 +169,15 @@ class NoFormatError(UnreadableError):
 
 
 class NoRecordingError(UnreadableError):
-    """The table is sound, but nothing in it is acceleration."""
+    """The file is sound, but it holds no raw acceleration.
+
+    Args:
+        reason: what it holds instead; None: a table without acceleration.
+    """
+
+    def __init__(self, message: str, *, reason: Reason | None = None, **place: Any) -> None:
+        super().__init__(message, **place)
+        self.reason = reason or Reason("no_acceleration")
 
 
 class OutputError(AccelcalError):

@@ -25,6 +25,9 @@ from accelcal_cli.core.vocabulary import UNIT_CHOICES
 
 HEAD_BYTES = 65_536
 GZIP_MAGIC, ZIP_MAGIC = b"\x1f\x8b", b"PK\x03\x04"
+UTF16 = (b"\xff\xfe", b"\xfe\xff")
+"""First bytes of text in UTF-16 (byte order marks)."""
+
 RATE_AGREEMENT = 0.05
 
 
@@ -235,6 +238,7 @@ class Format:
         ignores: reading options that mean nothing to it, such as `columns`: the one place that says so.
         is_table: such files hold tables of all kinds; that of a study may be no recording.
         belongs_to: the recording whose further sensors or description a file holds; None for any other file.
+        refuse_others: raises NoRecordingError if the beginning shows that a file of it is no recording.
     """
 
     name: str
@@ -245,6 +249,7 @@ class Format:
     ignores: tuple[str, ...] = ()
     is_table: bool = False
     belongs_to: Callable[[Path], Path | None] = lambda _path: None
+    refuse_others: Callable[[Probe], None] = lambda _probe: None
 
     def unused(self, options: ReadOptions) -> tuple[str, ...]:
         """Return the options that are given and mean nothing to this format."""
@@ -275,6 +280,13 @@ def _refuse_no_calendar(recording: Recording) -> None:
         raise UnreadableError(what, path=recording.path, hint=hint)
 
 
+def as_utf8(head: bytes) -> bytes:
+    """Return text in UTF-16 that says so by its first two bytes as UTF-8; anything else as it is."""
+    if not head.startswith(UTF16):
+        return head
+    return head[: len(head) // 2 * 2].decode("utf-16", "replace").encode()
+
+
 def probe_file(path: Path, options: ReadOptions) -> Probe:
     """Read the beginning of a file.
 
@@ -298,7 +310,7 @@ def probe_file(path: Path, options: ReadOptions) -> Probe:
             head = read_gzip_head(path)
     except OSError as error:
         raise unread(error, path) from error
-    return Probe(path, head, size, compressed, options)
+    return Probe(path, as_utf8(head)[:HEAD_BYTES], size, compressed, options)
 
 
 def read_gzip_head(path: Path) -> bytes:

@@ -331,3 +331,11 @@ MEASURES = frozenset({
     *("pitch", "yaw", "qw", "qx", "qy", "qz"),
 })  # fmt: skip
 """Words in the name of a column that measures or counts something."""
+
+ABOUT_PEOPLE = frozenset({
+    *("age", "sex", "gender", "birth", "weight", "height", "bmi", "kg", "cm", "bed", "nap", "naps", "onset"),
+    *("getup", "lights", "bedtime", "waketime", "wakeup", "score", "distance", "systolic", "diastolic", "rr"),
+    *("spo2", "duration", "calendar", "hours", "minutes", "steps", "gps", "hrv", "rmssd", "respiration"),
+    *("questionnaire", "item", "answer", "comments", "start", "end", "spt", "sib", "bouts", "hz", "valid"),
+})  # fmt: skip
+"""Words in the name of a column of a diary, a questionnaire or a summary."""

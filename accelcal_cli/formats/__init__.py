@@ -130,13 +130,13 @@ def has_parts(path: Path) -> bool:
     return is_archive(path)
 
 
-def holds_parts(path: Path) -> bool:
-    """Return True for an archive that may hold recordings, by the names that a short look shows.
+def archive_around(path: Path) -> bool | None:
+    """Return whether an archive may hold recordings, by the names that a short look shows.
 
-    So may one that shows none: it is damaged, or has too many members.
+    So may one that shows none: it is damaged, or has too many members. None: it is not an archive.
     """
     if not path.name.lower().endswith(ARCHIVES) or not has_parts(path):
-        return False
+        return None
     from accelcal_cli.formats._parts.archive import first_names
 
     names = [name.lower().removesuffix(".gz") for name in first_names(path, LOOKED_AT)]
@@ -155,6 +155,22 @@ def belongs_to(path: Path) -> Path | None:
 def is_export(folder: Path) -> bool:
     """Return True for a folder in which all files that belong to another belong to the same."""
     return len({found for one in files_of(folder) or () if (found := belongs_to(one)) is not None}) == 1
+
+
+def refuse_other_files(probe: Probe) -> None:
+    """Raise NoRecordingError for a file that is known to be no recording."""
+    refuse_not_recordings(probe)
+
+
+def refuse_others(form: Format, score: int, probe: Probe) -> None:
+    """Raise NoRecordingError if the beginning of a file shows that it is no recording.
+
+    Args:
+        form: the format that fits best, with the confidence `score`.
+    """
+    if score < SIGNED:
+        refuse_not_recordings(probe)
+    form.refuse_others(probe)
 
 
 def unused_options(path: Path, options: ReadOptions) -> tuple[str, ...]:

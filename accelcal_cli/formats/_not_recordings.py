@@ -8,8 +8,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import NoRecordingError
 from accelcal_cli.core.formats import Probe
+from accelcal_cli.core.reasons import Reason
 
 NOT_RAW = "epochs, not raw acceleration"
 LOOKED_AT = 4096
@@ -47,6 +48,16 @@ EPOCH_NAMES = frozenset(
 )
 """Lower-case names of columns of tables of epochs that have no columns of x, y and z."""
 
+OF_OTHER_TOOLS = re.compile(
+    r"(?:.*[_ ])?l?f?enmo(?:trunc)?(?:[_ ].*)?|hf?enplus|b?f?en|mad|nonwearscore|clippingscore|anglez.*|"
+    r"sleeponset\w*|spt\w*|dur_\w*|sleepdurationinspt|cleaningcode|acc_\w+_mg|vector\.magnitude|"
+    r"clips(?:before|after)calibr|acceleration \(mg\) - .*"
+)
+"""Lower-case names of columns of tables by GGIR, biobankAccelerometerAnalysis and agcounts."""
+
+NOT_AXES = re.compile(r"(?:.*[^a-z])?(?:angle|gyr|mag|euler|quat|rot|sd|std|range|min|max).*")
+"""Names of columns that end in x, y or z and are not acceleration."""
+
 MEAN_COLUMNS = ({"x", "y", "z"}, {"meanx", "meany", "meanz"}, {"mean_x", "mean_y", "mean_z"})
 WINDOW_COLUMNS = {"weight", "posture", "counts_per_g", "spread_x", "meanx", "mean_x"}
 """Columns of tables of still windows that are not the means, or names of the means (`collect/table.py`)."""
@@ -54,14 +65,15 @@ WINDOW_COLUMNS = {"weight", "posture", "counts_per_g", "spread_x", "meanx", "mea
 
 @dataclass(frozen=True, slots=True)
 class NotRecording:
-    """The content of a file, following the word "holds", and what to do instead."""
+    """The content of a file, following the word "holds", what to do instead, and the reason in a study."""
 
     what: str
     hint: str
+    reason: Reason
 
 
 def _epochs(device: str, hint: str) -> NotRecording:
-    return NotRecording(f"{device} {NOT_RAW}", hint)
+    return NotRecording(f"{device} {NOT_RAW}", hint, Reason("epochs", {"whose": device}))
 
 
 NO_RAW = "no raw acceleration can be exported from it"
@@ -85,17 +97,17 @@ They are taken from the test files of github.com/wadpac/GGIRread and github.com/
 
 SQLITE = b"SQLite format 3\0"
 AGD = _epochs("ActiGraph's", "give the .gt3x file of the same recording, from the device or from ActiLife")
-DATABASE = NotRecording("an SQLite database", "export the recording as text (CSV)")
+DATABASE = NotRecording("an SQLite database", "export the recording as text (CSV)", Reason("database"))
 TABLE = _epochs("a table of", "export the raw data" + INSIST)
-WINDOWS = NotRecording("means of still windows, not samples", FIT)
+WINDOWS = NotRecording("means of still windows, not samples", FIT, Reason("still_windows"))
 
 
 def refuse_not_recordings(probe: Probe) -> None:
-    """Raise UnreadableError for a file known to be no recording, unless the user says how to read it."""
+    """Raise NoRecordingError for a file known to be no recording, unless the user says how to read it."""
     options = probe.options
     found = _recognised(probe)
     if found is not None and options.columns is None and options.unit is None:
-        raise UnreadableError(f"holds {found.what}", path=probe.path, hint=found.hint)
+        raise NoRecordingError(f"holds {found.what}", path=probe.path, hint=found.hint, reason=found.reason)
 
 
 def _recognised(probe: Probe) -> NotRecording | None:
@@ -108,6 +120,16 @@ def _recognised(probe: Probe) -> NotRecording | None:
     return _by_names(head, signed)
 
 
+def names_axes(head: bytes) -> bool:
+    """Return True if a line of a text names three columns as axes are named, in two words at most each."""
+    for line in head[: 4 * LOOKED_AT].decode("utf-8", "replace").lower().splitlines()[:HEADER_LINES]:
+        cells = {re.sub(r"\s*[\[(].*", "", cell.strip(' "\ufeff#')) for cell in SEPARATORS.split(line)}
+        axes = {cell for cell in cells if AXIS.fullmatch(cell) and not NOT_AXES.fullmatch(cell)}
+        if len(axes) >= len("xyz") and all(len(cell.split()) <= 2 for cell in axes):
+            return True
+    return False
+
+
 def _by_names(head: bytes, signed: NotRecording | None) -> NotRecording | None:
     """Recognise a table of epochs or of still windows by its column names; else return `signed`.
 
@@ -118,8 +140,10 @@ def _by_names(head: bytes, signed: NotRecording | None) -> NotRecording | None:
         plain = {re.sub(r"\s*[\[(].*", "", name) for name in names}
         if any(means <= plain for means in MEAN_COLUMNS) and WINDOW_COLUMNS & plain:
             return WINDOWS
-        if sum(map(bool, map(AXIS.fullmatch, plain))) >= len("xyz"):
+        axes = [name for name in plain if AXIS.fullmatch(name) and not NOT_AXES.fullmatch(name)]
+        if len(axes) >= len("xyz"):
             return None
-        if len(names) > 1 and EPOCH_NAMES & names and not any(map(AXIS.fullmatch, names)):
+        known = EPOCH_NAMES & names or any(map(OF_OTHER_TOOLS.fullmatch, plain | names))
+        if len(names) > 1 and known and not axes:
             return signed or TABLE
     return signed

@@ -13,6 +13,7 @@ from typing import Any
 
 from accelcal_cli.core.errors import counted, listed, printable
 from accelcal_cli.core.reasons import Reason
+from accelcal_cli.output.file_words import FILES
 from accelcal_cli.output.numbers import mg, number, times_smaller
 from accelcal_cli.output.report_view import HoldoutView, ReportView
 
@@ -431,6 +432,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "record_again": "Record again: the device has to lie still for some seconds, in different orientations.",
     "other_coefficients": "Use coefficients from another recording of this device (accelcal apply, or "
     "accelcal study --borrow), or calibrate the device itself (accelcal six-pose).",
+    **FILES,
 }
 """Sentences of the codes of reasons: formats of their values, or functions of them."""
 

@@ -190,6 +190,7 @@ def page(study: StudyContent) -> str:
         nameless=counted(study.nameless, "recording") if study.nameless else None,
         csv=study.csv,
         origin=[(name, printable(value)) for name, value in study.origin],
+        left_out=_left_out(study.summary),
         recordings=len(once),
         data=embedded(
             {"recordings": _recordings_table(entries, scatter), "devices": _devices_table(devices)}
@@ -357,6 +358,18 @@ def _notes(summary: dict[str, Any]) -> list[str]:
     if pools:
         notes.append(f"{counted(len(pools), 'pool')} of recordings of one device.")
     return notes
+
+
+def _left_out(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return name and reason of the files that the study leaves out, those by its options aside."""
+    listed = summary.get("files_left_out")
+    found = [one for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
+    texts = [
+        (printable(str(one.get("path"))), printable(str(one.get("message"))))
+        for one in found
+        if one.get("code") != "excluded"
+    ]
+    return texts[:LISTED]
 
 
 def _outcomes(entries: Sequence[_Entry]) -> list[dict[str, Any]]:

@@ -15,16 +15,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from accelcal_cli.core.door import files_below, is_file, is_folder, is_link, is_there, look
-from accelcal_cli.core.errors import AccelcalError, NoRecordingError, OutputError, UnreadableError, UsageError
-from accelcal_cli.core.formats import Format, ReadOptions, probe_file, without
+from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.input_files import ANY, files_of, is_no_part, pattern_of_siblings
-from accelcal_cli.formats import all_formats, belongs_to, holds_parts, named_format
+from accelcal_cli.core.reasons import Reason
+from accelcal_cli.formats import belongs_to
 from accelcal_cli.formats.csv import bids_channels_path
 from accelcal_cli.formats.raw import folder_layout, named_layout
 from accelcal_cli.output.files import looking_at, stored_schema
 from accelcal_cli.output.report_reading import load_our_json
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.options import fits_pattern
+from accelcal_cli.studies.left_out import is_table, unfinished, why_left_out
 from accelcal_cli.studies.records import Item, is_ledger
 from accelcal_cli.studies.summary import COLUMNS
 
@@ -37,10 +39,8 @@ FIRST = list(COLUMNS[:2])
 
 OURS = (
     jobs.PARQUET_SUFFIX, jobs.UNCALIBRATED_SUFFIX, jobs.REPORT_SUFFIX, jobs.INTEGERS_SUFFIX,
-    jobs.DRAWS_SUFFIX, jobs.QUALITY_SUFFIX, ".toml", ".truth.json", ".tmp", ".part",
+    jobs.DRAWS_SUFFIX, jobs.QUALITY_SUFFIX, ".toml", ".truth.json",
 )  # fmt: skip
-TABLES = "csv"
-"""Name of the one format whose suffixes other files often have."""
 
 
 def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force: bool) -> None:
@@ -95,17 +95,23 @@ class Where:
     exclude: tuple[str, ...] = ()
 
 
-def files(where: Where, notes: list[str]) -> list[Item]:
+Left = dict[str, Reason]
+"""Why files are left out, by their names in the study."""
+
+
+def files(where: Where, notes: list[str], left: Left | None = None) -> list[Item]:
     """Return all files that may be recordings, by name.
 
     Args:
         notes: receives a line for each link to a folder that was not followed.
+        left: receives the files that are left out by their names or as what they are.
 
     Raises:
         UsageError: one of them is not a folder, or two would share one place under OUT.
     """
     links = _Links([jobs.real(folder) for folder in where.folders], notes)
-    found = [item for folder, place in places(where) for item in _folder(where, folder, place, links)]
+    left = {} if left is None else left
+    found = [item for folder, place in places(where) for item in _folder(where, folder, place, links, left)]
     return sorted(_apart([*_with_sets(where, found)]), key=lambda item: item.name)
 
 
@@ -172,15 +178,11 @@ class _Links:
 
 def _apart(items: list[Item]) -> Iterator[Item]:
     """Give a table next to a device's file of the same STEM, such as its export, its full name as STEM."""
-    devices = {item.job.report for item in items if not _is_table(item)}
+    devices = {item.job.report for item in items if not is_table(item)}
     for item in items:
         report, source = item.job.report, item.source
-        beside = _is_table(item) and report in devices
+        beside = is_table(item) and report in devices
         yield replace(item, job=_job(source, report.with_name(source.name))) if beside else item
-
-
-def _is_table(item: Item) -> bool:
-    return _suffix(item) not in _suffixes(tuple(one for one in all_formats() if one.name != TABLES))
 
 
 def as_if_alone(item: Item) -> jobs.Job:
@@ -201,7 +203,7 @@ def below_out(where: Where) -> list[Item]:
     for folder, place in places(where):
         if jobs.real(folder) in jobs.real(where.out).parents and is_folder(where.out):
             out = jobs.real(where.out).relative_to(jobs.real(folder))
-            for item in _folder(every, folder / out, f"{place}{out.as_posix()}/", _Links([], [])):
+            for item in _folder(every, folder / out, f"{place}{out.as_posix()}/", _Links([], []), {}):
                 below = item.name.removeprefix(place)
                 included = not where.include or fits_pattern(below, where.include)
                 if included and not fits_pattern(below, where.exclude):
@@ -227,7 +229,7 @@ def places(where: Where) -> list[tuple[Path, str]]:
     return [(folder, f"{name}/") for folder, name in zip(where.folders, names, strict=True)]
 
 
-def _folder(where: Where, folder: Path, place: str, links: _Links) -> Iterator[Item]:
+def _folder(where: Where, folder: Path, place: str, links: _Links, left: Left) -> Iterator[Item]:
     out = jobs.real(where.out)
     unlisted: list[OSError] = []
     for base, folders, names in files_below(folder, unlisted, follow=True):
@@ -236,10 +238,15 @@ def _folder(where: Where, folder: Path, place: str, links: _Links) -> Iterator[I
             folders.clear()
             continue
         for name in names:
-            below = (base / name).relative_to(folder).as_posix()
+            path = base / name
+            if _never(path):
+                continue
+            below = path.relative_to(folder).as_posix()
             aside = bool(where.include) and not fits_pattern(below, where.include)
-            if not _never(base / name) and not fits_pattern(below, where.exclude) and _plain(base / name):
-                yield replace(_item(where, base / name, place + below), aside=aside)
+            if (reason := _why_by_name(path, below, where)) is not None:
+                left[place + below] = reason
+            else:
+                yield replace(_item(where, path, place + below), aside=aside)
     for error in unlisted:
         yield _unlisted(where, folder, place, error)
 
@@ -253,10 +260,22 @@ def _subfolders(base: Path, names: list[str], out: Path, links: _Links) -> list[
 
 
 def _never(path: Path) -> bool:
-    """Return True for what is certainly no recording: hidden, an output, options, a layout, a part."""
+    """Return True for what is nobody's recording and is not named: hidden, an output, options, a layout."""
     name = path.name
-    written = NAMES.fullmatch(name) is not None and (path.suffix not in SUMMARY or _is_study_file(path))
-    return name.startswith(".") or name.endswith(OURS) or written or belongs_to(path) is not None
+    if name.startswith(".") or name.endswith(OURS):
+        return True
+    return NAMES.fullmatch(name) is not None and (path.suffix not in SUMMARY or _is_study_file(path))
+
+
+def _why_by_name(path: Path, below: str, where: Where) -> Reason | None:
+    """Return why a file is left out by its name or as what it is; None if its content decides."""
+    if (reason := unfinished(path)) is not None:
+        return reason
+    if fits_pattern(below, where.exclude):
+        return Reason.of("excluded", by="--exclude")
+    if (whole := belongs_to(path)) is not None:
+        return Reason.of("belongs_to_another", name=whole.name)
+    return None if _plain(path) else Reason("not_a_file")
 
 
 def _plain(path: Path) -> bool:
@@ -294,55 +313,13 @@ def without_collisions(items: list[Item]) -> list[Item]:
     return apart
 
 
-def is_recording(item: Item, options: ReadOptions, *, asked_for: bool) -> bool:
-    """Return True if a file is one of the study's recordings, by content.
-
-    A file that no format fits is one if its suffix is that of a device's files: it is damaged, and must not
-    be ignored silently. Text files are recordings only if they have columns of numbers.
-
-    Args:
-        asked_for: the user named its kind with `--include`.
-    """
-    name = options.format or ("raw" if options.layout is not None else None)
-    wanted = all_formats() if name is None else (named_format(name),)
-    try:
-        if asked_for or files_of(item.source) is not None or (name is None and holds_parts(item.source)):
-            return True
-        probe = probe_file(item.source, replace(options, layout=None))
-    except UnreadableError:
-        return _suffix(item) in _suffixes(all_formats())
-    found = max(wanted, key=lambda one: one.sniff(probe))
-    if found.sniff(probe):
-        return not found.is_table or _holds_acceleration(found, item, options)
-    return _suffix(item) in _suffixes(tuple(one for one in wanted if one.name != TABLES and not one.is_table))
-
-
 def recordings_in(paths: Sequence[Path], options: ReadOptions) -> list[Path]:
     """Return recordings, those in folders found as a study finds them; raises what `files` raises."""
     found: list[Path] = []
     for path in paths:
-        if path.is_dir():
+        if is_folder(path):
             items = files(Where((path,), path), [])
-            found += [item.source for item in items if is_recording(item, options, asked_for=False)]
+            found += [one.source for one in items if why_left_out(one, options, asked_for=False) is None]
         else:
             found.append(path)
     return found
-
-
-def _holds_acceleration(form: Format, item: Item, options: ReadOptions) -> bool:
-    """Return True if a table is a recording; a damaged one may be, and must not be ignored silently."""
-    try:
-        form.open(item.source, without(options, form.unused(options))).close()
-    except NoRecordingError:
-        return False
-    except AccelcalError:
-        return True
-    return True
-
-
-def _suffix(item: Item) -> str:
-    return Path(item.source.name.lower().removesuffix(".gz")).suffix
-
-
-def _suffixes(formats: tuple[Format, ...]) -> set[str]:
-    return {suffix for one in formats for suffix in one.suffixes}

@@ -77,6 +77,7 @@ class Entry:
         again: whether it must be tried again, because the fault was not in the recording.
         round: name of the round.
         inputs: hashes of all else that the result was made from, in the order of use.
+        why: code and values of the reason why a file is left out.
     """
 
     name: str
@@ -87,6 +88,7 @@ class Entry:
     again: bool = False
     round: str = OWN
     inputs: tuple[str, ...] = ()
+    why: dict[str, Any] | None = None
 
     @property
     def failed(self) -> bool:
@@ -291,6 +293,7 @@ def _parsed(line: bytes, texts: dict[str, str]) -> Entry | None:
             again=saved["again"],
             round=saved["round"],
             inputs=tuple(saved["inputs"]),
+            why=saved.get("why"),
         )
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
         return None

@@ -17,12 +17,14 @@ from typing import Protocol
 from accelcal_cli.core import system
 from accelcal_cli.core.door import is_file, matching
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.formats import refuse_unused
 from accelcal_cli.output.files import looking_at
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.pipeline.options import FolderRules, stated_stamp, with_stated
+from accelcal_cli.pipeline.options import STUDY_FILE, FolderRules, stated_stamp, with_stated
 from accelcal_cli.studies import summary
-from accelcal_cli.studies.discovery import below_out, files, is_recording, without_collisions
+from accelcal_cli.studies.discovery import Left, below_out, files, without_collisions
+from accelcal_cli.studies.left_out import why_left_out
 from accelcal_cli.studies.records import Entry, Item, Ledger, RecordingState, TaskFunction
 from accelcal_cli.studies.study import REPLACING, WHOLE, Study
 from accelcal_cli.studies.task import Common, Task
@@ -122,6 +124,7 @@ class Plan:
         changing: names of late recordings whose file has changed since the earlier result; it may be
             incomplete.
         kept: results of earlier runs with other options, of recordings that this run does not name.
+        by_name: why files were left out without a look at their content, by name.
         notes: lines for the user: patterns of `study.toml` that no file fits, links that are not followed.
     """
 
@@ -133,11 +136,18 @@ class Plan:
     changing: set[str] = field(default_factory=set)
     kept: list[Entry] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    by_name: Left = field(default_factory=dict)
 
     def ahead(self) -> int:
         """Return the number of waiting recordings changed in the future, by this machine's clock."""
         now = time.time()
         return sum(item.changed_s > now for item in self.waiting)
+
+    def reasons(self, owns: Callable[[str], bool]) -> Left:
+        """Return why files are left out, by name, of those that a shard owns."""
+        looked_at = {one.name: Reason(**one.why) for one in self.left_out if one.why}
+        by_name = {name: why for name, why in self.by_name.items() if owns(name)}
+        return dict(sorted({**by_name, **looked_at}.items()))
 
     def sources(self) -> list[Path]:
         """Return the files of all recordings."""
@@ -152,9 +162,11 @@ def plan(study: Study, ledger: Ledger) -> Plan:
             means anything.
     """
     planning = _Planning(study, ledger, study.asked(), Plan())
-    listed, rules = files(study.where, planning.plan.notes), study.request.rules
+    by_name = planning.plan.by_name
+    listed, rules = files(study.where, planning.plan.notes, by_name), study.request.rules
     planning.plan.notes += unfit_patterns(rules, listed)
     wanted = [item for item in listed if not any(one.excludes(item.source) for one in rules)]
+    by_name |= {item.name: Reason.of("excluded", by=STUDY_FILE) for item in set(listed) - set(wanted)}
     concerned, others = _concerned(study, wanted)
     items = [planning.looked_at(item) for item in concerned]
     recordings = without_collisions(planning.recordings(items))
@@ -196,7 +208,7 @@ def as_stated(item: Item, request: Request) -> Item:
         choices = request.choices_of(item.source)
         with_stated(request.options, choices, item.source)
     except (UsageError, UnreadableError) as error:
-        if item.refusal is None and is_recording(item, request.options, asked_for=False):
+        if item.refusal is None and why_left_out(item, request.options, asked_for=False) is None:
             why = str(error).removeprefix(f"{printable(item.source)}: ")
             return replace(item, refusal=why)
         return item
@@ -242,12 +254,13 @@ class _Planning:
         entry, named = self.ledger.known(item, self.asked), bool(self.study.where.include)
         request = self.study.request
         if entry is not None and not entry.failed and (entry.row is not None or not named):
-            recording = entry.row is not None
+            recording, why = entry.row is not None, entry.why
         else:
             options = with_stated(request.options, {one.field: one for one in item.choices}, item.source)
-            recording = item.refusal is not None or is_recording(item, options, asked_for=named)
+            reason = None if item.refusal is not None else why_left_out(item, options, asked_for=named)
+            recording, why = reason is None, None if reason is None else reason.as_json()
         if not recording and self.study.shard.owns(item.name):
-            self.plan.left_out.append(Entry(item.name, item.stamps, self.asked, None))
+            self.plan.left_out.append(Entry(item.name, item.stamps, self.asked, None, why=why))
         return recording
 
     def place(self, item: Item) -> None:
@@ -343,7 +356,7 @@ def overlooked(study: Study) -> int:
         UsageError: one of the folders is not a folder.
     """
     options = study.request.options
-    return sum(is_recording(item, options, asked_for=False) for item in below_out(study.where))
+    return sum(why_left_out(item, options, asked_for=False) is None for item in below_out(study.where))
 
 
 def _left_for_later(study: Study, item: Item) -> bool:

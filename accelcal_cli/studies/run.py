@@ -23,7 +23,7 @@ from accelcal_cli.pipeline.outputs import withdraw
 from accelcal_cli.studies import lock, summary
 from accelcal_cli.studies.borrowing import BORROWING
 from accelcal_cli.studies.cluster import Cluster, Notify, WorkerRequirements, calibrate_in_user_folder, code
-from accelcal_cli.studies.discovery import SUMMARY, as_if_alone, places, refuse_foreign
+from accelcal_cli.studies.discovery import SUMMARY, Left, as_if_alone, places, refuse_foreign
 from accelcal_cli.studies.in_process import Futures, InProcess, must_stay
 from accelcal_cli.studies.lock import Lease
 from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools
@@ -168,6 +168,7 @@ def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
         waiting=len(planned.waiting),
         ahead=planned.ahead(),
         left_out=len(planned.left_out),
+        files_left_out=planned.reasons(study.shard.owns),
         kept=len({entry.name for entry in planned.kept}),
         up_to_date=len(set(states) - study_run.worked),
         pools={name: pools[name].row or {} for name in sorted(pools)},
@@ -420,10 +421,11 @@ def tidy(task: Task, lost: str | None = None) -> None:
                 sweep_of(path, lost)
 
 
-def preview(study: Study, note: Callable[[str], None]) -> dict[Item, str]:
+def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str], Left]:
     """Return what a run would do with each recording: `todo`, `waiting`, or the outcome that it has.
 
-    The tasks of later rounds are decided by what is known now; nothing is locked or written.
+    The tasks of later rounds are decided by what is known now; nothing is locked or written. The second part
+    says which files are left out, and why.
 
     Args:
         note: called with each line for the user.
@@ -449,4 +451,5 @@ def preview(study: Study, note: Callable[[str], None]) -> dict[Item, str]:
         for task, entry in taken:
             known.take(one, task.item.name, entry)
     named = [one for one in known.recordings.values() if not one.item.aside]
-    return {one.item: (one.last.row or {})["outcome"] for one in named} | states
+    of_now = {one.item: (one.last.row or {})["outcome"] for one in named} | states
+    return of_now, planned.reasons(study.shard.owns)

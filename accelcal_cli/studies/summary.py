@@ -17,6 +17,7 @@ from accelcal_cli.core.calibration import PARAMETER_NAMES
 from accelcal_cli.core.errors import counted, printable
 from accelcal_cli.core.local_time import UNKNOWN, UTC
 from accelcal_cli.core.points import MODELS
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output import files
 from accelcal_cli.output.advice import cautions
@@ -31,6 +32,7 @@ from accelcal_cli.output.report_view import (
     factor_columns,
     report_view,
 )
+from accelcal_cli.output.words import sentence
 from accelcal_cli.studies.records import FAILED, Item
 
 if TYPE_CHECKING:
@@ -260,7 +262,8 @@ class Summary:
         waiting: number of recordings that were not tried yet: too new, too old, or another shard's.
         ahead: number of waiting recordings that were changed in the future by this machine's clock; not
             written.
-        left_out: number of files that are not recordings.
+        left_out: number of files that are not recordings; files_left_out: why, by name, with those left out
+            by their names.
         kept: number of recordings that this run does not name, whose rows are from one with other options.
         up_to_date: number of recordings for which nothing had to be done; not written.
         pools: device, number of recordings, outcome and message of each pool, by name.
@@ -271,6 +274,7 @@ class Summary:
     waiting: int = 0
     ahead: int = 0
     left_out: int = 0
+    files_left_out: Mapping[str, Reason] = field(default_factory=dict)
     kept: int = 0
     up_to_date: int = 0
     pools: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -316,6 +320,10 @@ class Summary:
             "mixed_times": self.mixed_times(),
             "waiting": self.waiting,
             "left_out": self.left_out,
+            "files_left_out": [
+                {"path": printable(name), **why.as_json(), "message": sentence(why)}
+                for name, why in self.files_left_out.items()
+            ],
             "kept": self.kept,
             "pools": self.pools,
             "settings": self.settings,

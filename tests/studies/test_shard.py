@@ -11,6 +11,7 @@ import pytest
 
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.studies import rounds as planning
 from accelcal_cli.studies.discovery import Where
@@ -76,13 +77,13 @@ def test_a_shard_looks_at_its_own_files_alone(tmp_path: Path, monkeypatch: pytes
     names = [f"{letter}.raw" for letter in "abcdefgh"]
     folder, looked_at = study_folder(tmp_path / "in", tuple(names)), []
     (folder / "a.bin").write_bytes(b"no recording")
-    real = planning.is_recording
+    real = planning.why_left_out
 
-    def is_recording(item: Item, *more: Any, **named: Any) -> bool:
+    def looks(item: Item, *more: Any, **named: Any) -> Reason | None:
         looked_at.append(item.name)
         return real(item, *more, **named)
 
-    monkeypatch.setattr(planning, "is_recording", is_recording)
+    monkeypatch.setattr(planning, "why_left_out", looks)
     for index in (1, 2, 3):
         looked_at.clear()
         own = {name for name in (*names, "a.bin", "readme.txt") if Shard(index, 3).owns(name)}

@@ -20,7 +20,7 @@ from typing import TypeVar
 import numpy as np
 
 from accelcal_cli.core.clock import MICROSECONDS, StampClock
-from accelcal_cli.core.door import is_file
+from accelcal_cli.core.door import is_file, is_folder
 from accelcal_cli.core.errors import (
     AccelcalError,
     NoFormatError,
@@ -321,7 +321,7 @@ class PartsReader(FilesReader):
 def _unpacking_hint(path: Path) -> str:
     """Return the commands that make a study of the recordings in an archive."""
     name = printable(path)
-    if path.is_dir():
+    if is_folder(path):
         return (
             f"`accelcal study {shlex.quote(name)} -d OUT` calibrates each; with --parts they are parts of one"
         )

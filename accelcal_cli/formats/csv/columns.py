@@ -16,10 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import NoRecordingError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.thermometers import BARE, HeatUnit, find_thermometer
-from accelcal_cli.core.vocabulary import CSV, NOT_RAW
+from accelcal_cli.core.vocabulary import ABOUT_PEOPLE, CSV, LABELS, MEASURES, NOT_RAW, OWNERS
 from accelcal_cli.core.written_times import is_date, is_digits_of_day, stated_zone
 from accelcal_cli.formats._tables.channels import NOT_READ, CountScale, turn_scale
 from accelcal_cli.formats.csv.cells import (
@@ -60,6 +61,12 @@ G_FORCE = re.compile(r"^gF([xyz])$")
 """Name of an acceleration in g in files of Physics Toolbox."""
 
 AXES = ("x", "y", "z")
+LISTED = 8
+"""Names of columns that a study gives of a table that it leaves out."""
+
+ELSEWHERE = (MEASURES | LABELS | ABOUT_PEOPLE | OWNERS | OTHER_SENSORS) - {"sensor", "node", "imu"} - NOT_RAW
+"""Words in the name of a column that is not an axis of acceleration."""
+
 UNKNOWN = np.iinfo(np.int32).min
 """Stands for a value of a channel that only earlier rows can give."""
 
@@ -328,6 +335,17 @@ def _named_axes(titles: list[Title], path: Path) -> tuple[int, int, int] | None:
     return (found[0]["x"], found[0]["y"], found[0]["z"]) if found else None
 
 
+def could_be_axes(names: tuple[str, ...]) -> bool:
+    """Return True if three columns or more have names that do not say that they are something else."""
+    titles = [Title.of(number, name, None) for number, name in enumerate(names)]
+    unknown = [
+        one
+        for one in titles
+        if not (ELSEWHERE & set(one.words) or one.is_time or (one.is_gyroscope and len(one.words) > 1))
+    ]
+    return len(unknown) >= len(AXES)
+
+
 def _placed_axes(dialect: Dialect, path: Path) -> tuple[int, int, int]:
     """Return the only numbers there are in columns without names: x,y,z or time,x,y,z."""
     numeric = [kind is CellKind.NUMBER for kind in dialect.kinds]
@@ -337,6 +355,14 @@ def _placed_axes(dialect: Dialect, path: Path) -> tuple[int, int, int]:
         return 1, 2, 3
     if dialect.names is None and dialect.columns == 5 and _date_and_time(dialect, [0, 1]):
         return 2, 3, 4
+    if dialect.names and not could_be_axes(dialect.names):
+        raise NoRecordingError(
+            f"no column has a name known for acceleration: {', '.join(dialect.names)}",
+            path=path,
+            line=dialect.names_line,
+            hint="give --columns X,Y,Z as names, or as numbers from 0, if it is there",
+            reason=Reason.of("other_quantities", columns=dialect.names[:LISTED]),
+        )
     columns = (
         f"the columns {', '.join(dialect.names)}"
         if dialect.names

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, iso_time
 from accelcal_cli.core.door import has_file
 from accelcal_cli.core.errors import UnreadableError, UsageError, counted, printable
-from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions, agreed_rate
+from accelcal_cli.core.formats import GZIP_MAGIC, UTF16, ReadOptions, agreed_rate
 from accelcal_cli.core.input_files import read_text
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Device
 from accelcal_cli.core.vocabulary import COUNTS, UNIT_CHOICES
@@ -58,7 +58,13 @@ from accelcal_cli.formats.csv.columns import (
     heat_notes,
     why_not_read,
 )
-from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
+from accelcal_cli.formats.csv.dialect import (
+    DEEPEST_BYTES,
+    Dialect,
+    cells_of,
+    find_deep_dialect,
+    find_dialect,
+)
 from accelcal_cli.formats.csv.exports import PHYPHOX_HEAD, experiment_start
 from accelcal_cli.formats.csv.lines import Block, LineFile, RepeatedHeads, lone_block
 from accelcal_cli.formats.csv.rows import ParsedTable, TableParser, usual_stride, with_heat_unit
@@ -72,7 +78,7 @@ from accelcal_cli.formats.csv.times import (
     find_time_format,
     rate_above,
 )
-from accelcal_cli.formats.csv.vendors import ExportDescription, Start, export_description
+from accelcal_cli.formats.csv.vendors import ExportDescription, Start, export_description, refuse_doubtful
 
 HEAD_BYTES = 1 << 20
 """Bytes that are read to understand a file."""
@@ -168,17 +174,11 @@ def detect(path: Path, options: ReadOptions) -> Detected:
         UsageError: an option names no column, or counts come without their scale.
     """
     _refuse_not_positive(options)
-    head = _head(path, False)
+    head = _head(path, HEAD_BYTES)
     export = bids_description(path) or export_description(head, path.name) or ExportDescription()
     export = _with_start(export, head, path)
-    if export.doubt is not None and options.unit is None:
-        raise UnreadableError(export.doubt.message, path=path, line=1, hint=export.doubt.hint)
-    dialect = find_dialect(head, export.preamble)
-    if dialect is None:
-        raise _no_rows(path, head)
-    if dialect.bare_returns:
-        head = _head(path, True)
-    dialect = _with_names(dialect, export, path)
+    refuse_doubtful(export, options, path)
+    head, dialect = _layout(head, export, path)
     above = head[: dialect.offset]
     block = RepeatedHeads(above).without(_head_block(head, dialect))
     roles = find_roles(dialect, options, path, export.xyz, export.time)
@@ -233,16 +233,24 @@ def _refuse_not_positive(options: ReadOptions) -> None:
             )
 
 
-def _head(path: Path, bare_returns: bool) -> bytes:
-    with LineFile(path, bare_returns) as file:
-        return file.read(HEAD_BYTES).rstrip(b"\0")
+def _head(path: Path, most_bytes: int) -> bytes:
+    with LineFile(path) as file:
+        return file.read(most_bytes).rstrip(b"\0")
 
 
-def _no_rows(path: Path, head: bytes) -> UnreadableError:
-    hint = "name its format with --format"
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        hint = "it is written in UTF-16; save it again as UTF-8"
-    return UnreadableError("holds no rows of three or more numbers", path=path, line=1, hint=hint)
+def _layout(head: bytes, export: ExportDescription, path: Path) -> tuple[bytes, Dialect]:
+    """Return the layout of a file, and its beginning up to the rows of numbers; raises UnreadableError."""
+    dialect = find_dialect(head, export.preamble)
+    if dialect is None:
+        head = _head(path, DEEPEST_BYTES)
+        dialect = find_deep_dialect(head, export.preamble)
+    if dialect is None:
+        what = f"holds no rows of three or more numbers in its first {DEEPEST_BYTES >> 20} MB"
+        hint = "check that it holds samples, or name its format with --format"
+        raise UnreadableError(what, path=path, line=1, hint=hint)
+    if dialect.bare_returns:
+        head = head.replace(b"\r", b"\n")
+    return head, _with_names(dialect, export, path)
 
 
 def _with_names(dialect: Dialect, export: ExportDescription, path: Path) -> Dialect:
@@ -474,7 +482,8 @@ def _first_values(table: ParsedTable) -> dict[str, int]:
 def last_timestamp(parser: TableParser) -> int | None:
     """Return the time of the last row [us]; None if the file is compressed or has no times."""
     with parser.path.open("rb") as file:
-        if parser.time is None or file.read(2) == GZIP_MAGIC or parser.dialect.bare_returns:
+        mark = file.read(2)
+        if parser.time is None or mark == GZIP_MAGIC or mark in UTF16 or parser.dialect.bare_returns:
             return None
         size = file.seek(0, 2)
         file.seek(max(parser.dialect.offset, size - TAIL_BYTES))

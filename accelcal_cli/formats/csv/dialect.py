@@ -61,6 +61,17 @@ SURE_LINES = 6
 
 SAMPLE_ROWS = 200
 
+DEEPEST_BYTES = 1 << 24
+"""Bytes of text in which rows of numbers must begin."""
+
+DEEP_TRIALS = 9
+"""Places with numbers that are tried; the steps between them double, so that they span all of it."""
+
+NUMBERS = re.compile(
+    rb"(?m)(?:[,;\t| ] ?[-+]?\d{0,20}[.,]?\d{1,20}(?:[eE][-+]?\d{1,3})?\"?){2}[,;\t| \"]{0,9}\r?$"
+)
+"""The end of a line: two numbers behind another column."""
+
 
 @dataclass(frozen=True, slots=True)
 class Normaliser:
@@ -221,6 +232,55 @@ def find_dialect(head: bytes, preamble: int = 0) -> Dialect | None:
     whole = head[: head.rfind(b"\n") + 1]
     found = _dialect_of(whole, preamble) or _dialect_of(head, preamble)
     return replace(found, bare_returns=bare_returns) if found else None
+
+
+def find_deep_dialect(text: bytes, preamble: int = 0) -> Dialect | None:
+    """Return the layout of a file whose numbers begin behind the first 64 KiB; None if none are found.
+
+    What is looked at is the beginning, where the names may stand and rows without values, and the stretch in
+    which lines of numbers begin.
+    """
+    if b"\n" not in text:
+        text = text.replace(b"\r", b"\n")
+    top = text[: text.rfind(b"\n", 0, HEAD_BYTES // 2) + 1]
+    place = len(top)
+    for trial in range(DEEP_TRIALS):
+        if (found := _numbers_in(text, place)) is None:
+            return None
+        start = max(len(top), text.rfind(b"\n", 0, max(found.start() - HEAD_BYTES // 8, 0)) + 1)
+        stretch = text[start : start + HEAD_BYTES // 2]
+        stretch = stretch[: stretch.rfind(b"\n") + 1] or stretch
+        if not (is_text(top) and is_text(stretch)):
+            return None
+        if (dialect := _dialect_of(top + stretch, preamble)) is not None:
+            return _moved(dialect, len(top), text[len(top) : start])
+        last, place = place, min(found.end() + (len(stretch) << trial), len(text) - len(stretch))
+        if place <= last:
+            return None
+    return None
+
+
+def _numbers_in(text: bytes, place: int) -> re.Match[bytes] | None:
+    """Return the next line of numbers that is not a comment."""
+    for found in NUMBERS.finditer(text, place):
+        line = text[text.rfind(b"\n", 0, found.start()) + 1 : found.start()]
+        if not COMMENT.match(decode(line)):
+            return found
+    return None
+
+
+def _moved(dialect: Dialect, top: int, skipped: bytes) -> Dialect:
+    """Return a layout that was found without the bytes behind the beginning, with its places in the file."""
+    if dialect.offset < top:
+        return dialect
+    lines = skipped.count(b"\n")
+    return replace(
+        dialect,
+        offset=dialect.offset + len(skipped),
+        lines=tuple(line + lines for line in dialect.lines),
+        skipped=dialect.skipped + lines,
+        names_line=dialect.names_line + lines,
+    )
 
 
 def cells_of(data: bytes, dialect: Dialect, column: int) -> list[str]:

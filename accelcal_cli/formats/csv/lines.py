@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import UTF16
 from accelcal_cli.core.recording import Closing
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats.csv.cells import BYTE_ORDER_MARK
@@ -107,12 +109,29 @@ class LineCutter:
         return Block(lines, rest, line, number, offset, self._offset, end, last, broken, zeros)
 
 
+class InUtf8:
+    """Makes UTF-8 of text in UTF-16 that begins with its mark; any other text stays as it is."""
+
+    def __init__(self) -> None:
+        self._decoder: codecs.IncrementalDecoder | None = None
+        self._begun = False
+
+    def __call__(self, piece: bytes) -> bytes:
+        """Return the next bytes; of the first piece the mark decides."""
+        if not self._begun and piece:
+            self._begun = True
+            if piece.startswith(UTF16):
+                self._decoder = codecs.getincrementaldecoder("utf-16")("replace")
+        return piece if self._decoder is None else self._decoder.decode(piece).encode()
+
+
 class LineFile(Closing):
     """A text file, plain or gzip, read once from its beginning."""
 
     def __init__(self, path: Path, bare_returns: bool = False, threads: int = 1) -> None:
         self._source = ByteSource(path, threads)
         self._bare_returns = bare_returns
+        self._in_utf8 = InUtf8()
 
     def close(self) -> None:
         """Release the file."""
@@ -130,7 +149,8 @@ class LineFile(Closing):
 
     def _pieces(self, count: int) -> list[bytes]:
         parts: list[bytes] = []
-        while count > 0 and (part := self._source.read(min(count, PIECE_BYTES))):
+        while count > 0 and (read := self._source.read(min(count, PIECE_BYTES))):
+            part = self._in_utf8(read)
             parts.append(part.replace(b"\r", b"\n") if self._bare_returns else part)
             count -= len(part)
         return parts

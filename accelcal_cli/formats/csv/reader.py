@@ -40,7 +40,7 @@ from accelcal_cli.formats.csv.detect import HEAD_BYTES, Detected, detect, last_t
 from accelcal_cli.formats.csv.dialect import Dialect
 from accelcal_cli.formats.csv.exports import sibling_gyroscope
 from accelcal_cli.formats.csv.gyroscope import READ_AS, WithGyroscope, can_join
-from accelcal_cli.formats.csv.lines import Block, LineCutter, LineFile, RepeatedHeads
+from accelcal_cli.formats.csv.lines import Block, InUtf8, LineCutter, LineFile, RepeatedHeads
 from accelcal_cli.formats.csv.rows import CsvRows, Fault, RowParser, joined_rows
 
 BLOCK_BYTES = 1 << 21
@@ -290,13 +290,14 @@ class CsvIntake(Intake):
 
     def __init__(self, detected: Detected, stream: RowStream, zone: str | None) -> None:
         dialect = detected.parser.dialect
-        self._bare_returns = dialect.bare_returns
+        self._bare_returns, self._in_utf8 = dialect.bare_returns, InUtf8()
         self._lines = LineCutter(detected.parser.path, dialect.offset, dialect.skipped + 1)
         self._stream = stream
         self._assembler = CsvAssembler(detected, stream, zone)
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
         """See `Intake`."""
+        data = self._in_utf8(data)
         lines = self._lines.cut([data.replace(b"\r", b"\n") if self._bare_returns else data])
         block = self._lines.block(lines, last)
         if not lines and not last:

@@ -12,8 +12,10 @@ from functools import cache
 from pathlib import Path
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.formats import HEAD_BYTES, is_text
+from accelcal_cli.core.errors import NoRecordingError, UnreadableError
+from accelcal_cli.core.formats import HEAD_BYTES, ReadOptions, is_text
 from accelcal_cli.core.plugins import find_plugins
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.written_times import ORDERS, read_date
 from accelcal_cli.formats.csv.cells import BYTE_ORDER_MARK, decode
@@ -64,10 +66,11 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """Message and hint for a file of a known vendor that holds no raw acceleration."""
+    """Message and hint for a file of a known vendor that holds no raw acceleration; `epochs`: but counts."""
 
     message: str
     hint: str
+    epochs: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,3 +155,17 @@ def export_description(head: bytes, name: str = "") -> ExportDescription | None:
     lines = tuple(map(decode, raw))
     vendor = next((item for item in all_vendors() if lines and item.recognise(lines)), None)
     return None if vendor is None else vendor.from_name(name, vendor.describe(lines))
+
+
+def refuse_doubtful(export: ExportDescription, options: ReadOptions, path: Path) -> None:
+    """Raise UnreadableError for the export of a known vendor that holds no raw acceleration.
+
+    Counts of epochs raise a NoRecordingError. Who gives a unit insists on it.
+    """
+    doubt = export.doubt
+    if doubt is None or options.unit is not None:
+        return
+    if doubt.epochs:
+        reason = Reason("epochs", {"whose": f"{export.title}'s"})
+        raise NoRecordingError(doubt.message, path=path, line=1, hint=doubt.hint, reason=reason)
+    raise UnreadableError(doubt.message, path=path, line=1, hint=doubt.hint)

@@ -108,6 +108,7 @@ def _doubt(head: Head, maker: str) -> Doubt | None:
     return Doubt(
         f"it holds counts of {epoch} s each, not raw acceleration",
         f"export the raw data{source}; or give --unit to read it anyway",
+        epochs=True,
     )
 
 

@@ -1,0 +1,40 @@
+"""Sentences about the files of a study: why one is left out, made again, or no longer belongs to it.
+
+Part of `SENTENCES` in `words.py`, where they are made from reasons.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+FormOfValues = str | Callable[[Mapping[str, Any]], str]
+"""A sentence with names of values in braces, or a function of the values.
+
+The values are those of a reason in `study.json`, which may have been changed by others.
+"""
+
+
+def _other_quantities(values: Mapping[str, Any]) -> str:
+    """Name the columns of a table of other quantities."""
+    columns = ", ".join(map(str, values["columns"]))
+    return f"It is a table of other quantities: {columns}."
+
+
+FILES: dict[str, FormOfValues] = {
+    # why a file of a study is left out
+    "unfinished_copy": "It is a download or a copy that is not finished ({suffix}).",
+    "excluded": "It is excluded by {by}.",
+    "belongs_to_another": "It belongs to the recording {name}.",
+    "not_a_file": "It is a pipe or a device, not a file.",
+    "not_looked_into": "It could not be looked into ({fault}).",
+    "archive_without_recordings": "No file in the archive is named like a recording.",
+    "epochs": "It holds {whose} epochs, not raw acceleration.",
+    "database": "It is an SQLite database, from which the recording can be exported as text (CSV).",
+    "still_windows": "It holds means of still windows, which accelcal fit takes.",
+    "no_acceleration": "Nothing in it is acceleration.",
+    "other_quantities": _other_quantities,
+    "no_numbers": "It is text without rows of three or more numbers.",
+    "no_format": "Its content matches no format.",
+}
+"""Sentences by code; words in braces are values of the reason."""

@@ -1,0 +1,202 @@
+"""Nothing real vanishes: each file of a study is a row, or is named with the reason why it is left out."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.formats import open_recording
+from tests.cli.run import Ran, run
+from tests.cli.studies import study_folder
+
+Capture = pytest.CaptureFixture[str]
+STAMPS = [f"2024-03-04T10:{second // 60:02d}:{second % 60:02d}" for second in range(3600)]
+SAMPLES = "".join(f"{stamp},0.01,{0.5 + number % 7 / 100:.2f},0.86\n" for number, stamp in enumerate(STAMPS))
+NO_VALUES = {
+    text: "".join(f"{stamp},{text},{text},{text}\n" for stamp in STAMPS) for text in ("NaN", "", "NA")
+}
+HEAD = "time,x,y,z\n"
+
+
+def rows(head: str, row: str, number: int = 60) -> str:
+    return head + "\n" + "".join(row.format(i=i, stamp=STAMPS[i]) + "\n" for i in range(number))
+
+
+OTHERS = {
+    "part2_summary.csv": (
+        "epochs",
+        rows(
+            '"ID","filename","calendar_date","N valid hours","ENMO_fullRecording"',
+            '"{i}","a.cwa","2024-03-04",20.{i},31.{i}',
+        ),
+    ),
+    "part4_nightsummary.csv": (
+        "epochs",
+        rows(
+            '"ID","night","sleeponset","wakeup","SptDuration","guider"', '"{i}",1,22.{i},30.{i},8.{i},"HDCZA"'
+        ),
+    ),
+    "part5_daysummary.csv": (
+        "epochs",
+        rows(
+            "ID,weekday,window_number,dur_spt_sleep_min,ACC_day_mg,FRAG_mean",
+            "{i},Monday,1,400.{i},30.{i},5.{i}",
+        ),
+    ),
+    "metalong.csv": (
+        "epochs",
+        rows(
+            "timestamp,nonwearscore,clippingscore,lightmean,temperaturemean,EN",
+            "{stamp}+0100,0,0,12.{i},25.{i},1.0{i}",
+        ),
+    ),
+    "angles.csv": (
+        "epochs",
+        rows("timenum,ENMO,MAD,angle_x,angle_y,angle_z", "{i},.0{i},.0{i},1.{i},2.{i},3.{i}"),
+    ),
+    "biobank-epoch.csv": (
+        "epochs",
+        rows(
+            "time,samples,enmoTrunc,xMean,yMean,zMean,xStd,yStd,zStd,temp",
+            "{stamp}.000+0000 [Europe/London],3000,.1,.2,.3,.4,.1,.1,.1,25.{i}",
+        ),
+    ),
+    "agcounts.csv": (
+        "epochs",
+        rows("timestamp,Axis1,Axis2,Axis3,Vector.Magnitude", "{stamp},{i},{i},{i},{i}"),
+    ),
+    "diary.csv": (
+        "other_quantities",
+        rows(
+            "id,date,bed_time,sleep_onset,wake_time,nap_minutes,quality",
+            "{i},2024-03-04,22:10,22:30,06:{i:02d},{i},3",
+        ),
+    ),
+    "people.csv": (
+        "other_quantities",
+        rows("participant,age,weight_kg,height_cm,sex", "{i},4{i},7{i}.5,17{i}.5,F"),
+    ),
+    "gps.csv": (
+        "other_quantities",
+        rows("time,lat,lon,altitude,speed", "{stamp},51.{i},7.{i},100.{i},1.{i}"),
+    ),
+    "magnet.csv": ("other_quantities", rows("time,mag_x,mag_y,mag_z", "{stamp},5{i}.5,7{i}.1,1{i}.2")),
+    "notes.txt": ("no_numbers", "recorded in spring\n"),
+    "picture.jpg": ("no_format", "\xff\xd8\xff\x00\x01"),
+    "a.cwa.crdownload": ("unfinished_copy", SAMPLES),
+    "b.csv.part": ("unfinished_copy", HEAD + SAMPLES),
+    "c.tmp": ("unfinished_copy", HEAD + SAMPLES),
+    "steps.agd": ("epochs", "SQLite format 3\0" + "\0" * 99 + "epochlength"),
+    "lab.db": ("database", "SQLite format 3\0" + "\0" * 99),
+}
+
+
+def study(capsys: Capture, folder: Path, *words: object) -> Ran:
+    return run(capsys, "study", folder, "-d", folder.parent / "out", "-j", 1, "--report-only", *words)
+
+
+def left_out(out: Path) -> dict[str, str]:
+    found = json.loads((out / "study.json").read_text())["files_left_out"]
+    assert all(one["message"] for one in found)
+    return {one["path"]: one["code"] for one in found}
+
+
+def test_u2_s5_what_is_left_out_is_named_by_what_it_is(tmp_path: Path, capsys: Capture) -> None:
+    folder = study_folder(tmp_path / "in", ("a.raw",))
+    for name, (_, text) in OTHERS.items():
+        (folder / name).write_bytes(text.encode("latin-1"))
+    (folder / "gone.csv").write_text(HEAD + SAMPLES)
+    wanted = {name: code for name, (code, _) in OTHERS.items()}
+    wanted |= {"gone.csv": "excluded", "readme.txt": "no_numbers"}
+    shown = study(capsys, folder, "--dry-run", "--exclude", "gone.*").err.splitlines()
+    named = [line.removeprefix("accelcal: ").split(": ")[0] for line in shown if "left out" in line]
+    assert sorted(named) == sorted(wanted)
+    objects = study(capsys, folder, "--dry-run", "--json", "--exclude", "gone.*").out.splitlines()
+    told = [one for one in map(json.loads, objects) if one["state"] == "left_out"]
+    assert {one["path"]: one["code"] for one in told} == wanted
+    ran = study(capsys, folder, "-v", "--exclude", "gone.*")
+    assert ran.code == 0, ran.err
+    assert left_out(tmp_path / "out") == wanted
+    assert all(f"{name}: left out: " in ran.err for name in wanted)
+    again = study(capsys, folder, "--exclude", "gone.*")
+    assert (again.code, left_out(tmp_path / "out")) == (0, wanted), "from the ledger"
+    assert run(capsys, "report", tmp_path / "out").code == 0
+    page = (tmp_path / "out" / "study.html").read_text()
+    assert all(name in page for name in OTHERS) and "gone.csv" not in page
+
+
+@pytest.mark.parametrize("text", NO_VALUES)
+def test_t2_a_table_that_begins_without_values_is_read(tmp_path: Path, text: str) -> None:
+    before = NO_VALUES[text].replace("2024-03-04", "2024-03-03")
+    (tmp_path / "a.csv").write_text(HEAD + before + SAMPLES)
+    assert len(before) > 65_536
+    with open_recording(tmp_path / "a.csv", ReadOptions()) as reader:
+        assert (reader.recording.rate_hz, reader.recording.start_us) == (1.0, 1709546400_000_000)
+        assert sum(len(chunk) for chunk in reader.chunks(1000)) == len(STAMPS)
+
+
+@pytest.mark.parametrize("comment", ["# a line of words\n", "# 1, 2, 3\n", "\n"])
+@pytest.mark.parametrize("lines", [5000, 60_000])
+def test_t2_a_table_with_a_long_head_is_read(tmp_path: Path, comment: str, lines: int) -> None:
+    with gzip.open(tmp_path / "a.csv.gz", "wt") as file:
+        file.write(comment * lines + HEAD + SAMPLES)
+    with open_recording(tmp_path / "a.csv.gz", ReadOptions()) as reader:
+        assert reader.recording.start_us == 1709546400_000_000
+        assert sum(len(chunk) for chunk in reader.chunks(1000)) == len(STAMPS)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be"])
+@pytest.mark.parametrize("packed", [False, True])
+def test_t2_utf_16_is_read(tmp_path: Path, encoding: str, packed: bool) -> None:
+    mark = "\ufeff" if encoding == "utf-16-be" else ""
+    data = (mark + "# M\u00fcller\r\n" + (HEAD + SAMPLES).replace("\n", "\r\n")).encode(encoding)
+    path = tmp_path / ("a.csv.gz" if packed else "a.csv")
+    path.write_bytes(gzip.compress(data) if packed else data)
+    plain = tmp_path / "plain.csv"
+    plain.write_text(HEAD + SAMPLES)
+    counts = []
+    for one in (path, plain):
+        with open_recording(one, ReadOptions()) as reader:
+            assert reader.recording.start_us == 1709546400_000_000
+            counts.append([chunk.counts.tolist() for chunk in reader.chunks(100)])
+    assert counts[0] == counts[1]
+
+
+def test_t2_what_may_be_a_recording_is_a_row(tmp_path: Path, capsys: Capture) -> None:
+    folder = study_folder(tmp_path / "in", ("a.raw",))
+    (folder / "empty.cwa").touch()
+    (folder / "vague.csv").write_text(rows("a,b,c,d", "0.{i},0.{i},0.{i},0.{i}"))
+    (folder / "channels.csv").write_text(rows("time,channel1,channel2,channel3", "{stamp},0.{i},0.{i},0.{i}"))
+    (folder / "head.csv").write_text(HEAD)
+    (folder / "nothing.csv").write_text(HEAD + NO_VALUES["NaN"])
+    with zipfile.ZipFile(folder / "one.zip", "w") as archive:
+        archive.writestr("SUB01/one.csv", HEAD + SAMPLES)
+    with zipfile.ZipFile(folder / "photos.zip", "w") as archive:
+        archive.writestr("photo.jpg", "x")
+    assert study(capsys, folder).code == 1
+    table = (tmp_path / "out" / "study.csv").read_text()
+    for name in ("empty.cwa", "vague.csv", "channels.csv", "head.csv", "nothing.csv", "one.zip"):
+        assert f"\n{name}," in table, name
+    assert left_out(tmp_path / "out") == {
+        "photos.zip": "archive_without_recordings",
+        "readme.txt": "no_numbers",
+    }
+    assert "in its first 16 MB" in table
+
+
+def test_t2_the_cases_are_rows_of_a_study(tmp_path: Path, capsys: Capture) -> None:
+    cases = Path(__file__).resolve().parents[3] / "shared" / "data" / "cases"
+    if not cases.is_dir():
+        pytest.skip(f"no {cases}")
+    (tmp_path / "in").mkdir()
+    names = [next(cases.glob(f"{number}_*")).name for number in ("04", "06", "34")]
+    for name in names:
+        (tmp_path / "in" / name).symlink_to(cases / name)
+    assert study(capsys, tmp_path / "in", "--max-damage", 50).code == 0
+    table = (tmp_path / "out" / "study.csv").read_text()
+    assert all(f"\n{name}," in table for name in names)
