@@ -29,6 +29,7 @@ from accelcal_cli.output.numbers import mg_of_two_digits
 from accelcal_cli.output.words import OUTCOMES, outcome_words
 from accelcal_cli.pages import study_figures as figures
 from accelcal_cli.pages.rendering import rendered
+from accelcal_cli.pages.strips import strips
 
 WANTED = (
     "path", "outcome", "reason", "message", "model", "copy_of", "borrowed_from", "before_mg", "after_mg",
@@ -104,6 +105,7 @@ class StudyContent:
         drift_limit_mg: drift of an offset in a month that is a reason for service.
         csv: name of the table next to the page.
         origin: folder, command and time of the newest result, by name.
+        hours: number of a row, and the states of its recording's hours (`strips.states_of`), in their order.
     """
 
     rows: Sequence[dict[str, Any]]
@@ -114,6 +116,7 @@ class StudyContent:
     drift_limit_mg: float
     csv: str = "study.csv"
     origin: Sequence[tuple[str, str]] = ()
+    hours: Sequence[tuple[int, tuple[list[str], float]]] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +192,10 @@ def page(study: StudyContent) -> str:
         drift_limit=f"{study.drift_limit_mg:g}",
         nameless=counted(study.nameless, "recording") if study.nameless else None,
         csv=study.csv,
+        strips=strips(
+            [(entries[at].path, entries[at].href, hours) for at, hours in study.hours],
+            len(once) - len(study.hours),
+        ),
         origin=[(name, printable(value)) for name, value in study.origin],
         left_out=_left_out(study.summary),
         recordings=len(once),

@@ -36,6 +36,7 @@ from accelcal_cli.output.report_reading import (
 )
 from accelcal_cli.output.study_words import in_words, of_device
 from accelcal_cli.pages import recording, study
+from accelcal_cli.pages.strips import MOST_STRIPS, states_of
 from accelcal_cli.pages.study_figures import Drift
 from accelcal_cli.pipeline.jobs import PAGE_SUFFIX, QUALITY_SUFFIX, REPORT_SUFFIX, Job, refuse_overwriting
 
@@ -133,6 +134,7 @@ def write_study_pages(out: Path, *, force: bool = False) -> PagesMade:
         [_device_line(one) for one in reviewed.devices],
         reviewed.records.nameless,
         reviewed.rules.drift_mg,
+        hours=_hours(rows, reports),
         origin=_origin(out, [report for report in reports if report is not None]),
     )
     text = study.page(content)
@@ -142,6 +144,22 @@ def write_study_pages(out: Path, *, force: bool = False) -> PagesMade:
         refuse_foreign_page(made.page, force=force)
         write_text(made.page, stamped(text, stamp))
     return made
+
+
+def _hours(
+    rows: Sequence[dict[str, Any]], reports: Sequence[Path | None]
+) -> list[tuple[int, tuple[list[str], float]]]:
+    """Return the states of the hours of the newest recordings that have NAME.quality.json."""
+    dated = [at for at, row in enumerate(rows) if reports[at] is not None and not row.get("copy_of")]
+    newest = sorted(dated, key=lambda at: (str(rows[at].get("start_time") or ""), at))[-MOST_STRIPS:]
+    found = []
+    for at in newest:
+        report = reports[at]
+        assert report is not None
+        states = states_of(load_our_json(_of_same_stem(report, QUALITY_SUFFIX)) or {})
+        if states is not None:
+            found.append((at, states))
+    return found
 
 
 def _origin(out: Path, reports: Sequence[Path]) -> list[tuple[str, str]]:

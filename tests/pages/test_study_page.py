@@ -421,7 +421,8 @@ def test_a_study_makes_its_pages_and_again_only_what_is_new(tmp_path: Path, caps
         one.attributes["href"] for one in root.within("a") if ".html" in (one.attributes["href"] or "")
     } or {None}
     table = data_of(root)["recordings"]
-    assert link is None and table["pages"] == [1] and cell_texts(table, "path") == ["a<b>&.raw"]
+    assert link == "./a%3Cb%3E%26.html"  # of its hours
+    assert table["pages"] == [1] and cell_texts(table, "path") == ["a<b>&.raw"]
     made_by = dict(zip(*([one.text for one in root.within(tag)] for tag in ("dt", "dd")), strict=True))
     assert made_by["Results in"] == "out" and f"-d {out}" in made_by["Command"]
     assert made_by["Newest result"].endswith(" UTC")
