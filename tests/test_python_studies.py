@@ -53,6 +53,7 @@ METHOD = sys.argv[1]
 def work(name):
     import accelcal
 
+    assert accelcal.calibrate("in/north/a.raw").outcome == "calibrated"
     return accelcal.study("in", name, jobs=2)["outcome"].tolist()
 
 
@@ -160,6 +161,8 @@ def test_p10_dask_does_the_work(
     ):
         if kind == "worker":
             client.submit(accelcal.study, "in", tmp_path / "out", jobs=1, pure=False).result()
+            found = client.submit(accelcal.calibrate, "in/north/a.raw", pure=False).result()
+            assert found.report["calibration"] == accelcal.calibrate("in/north/a.raw")["calibration"]
         else:
             executor = client if kind == "client" else cluster.scheduler_address
             accelcal.study("in", tmp_path / "out", executor=executor)

@@ -29,6 +29,7 @@ from typing import Any
 from accelcal_cli.core import version
 from accelcal_cli.core.door import is_folder
 from accelcal_cli.core.errors import AccelcalError, ClusterError, OutputError, UsageError, printable
+from accelcal_cli.core.system import keep_freed_memory
 from accelcal_cli.output.files import owner, temporary_beside
 from accelcal_cli.studies.records import Finished, ProgressCallback, ProgressDelta, TaskFunction
 from accelcal_cli.studies.task import CalibrationTask, TaskResult, calibrated
@@ -206,6 +207,7 @@ def calibrate_in_user_folder(
 
     The current folder is not changed: other threads of this process may rely on it.
     """
+    keep_freed_memory()
     result = calibrated(in_user_folder(cwd, task), report_progress)
     if not result.entry.failed or result.entry.row is None:
         return result

@@ -30,6 +30,7 @@ from accelcal_cli.core.system import (
     has_fork_server,
     host,
     interruptions_blocked,
+    keep_freed_memory,
     lives,
     one_thread_each,
     remove_folder,
@@ -328,6 +329,7 @@ def _serve(pipe: PipeEnd, work: TaskFunction) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _terminate)
     collect_seldom()
+    keep_freed_memory()
     try:
         threading.Thread(target=_end_with_parent, daemon=True).start()
     except RuntimeError:

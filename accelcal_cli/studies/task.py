@@ -22,7 +22,6 @@ from accelcal_cli.core.errors import (
     printable,
 )
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.core.system import keep_freed_memory
 from accelcal_cli.output.study_words import kept
 from accelcal_cli.pipeline.jobs import FileStamp, Job, Progress, Request, Result, file_stamp
 from accelcal_cli.pipeline.outputs import applied_by_hand
@@ -122,7 +121,6 @@ def guarded(work: Work[AnyTask]) -> Work[AnyTask]:
 
     @functools.wraps(work)
     def guarded_work(task: AnyTask, report_progress: ProgressCallback) -> TaskResult:
-        keep_freed_memory()
         try:
             return work(task, report_progress)
         except Exception as error:
