@@ -320,7 +320,7 @@ registry_option = click.option(
 
 
 def registry_of(values: dict[str, Any]) -> list[RegistryEntry] | None:
-    """Return the entries of --registry; raises UnreadableError for a file that is none."""
+    """Return the entries of --registry; raises UnreadableError for any other file."""
     from accelcal_cli.output.registry import read_registry  # which --help does not need
 
     path: Path | None = values["registry"]

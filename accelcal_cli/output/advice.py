@@ -43,7 +43,7 @@ LIKELY_YEARS = ("1990", "2036")
 set, or overflowed, begin in 1980, 2036, 2079 or 2106."""
 
 EMPTY_FROM_PERCENT = 0.1
-"""Share of rows without values [%] from which on it is told."""
+"""Share of rows without values [%] from which on it is reported."""
 
 MILD = ("sides_unchecked", "not_converged", "rows_without_values", "unlikely_year")
 """Codes of cautions that a good result may have."""

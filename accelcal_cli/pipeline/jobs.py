@@ -103,7 +103,7 @@ class Job:
 
 
 def parquet_of(report: Path) -> Path | None:
-    """Return the calibrated file beside a report; None if there is none of its name."""
+    """Return the calibrated file next to a report; None if there is none of its name."""
     stem = report.name.removesuffix(REPORT_SUFFIX)
     paths = (report.with_name(name) for name in (stem + PARQUET_SUFFIX, stem + PARQUET, stem))
     return next((path for path in paths if path != report and is_file(path)), None)

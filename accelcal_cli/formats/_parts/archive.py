@@ -49,7 +49,7 @@ class Unpacked:
     Attributes:
         damage: where the archive breaks off; None for a sound archive.
         lost_bytes: bytes of the member that could not be unpacked to its end.
-        empty: number of further members without bytes, which are no files.
+        empty: number of further members without bytes, which are not files.
     """
 
     files: tuple[Path, ...]
@@ -144,7 +144,7 @@ class _Files:
         self._target = None
 
     def _place(self, name: str) -> Path:
-        """Return where a member goes: beside others of its folder, unless one there has its name."""
+        """Return where a member goes: next to others of its folder, unless one there has its name."""
         place, _, last = name.rpartition("/")
         safe = os.fsdecode(os.fsencode(last)[-LONGEST_NAME:]) if last not in ("", ".", "..") else "member"
         target = self._folder(place) / safe

@@ -132,7 +132,7 @@ class Stream(Protocol):
 
 
 Member = tuple[str, Stream | None]
-"""The name of a member in the archive, and its bytes; None for what is no plain file."""
+"""The name of a member in the archive, and its bytes; None for anything but a plain file."""
 
 
 def members(path: Path, allowance: Allowance) -> Iterator[tuple[str, Stream]]:

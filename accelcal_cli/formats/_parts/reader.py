@@ -273,7 +273,7 @@ class PartsReader(FilesReader):
     def _sort_out(
         self, parts: Sequence[RecordingPart], failures: Sequence[tuple[Path, UnreadableError]]
     ) -> None:
-        """Tell of files that cannot be read: damaged parts, or if no part has their suffix other files."""
+        """Report files that cannot be read: damaged parts, or if no part has their suffix other files."""
         suffixes = {part.path.suffix.lower() for part in parts}
         tables = {part.recording.format for part in parts} == {"csv"}
         for file, error in failures:

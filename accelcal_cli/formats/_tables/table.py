@@ -329,7 +329,7 @@ class RowSelection:
         self.keep &= ~bad
 
     def leave_out_empty(self, kind: Kind, empty: NDArray[np.bool_]) -> None:
-        """Drop rows without values, which are no damage."""
+        """Drop rows without values, which are not damage."""
         self._empty.add(kind)
         self.leave_out(kind, empty)
 

@@ -3,7 +3,7 @@
 Only the file of accelerations is a recording. Sensor Logger writes several accelerations, of which one has
 gravity; phyphox keeps the start of the experiment in `meta/time.csv`; an Empatica E4 session is `ACC.csv`
 with a file for each other sensor, of which `tags.csv` is empty if the button was not pressed; Polar Sensor
-Logger writes `..._ACC.txt` beside `..._GYRO.txt`, `..._ECG.txt` and others. Sources: formats/csv/vendors/;
+Logger writes `..._ACC.txt` next to `..._GYRO.txt`, `..._ECG.txt` and others. Sources: formats/csv/vendors/;
 phyphox.org, "Data format"; Empatica, "info.txt" of every E4 session; heads of files of Polar Sensor Logger.
 """
 
@@ -46,7 +46,7 @@ POLAR_HEAD = b"Phone timestamp;"
 
 @dataclass(frozen=True, slots=True)
 class SiblingGyroscope:
-    """A file of rotation rates beside one of accelerations.
+    """A file of rotation rates next to one of accelerations.
 
     Attributes:
         columns: of x, y and z, by name or number.
@@ -131,7 +131,7 @@ def _of_polar(path: Path) -> Path | None:
 
 
 def sibling_gyroscope(path: Path) -> SiblingGyroscope | None:
-    """Return the rotation rates beside a file of accelerations; None if there are none."""
+    """Return the rotation rates next to a file of accelerations; None if there are none."""
     try:
         return _gyroscope(path)
     except (OSError, ValueError, UnreadableError):

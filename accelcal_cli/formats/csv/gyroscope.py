@@ -1,4 +1,4 @@
-"""Rotation rates from a file of their own, beside the accelerations of a phone or a chest strap.
+"""Rotation rates from a file of their own, next to the accelerations of a phone or a chest strap.
 
 The two sensors have their own times: a row gets the rates that were measured nearest to it. Where none was
 measured nearby, the row is a break, so that nothing is concluded from a turn that was not seen whole.
