@@ -22,9 +22,10 @@ from datetime import datetime, timedelta, tzinfo
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import MICROSECONDS, StartTime, iso_time, offset_at_s, start_of, utc_offset_s
+from accelcal_cli.core.clock import MICROSECONDS, StartTime, iso_time, offset_at_s, utc_offset_s
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.recording import Chunk, Intake, Reader, Recording
+from accelcal_cli.core.written_times import written_start
 
 UTC, UNKNOWN = "UTC", "unknown"
 """Meaning of times in the outputs: moments in UTC, or local times of an unknown zone."""
@@ -277,10 +278,7 @@ class Retiming:
         """
         if self.start is None:
             return None
-        try:
-            start = start_of(datetime.fromisoformat(self.start.strip()))
-        except ValueError:
-            start = None
+        start = written_start(self.start)
         if start is None:
             raise UsageError(f"--start {self.start[:40]!r} is not a date and time", hint=ISO_HINT)
         return start

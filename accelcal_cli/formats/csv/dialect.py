@@ -48,6 +48,10 @@ AFTER_SHORT_HOUR = re.compile(rb":(?:(?<=[\n,;\t|\"]\d:)|(?<=\A\d:))\d\d")
 """The same place by the colon behind it, whose absence is found sooner."""
 
 LONG_FRACTION = re.compile(rb"(:\d\d[.,]\d{9})\d+")
+SECONDS = re.compile(rb"\d:\d\d:\d\d(?!\d|:)")
+COMMA_FRACTION = re.compile(rb"(:\d\d),(\d{3}|\d{6})(?=,)")
+"""Decimals of seconds behind a comma, as Python's logging writes them, between commas."""
+
 COLON, POINT = b":."
 TAB_TO_BLANK = bytes.maketrans(b"\t", b" ")
 NO_HOUR = 99
@@ -85,6 +89,7 @@ class Normaliser:
         slash_dates: dates are written 2024/03/04.
         long_fraction: seconds have more than nine decimals.
         colon_fraction: a colon stands before the decimals of seconds.
+        comma_fraction: a comma stands before them, and between the columns.
         twelve_hours: times of day have AM or PM.
         short_hours: times of day in a column of their own have hours of one digit.
         date_order: of day, month and year, such as `dmy`, where dates do not begin with the year.
@@ -98,6 +103,7 @@ class Normaliser:
     slash_dates: bool = False
     long_fraction: bool = False
     colon_fraction: bool = False
+    comma_fraction: bool = False
     twelve_hours: bool = False
     short_hours: bool = False
     date_order: str | None = None
@@ -117,6 +123,8 @@ class Normaliser:
 
     def _with_times(self, block: bytes) -> bytes:
         """Return the block with dates, hours and fractions of seconds as in ISO 8601."""
+        if self.comma_fraction:
+            block = COMMA_FRACTION.sub(rb"\1.\2", block)
         if self.twelve_hours:
             block = TWELVE_HOURS.sub(in_24_hours, block)
         if self.short_hours or self.thorough:
@@ -440,12 +448,20 @@ def _normalisers(head: bytes) -> list[Normaliser]:
         replace(
             any_delimiter,
             delimiter=delimiter,
+            comma_fraction=delimiter == "," and _has_comma_fractions(head),
             padded=delimiter != " "
             and (b" " + delimiter.encode() in head or delimiter.encode() + b" " in head),
             split_date=delimiter == " " and split_date,
         )
         for delimiter in DELIMITERS
     ]
+
+
+def _has_comma_fractions(head: bytes) -> bool:
+    """Return True if digits behind every second are its decimals: all as long, and some begin with 0."""
+    found = [decimals for _, decimals in COMMA_FRACTION.findall(head)]
+    alike = len(found) > 2 and len(set(map(len, found))) == 1 and len(found) == len(SECONDS.findall(head))
+    return alike and any(decimals.startswith(b"0") for decimals in found)
 
 
 def _with_decimals(normaliser: Normaliser, rows: list[list[str]]) -> Normaliser:

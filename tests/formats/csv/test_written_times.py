@@ -19,6 +19,7 @@ from accelcal_cli.core.written_times import (
     stated_zone,
     written_start,
 )
+from tests.cli.run import exit_code
 from tests.formats.make_csv import Read, read, written
 
 FIRST = datetime(2024, 3, 14, 10, 41, 40)
@@ -391,3 +392,27 @@ def test_t6_t8_the_cases(real_data: Path, name: str) -> None:
     assert (iso_time(about.start_us, None), about.timezone) == (start, zone)
     assert found.times[-1] - found.times[0] == round(1e6 * (seconds - 1 / about.rate_hz))
     assert [code for code in found.codes if code != "no_start_time"] == []
+
+
+@pytest.mark.parametrize("digits", [3, 6])
+@pytest.mark.parametrize("head", ["time,x,y,z\n", ""])
+def test_t6_a_comma_before_decimals_between_commas(tmp_path: Path, digits: int, head: str) -> None:
+    """As Python's logging writes times; counts of whole seconds are not taken for decimals."""
+    cells = [f"{t:%Y-%m-%d %H:%M:%S},{t.microsecond:06d}"[: 20 + digits] for t in _moments()]
+    rows = "".join(f"{cell},0.1,0.2,0.9\n" for cell in cells)
+    _check(read(written(tmp_path, head + rows)), None)
+    counts = "".join(f"{FIRST + timedelta(seconds=row)},{100 + row},200,900\n" for row in range(60))
+    found = read(written(tmp_path, "time,x,y,z\n" + counts), unit="mg")
+    assert found.recording.rate_hz == 1.0
+
+
+def test_time_format_holds_for_study_and_verify(tmp_path: Path) -> None:
+    """What --time-format says is in the report, and in study.toml."""
+    text = _table([f"{moment:%d.%m.%Y - %Hh%Mm%S}.{_ms(moment)}" for moment in _moments()])
+    form = "%d.%m.%Y - %Hh%Mm%S.%f"
+    path = written(tmp_path, text)
+    assert exit_code("inspect", path) == 3
+    assert exit_code("inspect", path, "--time-format", form) == 0
+    (tmp_path / "a.toml").write_text(f'time-format = "{form}"\ntime-column = "time"\n')
+    assert exit_code("inspect", path) == 0
+    assert exit_code("inspect", path, "--time-format", "%Q") == 2
