@@ -6,10 +6,11 @@ They are recognised by their content, so that the error says what they are and w
 from __future__ import annotations
 
 import re
+import shlex
 from dataclasses import dataclass
 
-from accelcal_cli.core.errors import NoRecordingError
-from accelcal_cli.core.formats import Probe
+from accelcal_cli.core.errors import NoRecordingError, UnreadableError, printable
+from accelcal_cli.core.formats import Probe, is_text
 from accelcal_cli.core.reasons import Reason
 
 NOT_RAW = "epochs, not raw acceleration"
@@ -95,6 +96,38 @@ SIGNS: tuple[tuple[re.Pattern[bytes], NotRecording], ...] = (
 They are taken from the test files of github.com/wadpac/GGIRread and github.com/ghammad/pyActigraphy.
 """
 
+TABLE_OF = "make a table of it: `(echo {names}; jq -r '{select} | @csv' FILE) > FILE.csv`{more}"
+"""Hint for JSON; FILE stands for the name of the file."""
+
+UNREAD: tuple[tuple[re.Pattern[bytes], str, str], ...] = (
+    (
+        re.compile(rb'(?s)\s*\{\s*"items"\s*:\s*\[\s*\{.{0,400}?"timestamp"'),
+        "accelerations of ResearchKit, as JSON",
+        TABLE_OF.format(
+            names="time,x,y,z",
+            select=".items[] | [.timestamp, .x, .y, .z]",
+            more=", and give --unit g (the times count from when the phone was switched on)",
+        ),
+    ),
+    (
+        re.compile(rb'(?s)\s*[{\[].{0,400}?"ArrayAcc"\s*:\s*\['),
+        "accelerations of a Movesense, as JSON",
+        TABLE_OF.format(
+            names="time_ms,x,y,z",
+            select=".. | objects | select(.ArrayAcc) | .Timestamp as $t | .ArrayAcc[] | [$t, .x, .y, .z]",
+            more=", and give --unit m/s2",
+        ),
+    ),
+)
+"""Recordings that are not read: their beginnings, what they hold, and what to do.
+
+They are of ORKDataLogger of ResearchKit, and of the sensors' own form of the Movesense API.
+"""
+
+DATX = (
+    "an activPAL's recording as the device stores it",
+    "export the uncompressed raw acceleration as csv with PALanalysis or PALbatch, and give that",
+)
 SQLITE = b"SQLite format 3\0"
 AGD = _epochs("ActiGraph's", "give the .gt3x file of the same recording, from the device or from ActiLife")
 DATABASE = NotRecording("an SQLite database", "export the recording as text (CSV)", Reason("database"))
@@ -103,11 +136,27 @@ WINDOWS = NotRecording("means of still windows, not samples", FIT, Reason("still
 
 
 def refuse_not_recordings(probe: Probe) -> None:
-    """Raise NoRecordingError for a file known to be no recording, unless the user says how to read it."""
+    """Refuse a file known to be no recording, or to be of a kind that is not read.
+
+    Raises:
+        NoRecordingError: it is no recording, and the user does not say how to read it.
+        UnreadableError: it is a recording that has to be exported first.
+    """
     options = probe.options
+    if (unread := _unread(probe)) is not None:
+        what, hint = unread
+        name = shlex.quote(printable(probe.path))
+        raise UnreadableError(f"holds {what}", path=probe.path, hint=hint.replace("FILE", name))
     found = _recognised(probe)
     if found is not None and options.columns is None and options.unit is None:
         raise NoRecordingError(f"holds {found.what}", path=probe.path, hint=found.hint, reason=found.reason)
+
+
+def _unread(probe: Probe) -> tuple[str, str] | None:
+    """Return what a recording that is not read holds, and what to do; None for any other file."""
+    if not is_text(probe.head[:LOOKED_AT]):
+        return DATX if probe.suffix == ".datx" else None
+    return next(((what, hint) for sign, what, hint in UNREAD if sign.match(probe.head[:LOOKED_AT])), None)
 
 
 def _recognised(probe: Probe) -> NotRecording | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -85,3 +87,41 @@ def test_who_says_how_to_read_it_is_heard(tmp_path: Path, options: dict[str, obj
     path = tmp_path / "agd.csv"
     path.write_text(EPOCHS["agd.csv"])
     assert find_format(path, ReadOptions(**options)).name == "csv"  # type: ignore[arg-type]
+
+
+JSON = {
+    "acc.json": (
+        '{"items":[{"timestamp":9.5,"x":0.1,"y":0.2,"z":0.9},{"timestamp":9.52,"x":0.1,"y":0.2,"z":0.9}]}',
+        "ResearchKit",
+        "time,x,y,z\n9.5,0.1,0.2,0.9\n9.52,0.1,0.2,0.9\n",
+    ),
+    "move sense.json": (
+        '{"data":[{"acc":{"Timestamp":7,"ArrayAcc":[{"x":1.5,"y":2.5,"z":9.5},{"x":1,"y":2,"z":9}]}}]}',
+        "Movesense",
+        "time_ms,x,y,z\n7,1.5,2.5,9.5\n7,1,2,9\n",
+    ),
+    "lines.jsonl": (
+        '{"Body":{"Timestamp":7,"ArrayAcc":[{"x":1.5,"y":2.5,"z":9.5}]},"Uri":"a"}\n' * 2,
+        "Movesense",
+        "time_ms,x,y,z\n7,1.5,2.5,9.5\n7,1.5,2.5,9.5\n",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", JSON)
+def test_48_9_json_of_phones_comes_with_the_command_that_makes_a_table(tmp_path: Path, name: str) -> None:
+    text, what, table = JSON[name]
+    error = error_of(tmp_path, name, text)
+    assert what in error.message
+    if table is not None and shutil.which("jq") and shutil.which("sh"):
+        command = (error.hint or "").split("`")[1]
+        subprocess.run(["sh", "-c", command], check=True, cwd=tmp_path)
+        assert (tmp_path / f"{name}.csv").read_text() == table
+
+
+def test_48_9_an_activpal_recording_says_what_to_export(tmp_path: Path) -> None:
+    (tmp_path / "a.datx").write_bytes(bytes(range(256)) * 8)
+    with pytest.raises(
+        UnreadableError, match=r"an activPAL's recording.*uncompressed raw acceleration as csv"
+    ):
+        find_format(tmp_path / "a.datx", ReadOptions())
