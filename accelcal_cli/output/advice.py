@@ -16,6 +16,7 @@ from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import NEAR_ONE_G, Facts, Judgement, Outcome, sides_not_up
 from accelcal_cli.core.settings import DEFAULT, PAPER
 from accelcal_cli.output import words
+from accelcal_cli.output.known_faults import of_device
 from accelcal_cli.output.methods import held_out_sentence
 from accelcal_cli.output.numbers import number
 from accelcal_cli.output.report_view import ReportView, report_view
@@ -45,7 +46,7 @@ set, or overflowed, begin in 1980, 2036, 2079 or 2106."""
 EMPTY_FROM_PERCENT = 0.1
 """Share of rows without values [%] from which on it is reported."""
 
-MILD = ("sides_unchecked", "not_converged", "rows_without_values", "unlikely_year")
+MILD = ("sides_unchecked", "not_converged", "rows_without_values", "unlikely_year", "known_fault")
 """Codes of cautions that a good result may have."""
 
 
@@ -88,6 +89,7 @@ def is_doubtful(report: ReportView) -> bool:
 def _cautions(report: ReportView) -> tuple[Reason, ...]:
     sides = _sides(report) if report.calibration is not None and report.coverage.cells else []
     return (
+        *of_device(report.recording.device),
         *_unchecked_poses(report),
         *_unconverged(report),
         *doubts(*_interval(report), everywhere=report.error_everywhere is not None),

@@ -146,6 +146,14 @@ def _learnt_from(values: Values) -> str:
     return listed(others)
 
 
+def _known_fault(values: Values) -> str:
+    shipped = ""
+    if values["shipped_from"] is not None:
+        shipped = f" if they were shipped from {values['shipped_from']} to {values['shipped_to']}"
+    fault, name, source = values["fault"], values["name"], values["source"]
+    return f"Devices of this kind, with this firmware, may have a fault{shipped}: {fault} ({name}, {source})."
+
+
 def _cut_short(values: Values) -> str:
     if values["missing_bytes"] is None:
         return "The file breaks off: it is cut short or damaged. Copy it again from the device."
@@ -390,6 +398,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "clock_reset": "The clock was reset: it jumps from {before:time} to {after:time} at sample {sample} "
     "({resets:n reset} in all). Times on one side of that are wrong. The calibration does not need them.",
     "scatter_over_limit": "The still windows scatter by {scatter_mg:mg} mg. Check --stillness.",
+    "known_fault": _known_fault,
     "axis_saturates": "The {axis} axis saturates at {at_g:.2f} g, below its stated range.",
     "misfit": _misfit,
     "sensor_changed": _changed,

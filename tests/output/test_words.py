@@ -122,6 +122,16 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "allow_damage": [{}],
     "omit_strict": [{}],
     "axes_alike": [{"axes": ["x", "y"]}],
+    "known_fault": [
+        {
+            "name": "16CPAN03",
+            "fault": "raw data are attenuated",
+            "shipped_from": shipped,
+            "shipped_to": "2014-03-24",
+            "source": "https://actigraph.desk.com",
+        }
+        for shipped in (None, "2013-11-07")
+    ],
     "axis_saturates": [{"axis": "z", "at_g": -0.9}],
     "axis_stuck": [{"axis": "x", "at_g": 0.03, "others": ["y", "z"], "by_g": [2.0, 1.5]}],
     "borrowed": [
