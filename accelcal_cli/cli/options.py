@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
+from accelcal_cli.cli.exit_codes import say
 from accelcal_cli.core.door import is_file
-from accelcal_cli.core.errors import did_you_mean
+from accelcal_cli.core.errors import UsageError, counted, did_you_mean
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.input_files import may_be_archive, pattern_of
 from accelcal_cli.core.settings import LEARNT_PRIORS, Option, Setting, Settings, setting_of
@@ -342,8 +343,23 @@ parts_option = click.option(
 def recordings_of(recordings: tuple[Path, ...], values: dict[str, Any]) -> list[Path]:
     """Return the recordings, several files with --parts as one; raises what `pattern_of` raises."""
     recordings = tuple(real(one) if one.name in ("", "..") else one for one in recordings)
+    recordings = _without_results(recordings)
     files = len(recordings) > 1 and all(is_file(one) and not may_be_archive(one) for one in recordings)
     return [pattern_of(recordings)] if values["parts"] and files else list(recordings)
+
+
+def _without_results(named: tuple[Path, ...]) -> tuple[Path, ...]:
+    """Return files without accelcal's own results, which `*` names too; raises UsageError if none stay."""
+    if len(named) < 2:
+        return named
+    from accelcal_cli.pipeline.outputs import is_own_result  # it takes longer to load than to show --help
+
+    others = tuple(one for one in named if not is_own_result(one))
+    if not others:
+        raise UsageError("all of these are results of accelcal", hint="name the recordings")
+    if number := len(named) - len(others):
+        say(f"{counted(number, 'file')} left out: results of accelcal are not recordings")
+    return others
 
 
 def rules_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) -> tuple[FolderRules, ...]:

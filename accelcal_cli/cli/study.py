@@ -146,6 +146,8 @@ class TerminalObserver:
 @click.option("--all-failures", is_flag=True,
               help="With -q, also report failures and refusals from earlier runs.")  # fmt: skip
 @click.option("--html", is_flag=True, help="Create study.html and a page for each recording that changed.")
+@click.option("--prune", is_flag=True,
+              help="Remove results whose recording is gone (with --dry-run, only show them).")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Show what would be done without doing it.")
 @click.option("--shard", metavar="I/N",
               help="Process part I of N only; `slurm`: the part of this job array task.")  # fmt: skip
@@ -224,6 +226,8 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
     refuse_dash(values["out"])
     if values["shard"] and values["collect"]:
         raise UsageError("--shard processes one part, --collect merges all parts", hint="give one of them")
+    if values["prune"] and values["shard"]:
+        raise UsageError("--prune is for the whole study", hint="give it to --collect, not to --shard")
     if values["shard"] and values["html"]:
         raise UsageError("--html is for the whole study", hint="give it to --collect, not to --shard")
     study = Study(
@@ -239,6 +243,7 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         dask=values["dask"],
         pool=values["pool"] is not None,
         borrow=values["borrow"],
+        prune=values["prune"],
         takeover_s=None if values["takeover"] is None else values["takeover"] * 60,
     )
     return with_learnt_prior(study)

@@ -14,7 +14,7 @@ NO_BYTES = re.compile("[\ud800-\udc7f\udd00-\udfff]")
 """Halves of characters that stand for no byte of a file name; JSON text may hold them."""
 
 
-FORMULA = re.compile(r"[=@\t\r\n]|[+-](?![0-9.eE+-]*$)")
+FORMULA = re.compile(r"[=@\uff1d\uff20\uff0b\uff0d\t\r\n]|[+-](?![0-9.eE+-]*$)")
 """Beginnings of cells that spreadsheets would calculate or swallow; numbers are excluded."""
 
 ENVIRONMENT_ERRNOS = frozenset(

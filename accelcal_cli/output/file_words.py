@@ -36,5 +36,8 @@ FILES: dict[str, FormOfValues] = {
     "other_quantities": _other_quantities,
     "no_numbers": "It is text without rows of three or more numbers.",
     "no_format": "Its content matches no format.",
+    # results whose recording is gone
+    "recording_gone": "Its recording {source} is gone.",
+    "recording_renamed": "Its recording {source} is now called {now}.",
 }
 """Sentences by code; words in braces are values of the reason."""

@@ -332,6 +332,7 @@ class Request:
         rules: reading options by name, of `study.toml`.
         parts: a folder or a pattern stands for the parts of one recording.
         joined: so do the recordings in an archive, whatever their names.
+        replaces_gone: a result of a recording that is gone gives way to that of another in its folder.
         as_given: the reading options are all that counts; what files next to the recording state does not.
     """
 
@@ -357,6 +358,7 @@ class Request:
     parts: bool = False
     joined: bool = True
     as_given: bool = False
+    replaces_gone: bool = False
 
     def options_of(self, path: Path) -> ReadOptions:
         """Return how a recording is read, by options and files next to it; raises UsageError on conflict."""

@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from accelcal_cli.core.door import is_there
 from accelcal_cli.core.errors import OutputError, printable
 from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.input_files import size_of
@@ -32,7 +33,16 @@ from accelcal_cli.output.report_reading import (
     upgraded,
 )
 from accelcal_cli.output.windows import is_window_table
-from accelcal_cli.pipeline.jobs import STDIN, Job, Request, Result, real, sha256
+from accelcal_cli.pipeline.jobs import (
+    PARQUET_SUFFIX,
+    STDIN,
+    UNCALIBRATED_SUFFIX,
+    Job,
+    Request,
+    Result,
+    real,
+    sha256,
+)
 
 PACKAGES = ("numpy", "pyarrow", "h5py", "click")
 """Packages whose versions the provenance names."""
@@ -102,7 +112,8 @@ def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -
     report = load_report(job.report) if exists(job.report) else None
     if report is None:
         return None
-    _refuse_other(job, source, report)
+    if not (request.replaces_gone and _was_replaced(report, job)):
+        _refuse_other(job, source, report)
     if not _matches(report, recording, request):
         _refuse_replacing(job, source, report, request)
         return None
@@ -175,6 +186,18 @@ def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:
             path=job.report,
             hint="choose another folder with -d, a name with -o, or use --force to replace it",
         )
+
+
+def _was_replaced(report: dict[str, Any], job: Job) -> bool:
+    """Return True if the recording of a report is gone, and another file of its folder has its outputs."""
+    place = _place(report)
+    return place.parent == real(job.source).parent and not is_there(place)
+
+
+def gone_from(report: dict[str, Any]) -> Path | None:
+    """Return where the recording of a report was if it is gone; None if it is there or nobody can tell."""
+    place = _place(report)
+    return None if is_there(place) else place
 
 
 def _place(report: dict[str, Any]) -> Path:
@@ -263,14 +286,30 @@ def withdraw(job: Job) -> None:
     if report is None or _made_by(report) != CALIBRATE:
         return
     if _place(report) == real(Path(printable(job.source))):
-        for path in (job.parquet, job.uncalibrated):
-            if written_by_us(path):
-                remove(path)
-        remove_ours(job.integers)
-        remove_ours(job.draws)
-        remove_ours(job.quality)
-        remove_page(job.page)
-        remove(job.report)
+        remove_all(job)
+
+
+def remove_all(job: Job) -> None:
+    """Remove what accelcal wrote of a recording, the report last; raises OutputError if that fails."""
+    for path in (job.parquet, job.uncalibrated):
+        if written_by_us(path):
+            remove(path)
+    for path in (job.integers, job.draws, job.quality):
+        remove_ours(path)
+    remove_page(job.page)
+    remove(job.report)
+
+
+def is_own_result(path: Path) -> bool:
+    """Return True for a file that accelcal wrote, by name and content; False for what cannot be read."""
+    try:
+        if path.name.endswith((PARQUET_SUFFIX, UNCALIBRATED_SUFFIX)) or path.name == "study.parquet":
+            return written_by_us(path) or path.name == "study.parquet"
+        if path.suffix == ".json":
+            return load_our_json(path) is not None
+        return is_page(path) if path.suffix == ".html" else False
+    except OutputError:
+        return False
 
 
 def remove_stale_parquet(path: Path, metadata: dict[str, Any]) -> None:

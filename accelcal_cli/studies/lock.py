@@ -36,6 +36,8 @@ SIGNS = 2
 """Number of changes of a lock that show that its run lives: a cache may show one after it has ended."""
 UNFINISHED_S = 60.0
 """Age [s] from which a lock without all its content is that of a run that died while it wrote it."""
+HIGHEST_PROCESS = 1 << 32
+"""More than any number of a process; what is none, or 0 or less, would stand for others."""
 BEGINNING, LONGEST = '{"host": ', 4096
 """Beginning of the content of every lock, and more bytes than it has."""
 GO_ON = "finished recordings are kept; run the same command again to continue"
@@ -161,7 +163,7 @@ def read_lock(path: Path) -> Lock | None:
         return None
     except ValueError:
         run = None
-    if isinstance(run, dict) and isinstance(run.get("pid"), int):
+    if isinstance(run, dict) and type(run.get("pid")) is int and 0 < run["pid"] < HIGHEST_PROCESS:
         return Lock(text, run, touched_s)
     if text.startswith(BEGINNING[: len(text)]):
         return Lock(text, {}, touched_s)

@@ -153,12 +153,17 @@ class Ledger:
     """
 
     def __init__(
-        self, path: Path, others: Iterable[Path] = (), wanted: Callable[[str], bool] = lambda _name: True
+        self,
+        path: Path,
+        others: Iterable[Path] = (),
+        wanted: Callable[[str], bool] = lambda _name: True,
+        fits: Callable[[Entry], bool] = lambda _entry: True,
     ) -> None:
         """Read the entries of `path` and of other ledgers; what cannot be read is ignored.
 
         Args:
             wanted: returns True for the names whose entries are kept in memory.
+            fits: returns False for an entry whose row is none of ours, and is not believed.
         """
         self.path = path
         self.out = path.parent
@@ -166,7 +171,7 @@ class Ledger:
         self._file: IO[str] | None = None
         for one in (path, *others):
             for entry in _read(one):
-                if wanted(entry.name):
+                if wanted(entry.name) and (entry.row is None or fits(entry)):
                     self._entries.setdefault((entry.name, entry.round), []).append(entry)
 
     def known(self, item: Item, asked: str, name: str = OWN) -> Entry | None:
@@ -272,7 +277,7 @@ def is_ledger(path: Path) -> bool:
         OSError, OutputError: see `open_plain`.
     """
     with open_plain(path, "rb") as file:
-        start = file.read(LOOKED_AT)
+        start = file.read(LOOKED_AT).strip(b"\0")  # which a disk may leave of lines at a power failure
     return HALF_A_LINE.fullmatch(start) is not None or LINE.search(start) is not None
 
 
@@ -284,16 +289,21 @@ def _parsed(line: bytes, texts: dict[str, str]) -> Entry | None:
         saved: dict[str, Any] = _shared(json.loads(text), texts)
         if not all(isinstance(saved[name], str) for name in ("name", "asked", "round")):
             return None
+        why = saved.get("why")
+        if not isinstance(saved["row"] or {}, dict) or not isinstance(saved["again"], bool):
+            return None
+        if why is not None and not (isinstance(why["code"], str) and isinstance(why["values"], dict)):
+            return None
         return Entry(
             name=saved["name"],
             stamps=tuple(None if one is None else (one[0], one[1]) for one in saved["stamps"]),
             asked=saved["asked"],
             row=saved["row"],
-            outputs=tuple((name, (found[0], found[1])) for name, found in saved["outputs"]),
+            outputs=tuple((name + "", (found[0], found[1])) for name, found in saved["outputs"]),
             again=saved["again"],
             round=saved["round"],
             inputs=tuple(saved["inputs"]),
-            why=saved.get("why"),
+            why=None if why is None else {"code": why["code"], "values": why["values"]},
         )
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
         return None

@@ -86,7 +86,7 @@ def common_of(study: Study, recordings: int = MANY) -> Common:
     """Return what the tasks of a study share; a cluster counts its threads itself."""
     elsewhere = study.dask is not None or study.pool_of_caller is not None
     threads = 1 if elsewhere else system.threads(workers_of(study, recordings))
-    return Common(study.out, replace(study.request, threads=threads), study.asked())
+    return Common(study.out, replace(study.request, threads=threads, replaces_gone=True), study.asked())
 
 
 def workers_of(study: Study, recordings: int) -> int:
@@ -108,7 +108,7 @@ def ledger_of(study: Study) -> Ledger:
         siblings = set() if shard.whole else set(matching(study.out, f"study.*-of-{shard.number}.ledger"))
         others = [*matching(study.out, "study.*-of-*.ledger"), study.out / f"{WHOLE.basename}.ledger"]
     own = study.out / f"{shard.basename}.ledger"
-    return Ledger(own, [path for path in others if path not in {own, *siblings}], shard.owns)
+    return Ledger(own, [path for path in others if path not in {own, *siblings}], shard.owns, summary.fits)
 
 
 @dataclass(slots=True)
@@ -124,6 +124,7 @@ class Plan:
         changing: names of late recordings whose file has changed since the earlier result; it may be
             incomplete.
         kept: results of earlier runs with other options, of recordings that this run does not name.
+        reports: reports of all recordings that were found, whatever is done with them.
         by_name: why files were left out without a look at their content, by name.
         notes: lines for the user: patterns of `study.toml` that no file fits, links that are not followed.
     """
@@ -137,6 +138,7 @@ class Plan:
     kept: list[Entry] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     by_name: Left = field(default_factory=dict)
+    reports: set[Path] = field(default_factory=set)
 
     def ahead(self) -> int:
         """Return the number of waiting recordings changed in the future, by this machine's clock."""
@@ -165,6 +167,7 @@ def plan(study: Study, ledger: Ledger) -> Plan:
     by_name = planning.plan.by_name
     listed, rules = files(study.where, planning.plan.notes, by_name), study.request.rules
     planning.plan.notes += unfit_patterns(rules, listed)
+    planning.plan.reports |= {item.job.report for item in listed}
     wanted = [item for item in listed if not any(one.excludes(item.source) for one in rules)]
     by_name |= {item.name: Reason.of("excluded", by=STUDY_FILE) for item in set(listed) - set(wanted)}
     concerned, others = _concerned(study, wanted)

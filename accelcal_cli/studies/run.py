@@ -11,6 +11,7 @@ import time
 from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -19,6 +20,7 @@ from accelcal_cli.core.errors import LockedError, OutputError, UsageError, count
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output.files import disk_errors, looking_at, sweep, sweep_host, sweep_of
 from accelcal_cli.output.study_words import copied
+from accelcal_cli.output.words import clause
 from accelcal_cli.pipeline.outputs import withdraw
 from accelcal_cli.studies import lock, summary
 from accelcal_cli.studies.borrowing import BORROWING
@@ -26,6 +28,7 @@ from accelcal_cli.studies.cluster import Cluster, Notify, WorkerRequirements, ca
 from accelcal_cli.studies.discovery import SUMMARY, Left, as_if_alone, places, refuse_foreign
 from accelcal_cli.studies.in_process import Futures, InProcess, must_stay
 from accelcal_cli.studies.lock import Lease
+from accelcal_cli.studies.orphans import Orphan, orphans, prune
 from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools
 from accelcal_cli.studies.prior import LEARNING, without_prior
 from accelcal_cli.studies.process_pool import ProcessPool, sweep_folders
@@ -115,6 +118,12 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         study_run = StudyRun(study, ledger, observer, planned, lease)
         study_run.run()
         result = _summary(study, planned, study_run)
+        left = _orphans(study, planned, result.rows)
+        if study.prune:
+            prune(left, len(result.rows), force=study.request.force)
+        for one in left:
+            observer.note(orphaned(one, pruned=study.prune))
+        result = replace(result, orphans=() if study.prune else [one.as_json() for one in left])
         lease.confirm()
         summary.write(result, study.out, base)
         lease.confirm()
@@ -124,6 +133,16 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         if study.shard.whole and not (planned.waiting or study.where.include):
             remove_pools(study.out, keep=study_run.known.pools)
     return result
+
+
+def _orphans(study: Study, planned: Plan, rows: Sequence[Mapping[str, Any]]) -> list[Orphan]:
+    return orphans(study.where, planned.reports, rows) if study.shard.whole else []
+
+
+def orphaned(one: Orphan, *, pruned: bool) -> str:
+    """Return the line about a result whose recording is gone."""
+    what = "removed" if pruned else "stays, and --prune removes it"
+    return f"{printable(one.name)} {what}: {clause(one.reason)}"
 
 
 def unlock(study: Study) -> lock.Lock | None:
@@ -450,6 +469,10 @@ def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str],
         states |= {known.recordings[name].item: "todo" for task in todo for name in task.names}
         for task, entry in taken:
             known.take(one, task.item.name, entry)
+    rows = [one.last.row or {} for one in known.recordings.values()]
+    for left in _orphans(study, planned, rows):
+        what = "would be removed" if study.prune else "stays, and --prune removes it"
+        note(f"{printable(left.name)} {what}: {clause(left.reason)}")
     named = [one for one in known.recordings.values() if not one.item.aside]
     of_now = {one.item: (one.last.row or {})["outcome"] for one in named} | states
     return of_now, planned.reasons(study.shard.owns)

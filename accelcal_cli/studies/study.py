@@ -101,6 +101,7 @@ class Study:
             None if they stay.
         here: whether this process does all the work.
         pool_of_caller: the executor of the calling program that does the work; None for processes here.
+        prune: whether results whose recording is gone are removed.
         takeover_s: silence after which a run of another host is taken to have ended; None if never.
     """
 
@@ -118,6 +119,7 @@ class Study:
     borrow: bool = False
     prior: str | None = None
     takeover_s: float | None = None
+    prune: bool = False
     here: bool = False
     pool_of_caller: Pool | None = None
 

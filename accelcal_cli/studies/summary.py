@@ -18,6 +18,7 @@ from accelcal_cli.core.errors import counted, printable
 from accelcal_cli.core.local_time import UNKNOWN, UTC
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output import files
 from accelcal_cli.output.advice import cautions
@@ -33,7 +34,7 @@ from accelcal_cli.output.report_view import (
     report_view,
 )
 from accelcal_cli.output.words import sentence
-from accelcal_cli.studies.records import FAILED, Item
+from accelcal_cli.studies.records import FAILED, Entry, Item
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -103,6 +104,30 @@ def copies(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     }
     return {name: one for name, one in firsts.items() if name != one}
 
+
+NUMBERS = tuple(name for name in COLUMNS if name not in {*TEXT, *WHOLE})
+TYPES: tuple[tuple[tuple[str, ...], frozenset[type]], ...] = (
+    (TEXT, frozenset((str, type(None)))),
+    (WHOLE, frozenset((int, type(None)))),
+    (NUMBERS, frozenset((int, float, type(None)))),
+)
+"""Types of the values in a row, by their columns."""
+
+
+def fits(entry: Entry) -> bool:
+    """Return True if the row of an entry is one that a study writes; a ledger may have been changed."""
+    row = entry.row or {}
+    if entry.round == POOL_ROUND:
+        return all(isinstance(row.get(name), str) for name in ("outcome", "message"))
+    if row.get("outcome") not in OUTCOMES or type(row.get("exit_code")) is not int:
+        return False
+    if row.get("accelcal_version") == __version__ and len(row.keys() & set(COLUMNS)) < len(COLUMNS):
+        return False
+    return all({type(row.get(name)) for name in names} <= kinds for names, kinds in TYPES)
+
+
+POOL_ROUND = "pool"
+OUTCOMES = frozenset((*Outcome, FAILED))
 
 FAILURES = {2: "wrong_usage", 3: "unreadable", 5: "not_written", 70: "bug", 71: "out_of_memory"}
 """Codes in the column `reason` of recordings that failed, by exit code."""
@@ -264,6 +289,7 @@ class Summary:
             written.
         left_out: number of files that are not recordings; files_left_out: why, by name, with those left out
             by their names.
+        orphans: results whose recording is gone, as objects of `study.json`.
         kept: number of recordings that this run does not name, whose rows are from one with other options.
         up_to_date: number of recordings for which nothing had to be done; not written.
         pools: device, number of recordings, outcome and message of each pool, by name.
@@ -274,6 +300,7 @@ class Summary:
     waiting: int = 0
     ahead: int = 0
     left_out: int = 0
+    orphans: Sequence[Mapping[str, Any]] = ()
     files_left_out: Mapping[str, Reason] = field(default_factory=dict)
     kept: int = 0
     up_to_date: int = 0
@@ -324,6 +351,7 @@ class Summary:
                 {"path": printable(name), **why.as_json(), "message": sentence(why)}
                 for name, why in self.files_left_out.items()
             ],
+            "orphans": list(self.orphans),
             "kept": self.kept,
             "pools": self.pools,
             "settings": self.settings,

@@ -197,6 +197,8 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "other_quantities": [{"columns": ["time", "lat", "lon"]}],
     "no_numbers": [{}],
     "no_format": [{}],
+    "recording_gone": [{"source": "a.cwa"}],
+    "recording_renamed": [{"source": "a.cwa", "now": "b.cwa"}],
     "left_out_of_pool": [{"why": {"code": "worse_than_usual", "values": HERE | {"usual_mg": 1.0}}}],
     "misfit": [
         {"kind": kind, "size": [1.0, -2.5, 0.25], "unit": "%", "largest_mg": 12.5}

@@ -1,0 +1,157 @@
+"""What is left of recordings that are gone, renamed or replaced; and what of accelcal's own is believed."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import zlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from accelcal_cli.core.errors import spreadsheet_cell
+from tests.cli.run import Ran, run
+from tests.cli.studies import rows, study_folder
+from tests.recordings import directions, good_csv, still_counts
+
+Capture = pytest.CaptureFixture[str]
+NAMES = ("a.raw", "north/b.raw", "north/c.raw")
+
+
+def study(capsys: Capture, folder: Path, *words: object) -> Ran:
+    return run(capsys, "study", folder, "-d", folder.parent / "out", "-j", 1, *words)
+
+
+def told(out: Path) -> dict[str, str]:
+    found = json.loads((out / "study.json").read_text())["orphans"]
+    return {one["report"]: one["code"] for one in found}
+
+
+def test_u3_results_whose_recording_is_gone_are_listed_and_pruned(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in", NAMES), tmp_path / "out"
+    assert study(capsys, folder).code == 0
+    (folder / "a.raw").unlink()
+    (folder / "north/b.raw").rename(folder / "north/d.raw")
+    (folder / "north/b.layout.toml").rename(folder / "north/d.layout.toml")
+    gone = {"a.calibration.json": "recording_gone", "north/b.calibration.json": "recording_renamed"}
+    for _ in range(2):
+        ran = study(capsys, folder)
+        assert (ran.code, told(out)) == (0, gone)
+        assert "a.calibration.json stays" in ran.err and "now called north/d.raw" in ran.err
+    assert "orphan" not in study(capsys, folder, "-q").err
+    shown = study(capsys, folder, "--prune", "--dry-run")
+    assert "would be removed" in shown.err and (out / "a.calibrated.parquet").exists()
+    ran = study(capsys, folder, "--prune")
+    assert ran.code == 0 and "a.calibration.json removed" in ran.err
+    left = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
+    assert not [name for name in left if name.startswith(("a.", "north/b."))]
+    assert {"north/c.calibration.json", "north/d.calibrated.parquet"} <= left
+    assert told(out) == {}
+
+
+def test_u3_nothing_is_pruned_that_may_be_there(tmp_path: Path, capsys: Capture) -> None:
+    """Not what is excluded, nor of a recording elsewhere, nor most of a study, as when a disk is missing."""
+    folder, out = study_folder(tmp_path / "in", NAMES), tmp_path / "out"
+    assert study(capsys, folder).code == 0
+    assert run(capsys, "calibrate", good_csv(tmp_path), "-d", out).code == 0
+    assert study(capsys, folder, "--exclude", "north/*", "--prune").code == 0
+    assert (told(out), len(list(out.rglob("*.calibration.json")))) == ({}, 4)
+    shutil.rmtree(folder / "north")
+    ran = study(capsys, folder, "--prune")
+    assert ran.code == 2 and "2 results" in ran.err
+    assert len(list(out.rglob("*.calibration.json"))) == 4
+    assert study(capsys, folder, "--prune", "--force").code == 0
+    assert len(list(out.rglob("*.calibration.json"))) == 2
+
+
+@pytest.mark.parametrize("content", ["other", "same"])
+def test_u4_a_recording_that_was_replaced_replaces_its_outputs(
+    content: str, tmp_path: Path, capsys: Capture
+) -> None:
+    folder, out = study_folder(tmp_path / "in", ("a.raw", "b.raw")), tmp_path / "out"
+    assert study(capsys, folder).code == 0
+    old = (folder / "a.raw").read_bytes()
+    (folder / "a.raw").unlink()
+    counts = still_counts(directions(70), seed=9).astype("<i2").tobytes()
+    (folder / "a.bin").write_bytes(old if content == "same" else counts)
+    for _ in range(2):
+        ran = study(capsys, folder)
+        assert ran.code == 0, ran.err
+        assert [row["path"] for row in rows(out)] == ["a.bin", "b.raw"]
+        assert told(out) == {}
+    held = json.loads((out / "a.calibration.json").read_text())
+    assert held["recording"]["bytes"] == (folder / "a.bin").stat().st_size
+
+
+def test_u1_own_results_are_not_recordings(tmp_path: Path, capsys: Capture) -> None:
+    good_csv(tmp_path)
+    for _ in range(2):
+        named = sorted(path for path in tmp_path.iterdir() if path.is_file())
+        ran = run(capsys, "calibrate", *named, "--html")
+        assert ran.code == 0, ran.err
+        assert len(ran.lines) == 1
+        shown = run(capsys, "inspect", *sorted(path for path in tmp_path.iterdir() if path.is_file()))
+        assert shown.code == 0 and "results of accelcal are not recordings" in shown.err
+    ours = sorted(tmp_path.glob("*.c*.*"))
+    assert run(capsys, "calibrate", *[one for one in ours if "calibrat" in one.name]).code == 2
+
+
+def forged(line: bytes, **changes: Any) -> bytes:
+    """A line of a ledger with another content and the right checksum."""
+    entry = json.loads(line.partition(b" ")[2])
+    text = json.dumps(entry | changes).encode()
+    return f"{zlib.crc32(text):08x} ".encode() + text + b"\n"
+
+
+FORGED: dict[str, dict[str, Any]] = {
+    "no row": {"row": {}},
+    "a list": {"row": ["calibrated"]},
+    "a word": {"row": "x"},
+    "outputs": {"outputs": [[5, [1, 2]]]},
+    "stamps": {"stamps": 7},
+    "why": {"row": None, "why": {"code": 1}},
+    "again": {"again": "no"},
+}
+
+
+@pytest.mark.parametrize("kind", [*FORGED, "outcome", "types", "exit_code"])
+def test_h14_a_forged_line_of_the_ledger_is_not_believed(kind: str, tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in", ("a.raw",)), tmp_path / "out"
+    assert study(capsys, folder, "--report-only").code == 0
+    table = (out / "study.csv").read_bytes()
+    lines = [line for line in (out / "study.ledger").read_bytes().splitlines() if b'"a.raw"' in line]
+    row = json.loads(lines[0].partition(b" ")[2])["row"]
+    wrong = {
+        "outcome": {"row": row | {"outcome": "splendid"}},
+        "types": {"row": row | {"samples": "many", "after_mg": [1]}},
+        "exit_code": {"row": row | {"exit_code": True}},
+    }
+    (out / "study.ledger").write_bytes(forged(lines[0], **{**FORGED, **wrong}[kind]))
+    ran = study(capsys, folder, "--report-only")
+    assert (ran.code, (out / "study.csv").read_bytes()) == (0, table), ran.err
+
+
+def test_h14_a_ledger_of_zeros_is_replaced(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in", ("a.raw",)), tmp_path / "out"
+    assert study(capsys, folder, "--report-only").code == 0
+    (out / "study.ledger").write_bytes(b"\0" * 5000)
+    assert study(capsys, folder, "--report-only").code == 0
+
+
+@pytest.mark.parametrize("pid", ["-1", "0", "true", "1e3", "9999999999999"])
+def test_h14_a_lock_without_a_process_is_not_believed(pid: str, tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in", ("a.raw",)), tmp_path / "out"
+    out.mkdir()
+    lock = out / "study.lock"
+    lock.write_text(f'{{"host": "{os.uname().nodename}", "pid": {pid}, "started": null, "run": "x"}}')
+    os.utime(lock, (1, 1))
+    assert study(capsys, folder, "--report-only").code == 0
+
+
+@pytest.mark.parametrize("sign", ["=", "@", "\uff1d", "\uff20", "\uff0b", "\uff0d"])
+def test_h10_full_width_signs_begin_no_formula(sign: str) -> None:
+    assert spreadsheet_cell(f"{sign}1+1") == f"'{sign}1+1"
+    assert re.match(r"\w", spreadsheet_cell("a=1"))
