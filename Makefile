@@ -6,6 +6,8 @@ BIN    := $(VENV)/bin
 PLAIN  := $(VENV)/.installed
 READY  := $(VENV)/.ready
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# exact versions; `make LOCK=` takes the newest that pyproject.toml allows
+LOCK   := requirements.lock
 DEMO   := demo
 # otherwise each process that a test starts compiles the package again, and each worker all tests
 unexport PYTHONDONTWRITEBYTECODE
@@ -15,16 +17,22 @@ unexport PYTHONDONTWRITEBYTECODE
 setup: $(READY)
 
 # --no-compile: Python compiles the few modules that are used when they are first imported
-$(PLAIN): pyproject.toml
+# installs the versions of the lock, or others where these cannot be had, such as for a newer Python
+define locked
+$(if $(LOCK),$(PIP) --constraint $(LOCK) $(1) \
+	  || { echo "The versions of $(LOCK) cannot be installed here; others are."; $(PIP) $(1); },$(PIP) $(1))
+endef
+
+$(PLAIN): pyproject.toml $(LOCK)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 	  || { echo "accelcal needs Python 3.11 or newer: make PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) --no-compile --editable .
+	$(call locked,--no-compile --editable .)
 	touch $@
 
 $(READY): $(PLAIN)
-	$(PIP) --editable '.[dev]'
-	$(PIP) --editable '.[oracles]' \
+	$(call locked,--editable '.[dev]')
+	$(PIP) $(if $(LOCK),--constraint $(LOCK)) --editable '.[oracles]' \
 	  || echo "The other readers that some tests compare with do not install here; those tests are skipped."
 	touch $@
 
@@ -147,6 +155,11 @@ figure: $(READY)
 
 clean:
 	rm -rf $(VENV) $(DEMO) .pytest_cache .mypy_cache .ruff_cache
+
+# after a run of the tests with newer versions (make LOCK= test)
+.PHONY: lock
+lock: $(READY)
+	$(BIN)/python tools/lock.py > requirements.lock
 
 .PHONY: golden
 golden: $(READY)

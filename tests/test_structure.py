@@ -47,7 +47,6 @@ LONGEST = 600
 SHORTEST = 40
 SHORT = {
     "__main__.py": "`python -m accelcal_cli`",
-    "core/version.py": "the build reads it",
     "cli/evaluate.py": "one file a command",
     "formats/csv/vendors/metawear.py": "one file a vendor",
     "formats/csv/vendors/phyphox.py": "one file a vendor",

@@ -19,7 +19,7 @@ from accelcal_cli.core.system import (
     keep_freed_memory,
     take_over_process,
 )
-from accelcal_cli.core.version import __version__
+from accelcal_cli.core.version import build_version
 
 
 class LazyGroup(click.Group):
@@ -116,6 +116,13 @@ Options and examples of a command: accelcal calibrate --help"""
 """Screen of `accelcal` without arguments."""
 
 
+def _show_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> None:
+    """Print the version with its commit and end; a build or a checkout is asked for it only then."""
+    if asked and not ctx.resilient_parsing:
+        click.echo(f"accelcal, version {build_version()}")
+        ctx.exit()
+
+
 @click.group(
     cls=LazyGroup,
     parts=COMMANDS,
@@ -124,7 +131,8 @@ Options and examples of a command: accelcal calibrate --help"""
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-@click.version_option(__version__, prog_name="accelcal")
+@click.option("--version", is_flag=True, expose_value=False, is_eager=True, callback=_show_version,
+              help="Show the version and exit.")  # fmt: skip
 @click.pass_context
 def cli(ctx: click.Context) -> None:
     """Autocalibrate raw accelerometer (actigraph) recordings, using their periods without movement.

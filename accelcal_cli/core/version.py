@@ -1,3 +1,53 @@
 """The version of the package, which the build reads from here and every report states."""
 
+from __future__ import annotations
+
+import os
+from functools import cache
+
 __version__ = "0.3.0"
+"""The release: results of one release are the same, and a study compares no more than this."""
+
+
+@cache
+def build_version() -> str:
+    """Return the version with the commit that it was built from, such as `0.3.0.dev5+g9e2152a`.
+
+    A build holds it (hatch_build.py). A checkout has that of its commit, read from its files; a release, and
+    an archive of the files alone, have the release.
+    """
+    here = os.path.dirname(os.path.abspath(__file__))  # noqa: PTH100, PTH120 (every start imports this)
+    made = _line(os.path.join(here, "_build.txt"))  # noqa: PTH118
+    if made is not None:
+        return made
+    commit = _commit(os.path.join(os.path.dirname(os.path.dirname(here)), ".git"))  # noqa: PTH118, PTH120
+    return __version__ if commit is None else f"{__version__}.dev0+g{commit[:7]}"
+
+
+def _commit(git: str) -> str | None:
+    """Return the commit of a checkout, by the files of its repository; None if there is none."""
+    if (pointer := _line(git)) is not None:  # a further work tree
+        git = os.path.join(os.path.dirname(git), pointer.removeprefix("gitdir: "))  # noqa: PTH118, PTH120
+    head = _line(os.path.join(git, "HEAD"))  # noqa: PTH118
+    if head is None or not head.startswith("ref: "):
+        return head
+    name = head.removeprefix("ref: ")
+    common = os.path.join(git, _line(os.path.join(git, "commondir")) or "")  # noqa: PTH118
+    return _line(os.path.join(common, name)) or _packed(os.path.join(common, "packed-refs"), name)  # noqa: PTH118
+
+
+def _packed(path: str, name: str) -> str | None:
+    try:
+        with open(path, encoding="utf-8") as file:  # noqa: PTH123
+            return next((line.split()[0] for line in file if line.rstrip().endswith(f" {name}")), None)
+    except (OSError, ValueError):
+        return None
+
+
+def _line(path: str) -> str | None:
+    """Return the first line of a file, None if it cannot be read."""
+    try:
+        with open(path, encoding="utf-8") as file:  # noqa: PTH123
+            return file.readline().strip() or None
+    except (OSError, ValueError):
+        return None

@@ -20,7 +20,7 @@ from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.input_files import size_of
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import SIX_POSE, VARIED, PoseSettings
-from accelcal_cli.core.version import __version__
+from accelcal_cli.core.version import __version__, build_version
 from accelcal_cli.output.files import exists, is_page, metadata_of, refuse_foreign, write_text, written_by_us
 from accelcal_cli.output.report import dumps
 from accelcal_cli.output.report_reading import (
@@ -369,7 +369,7 @@ def provenance(command: list[str]) -> dict[str, Any]:
 def _versions() -> tuple[tuple[str, str], ...]:
     from importlib.metadata import PackageNotFoundError, version  # only writing a report needs it
 
-    versions = [("python", platform.python_version())]
+    versions = [("accelcal", build_version()), ("python", platform.python_version())]
     for name in PACKAGES:
         with contextlib.suppress(PackageNotFoundError):
             versions.append((name, version(name)))
