@@ -265,3 +265,13 @@ def test_51_1_draws_are_the_same_again_and_begin_alike(tmp_path: Path, capsys: C
     ran = run(capsys, "calibrate", path, "--draws", 20, "--prior", "none")
     assert ran.code == 2
     assert_one_line(ran, "--draws", "prior")
+
+
+def test_51_1_the_page_has_measures_with_their_intervals(tmp_path: Path, capsys: Capture) -> None:
+    path = good_raw(tmp_path)
+    assert exit_code("calibrate", path, "--html", "-q") == 0
+    page = tmp_path / "good.html"
+    assert "Measures of activity" not in page.read_text()
+    assert exit_code("calibrate", path, "--html", "--effect", "-q") == 0
+    text = page.read_text()
+    assert "Measures of activity" in text and "Mean angle of the arm" in text and " to " in text
