@@ -17,6 +17,9 @@ from accelcal_cli.formats import named_encoder
 from accelcal_cli.pipeline.simulate import plan_of, simulate
 from accelcal_cli.simulate import LARGEST_SEED
 
+LONGEST_DAYS, RATES_HZ = 3660, (0.1, 100_000)
+"""Longest recording, ten years, and the rates at which movement can be simulated."""
+
 
 @click.command(
     "simulate",
@@ -29,8 +32,8 @@ from accelcal_cli.simulate import LARGEST_SEED
 @click.argument("out", type=FILE)
 @click.option("--format", "format_name", type=ENCODER, default="flash", show_default=True, metavar="NAME",
               help="flash, raw (with its layout file), csv, hdf5, cwa, geneactiv or gt3x.")  # fmt: skip
-@click.option("--days", type=Positive(), default=1.0, show_default=True, help="Length in days.")
-@click.option("--rate", "rate_hz", type=Positive(), default=100.0, show_default=True, metavar="HZ",
+@click.option("--days", type=Positive(LONGEST_DAYS), default=1.0, show_default=True, help="Length in days.")
+@click.option("--rate", "rate_hz", type=Within(*RATES_HZ), default=100.0, show_default=True, metavar="HZ",
               help="Sampling rate.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(0, LARGEST_SEED), default=1, show_default=True,
               help="Seed for movement and noise.")  # fmt: skip

@@ -293,7 +293,14 @@ def new_folder() -> Path:
     """Make a new folder for temporary files; raises OSError if none can be made."""
     import tempfile  # few runs need one
 
-    return Path(tempfile.mkdtemp(prefix="accelcal-"))
+    return Path(tempfile.mkdtemp(prefix=f"{folder_start()}{os.getpid()}-"))
+
+
+def folder_start() -> str:
+    """Return how the names of temporary folders of this host begin; the number of their process follows."""
+    import hashlib
+
+    return f"accelcal-{hashlib.sha256(host().encode()).hexdigest()[:6]}-"
 
 
 def remove_folder(folder: Path) -> None:

@@ -246,10 +246,10 @@ def parsed(text: str | bytes) -> Any:
 
     Raises:
         ValueError: it is not valid JSON, or holds what we never write: endless or huge numbers, halves of
-            characters, lists in lists without end.
+            characters, lists in lists without end, a name twice in an object.
     """
     try:
-        value = json.loads(text, parse_constant=_refuse_constant)
+        value = json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_each_once)
     except RecursionError as error:
         raise ValueError("too deeply nested") from error
     level = [value]
@@ -258,6 +258,14 @@ def parsed(text: str | bytes) -> Any:
         if not level:
             return value
     raise ValueError("too deeply nested")
+
+
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object; a name that stands twice in it would let two readers see two reports."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a name stands twice in an object")
+    return found
 
 
 def _refuse_constant(name: str) -> NoReturn:

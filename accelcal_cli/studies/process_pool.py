@@ -8,7 +8,6 @@ of a socket. Workers never run the program that started them, so that a script n
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import multiprocessing
 import os
 import signal
@@ -27,8 +26,8 @@ from typing import TYPE_CHECKING, Any
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.system import (
     collect_seldom,
+    folder_start,
     has_fork_server,
-    host,
     interruptions_blocked,
     keep_freed_memory,
     lives,
@@ -87,22 +86,20 @@ def forkserver_folder() -> Iterator[None]:
 @cache
 def _temporary_folder() -> Path:
     sweep_folders()
-    folder = Path(tempfile.mkdtemp(prefix=f"{_start()}{os.getpid()}-", dir=_parent()))
+    folder = Path(tempfile.mkdtemp(prefix=f"{folder_start()}{os.getpid()}-", dir=_parent()))
     Finalize(None, remove_folder, (folder,), exitpriority=EXIT_PRIORITY)
     return folder
 
 
 def sweep_folders() -> None:
     """Remove the folders of killed processes of this host and user."""
-    with contextlib.suppress(OSError), os.scandir(_parent()) as entries:
-        for entry in entries:
-            owner = entry.name.removeprefix(_start()).split("-")[0]
-            if entry.name.startswith(_start()) and owner.isdigit() and not lives(int(owner)):
-                remove_folder(Path(entry.path))
-
-
-def _start() -> str:
-    return f"accelcal-{hashlib.sha256(host().encode()).hexdigest()[:6]}-"
+    start = folder_start()
+    for place in {_parent(), tempfile.gettempdir()}:
+        with contextlib.suppress(OSError), os.scandir(place) as entries:
+            for entry in entries:
+                owner = entry.name.removeprefix(start).split("-")[0]
+                if entry.name.startswith(start) and owner.isdigit() and not lives(int(owner)):
+                    remove_folder(Path(entry.path))
 
 
 def _parent() -> str:
@@ -196,6 +193,7 @@ class ProcessPool:
         for worker in [worker for worker in self._busy if self._overdue(worker)]:
             self._busy.remove(worker)
             _end([worker])
+            sweep_folders()
             assert self.timeout_s is not None
             yield Finished(
                 worker.task, fault=f"took more than {self.timeout_s / 60:g} minutes and was stopped"

@@ -6,6 +6,9 @@ import json
 import os
 import re
 import shutil
+import signal
+import tempfile
+import time
 import zlib
 from pathlib import Path
 from typing import Any
@@ -13,6 +16,8 @@ from typing import Any
 import pytest
 
 from accelcal_cli.core.errors import spreadsheet_cell
+from accelcal_cli.core.system import folder_start, new_folder
+from accelcal_cli.studies import process_pool
 from tests.cli.run import Ran, run
 from tests.cli.studies import rows, study_folder
 from tests.recordings import directions, good_csv, still_counts
@@ -155,3 +160,39 @@ def test_h14_a_lock_without_a_process_is_not_believed(pid: str, tmp_path: Path, 
 def test_h10_full_width_signs_begin_no_formula(sign: str) -> None:
     assert spreadsheet_cell(f"{sign}1+1") == f"'{sign}1+1"
     assert re.match(r"\w", spreadsheet_cell("a=1"))
+
+
+def test_h9_a_report_with_a_name_twice_is_refused(tmp_path: Path, capsys: Capture) -> None:
+    assert run(capsys, "calibrate", good_csv(tmp_path)).code == 0
+    report = next(tmp_path.glob("*.calibration.json"))
+    report.write_text(report.read_text().replace('"outcome":', '"outcome": "refused", "outcome":', 1))
+    ran = run(capsys, "verify", report)
+    assert (ran.code, ran.err.count("\n")) == (3, 1), ran.err
+
+
+@pytest.mark.parametrize("words", [("--rate", "0.01"), ("--days", "1e9"), ("--rate", "1e-300")])
+def test_h15_simulations_that_cannot_be_are_refused(
+    words: tuple[str, ...], tmp_path: Path, capsys: Capture
+) -> None:
+    ran = run(capsys, "simulate", tmp_path / "a.csv", "--format", "csv", *words)
+    assert ran.code == 2 and "bug" not in ran.err
+    assert run(capsys, "simulate", tmp_path / ("n" * 300), "--days", "0.001").code == 5
+
+
+def killed_while_unpacking(task: Any, _report: Any) -> None:
+    """Work that makes a temporary folder and hears no signal, as within a library."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    new_folder()
+    time.sleep(600)
+
+
+def test_h16_the_temporary_folder_of_a_stopped_worker_is_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process_pool, "GRACE_S", 0.1)
+    before = {path.name for path in Path(tempfile.gettempdir()).glob("accelcal-*")}
+    pool = process_pool.ProcessPool(killed_while_unpacking, 1, timeout_s=2.0)
+    (ended,) = pool.run([1])
+    assert "was stopped" in str(ended.fault)
+    left = {path.name for path in Path(tempfile.gettempdir()).glob("accelcal-*")} - before
+    assert not [name for name in left if not name.startswith(f"{folder_start()}{os.getpid()}-")]
