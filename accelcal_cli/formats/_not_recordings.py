@@ -129,6 +129,10 @@ DATX = (
     "export the uncompressed raw acceleration as csv with PALanalysis or PALbatch, and give that",
 )
 SQLITE = b"SQLite format 3\0"
+WORKBOOK = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
+"""First bytes of a compound file, as .xls is."""
+
+SAVE_SHEET = "save its sheet as CSV: File, Save As, CSV UTF-8"
 AGD = _epochs("ActiGraph's", "give the .gt3x file of the same recording, from the device or from ActiLife")
 DATABASE = NotRecording("an SQLite database", "export the recording as text (CSV)", Reason("database"))
 TABLE = _epochs("a table of", "export the raw data" + INSIST)
@@ -147,6 +151,8 @@ def refuse_not_recordings(probe: Probe) -> None:
         what, hint = unread
         name = shlex.quote(printable(probe.path))
         raise UnreadableError(f"holds {what}", path=probe.path, hint=hint.replace("FILE", name))
+    if probe.head.startswith(WORKBOOK) and probe.suffix == ".xls":
+        raise UnreadableError("holds a workbook (.xls)", path=probe.path, hint=SAVE_SHEET)
     found = _recognised(probe)
     if found is not None and options.columns is None and options.unit is None:
         raise NoRecordingError(f"holds {found.what}", path=probe.path, hint=found.hint, reason=found.reason)

@@ -100,7 +100,7 @@ def test_a_table_whose_last_line_has_all_its_cells_is_not_cut_short(ending: str,
     path.write_text(path.read_text().rstrip("\n") + ending)
     facts = facts_of(Expected(path, counts(), 25.0, None))
     assert not facts.cut_short
-    assert [one.code for one in facts.problems] == ([] if ending else ["no_line_end"])
+    assert facts.problems == ()
     cut(path, path.stat().st_size - 12)
     assert facts_of(Expected(path, counts(), 25.0, None)).cut_short
 

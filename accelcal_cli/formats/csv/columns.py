@@ -8,6 +8,7 @@ of gravity tells it.
 from __future__ import annotations
 
 import re
+import shlex
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -237,7 +238,7 @@ def find_roles(
     """
     titles = titles_of(dialect)
     xyz = chosen_axes(dialect, options.columns, path) or _within(dialect, known_xyz)
-    xyz = xyz or _named_axes(titles, path) or _placed_axes(dialect, path)
+    xyz = xyz or _named_axes(titles, dialect, path) or _placed_axes(dialect, path)
     for column in xyz:
         if dialect.kinds[column] is not CellKind.NUMBER:
             raise UnreadableError(
@@ -317,7 +318,7 @@ def _chosen_column(dialect: Dialect, wanted: str, option: str, path: Path) -> in
     )
 
 
-def _named_axes(titles: list[Title], path: Path) -> tuple[int, int, int] | None:
+def _named_axes(titles: list[Title], dialect: Dialect, path: Path) -> tuple[int, int, int] | None:
     """Return the columns whose names have x, y and z and otherwise say accelerometer, or nothing."""
     groups: dict[tuple[str, ...], dict[str, int]] = {}
     for title in titles:
@@ -327,10 +328,11 @@ def _named_axes(titles: list[Title], path: Path) -> tuple[int, int, int] | None:
     named = [group for stem, group in full.items() if CSV.accelerometer & set(stem)]
     found = named or [group for stem, group in full.items() if not stem]
     if len(found) > 1:
+        names = [",".join((dialect.names or ())[one[axis]].strip() for axis in AXES) for one in found]
         raise UnreadableError(
-            "several groups of columns are named like an accelerometer's",
+            f"several groups of columns are named like an accelerometer's: {'; '.join(names)}",
             path=path,
-            hint="name the columns of x, y and z with --columns",
+            hint=f"choose one, such as --columns {shlex.quote(names[0])}",
         )
     return (found[0]["x"], found[0]["y"], found[0]["z"]) if found else None
 

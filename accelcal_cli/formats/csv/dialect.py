@@ -64,6 +64,8 @@ SURE_LINES = 6
 """With fewer lines to judge by, most columns must be numbers, and half of all lines must agree."""
 
 SAMPLE_ROWS = 200
+SURE_ROWS, LEAST_ROWS = 3, 10
+"""Rows below which a layout is doubtful, and from which on it holds whatever lines are below."""
 
 DEEPEST_BYTES = 1 << 24
 """Bytes of text in which rows of numbers must begin."""
@@ -209,6 +211,21 @@ class Dialect:
         cells = self.normaliser(line + b"\n").rstrip(b"\n").split(self.normaliser.delimiter.encode())
         return len(cells) >= self.columns and bool(cells[-1].strip(b"\0 \r"))
 
+    def is_row(self, line: bytes) -> bool:
+        """Return True if a line without its end is a row that does not look as if it were cut off."""
+        if not self.is_whole(line) or line.count(b'"') % 2:
+            return False
+        text = decode(self.normaliser(line + b"\n")).strip("\r\n")
+        cells = [cell.strip() for cell in split_line(text, self.normaliser.delimiter)]
+        comma = self.normaliser.delimiter != ","
+        fits = len(cells) == self.columns and all(
+            cell_kind(cell, comma) in (kind, CellKind.MISSING)
+            for cell, kind in zip(cells, self.kinds, strict=True)
+            if kind in (CellKind.NUMBER, CellKind.TIME)
+        )
+        above = [row[-1].strip() for row in self.sample]
+        return fits and all(part(cells[-1]) >= min(map(part, above)) for part in (len, _decimals))
+
     def columns_of(self, kind: CellKind) -> list[int]:
         """Return the numbers of the columns of a kind."""
         return [number for number, other in enumerate(self.kinds) if other is kind]
@@ -221,6 +238,10 @@ class Dialect:
     def cells(self, column: int) -> list[str]:
         """Return the sample's cells of one column."""
         return [row[column] for row in self.sample]
+
+
+def _decimals(cell: str) -> int:
+    return len(cell.replace(",", ".").partition(".")[2])
 
 
 def find_dialect(head: bytes, preamble: int = 0) -> Dialect | None:
@@ -239,6 +260,8 @@ def find_dialect(head: bytes, preamble: int = 0) -> Dialect | None:
         head = head.replace(b"\r", b"\n")
     whole = head[: head.rfind(b"\n") + 1]
     found = _dialect_of(whole, preamble) or _dialect_of(head, preamble)
+    if found is None or len(found.sample) < SURE_ROWS:
+        found = _without_end(whole, preamble) or found
     return replace(found, bare_returns=bare_returns) if found else None
 
 
@@ -289,6 +312,16 @@ def _moved(dialect: Dialect, top: int, skipped: bytes) -> Dialect:
         skipped=dialect.skipped + lines,
         names_line=dialect.names_line + lines,
     )
+
+
+def _without_end(head: bytes, preamble: int) -> Dialect | None:
+    """Return the layout of the rows of a short file above its last lines, which may be others."""
+    lines = head.splitlines(keepends=True)
+    for left_out in (1, 2, 4, 8):
+        found = _dialect_of(b"".join(lines[:-left_out]), preamble)
+        if found is not None and len(found.sample) >= LEAST_ROWS:
+            return found
+    return None
 
 
 def cells_of(data: bytes, dialect: Dialect, column: int) -> list[str]:

@@ -159,7 +159,7 @@ class RowStream:
     def __init__(self, detected: Detected, zone: str | None = None) -> None:
         watch = None if detected.watch is None else detected.watch.again()
         self._parser = RowParser(detected.parser, detected.scale, detected.first_values, detected.gyro, watch)
-        self.heads = RepeatedHeads(detected.head)
+        self.heads, self._dialect = RepeatedHeads(detected.head), detected.parser.dialect
         running, changes = RunningRows(detected.wraps), FollowedChanges(zone)
         self.clock, self.followed = running.clock, changes.rows
         self._steps: list[RunningRows | FollowedChanges | SpreadRows | IdleFill] = [running, changes]
@@ -170,11 +170,19 @@ class RowStream:
 
     def rows(self, blocks: Iterable[Block], threads: int) -> Iterator[tuple[CsvRows, Block]]:
         """Yield the settled rows, and the block they came with, once a block."""
-        for parsed, block in self._parser.rows(map(self.heads.without, blocks), threads):
+        whole = map(self._with_last_row, map(self.heads.without, blocks))
+        for parsed, block in self._parser.rows(whole, threads):
             rows = parsed
             for step in self._steps:
                 rows = step.add(rows, block.last)
             yield rows, block
+
+    def _with_last_row(self, block: Block) -> Block:
+        """Return the last block with a row at its end that has no line end, but all its columns."""
+        if not block.last or block.broken or block.zeros or not self._dialect.is_row(block.tail):
+            return block
+        end = block.end + len(block.tail)
+        return replace(block, data=block.data + block.tail + b"\n", lines=block.lines + 1, tail=b"", end=end)
 
 
 def joined(parts: Iterable[tuple[CsvRows, Block]], samples: int) -> Iterator[tuple[CsvRows, Block]]:

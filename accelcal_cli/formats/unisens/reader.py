@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
@@ -33,9 +33,10 @@ from accelcal_cli.core.recording import (
     Recording,
     first_row,
 )
-from accelcal_cli.core.vocabulary import PER_G, UNISENS
+from accelcal_cli.core.vocabulary import ACCELERATION_UNITS, PER_G, UNISENS
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._frames import FrameFile, FrameReader, Frames
+from accelcal_cli.formats._gravity import usual_length
 from accelcal_cli.formats._rows import MISSING, first_values
 from accelcal_cli.formats.unisens import DESCRIPTION, MOST_BYTES
 
@@ -179,9 +180,9 @@ def _signal(item: ElementTree.Element) -> Signal:
 
 
 def _number(text: str | None, default: float) -> float:
-    """Return a finite number; `default` if the text is not one."""
+    """Return a finite number, with a point or a comma for decimals; `default` if the text is not one."""
     try:
-        value = float(text or "")
+        value = float((text or "").replace(",", "."))
     except ValueError:
         return default
     return value if math.isfinite(value) else default
@@ -312,6 +313,8 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     data = path.with_name(signal.name)
     rows = frames_of(data, signal)
     gyro, notes = gyroscope_of(description, signal, data, rows)
+    signal, doubts = with_baseline(signal, data, rows, lsb_per_g_of(signal, options, xml))
+    notes = (*notes, *doubts)
     scale, is_float = lsb_per_g_of(signal, options, xml), np.dtype(signal.number).kind == "f"
     decoder = Decoder(
         signal,
@@ -343,6 +346,26 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     )
     problems = () if start_us is not None else (Problem("no_start_time", NO_START, None, 0),)
     return FrameReader(recording, file, problems)
+
+
+def with_baseline(signal: Signal, data: Path, rows: int, scale: float) -> tuple[Signal, tuple[str, ...]]:
+    """Return the signal without a baseline that signed numbers contradict, and a note that says so.
+
+    Some converters were unsigned, and their program stored signed numbers with the baseline taken away.
+    """
+    number, baseline = np.dtype(signal.number), float(signal.baseline)
+    if number.kind != "i" or not baseline:
+        return signal, ()
+    count = min(rows, MOST_FIRST_ROWS)
+    with ByteSource(data) as source:
+        table = np.frombuffer(source.read_exact(count * frame_bytes(signal)), np.uint8)
+    values = numbers_of(table.reshape(count, -1), signal)[:, -3:].astype(np.float64)
+    low, high = ACCELERATION_UNITS["g"].rest
+    plain_g, less_g = (usual_length(values - zero) / scale for zero in (0.0, baseline))
+    if low <= less_g <= high or not low <= plain_g <= high:
+        return signal, ()
+    note = f"the baseline {signal.baseline} of unisens.xml does not fit the signed data: 0 is used"
+    return replace(signal, baseline=0), (note,)
 
 
 def signal_of(description: Description, xml: Path, name: str | None) -> Signal:

@@ -180,8 +180,8 @@ def test_a_description_cut_anywhere_is_refused_or_right(tmp_path: Path) -> None:
         ("<!DOCTYPE x [<!ENTITY a 'b'>]><unisens>&a;</unisens>", "declarations"),
         ("<?xml version='1.0' encoding='nonsense'?><unisens/>", "damaged"),
         (description(signal("acc.bin", "acc", sampleRate=0)), "impossible sampling rate"),
-        (description(signal("../acc.bin", "acc")), "no file in its folder"),
-        (description(signal("gone.bin", "acc")), "no file in its folder"),
+        (description(signal("../acc.bin", "acc")), "not a file in its folder"),
+        (description(signal("gone.bin", "acc")), "not a file in its folder"),
         (description(signal("acc.bin", "acc", data_type="int24")), "in no binary file"),
     ],
 )
@@ -246,3 +246,21 @@ def test_h7_a_gyroscope_of_an_impossible_step_is_not_used(tmp_path: Path, step: 
     if recording.gyro_dps_per_lsb is not None:
         assert max(recording.gyro_dps_per_lsb) <= 1, "an unusable step is no step"
     assert np.array_equal(joined(chunks), COUNTS)
+
+
+@pytest.mark.parametrize(("baseline", "zero"), [(2048, 0), (0, 0), (100, 100)])
+def test_t19_a_baseline_that_signed_data_contradict_is_not_used(
+    tmp_path: Path, baseline: int, zero: int
+) -> None:
+    """Rest is 1 g without 2048; where it is 1 g with the baseline, this is taken away as ever."""
+    counts = (np.tile([0, 0, 2048], (960, 1)) + zero).astype("<i2")
+    xml = folder(tmp_path, description(signal("acc.bin", "acc", baseline=baseline)), acc=counts.tobytes())
+    recording, chunks = read(xml)
+    assert (joined(chunks) == [0, 0, 2048]).all()
+    assert any("does not fit the signed data" in note for note in recording.notes) == (baseline == 2048)
+
+
+def test_t11_a_comma_stands_for_decimals_too(tmp_path: Path) -> None:
+    text = description(signal("acc.bin", "acc", lsbValue="0,00048828125", sampleRate="64,0"))
+    recording, _ = read(folder(tmp_path, text, acc=DATA))
+    assert (recording.lsb_per_g, recording.rate_hz) == (2048.0, 64.0)

@@ -1,0 +1,66 @@
+"""T15, T17, T20: rows at the end of a text file, lines below them, and names of several accelerometers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.formats import open_recording
+from tests.formats.make_csv import read, stamp, written
+
+HEADER = "time,x,y,z\n"
+
+
+def rows(number: int) -> str:
+    return "".join(f"{stamp(10_000 * row)},0.0100,0.0200,0.9900\n" for row in range(number))
+
+
+@pytest.mark.parametrize(
+    ("tail", "kept"),
+    [
+        ("0.0100,0.0200,0.9900", True),
+        ("0.0100,0.0200,0.99", False),
+        ("0.0100,0.0200,0.", False),
+        ("0.0100,0.0200", False),
+        ("0.0100,0.0200,", False),
+        ("0.0100,oops,0.9900", False),
+    ],
+)
+def test_t15_a_last_row_without_a_line_end_is_kept_unless_it_is_cut(
+    tmp_path: Path, tail: str, kept: bool
+) -> None:
+    path = written(tmp_path, HEADER + rows(50) + f"{stamp(500_000)},{tail}")
+    whole = read(path)
+    assert len(whole.counts) == 50 + kept
+    assert (whole.problems == []) == kept
+    for samples in (1, 7, 50):
+        assert read(path, samples).same_as(whole)
+
+
+@pytest.mark.parametrize(
+    "below", ["end of file\n", "\nTotal,,\nmean 3,4\n", "1,2\n1,2,3,4,5,6\n", "# done\n# bye\n"]
+)
+def test_t17_lines_below_the_rows_are_named(tmp_path: Path, below: str) -> None:
+    """They made a small file none of a known format."""
+    path = written(tmp_path, HEADER + rows(30) + below, "small.csv")
+    with pytest.raises(UnreadableError) as error, open_recording(path, ReadOptions()) as reader:
+        [*reader.chunks(1000)]
+    assert error.value.line in (32, 33) and "correct or remove that line" in str(error.value)
+
+
+def test_t20_several_accelerometers_are_named_with_a_command(tmp_path: Path) -> None:
+    head = "Timestamp,Accel_LN_X,Accel_LN_Y,Accel_LN_Z,Accel_WR_X,Accel_WR_Y,Accel_WR_Z\n"
+    lines = "".join(f"{stamp(10_000 * row)},0.1,0.2,0.9,0.1,0.2,0.9\n" for row in range(30))
+    with pytest.raises(UnreadableError) as error:
+        read(written(tmp_path, head + lines))
+    assert "Accel_LN_X,Accel_LN_Y,Accel_LN_Z; Accel_WR_X" in str(error.value)
+    assert "--columns Accel_LN_X,Accel_LN_Y,Accel_LN_Z" in str(error.value)
+
+
+def test_t20_a_workbook_is_to_be_saved_as_csv(tmp_path: Path) -> None:
+    path = written(tmp_path, b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600), "a.xls")
+    with pytest.raises(UnreadableError, match="save its sheet as CSV"):
+        open_recording(path, ReadOptions())
