@@ -161,7 +161,7 @@ class Mean:
     Attributes:
         recordings: number of recordings that it could calibrate; the others are left out.
         improvement_percent: ratio of the means, as all R of F are; improvement_ci95: its 95 % interval, by
-            Student's t over the recordings; None for a single one.
+            Student's t over the recordings; None for fewer than FEWEST.
     """
 
     optimizer: str
@@ -188,7 +188,7 @@ def means(rows: Sequence[MethodRow]) -> list[Mean]:
         ]
         if pairs and len({row.recording for row in rows}) > 1:
             before, after = (mean(list(column)) for column in zip(*pairs, strict=True))
-            ratio, by = before / after, ratio_uncertainty95(pairs)
+            ratio, by = before / after, ratio_uncertainty95(pairs) if len(pairs) >= FEWEST else None
             interval = None if by is None else (ratio / by, ratio * by)
             found.append(Mean(name, len(pairs), before, after, 100 * ratio, _percent(interval)))
     return found
@@ -204,6 +204,8 @@ def as_json(rows: list[MethodRow]) -> dict[str, Any]:
     }
 
 
+FEWEST = 3
+"""Recordings from which on R has an interval: that of two says nothing."""
 INTERVAL = "95 % interval"
 HEAD = (
     "optimizer", "model", "before mg", "after mg", "improved %", INTERVAL, "iterations", "operations", "ms",

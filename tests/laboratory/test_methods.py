@@ -122,6 +122,7 @@ def test_the_mean_over_recordings_is_a_ratio_of_means(tmp_path: Path, capsys: Ca
     assert mean["before_mg"] == pytest.approx((one["before_mg"] + two["before_mg"]) / 2)
     ratio = (one["before_mg"] + two["before_mg"]) / (one["after_mg"] + two["after_mg"])
     assert mean["improvement_percent"] == pytest.approx(100 * ratio)
+    assert mean["improvement_ci95"] is None, "two recordings say nothing"
     shown = run(capsys, *METHODS, *paths, "--only", "gauss-newton").out
     assert percent(100 * ratio) in shown.split("mean over recordings")[1]
     assert json.loads(run(capsys, *METHODS, paths[0], "--only", "float64", "--json").out)["means"] == []
