@@ -25,7 +25,7 @@ import numpy as np
 
 from accelcal_cli.core.errors import AccelcalError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.formats import holds_parts, open_recording
+from accelcal_cli.formats import archive_around, open_recording
 from tests.formats import make_gt3x
 from tests.fuzz.blind import blind, replace_number
 from tests.fuzz.reading import checked
@@ -134,7 +134,7 @@ def archives(folder: Path) -> Callable[[Random, int, Path, Tally], tuple[bytes, 
 def judged(path: Path, tally: Tally, *, joined: bool) -> str | None:
     """Read all rows of an archive; what an error says must be about it."""
     with suppress(AccelcalError):
-        holds_parts(path)
+        archive_around(path)
     temporary = set(Path(tempfile.gettempdir()).iterdir())
     try:
         with open_recording(path, ReadOptions(), joined=joined) as reader:

@@ -363,6 +363,7 @@ def _as_one(path: Path, parts: Sequence[RecordingPart], part_files: PartFiles) -
         total_bytes=size_of(path),
         samples=None,
         duration_s=lasts_s,
+        companion=first.companion if part_files.folder is None else None,
         has_temperature=all(part.recording.has_temperature for part in parts),
         gyro_dps_per_lsb=first.gyro_dps_per_lsb if one_gyroscope else None,
         notes=(*first.notes, *map(printable, notes)),

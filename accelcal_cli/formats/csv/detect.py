@@ -222,7 +222,8 @@ def _with_start(export: ExportDescription, head: bytes, path: Path) -> ExportDes
     """Return the description of an export with the start that a file next to it tells."""
     if not PHYPHOX_HEAD.match(head) or (start := experiment_start(path)) is None:
         return export
-    return replace(export, start=Start(start.us), timezone="UTC", companion=start.path, pauses=start.pauses)
+    zero = Start(start.us)
+    return replace(export, start=zero, timezone="UTC", counts_from_zero=True, pauses=start.pauses)
 
 
 def _refuse_not_positive(options: ReadOptions) -> None:
@@ -260,7 +261,7 @@ def _with_names(dialect: Dialect, export: ExportDescription, path: Path) -> Dial
         UnreadableError: a sidecar describes another number of columns.
     """
     names = export.names or ()
-    if export.companion is not None and names and len(names) != dialect.columns:
+    if export.companion is not None and len(names) != dialect.columns:
         raise UnreadableError(
             f"has {dialect.columns} columns, and {printable(export.companion.name)} describes {len(names)}",
             path=path,
@@ -309,7 +310,8 @@ def _table_parser(
         rules = replace(rules, order=None if dialect.normaliser.date_order else order)
     written = [*zip(dialect.cells(roles.time), dialect.lines, strict=True)]
     time = find_time_format(written, rules, path)
-    if export.start is not None and (export.companion is not None or export.counts_from_start):
+    from_zero = export.companion is not None or export.counts_from_zero
+    if export.start is not None and (from_zero or export.counts_from_start):
         first = next((value for cell, _ in written if (value := number_of(cell)) is not None), 0.0)
         begin_us = round(first * (time.unit_us or 0)) if export.counts_from_start else 0
         time = time.counted_from(export.start.us(None, path) - begin_us)

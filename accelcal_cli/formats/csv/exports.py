@@ -63,12 +63,10 @@ class ExperimentStart:
     """When the time 0 of an experiment was.
 
     Attributes:
-        path: the file that says so.
         us: microseconds since 1970.
         pauses: how often it was paused; times do not count pauses.
     """
 
-    path: Path
     us: int
     pauses: int
 
@@ -164,7 +162,7 @@ def experiment_start(path: Path) -> ExperimentStart | None:
         us = round((system - since) * MICROSECONDS)
     except (OSError, ValueError, IndexError, InvalidOperation, csv.Error, UnreadableError):
         return None
-    return ExperimentStart(times, us, len(starts) - 1) if FIRST_US < us < LAST_US else None
+    return ExperimentStart(us, len(starts) - 1) if FIRST_US < us < LAST_US else None
 
 
 def _number(text: str) -> Decimal:

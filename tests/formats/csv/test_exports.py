@@ -132,7 +132,7 @@ def test_t5_folder_zip_and_file_are_one_recording_with_its_start(tmp_path: Path,
         assert np.array_equal(chunk.counts, alone.counts)
         assert np.array_equal(chunk.time_us, alone.time_us)
         assert not chunk.problems
-        assert found.path == path
+        assert (found.path, found.companion) == (path, None), "verify looks for no other file"
     expected = VALUES / 9.80665 if make is not empatica else np.rint(VALUES / 9.80665 * 64) / 64
     np.testing.assert_allclose(alone.counts / recording.lsb_per_g, expected, atol=1e-5)
 

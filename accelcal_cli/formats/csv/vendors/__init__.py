@@ -94,6 +94,7 @@ class ExportDescription:
         time_unit_us: microseconds in one unit of the numbers of the time column.
         counts_from_start: these count from `start`, which has a date.
         companion: the sidecar that says all this, if it is not in the file itself.
+        counts_from_zero: numbers of the time column count from `start`, which is that of the time 0.
         pauses: how often it was paused without its times saying so.
         notes: on what the header says, for people.
         doubt: why it cannot be calibrated as it is; None for raw data.
@@ -117,6 +118,7 @@ class ExportDescription:
     companion: Path | None = None
     time_unit_us: float | None = None
     counts_from_start: bool = False
+    counts_from_zero: bool = False
     pauses: int = 0
     notes: tuple[str, ...] = ()
     doubt: Doubt | None = None
