@@ -291,3 +291,32 @@ def test_the_lines_of_ggir_that_rescale_give_what_our_coefficients_give(
     warmth = np.outer(20 + points[:, 0] - line["reference_c"], line["slope_g_per_c"])
     expected = (points + simple["offset_g"] + warmth) @ np.array(simple["gain"]).T
     assert np.abs(found - expected).max() < 1e-9
+
+
+def has_ggir() -> bool:
+    words = [RSCRIPT, "-e", "library(GGIR)"]
+    return RSCRIPT is not None and not subprocess.run(words, check=False, capture_output=True).returncode
+
+
+@pytest.mark.nightly
+def test_ggir_itself_gives_the_enmo_of_the_parquet(tmp_path: Path, capsys: Capture) -> None:
+    """Epochs of 5 s by GGIR, with their times in the recording's zone; GGIR rounds to 0.1 mg."""
+    if not has_ggir():
+        pytest.skip("the R package GGIR is not installed")
+    words = ("--format", "gt3x", "--days", 0.7, "--rate", 30, "--seed", 9, "-q")
+    (tmp_path / "in").mkdir()
+    assert run(capsys, "simulate", tmp_path / "in/a.gt3x", *words).code == 0
+    assert run(capsys, "calibrate", tmp_path / "in/a.gt3x", "--timezone", "Europe/Berlin", "-q").code == 0
+    parquet = tmp_path / "in/a.calibrated.parquet"
+    assert run(capsys, "export", parquet, "--to", "ggir", "-d", tmp_path / "to", "-q").code == 0
+    done = subprocess.run([str(RSCRIPT), str(tmp_path / "to/run_ggir.R")], check=False, capture_output=True)
+    assert done.returncode == 0, done.stderr.decode()[-1000:]
+    (made,) = (tmp_path / "to/results").rglob("meta_a.csv.RData")
+    out = in_r(f"load({json.dumps(str(made))}); s <- M$metashort; cat(paste(s$timestamp, s$ENMO), sep='\\n')")
+    found = pd.DataFrame([line.split() for line in out.splitlines()], columns=["time", "enmo"])
+    ours = pq.read_table(parquet).to_pandas()
+    enmo = np.maximum(np.sqrt(ours["x"] ** 2 + ours["y"] ** 2 + ours["z"] ** 2) - 1, 0)
+    means = enmo.groupby(ours["time"].dt.floor("5s")).mean()
+    times = pd.to_datetime(found["time"], utc=True)
+    assert found["time"][0].endswith(("+0100", "+0200")) and len(found) > 10_000
+    assert np.abs(found["enmo"].astype(float).to_numpy() - means[times].to_numpy()).max() < 6e-5
