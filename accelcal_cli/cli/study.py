@@ -29,7 +29,7 @@ from accelcal_cli.cli.report import study_pages
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.system import workers
-from accelcal_cli.output.words import clause, sentence
+from accelcal_cli.output.words import clause
 from accelcal_cli.pipeline.jobs import refuse_dash
 from accelcal_cli.pipeline.options import json_value
 from accelcal_cli.studies.discovery import Where
@@ -146,6 +146,8 @@ class TerminalObserver:
 @click.option("--all-failures", is_flag=True,
               help="With -q, also report failures and refusals from earlier runs.")  # fmt: skip
 @click.option("--html", is_flag=True, help="Create study.html and a page for each recording that changed.")
+@click.option("--keep-older", is_flag=True,
+              help="Leave results of earlier versions that were made with the same options.")  # fmt: skip
 @click.option("--prune", is_flag=True,
               help="Remove results whose recording is gone (with --dry-run, only show them).")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Show what would be done without doing it.")
@@ -244,9 +246,14 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         pool=values["pool"] is not None,
         borrow=values["borrow"],
         prune=values["prune"],
+        keep_older=values["keep_older"],
         takeover_s=None if values["takeover"] is None else values["takeover"] * 60,
     )
-    return with_learnt_prior(study)
+    study = with_learnt_prior(study)
+    if study.keep_older and study.replacing:
+        text = "--keep-older does not go with --pool, --borrow or a learnt --prior, which compare results"
+        raise UsageError(text, hint="omit one of them")
+    return study
 
 
 def _seconds(moment: datetime | None) -> float | None:
@@ -265,25 +272,25 @@ def _preview(study: Study, values: dict[str, Any]) -> int:
         if not values["quiet"]:
             exit_codes.say(text)
 
-    states, left = preview(study, note)
+    states, left, again = preview(study, note)
     for item, state in sorted(states.items(), key=lambda pair: pair[0].name):
         path = printable(item.source)
         if values["as_json"]:
             stated = {one.field: {"value": json_value(one.value), "from": one.origin} for one in item.choices}
-            more = {"stated": stated or None, "message": item.refusal}
+            more = {"stated": stated or None, "message": item.refusal, "why": again.get(item.name)}
             known = {name: value for name, value in more.items() if value is not None}
             exit_codes.show(json.dumps({"path": path, "state": state, **known}))
         elif not values["quiet"]:
-            exit_codes.show(
-                "\t".join([path, state, *_stated(item), *([item.refusal] if item.refusal else [])])
-            )
-    for name, why in left.items():
-        if values["as_json"]:
-            about = {"path": printable(name), "state": "left_out", **why.as_json(), "message": sentence(why)}
-            exit_codes.show(json.dumps(about))
-        elif not values["quiet"]:
-            exit_codes.say(f"{printable(name)}: left out: {clause(why)}")
+            shown = _with_why(state, again.get(item.name))
+            exit_codes.show("\t".join([path, shown, *_stated(item), *filter(None, [item.refusal])]))
+    for name, why in left.items() if not values["quiet"] else ():
+        exit_codes.say(f"{printable(name)}: left out: {clause(why)}")
     return exit_codes.OK
+
+
+def _with_why(state: str, why: str | None) -> str:
+    """Return a state, for a recording that is calibrated again with the reason: `todo (made by 0.2.0)`."""
+    return f"{state} ({why})" if why and state == "todo" else state
 
 
 def _stated(item: Item) -> list[str]:

@@ -12,12 +12,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from accelcal_cli.core import system
 from accelcal_cli.core.door import is_file, matching
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.version import __version__
 from accelcal_cli.formats import refuse_unused
 from accelcal_cli.output.files import looking_at
 from accelcal_cli.pipeline.jobs import Request
@@ -28,6 +29,7 @@ from accelcal_cli.studies.left_out import why_left_out
 from accelcal_cli.studies.records import Entry, Item, Ledger, RecordingState, TaskFunction
 from accelcal_cli.studies.study import REPLACING, WHOLE, Study
 from accelcal_cli.studies.task import Common, Task
+from accelcal_cli.studies.upgrades import options_changed, settings_before, why_again
 
 MANY = 1 << 20
 """A number of recordings that keeps all workers busy."""
@@ -124,6 +126,7 @@ class Plan:
         changing: names of late recordings whose file has changed since the earlier result; it may be
             incomplete.
         kept: results of earlier runs with other options, of recordings that this run does not name.
+        why: why recordings are calibrated again, by name; before: rows of their earlier results.
         reports: reports of all recordings that were found, whatever is done with them.
         by_name: why files were left out without a look at their content, by name.
         notes: lines for the user: patterns of `study.toml` that no file fits, links that are not followed.
@@ -139,6 +142,8 @@ class Plan:
     notes: list[str] = field(default_factory=list)
     by_name: Left = field(default_factory=dict)
     reports: set[Path] = field(default_factory=set)
+    why: dict[str, str] = field(default_factory=dict)
+    before: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def ahead(self) -> int:
         """Return the number of waiting recordings changed in the future, by this machine's clock."""
@@ -163,7 +168,7 @@ def plan(study: Study, ledger: Ledger) -> Plan:
         UsageError: one of the folders is not a folder, or they hold no recording, or none for which an option
             means anything.
     """
-    planning = _Planning(study, ledger, study.asked(), Plan())
+    planning = _Planning(study, ledger, study.asked(), Plan(), options_changed(study, settings_before(study)))
     by_name = planning.plan.by_name
     listed, rules = files(study.where, planning.plan.notes, by_name), study.request.rules
     planning.plan.notes += unfit_patterns(rules, listed)
@@ -236,6 +241,7 @@ class _Planning:
     ledger: Ledger
     asked: str
     plan: Plan
+    changed: list[str]
 
     def looked_at(self, item: Item) -> Item:
         """Return an item with its stated options; one left for later has the stamps of its last result."""
@@ -270,13 +276,30 @@ class _Planning:
         """Put a recording of the shard into the list where it belongs."""
         if not self.study.shard.owns(item.name):
             return
-        study, entry = self.study, self._valid_entry(item)
+        study, entry = self.study, self._valid_entry(item) or self._older(item)
         begin = not study.collect and item.name not in self.plan.late
         redo = entry is not None and item.refusal is None and _is_redone(study, entry)
         if entry is not None and not (redo and begin):
             self.plan.done.append((item, entry))
         else:
             (self.plan.todo if begin else self.plan.waiting).append(item)
+            self._say_why(item)
+
+    def _say_why(self, item: Item) -> None:
+        """Keep why a recording is calibrated again, and what it had before."""
+        last = self.ledger.latest_own(item.name)
+        if why := why_again(last, item, self.asked, self.changed):
+            self.plan.why[item.name] = why
+            if why.startswith("made by") and last is not None and last.row is not None:
+                self.plan.before[item.name] = last.row
+
+    def _older(self, item: Item) -> Entry | None:
+        """Return the result of an earlier version, if it is to stay and the options are the same."""
+        last = self.ledger.latest_own(item.name) if self.study.keep_older and not self.changed else None
+        if last is None or last.row is None or last.failed or item.refusal is not None:
+            return None
+        same = last.stamps == item.stamps and last.row.get("accelcal_version") != __version__
+        return last if same and self.ledger.in_place(last) else None
 
     def place_aside(self, item: Item) -> None:
         """Let a recording of the shard that `--include` does not name keep the result that it has, if any."""

@@ -57,6 +57,7 @@ from accelcal_cli.studies.rounds import (
 from accelcal_cli.studies.study import REPLACING, Study
 from accelcal_cli.studies.summary import Summary
 from accelcal_cli.studies.task import BUG, NO_MEMORY, CalibrationTask, Task, TaskResult, calibrated
+from accelcal_cli.studies.upgrades import said_after, said_before
 
 PRELOAD = "accelcal_cli.studies.preload"
 
@@ -112,12 +113,15 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         if study.collect and planned.waiting and not planned.done:
             text = f"no results of {counted(len(planned.waiting), 'recording')} were found for these options"
             raise UsageError(text, hint="run the parts first, or give --collect the options used for them")
-        for text in planned.notes:
+        for text in (*planned.notes, *said_before(planned.why)):
             observer.note(printable(text))
         _tidy(planned, lease)
         study_run = StudyRun(study, ledger, observer, planned, lease)
         study_run.run()
         result = _summary(study, planned, study_run)
+        made = {name: one.last.row or {} for name, one in study_run.known.recordings.items()}
+        if (change := said_after(planned.before, made)) is not None:
+            observer.note(printable(change))
         left = _orphans(study, planned, result.rows)
         if study.prune:
             prune(left, len(result.rows), force=study.request.force)
@@ -440,11 +444,11 @@ def tidy(task: Task, lost: str | None = None) -> None:
                 sweep_of(path, lost)
 
 
-def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str], Left]:
+def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str], Left, dict[str, str]]:
     """Return what a run would do with each recording: `todo`, `waiting`, or the outcome that it has.
 
     The tasks of later rounds are decided by what is known now; nothing is locked or written. The second part
-    says which files are left out, and why.
+    says which files are left out, and why; the third why recordings are calibrated again.
 
     Args:
         note: called with each line for the user.
@@ -475,4 +479,4 @@ def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str],
         note(f"{printable(left.name)} {what}: {clause(left.reason)}")
     named = [one for one in known.recordings.values() if not one.item.aside]
     of_now = {one.item: (one.last.row or {})["outcome"] for one in named} | states
-    return of_now, planned.reasons(study.shard.owns)
+    return of_now, planned.reasons(study.shard.owns), planned.why
