@@ -140,7 +140,8 @@ def read_exported(path: Path) -> ExportedReport:
             hint="export the calibrated data (--to csv), or calibrate with --recalibrate never",
         )
     windows_s = record(FitView, report["fit"]).windows["used"] * report["settings"]["segment_seconds"]
-    errors, place = record(ErrorsView, report), section(report, "provenance", "files").get("recording")
+    errors, then = record(ErrorsView, report), section(report, "provenance", "files").get("recording")
+    place = then if isinstance(then, str) else None
     if whole.model in ALIGNED:
         return ExportedReport(path, recording, windows_s, whole, errors, whole, errors, place)
     simple = without_misalignment(found)

@@ -141,7 +141,7 @@ def of_report(report: Path, parquet: Path | None = None) -> Selected:
     held, parquet = document.report, parquet or parquet_of(report)
     why = None
     if held["outcome"] == Outcome.REFUSED:
-        why = f"refused: {held['message']}"
+        why = f"refused: {held['message'].rstrip('.')}"
     elif parquet is None:
         name = os.path.basename(held["recording"]["path"])  # noqa: PTH119 (printed as it is)
         why = f"there is no calibrated Parquet file next to it: calibrate {name} without --report-only"

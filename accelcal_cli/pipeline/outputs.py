@@ -202,7 +202,8 @@ def gone_from(report: dict[str, Any]) -> Path | None:
 
 def _place(report: dict[str, Any]) -> Path:
     """Return where the recording of a report was; of an earlier version's, as its path was typed."""
-    return real(Path(section(report, "provenance", "files").get("recording") or report["recording"]["path"]))
+    then = section(report, "provenance", "files").get("recording")
+    return real(Path(then if isinstance(then, str) else report["recording"]["path"]))
 
 
 def _is_of(report: dict[str, Any], source: Path) -> bool:

@@ -100,3 +100,19 @@ def test_verify_finds_the_recording_that_the_report_names(
     assert_one_line(
         ran, "its recording, good.csv, is not next to it; accelcal verify good.calibration.json RECORDING"
     )
+
+
+@pytest.mark.parametrize("files", [5, {"recording": 5}, {"recording": "\\x00"}, {"recording": "/nowhere/a"}])
+def test_a_report_that_says_nonsense_of_where_its_files_were(
+    tmp_path: Path, capsys: Capture, files: object
+) -> None:
+    path = good_raw(tmp_path)
+    assert run(capsys, "calibrate", path, "-q").code == 0
+    report = tmp_path / "good.calibration.json"
+    held = json.loads(report.read_text())
+    held["provenance"]["files"] = files
+    report.write_text(json.dumps(held))
+    assert run(capsys, "verify", report).code in (0, 3)
+    assert run(capsys, "export", report, "--to", "biobank", "-q").code in (0, 3)
+    assert run(capsys, "calibrate", path, "-q").code == 0
+    assert "files" in json.loads(report.read_text())["provenance"]
