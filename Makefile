@@ -12,7 +12,7 @@ DEMO   := demo
 # otherwise each process that a test starts compiles the package again, and each worker all tests
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test nightly fuzz faults oldest oldest-ready audit lint docs firmware browser browser-ready bench bench-scale bench-peers snakemake sample-data figure clean
+.PHONY: setup demo test nightly fuzz faults validation oldest oldest-ready audit lint docs firmware browser browser-ready bench bench-scale bench-peers snakemake sample-data figure clean
 
 setup: $(READY)
 
@@ -53,6 +53,10 @@ nightly: $(READY)
 # ACCELCAL_FUZZ mutants of all formats together, and one in a hundred as many of each kind of our own files
 fuzz: $(READY)
 	ACCELCAL_FUZZ=$${ACCELCAL_FUZZ:-100000} $(BIN)/python -m tests.fuzz
+
+# accuracy, coverage of intervals and hours of wear, measured here, as one page: build/validation.md
+validation: $(READY)
+	$(BIN)/python tools/validation.py
 
 # the table of docs/reliability.md: FAULTS calls of each operation fail in turn (3; 0: all, which takes hours)
 faults: $(READY)

@@ -51,7 +51,7 @@ SITES = ("wrist", "hip", "waist", "back", "sacrum", "thigh", "ankle", "chest", "
 ENOUGH = 0.9
 """Share of the segments of a length that are calibrated where it usually suffices."""
 
-USUAL_H = 3.0
+USUAL_H = 12.0
 """Length [h] that sufficed in 84 h of a GENEActiv (docs/evaluation.md), if no other recording tells."""
 
 
