@@ -54,7 +54,7 @@ def parts() -> Iterator[Part]:
         table = (str(POINTS), "--table-hours", "84", "--number", "6", "-q")
         yield Part(
             "Held-out stretches",
-            "Segments of a recording of 84 h, each held against the rest of it.",
+            "Segments of a recording of 84 h, each compared with the rest of it.",
             (*ACCELCAL, "evaluate", "segments", *table, "--hours", "6,12,24"),
         )
         yield Part(
