@@ -238,7 +238,7 @@ class Format:
         ignores: reading options that mean nothing to it, such as `columns`: the one place that says so.
         is_table: such files hold tables of all kinds; that of a study may be no recording.
         belongs_to: the recording whose further sensors or description a file holds; None for any other file.
-        refuse_others: raises NoRecordingError if the beginning shows that a file of it is no recording.
+        refuse_others: raises NoRecordingError if the beginning shows that a file of it is not a recording.
     """
 
     name: str

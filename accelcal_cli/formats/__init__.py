@@ -163,7 +163,7 @@ def refuse_other_files(probe: Probe) -> None:
 
 
 def refuse_others(form: Format, score: int, probe: Probe) -> None:
-    """Raise NoRecordingError if the beginning of a file shows that it is no recording.
+    """Raise NoRecordingError if the beginning of a file shows that it is not a recording.
 
     Args:
         form: the format that fits best, with the confidence `score`.

@@ -1,7 +1,7 @@
 """The scale of a gyroscope from whole revolutions about the vertical, in a session of known orientations.
 
-Ferraris, Grimaldi and Parvis (1995) turn a sensor by whole revolutions about each of its axes, which is
-upright meanwhile: the integral of the rate is then a multiple of 360 degrees along gravity, whatever the
+Ferraris, Grimaldi and Parvis (1995) turn a sensor by whole revolutions about each of its axes, which
+stays upright: the integral of the rate is then a multiple of 360 degrees along gravity, whatever the
 speed. Gravity, which does not move, says nothing of these turns, so they are apart from those that
 `judge/gyroscope.py` fits. The turns from one face to another, which this fit does not use, judge it.
 """

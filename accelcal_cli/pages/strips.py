@@ -26,7 +26,7 @@ STATES = {
     "gap": "missing",
     "unknown": "too little to tell",
 }
-"""What an hour is, by its class in the style sheet."""
+"""Words for an hour, by its class in the style sheet."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,8 @@ from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.segment.adaptive import AdaptiveRule
 from accelcal_cli.segment.segmenter import Blocks, Rule, ShortGaps, centred_squares
 
-FEWEST_SAMPLES = 2
-"""Samples in a window at least."""
+FEWEST_SAMPLES, SHORT_S = 2, 1.0
+"""Samples in a window at least: a single one never moves. Only a user asks for shorter windows [s]."""
 MOST_SQUARES = 1 << 62
 """Larger than any sum of squares that int64 holds exactly: with a larger limit, every window is still."""
 
@@ -109,10 +109,10 @@ def chosen_rule(settings: Settings, lsb_per_g: float, length: int) -> Rule:
 
 
 def window_length(settings: Settings, rate_hz: float) -> int:
-    """Return the number of samples in a window; raises UsageError for one, which never shows movement."""
+    """Return the number of samples in a window; raises UsageError for a short one of a single sample."""
     fewest = 1 if settings.adaptive is None else settings.adaptive.min_samples
     length = max(fewest, round(settings.segment_seconds * rate_hz))
-    if length < FEWEST_SAMPLES:
+    if length < FEWEST_SAMPLES and settings.segment_seconds < SHORT_S:
         text = f"--segment-seconds {settings.segment_seconds:g} is less than two samples at {rate_hz:g} Hz"
         raise UsageError(text, hint=f"use --segment-seconds {FEWEST_SAMPLES / rate_hz:.2g} or more")
     return length

@@ -65,7 +65,7 @@ def why_left_out(item: Item, options: ReadOptions, *, asked_for: bool) -> Reason
 
 
 def _why_not_this(form: Format, score: int, probe: Probe, item: Item, options: ReadOptions) -> Reason | None:
-    """Return why a file of a format is no recording; a damaged one may be, and must not be ignored."""
+    """Return why a file of a format is not a recording; a damaged one may be, and must not be ignored."""
     try:
         refuse_others(form, score, probe)
         if not form.is_table:

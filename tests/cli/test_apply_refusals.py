@@ -100,7 +100,7 @@ def test_slopes_need_temperature_or_a_word(tmp_path: Path, capsys: Capture) -> N
     given = json.loads(coefficients.read_text())["calibration"]
     assert given["model"] == "9T"
     other = week(tmp_path / "other.raw", seed=2, poses=12)
-    at_c = f"{given['temperature']['reference_c']:.1f} C"
+    at_c = f"{given['temperature']['reference_c']:.1f} °C"
     refuse(capsys, 2, [str(other), "no temperature", "--no-temperature", at_c], coefficients, other)
     assert apply(capsys, coefficients, other, "--no-temperature").code == 0
     report = json.loads((tmp_path / "other.calibration.json").read_text())

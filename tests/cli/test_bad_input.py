@@ -339,3 +339,9 @@ def test_a_pipe_is_called_one_and_never_waited_for(tmp_path: Path, capsys: Captu
         ran = run(capsys, "inspect", path)
         assert ran.code == 3
         assert_one_line(ran, "is a pipe or a device", "write it to a file first")
+
+
+def test_a_window_of_one_sample_is_wrong_usage(tmp_path: Path, capsys: Capture) -> None:
+    """It is constant whatever the device did, so it was called a sensor that was off."""
+    ran = run(capsys, "calibrate", good_csv(tmp_path), "--segment-seconds", "0.001")
+    assert (ran.code, "--segment-seconds 0.001 is less than two samples at" in ran.err) == (2, True)

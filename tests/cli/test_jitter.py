@@ -76,7 +76,7 @@ def test_the_same_rows_give_the_same_calibration_however_their_stamps_jitter(
     assert clock["rate_hz_measured"] == 25.0
     assert found["settings"]["longest_gap_s"] == 0.5
     assert found["recording"]["notes"][-1].startswith("its times jitter or skip a little: ")
-    assert found["recording"]["notes"][-1].endswith("windows go on over them (--longest-gap)")
+    assert found["recording"]["notes"][-1].endswith("windows span them (--longest-gap)")
 
 
 def test_a_look_tells_of_it(tmp_path: Path, capsys: Capture) -> None:

@@ -144,10 +144,10 @@ def test_fit_leaves_the_report_of_a_recording(tmp_path: Path, capsys: Capture) -
 @pytest.mark.parametrize(
     ("command", "name", "part"),
     [
-        ("calibrate", "foo.csv", "ends in .parquet"),
-        ("calibrate", "foo.json", "ends in .parquet"),
-        ("six-pose", "foo.parquet", "ends in .json"),
-        ("fit", "foo.csv", "ends in .json"),
+        ("calibrate", "foo.csv", "has to end in .parquet"),
+        ("calibrate", "foo.json", "has to end in .parquet"),
+        ("six-pose", "foo.parquet", "has to end in .json"),
+        ("fit", "foo.csv", "has to end in .json"),
         ("calibrate", "-", "standard output"),
         ("six-pose", "-", "standard output"),
         ("fit", "-", "standard output"),

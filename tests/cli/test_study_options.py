@@ -78,7 +78,7 @@ def test_a_dry_run_says_what_the_run_would_and_as_it_would(
 def test_a_part_may_have_nothing_to_do(tmp_path: Path, capsys: Capture) -> None:
     folder = study_folder(tmp_path / "in", NAMES[:1])
     (folder / "readme.txt").unlink()
-    said = {study(capsys, folder, "--shard", f"{part}/2").err.split(";")[0] for part in (1, 2)}
+    said = {study(capsys, folder, "--shard", f"{part}/2").err.split(". Results")[0] for part in (1, 2)}
     assert said == {"accelcal: 1 recording: 1 calibrated", "accelcal: 0 recordings"}
 
 

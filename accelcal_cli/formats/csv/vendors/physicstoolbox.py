@@ -2,7 +2,7 @@
 
 `gFx,gFy,gFz` are acceleration with gravity in g, `ax,ay,az` without it in m/s2, `wx,wy,wz` rotation rates in
 rad/s; the first column is the time, and others may stand between (vieyrasoftware.net, "Physics Toolbox Sensor
-Suite", and the heads of its exports). Of the two accelerations, the one with gravity is read.
+Suite", and the heads of its exports). Only the acceleration with gravity is read.
 """
 
 from __future__ import annotations
