@@ -182,7 +182,7 @@ def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:
         return
     if recorded["sha256"] != sha256(source):
         raise OutputError(
-            f"is the report of another recording ({recorded['path']})",
+            f"is the report of another recording ({_said_place(report)})",
             path=job.report,
             hint="choose another folder with -d, a name with -o, or use --force to replace it",
         )
@@ -202,8 +202,12 @@ def gone_from(report: dict[str, Any]) -> Path | None:
 
 def _place(report: dict[str, Any]) -> Path:
     """Return where the recording of a report was; of an earlier version's, as its path was typed."""
+    return real(Path(_said_place(report)))
+
+
+def _said_place(report: dict[str, Any]) -> str:
     then = section(report, "provenance", "files").get("recording")
-    return real(Path(then if isinstance(then, str) else report["recording"]["path"]))
+    return then if isinstance(then, str) else str(report["recording"]["path"])
 
 
 def _is_of(report: dict[str, Any], source: Path) -> bool:

@@ -174,10 +174,10 @@ def test_of_two_runs_at_once_no_report_stands_for_the_others_parquet(
     assert run(capsys, "calibrate", recording, "-d", tmp_path / "b", "--model", "6").code == 0
     write_text = outputs.with_provenance
 
-    def overtaken(*words: Any) -> Any:
+    def overtaken(*words: Any, **files: Any) -> Any:
         for name in ("small.calibrated.parquet", "small.calibration.json"):
             shutil.copy(tmp_path / "b" / name, tmp_path / "a" / name)
-        return write_text(*words)
+        return write_text(*words, **files)
 
     monkeypatch.setattr(outputs, "with_provenance", overtaken)
     ran = run(capsys, "calibrate", recording, "-d", tmp_path / "a")

@@ -310,7 +310,7 @@ def test_coefficients_of_a_first_recording_hold_on_a_second(
     assert (ran.code, found["state"], found["since"]) == (0, "holds", None)
     (period,) = found["periods"]
     assert period["given_mg"] == pytest.approx(period["unseen_mg"], abs=0.3) and not period["degraded"]
-    assert found["coefficients"] == str(day / "day.calibration.json")
+    assert found["coefficients"] == "day.calibration.json"
     assert sorted(tmp_path.iterdir()) == before, "nothing is written"
 
 
