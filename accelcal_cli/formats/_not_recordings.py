@@ -143,7 +143,7 @@ def refuse_not_recordings(probe: Probe) -> None:
     """Refuse a file known to be no recording, or to be of a kind that is not read.
 
     Raises:
-        NoRecordingError: it is no recording, and the user does not say how to read it.
+        NoRecordingError: it is not a recording, and the user does not say how to read it.
         UnreadableError: it is a recording that has to be exported first.
     """
     options = probe.options

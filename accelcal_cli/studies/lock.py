@@ -37,7 +37,7 @@ SIGNS = 2
 UNFINISHED_S = 60.0
 """Age [s] from which a lock without all its content is that of a run that died while it wrote it."""
 HIGHEST_PROCESS = 1 << 32
-"""More than any number of a process; what is none, or 0 or less, would stand for others."""
+"""More than any number of a process; any other text, or 0 or less, would mean other processes."""
 BEGINNING, LONGEST = '{"host": ', 4096
 """Beginning of the content of every lock, and more bytes than it has."""
 GO_ON = "finished recordings are kept; run the same command again to continue"

@@ -1,7 +1,7 @@
 """Results in OUT whose recording is gone or has another name now: found, told, and removed by `--prune`.
 
 A result is one of these only if the disk says that nothing is where its recording was, neither at the path in
-its report nor at its place in the study: a disk that cannot tell, or a folder that cannot be listed, is no
+its report nor at its place in the study: a disk that cannot tell, or a folder that cannot be listed, is not a
 reason to remove anything.
 """
 

@@ -163,7 +163,7 @@ class Ledger:
 
         Args:
             wanted: returns True for the names whose entries are kept in memory.
-            fits: returns False for an entry whose row is none of ours, and is not believed.
+            fits: returns False for an entry whose row is not ours, and is not believed.
         """
         self.path = path
         self.out = path.parent
