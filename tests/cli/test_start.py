@@ -25,6 +25,7 @@ SHARED = {
     "_rows",
     "_stamps",
     "_tables",
+    "_wraps",
     "_written",
 }
 FOLDER = {"opal": "hdf5", "parquet": "arrow", "feather": "arrow"}

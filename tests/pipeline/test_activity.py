@@ -71,7 +71,7 @@ def test_they_are_what_their_papers_say(epoch_s: int) -> None:
 def test_a_constant_length_is_its_own_enmo() -> None:
     xyz = np.tile([0.0, 0.0, 1.25], (200, 1))
     found = of_one(times(200), xyz)
-    assert found == Activity(250.0, 0.0, 20 / 60, 15_000.0, 0.0, 0.0, 0.0)
+    assert found == Activity(250.0, 0.0, 20 / 60, 15_000.0, 0.0, 90.0, 0.0, 0.0)
 
 
 def test_crossings_are_counted_within_epochs() -> None:
@@ -160,5 +160,5 @@ def test_a_clock_that_stands_does_not_fill_the_memory() -> None:
 
 def test_nothing_measured_has_no_figures() -> None:
     measuring, _ = measured(np.empty(0, np.int64), np.empty((0, 3)))
-    assert measuring.result()[0] == Activity(None, None, 0.0, None, None, 0.0, None)
+    assert measuring.result()[0] == Activity(None, None, 0.0, None, None, None, 0.0, None)
     assert MG * 2**32 == 1000
