@@ -217,7 +217,11 @@ SCENARIOS = (
     Scenario("calibrate long", ("calibrate", "in/good.raw", "-d", "out", "-q"), _long, most=MANY),
     Scenario("calibrate again", CALIBRATE, _earlier),
     Scenario(
-        "calibrate parts", ("calibrate", "--parts", "in/parts.tar.gz", "-d", "out", "-q"), _archive, parts=True, most=24
+        "calibrate parts",
+        ("calibrate", "--parts", "in/parts.tar.gz", "-d", "out", "-q"),
+        _archive,
+        parts=True,
+        most=24,
     ),
     Scenario(
         "calibrate refused", ("calibrate", "in/good.raw", "-d", "out", "--keep-refused", "-q"), _refused, 4
