@@ -33,6 +33,7 @@ from accelcal_cli.output.report_reading import (
     LATER,
     Document,
     check_sections,
+    file_place,
     read_document,
     release,
     section,
@@ -463,8 +464,8 @@ def donor_of(document: Document, stated: Path | None) -> Coefficients | None:
 
 def place_of(document: Document, name: str) -> Path | None:
     """Return where a file was that a report was made of; None where the report does not say it."""
-    place = section(document.report, "provenance", "files").get(name)
-    return Path(place) if isinstance(place, str) else None
+    place = file_place(document.report, name)
+    return None if place is None else Path(place)
 
 
 def recording_of(report: Path) -> Path:

@@ -26,7 +26,7 @@ from accelcal_cli.output.coefficients import (
     without_misalignment,
 )
 from accelcal_cli.output.files import csv_text
-from accelcal_cli.output.report_reading import check_sections, section
+from accelcal_cli.output.report_reading import check_sections, file_place
 from accelcal_cli.output.report_view import ErrorsView, FitView, ReportRecording, record
 
 ALIGNED = ("0", "3", "6", "3T", "6T")
@@ -140,8 +140,7 @@ def read_exported(path: Path) -> ExportedReport:
             hint="export the calibrated data (--to csv), or calibrate with --recalibrate never",
         )
     windows_s = record(FitView, report["fit"]).windows["used"] * report["settings"]["segment_seconds"]
-    errors, then = record(ErrorsView, report), section(report, "provenance", "files").get("recording")
-    place = then if isinstance(then, str) else None
+    errors, place = record(ErrorsView, report), file_place(report, "recording")
     if whole.model in ALIGNED:
         return ExportedReport(path, recording, windows_s, whole, errors, whole, errors, place)
     simple = without_misalignment(found)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import stat
 from collections.abc import Callable, Iterable, Iterator
@@ -206,6 +207,15 @@ def section(report: dict[str, Any], *names: str) -> dict[str, Any]:
     for name in names:
         value = value.get(name) if isinstance(value, dict) else None
     return value if isinstance(value, dict) else {}
+
+
+def file_place(report: dict[str, Any], name: str) -> str | None:
+    """Return where a file was that a report was made of; None where its provenance does not say it."""
+    files = section(report, "provenance", "files")
+    place, folder = files.get(name), files.get("folder")
+    if not isinstance(place, str) or place == "-":
+        return None
+    return os.path.join(folder, place) if isinstance(folder, str) else place  # noqa: PTH118 (text stays text)
 
 
 def load_report(path: Path) -> dict[str, Any] | None:

@@ -35,7 +35,6 @@ from accelcal_cli.output.report_reading import (
 from accelcal_cli.output.windows import is_window_table
 from accelcal_cli.pipeline.jobs import (
     PARQUET_SUFFIX,
-    STDIN,
     UNCALIBRATED_SUFFIX,
     Job,
     Request,
@@ -385,14 +384,14 @@ def with_provenance(report: dict[str, Any], command: tuple[str, ...], **files: P
     """Return the report with its provenance.
 
     Args:
-        files: what it was made of, by name: the report itself says no folders.
+        files: what it was made of, by name, as typed in the working folder; the report itself has no folders.
     """
-    where = {name: printable(_absolute(path)) for name, path in files.items() if path is not None}
-    return {**report, "provenance": provenance(list(command)) | ({"files": where} if where else {})}
-
-
-def _absolute(path: Path) -> Path:
-    return path if path == STDIN else real(path)
+    where = {name: printable(path) for name, path in files.items() if path is not None}
+    seen_from = {"folder": printable(real(Path()))} if where else {}
+    return {
+        **report,
+        "provenance": provenance(list(command)) | ({"files": where | seen_from} if where else {}),
+    }
 
 
 def save_report(path: Path, report: dict[str, Any]) -> None:

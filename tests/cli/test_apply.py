@@ -103,7 +103,8 @@ def test_another_recording_of_the_device_is_judged_by_its_own_stillness(
     assert report["calibration"] == given["calibration"]
     used = report["coefficients"]
     assert used["path"] == coefficients.name
-    assert report["provenance"]["files"] == {"recording": str(other), "coefficients": str(coefficients)}
+    where = report["provenance"]["files"]
+    assert where == {"recording": str(other), "coefficients": str(coefficients), "folder": str(Path.cwd())}
     assert used["device"]["serial"] == "A1"
     for part in (given["recording"]["path"], used["recording_sha256"][:12], "A1"):
         assert part in report["message"]

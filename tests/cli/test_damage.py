@@ -79,7 +79,7 @@ def test_apply_refuses_too(tmp_path: Path, capsys: Capture) -> None:
     assert ran.code == 4
     assert_one_line(ran, "lost to damage")
     report = report_of(tmp_path / "bad.calibration.json")
-    assert (report["calibration"], report["coefficients"]["recording_path"]) == (None, str(good))
+    assert (report["calibration"], report["coefficients"]["recording_path"]) == (None, good.name)
     assert not (tmp_path / "bad.calibrated.parquet").exists()
     assert run(capsys, *words, "--max-damage", 99).code == 0
 
