@@ -51,4 +51,4 @@ def test_the_reference_of_files_has_every_key_and_column() -> None:
     text = "\n".join(reference().files())
     assert "`calibration_error_mg.ci95`" in text and "`rows.worn`" in text
     assert "`file_health.problems[].code`" in text
-    assert "| `device_serial` |" in text
+    assert "| `device_serial` | serial number of the device |" in text

@@ -136,9 +136,106 @@ def files() -> Iterator[str]:
 
 def _study() -> Iterator[str]:
     summary = import_module("accelcal_cli.studies.summary")
-    meanings: Mapping[str, str] = getattr(summary, "MEANINGS", {})
     yield "## `study.csv` and `study.parquet`\n\n| column | meaning |\n|---|---|"
-    yield from (f"| `{column}` | {_cell(meanings.get(column, ''))} |" for column in summary.COLUMNS)
+    yield from (f"| `{column}` | {_cell(meaning_of(column))} |" for column in summary.COLUMNS)
+
+
+def meaning_of(column: str) -> str:
+    """Return the meaning of a column of a study's table; raises KeyError for one that is not described."""
+    if column.startswith("se_"):
+        return f"standard error of {column[3:]}"
+    if found := re.fullmatch(r"(k_[xyz]{2}|offset_[xyz]_g|slope_[xyz]_g_per_c)", column):
+        kinds = {"k": "entry of the gain matrix", "o": "offset [g]"}
+        kinds["s"] = "slope of the offset [g per degree C]"
+        return kinds[found[1][0]]
+    if found := re.fullmatch(r"(min|max)_([xyz])_g", column):
+        return f"{'lowest' if found[1] == 'min' else 'highest'} point on {found[2]} [g]"
+    if found := re.fullmatch(r"(enmo|mad|mvpa)_(low|high)_(mg|min)", column):
+        return f"{found[2]}er end of the 95 % interval of {found[1].upper()}"
+    return COLUMNS[column]
+
+
+COLUMNS = {
+    "path": "the recording, relative to the study's folder",
+    "use": "yes, with care, or no",
+    "why": "why not, or why with care",
+    "calibration_error_mg": "calibration error over all orientations [mg]",
+    "calibration_error_low_mg": "lower end of its 95 % interval",
+    "calibration_error_high_mg": "upper end of its 95 % interval",
+    "calibration_error_worst_mg": "the same error in the worst direction",
+    "calibration_error_before_mg": "error over all orientations before calibration [mg]",
+    "wear_hours": "hours in which the device was worn",
+    "filled_percent": "share of samples that the device filled without measuring [%]",
+    "device_serial": "serial number of the device",
+    "device_model": "model of the device",
+    "device_firmware": "version of its firmware",
+    "start_time": "time of the first sample by the device clock",
+    "outcome": "calibrated, provisional, reduced_model, already_good, borrowed, refused or failed",
+    "exit_code": "exit code that `calibrate` would have",
+    "reason": "code of the reason for the outcome",
+    "cautions": "codes of all cautions",
+    "message": "the reason in sentences",
+    "model": "model that was fitted",
+    "copy_of": "the recording with the same bytes that counts",
+    "borrowed_from": "the recording whose coefficients are used",
+    "pool": "report of the pool",
+    "pool_recordings": "number of recordings in the pool",
+    "windows_before_mg": "error of its own still windows before the pool's coefficients [mg]",
+    "windows_after_mg": "the same after them [mg]",
+    "own_outcome": "outcome of its own calibration, where another one took its place",
+    "own_message": "reason of its own calibration",
+    "own_after_mg": "held-out error of its own calibration [mg]",
+    "prior": "prior that was used",
+    "before_mg": "|r - 1| of held-out orientations before calibration [mg]",
+    "after_mg": "the same after calibration [mg]",
+    "ci95_low_mg": "lower end of the 95 % interval of after_mg",
+    "ci95_high_mg": "upper end of the 95 % interval of after_mg",
+    "improvement_percent": "by how much the error became smaller, in percent of the error after",
+    "improvement_factor": "how many times smaller the held-out error became",
+    "improvement_factor_low": "lower end of its 95 % interval",
+    "improvement_factor_high": "upper end of its 95 % interval",
+    "postures": "number of orientations that were held out",
+    "points": "number of points that were held out",
+    "change": "change of the sensor during the recording",
+    "change_at": "when it changed",
+    "change_mg": "size of the change [mg]",
+    "misfits": "sensor errors outside the model that were found",
+    "gyroscope": "outcome of the gyroscope's calibration",
+    "gyro_before_deg": "error of gravity's direction after held-out turns, raw [degrees]",
+    "gyro_after_deg": "the same, calibrated [degrees]",
+    "gyro_pairs": "number of turns",
+    "enmo_raw_mg": "mean ENMO of the raw values [mg]",
+    "enmo_mg": "mean ENMO of the calibrated values [mg]",
+    "enmo_differs_mg": "mean difference of ENMO by epoch [mg]",
+    "mad_mg": "mean MAD, calibrated [mg]",
+    "mvpa_raw_min": "minutes of moderate to vigorous activity, raw",
+    "mvpa_min": "the same, calibrated",
+    "inactive_raw_min": "minutes of inactivity, raw",
+    "inactive_min": "the same, calibrated",
+    "format": "format of the file",
+    "time_zone": "what `time` in the Parquet file is in: UTC or unknown",
+    "duration_s": "length [s]",
+    "rate_hz": "sampling rate [Hz]",
+    "rate_hz_measured": "sampling rate by the time stamps [Hz]",
+    "lsb_per_g": "counts per g",
+    "range_g": "range of the sensor [g]",
+    "samples": "number of samples",
+    "gaps": "number of gaps",
+    "filled_samples": "samples that the device filled",
+    "clipped_samples_before": "raw samples at the end of the range",
+    "clipped_samples_after": "calibrated samples beyond the range",
+    "problems": "number of problems found in the file",
+    "cells": "number of points of the fit",
+    "condition_number": "condition number of the fit",
+    "reference_c": "temperature at which the offsets hold [degrees C]",
+    "lost_percent": "share of the file that is damaged or missing [%]",
+    "bytes": "size of the file",
+    "sha256": "SHA-256 of the file",
+    "accelcal_version": "version that made the result",
+    "parquet": "file of the calibrated values",
+    "report": "file of the report",
+}
+"""Meanings of the columns of a study's table that follow no pattern."""
 
 
 def _sentence(node: Node) -> str:

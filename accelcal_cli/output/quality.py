@@ -193,3 +193,15 @@ def dumps_quality(document: Mapping[str, Any]) -> str:
     """Write the document as text: a line for each key, without further blanks."""
     texts = {key: json_text(value, separators=(",", ":")) for key, value in document.items()}
     return "{" + ",\n".join(f"{json.dumps(key)}:{text}" for key, text in texts.items()) + "}\n"
+
+
+def wear_hours(quality: Mapping[str, Any]) -> float | None:
+    """Return the hours of NAME.quality.json in which the device was worn; None if that is not known."""
+    try:
+        rate_hz, rows = float(quality["row"]["rate_hz"]), quality["rows"]
+        pairs = list(zip(rows["worn"], map(int, rows["samples"]), strict=True))
+    except (KeyError, TypeError, ValueError):
+        return None
+    if not rate_hz or all(worn is None for worn, _ in pairs):
+        return None
+    return round(sum(samples for worn, samples in pairs if worn) / rate_hz / 3600, 2)

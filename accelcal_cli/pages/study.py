@@ -32,7 +32,8 @@ from accelcal_cli.pages.rendering import rendered
 from accelcal_cli.pages.strips import strips
 
 WANTED = (
-    "path", "outcome", "reason", "message", "model", "copy_of", "borrowed_from", "before_mg", "after_mg",
+    "path", "use", "why", "wear_hours", "outcome", "reason", "message", "model", "copy_of", "borrowed_from",
+    "before_mg", "after_mg",
     "calibration_error_mg",
     "calibration_error_high_mg", "calibration_error_before_mg", "change", "change_at", "change_mg", "misfits",
     "device_model", "device_serial", "start_time", "duration_s", "lost_percent", "report",
@@ -429,12 +430,15 @@ def _recordings_table(entries: Sequence[_Entry], scatter: figures.Scatter) -> di
         "columns": [
             column("path", "recording", "text", 19, of("path")),
             choice_column("outcome", 8, of("outcome_name"), outcomes),
+            choice_column("use", 7, [use or "" for use in of_row("use")], ["yes", "with care", "no", ""]),
             choice_column("problem", 9, of("problem_name"), ["", *(kind.short for kind in KINDS), COPY]),
             number_column("before", "before, mg", 7.5, (pair[0] for pair in pairs), kind="mg"),
             number_column("after", "after, mg", 7, (pair[1] for pair in pairs), kind="mg"),
             choice_column("device", 9, of("device")),
             minutes_column("start", "start", 10, of_row("start_time")),
             number_column("hours", "hours", 5.5, of("hours")),
+            number_column("worn", "worn, h", 6, of_row("wear_hours")),
+            choice_column("reason", 13, [reason or "" for reason in of_row("reason")]),
             choice_column("model", 5.5, [model or "" for model in of_row("model")]),
             number_column("change", "change, mg", 8, of("change_mg"), kind="mg"),
             number_column("lost", "lost, %", 6, (percent or None for percent in of_row("lost_percent"))),

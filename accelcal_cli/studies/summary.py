@@ -21,7 +21,7 @@ from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output import files
-from accelcal_cli.output.advice import cautions
+from accelcal_cli.output.advice import MILD, cautions, page_verdict
 from accelcal_cli.output.files import json_text, replacing, write_text
 from accelcal_cli.output.report_view import (
     ERROR_COLUMNS,
@@ -45,7 +45,7 @@ TEXT = (
     "path", "outcome", "reason", "cautions", "message", "model", "format", "device_model", "device_serial",
     "device_firmware", "start_time", "time_zone", "sha256", "accelcal_version", "parquet", "report",
     "borrowed_from", "pool", "own_outcome", "own_message", "change", "change_at", "misfits", "gyroscope",
-    "prior", "copy_of",
+    "prior", "copy_of", "use", "why",
 )  # fmt: skip
 WHOLE = (
     "exit_code", "bytes", "samples", "gaps", "postures", "points", "cells", "filled_samples",
@@ -69,8 +69,13 @@ EFFECT_INTERVALS = {
     "mvpa_min": ("mvpa_low_min", "mvpa_high_min"),
 }  # fmt: skip
 """Columns of their 95 % intervals, calibrated."""
-COLUMNS = (
-    "path", "outcome", "exit_code", "reason", "cautions", "message", "model", "copy_of",
+FIRST = (
+    "path", "use", "why", *ERROR_COLUMNS[:3], ERROR_COLUMNS[-1], "wear_hours", "filled_percent",
+    "device_serial", "start_time",
+)  # fmt: skip
+"""Columns to decide by, before all others."""
+REST = (
+    "outcome", "exit_code", "reason", "cautions", "message", "model", "copy_of",
     "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
     "own_outcome", "own_message", "own_after_mg", "prior",
     "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", *FACTOR_COLUMNS,
@@ -88,6 +93,7 @@ COLUMNS = (
     *(f"se_{name}" for name in PARAMETERS),
     "lost_percent", "bytes", "sha256", "accelcal_version", "parquet", "report",
 )  # fmt: skip
+COLUMNS = (*FIRST, *(name for name in REST if name not in FIRST))
 """Columns in the order of the table. Errors are held out; columns neither TEXT nor WHOLE are numbers."""
 
 
@@ -136,20 +142,26 @@ FAILURES = {2: "wrong_usage", 3: "unreadable", 5: "not_written", 70: "bug", 71: 
 def failed(item: Item, code: int, message: str) -> dict[str, Any]:
     """Return the row of a recording that has no report."""
     failure = {"outcome": FAILED, "reason": FAILURES.get(code, FAILED), "message": message}
+    failure |= {"use": USES["bad"], "why": message}
     file = {"path": printable(item.name), "exit_code": code, "bytes": item.size}
     return dict.fromkeys(COLUMNS) | file | failure | {"accelcal_version": __version__}
 
 
 def of_report(
-    item: Item, code: int, report: dict[str, Any], outputs: dict[str, str | None]
+    item: Item,
+    code: int,
+    report: dict[str, Any],
+    outputs: dict[str, str | None],
+    wear_hours: float | None = None,
 ) -> dict[str, Any]:
     """Return the row of a recording from its report.
 
     Args:
         outputs: `parquet` and `report`, their names under OUT.
+        wear_hours: hours in which it was worn; None if that is not known.
     """
     view = report_view(report)
-    identity = {"path": printable(item.name), "exit_code": code}
+    identity = {"path": printable(item.name), "exit_code": code, "wear_hours": wear_hours} | _use(view)
     verdict = {
         "outcome": str(view.outcome),
         "reason": view.reason or None,
@@ -161,6 +173,20 @@ def of_report(
     figures = _recording(view) | _errors(view) | _coverage(view.coverage) | _calibration(view.calibration)
     judged = _change(view) | _misfits(view) | _gyroscope(view) | _effect(view)
     return dict.fromkeys(COLUMNS) | identity | verdict | figures | judged | outputs
+
+
+USES = {"good": "yes", "care": "with care", "bad": "no"}
+"""Values of `use`, by the level of the verdict on a recording's page."""
+
+
+def _use(report: ReportView) -> dict[str, str | None]:
+    """Return whether to use a recording, and why not, or why with care."""
+    verdict = page_verdict(report)
+    doubts = [sentence(one) for one in cautions(report) if one.code not in MILD]
+    why = None if verdict.level == "good" else (doubts or [verdict.reason])[0]
+    if verdict.level == "bad":
+        why = verdict.reason
+    return {"use": USES[verdict.level], "why": None if why is None else printable(why)}
 
 
 def own(line: dict[str, Any]) -> dict[str, Any]:
@@ -177,6 +203,7 @@ def _recording(report: ReportView) -> dict[str, Any]:
         **{name: getattr(recording, name) for name in (*same, "time_zone")},
         **{name: getattr(health, name) for name in counts + figures},
         **{f"device_{name}": getattr(recording.device, name) for name in DEVICE},
+        "filled_percent": round(100 * health.filled_samples / max(1, recording.samples), 4),
         "rate_hz": recording.sample_rate_hz,
         "gaps": recording.all_gaps,
         "problems": sum(problem.count or 1 for problem in health.problems),

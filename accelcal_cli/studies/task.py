@@ -22,6 +22,8 @@ from accelcal_cli.core.errors import (
     printable,
 )
 from accelcal_cli.core.results import Outcome
+from accelcal_cli.output.quality import wear_hours
+from accelcal_cli.output.report_reading import load_our_json
 from accelcal_cli.output.study_words import kept
 from accelcal_cli.pipeline.jobs import FileStamp, Job, Progress, Request, Result, file_stamp
 from accelcal_cli.pipeline.outputs import applied_by_hand
@@ -162,7 +164,8 @@ def row_of(item: Item, common: Common, result: Result) -> dict[str, Any]:
         "report": _under(common, result.job.report),
     }
     shown = {kind: None if name is None else printable(name) for kind, name in names.items()}
-    return summary.of_report(item, code, result.report, shown)
+    quality = load_our_json(result.job.quality)
+    return summary.of_report(item, code, result.report, shown, wear_hours(quality or {}))
 
 
 def outputs_of(item: Item, common: Common, result: Result) -> tuple[tuple[str, FileStamp], ...]:

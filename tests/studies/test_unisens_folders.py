@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +22,8 @@ def test_a_folder_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     folder(tmp_path / "in" / "b", text, acc=np.roll(counts, 1, axis=1).tobytes(), ecg=bytes(999))
     folder(tmp_path / "in" / "c", text, ecg=bytes(999))
     told = run(capsys, "study", tmp_path / "in", "-d", tmp_path / "out", "-j", 1, "-q")
-    rows = (tmp_path / "out" / "study.csv").read_text("utf-8").splitlines()
-    outcomes = {row.split(",")[0]: row.split(",")[1] for row in rows[1:]}
+    with (tmp_path / "out" / "study.csv").open(encoding="utf-8", newline="") as file:
+        outcomes = {row["path"]: row["outcome"] for row in csv.DictReader(file)}
     assert told.code == 1
     assert outcomes == {
         "a/acc.bin": "calibrated",
