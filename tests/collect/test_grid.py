@@ -435,7 +435,7 @@ def test_postures_that_hold_too_many_directions_are_refused_in_one_line(
     rows = [f"{x:.6f},{y:.6f},{z:.6f},p{n % postures}" for n, (x, y, z) in enumerate(g.tolist())]
     table.write_text("\n".join(["x,y,z,posture", *rows]) + "\n")
     done = run(capsys, "fit", table)
-    said = "combinations of posture, direction and temperature, and a fit takes at most 4096 points"
+    said = "combinations of orientation, direction and temperature, and a fit takes at most 4096 points"
     hint = "leave out the column `posture`, or average rows that are alike"
     assert done.code == 3 and done.err.endswith(f" {said}; {hint}\n") and done.err.count("\n") == 1
     assert done.err.startswith(f"accelcal: {table}: holds ")

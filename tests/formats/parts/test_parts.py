@@ -307,7 +307,8 @@ def test_the_current_folder_may_hold_them(
 def test_a_folder_is_taken_for_parts_only_if_asked(parts: Path, capsys: Capture) -> None:
     done = run(capsys, "calibrate", parts)
     assert done.code == 3
-    assert f"accelcal study {parts} -d OUT calibrates all recordings in it; with --parts" in done.err
+    hint = f"accelcal study {parts} -d OUT; if its files are parts of one recording, add --parts"
+    assert f"is a folder; to calibrate the recordings in it: {hint}\n" in done.err
 
 
 def test_every_command_takes_it(parts: Path, capsys: Capture) -> None:
