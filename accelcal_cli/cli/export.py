@@ -78,15 +78,15 @@ class Width(options.AnyType):
     is_flag=True,
     help="Leave out rows that the device filled in while it slept, and those of damaged blocks.",
 )
-@click.option("--force", is_flag=True, help="Replace files that are there.")
+@click.option("--force", is_flag=True, help="Replace existing files.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
 def command(files: tuple[Path, ...], **values: Any) -> int:
     """Export coefficients or calibrated data to other tools.
 
-    With -d DIR, exports the calibrated data of all recordings that FILES stand for: output folders of
+    With -d DIR, exports the calibrated data of all recordings given by FILES: output folders of
     `study`, study.json, reports (NAME.calibration.json), calibrated Parquet files, or patterns in quotes.
     DIR is then ready for the tool: ggir, biobank, actipy or skdh have a script there. What was refused is
-    skipped, with a line each.
+    skipped, and one line is printed for each.
 
     Without -d, exports coefficients from reports: ggir, biobank, omconvert or json. These tools
     cannot use misalignment, so a fit without it is exported, and a message gives the loss of accuracy. From

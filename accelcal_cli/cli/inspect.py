@@ -29,7 +29,7 @@ CLOCKS_S_PER_DAY = 86.4
     "inspect",
     cls=Command,
     examples=(
-        "inspect recording.cwa # header, rate, range, gaps and the outcome to expect",
+        "inspect recording.cwa # header, rate, range, gaps and the predicted outcome",
         "inspect table.csv --unit mg --json",
     ),
 )

@@ -147,7 +147,7 @@ class TerminalObserver:
               help="With -q, also report failures and refusals from earlier runs.")  # fmt: skip
 @click.option("--html", is_flag=True, help="Create study.html and a page for each recording that changed.")
 @click.option("--keep-older", is_flag=True,
-              help="Leave results of earlier versions that were made with the same options.")  # fmt: skip
+              help="Keep results that an earlier version made with the same options.")  # fmt: skip
 @click.option("--prune", is_flag=True,
               help="Remove results whose recording is gone (with --dry-run, only show them).")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Show what would be done without doing it.")
@@ -176,7 +176,7 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
 
     The outputs mirror the folder structure below the folder given with -d, where study.csv, study.parquet and
     study.json are also written. A second run processes only what is new, changed or unfinished. One line is
-    printed for each recording, as by `calibrate`; with -q only failures and refusals are shown that are new.
+    printed for each recording, as by `calibrate`; with -q, only new failures and refusals are shown.
     A run that was interrupted is resumed by the same command.
     """
     from accelcal_cli.studies.rounds import overlooked  # what runs a study takes longer to load than --help

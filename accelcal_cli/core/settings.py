@@ -210,7 +210,7 @@ class Settings:
             "--prior",
             "Prior knowledge used in the fit. population: typical sensors. none: no prior; fit only as many "
             "parameters as the recording supports.",
-            default="population; none with --model, --profile paper, and optimizers that know no prior",
+            default="population; none with --model, --profile paper, and optimizers that cannot use a prior",
         ),
         choices=("population", NO_PRIOR, *LEARNT_PRIORS),
     )
