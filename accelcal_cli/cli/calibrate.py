@@ -41,7 +41,7 @@ MOST_DRAWS = 100_000
 @click.option(
     "--windows",
     type=FILE,
-    help="Also write a table of all still windows, and whether each was used, to this file (.parquet or .csv).",
+    help="Also write a table of all still windows, and whether each was used, to this .parquet or .csv file.",
 )
 @click.option("--draws", type=click.IntRange(1, MOST_DRAWS), metavar="N",
               help="Also write N plausible sets of coefficients to NAME.draws.json.")  # fmt: skip

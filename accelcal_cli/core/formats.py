@@ -28,6 +28,11 @@ GZIP_MAGIC, ZIP_MAGIC = b"\x1f\x8b", b"PK\x03\x04"
 UTF16 = (b"\xff\xfe", b"\xfe\xff")
 """First bytes of text in UTF-16 (byte order marks)."""
 
+UTF16_BYTES = 256
+"""Bytes by which text in UTF-16 without its mark is known: every other one is 0."""
+
+PRINTABLE = bytes([9, 10, 13, *range(32, 127)])
+
 RATE_AGREEMENT = 0.05
 
 
@@ -280,11 +285,25 @@ def _refuse_no_calendar(recording: Recording) -> None:
         raise UnreadableError(what, path=recording.path, hint=hint)
 
 
+def utf16_in(head: bytes) -> str | None:
+    """Return the encoding of text in UTF-16: by its mark, or as every other byte is 0; None for all else."""
+    if head.startswith(UTF16):
+        return "utf-16"
+    units = head[: min(len(head), UTF16_BYTES) // 2 * 2]
+    for name, letters, zeros in (
+        ("utf-16-le", units[::2], units[1::2]),
+        ("utf-16-be", units[1::2], units[::2]),
+    ):
+        latin = len(units) > len(UTF16) and not zeros.strip(b"\0")
+        if latin and not letters.translate(None, PRINTABLE):
+            return name
+    return None
+
+
 def as_utf8(head: bytes) -> bytes:
-    """Return text in UTF-16 that says so by its first two bytes as UTF-8; anything else as it is."""
-    if not head.startswith(UTF16):
-        return head
-    return head[: len(head) // 2 * 2].decode("utf-16", "replace").encode()
+    """Return text in UTF-16 as UTF-8; anything else as it is."""
+    name = utf16_in(head)
+    return head if name is None else head[: len(head) // 2 * 2].decode(name, "replace").encode()
 
 
 def probe_file(path: Path, options: ReadOptions) -> Probe:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.vocabulary import TEMPERATURES, In, normalized
 
 NEAR = "(?:device|die|chip|sensor|board|imu|mcu|cpu|internal|case|accelerometer|accel|acc)*"
-HEAT = re.compile(rf"{NEAR}(temperatur(?:e|es|a)?|temperatuur|temps?|tmp){NEAR}")
+HEAT = re.compile(rf"{NEAR}(temperatur(?:e|es|a)?|temperatuur|temps?|tmp|温度|온도|температура){NEAR}")
 """Normalized names of the temperature of a device."""
 
 WORD = re.compile(r"(?:^|[^a-z])(?:temp|tmp|temperatur\w*|therm\w*)(?:$|[^a-z])")
@@ -48,11 +49,14 @@ UNITS: dict[str, HeatUnit] = {
         if files & In.TABLES
         for name in some
     },
-    **dict.fromkeys(("deg", "gradc", "gradcelsius"), CELSIUS),
-    **dict.fromkeys(("f", "degf", "fahrenheit", "degreesfahrenheit", "degreesf"), FAHRENHEIT),
+    **dict.fromkeys(("deg", "gradc", "gradcelsius", "ºc"), CELSIUS),
+    **dict.fromkeys(("f", "degf", "fahrenheit", "degreesfahrenheit", "degreesf", "ºf"), FAHRENHEIT),
     **dict.fromkeys(("k", "degk", "kelvin"), KELVIN),
 }
 """Units by their normalized names."""
+
+WHOLE_WORDS = ("celsius", "kelvin", "fahrenheit")
+"""Names of units that say by themselves that a column `t_celsius` is a temperature."""
 
 BY_VALUES = ((CELSIUS, -40.0, 60.0), (FAHRENHEIT, 60.0, 120.0), (KELVIN, 263.0, 333.0))
 """Units by the median of values in them; what is beyond Celsius must have decimals: raw counts have none."""
@@ -100,17 +104,22 @@ def _named(name: str) -> tuple[int, str | None] | None:
     """Return how far a name is from `temperature`, and the unit in it; None for other names."""
     bracket = re.fullmatch(r"([^\[(]*)[\[(]([^\])]*)[\])]?\s*", name)
     plain, unit = (bracket[1], bracket[2]) if bracket else (name, None)
-    text = normalized(plain)
+    text = normalized(_unaccented(plain))
     endings = ["", *sorted(UNITS, key=len, reverse=True)] if unit is None else [""]
     for ending in endings:
         rest = text.removesuffix(ending)
         if ending and not text.endswith(ending):
             continue
-        if plain.strip().startswith(BARE) and rest == "t":
+        if rest == "t" and (plain.strip().startswith(BARE) or ending in WHOLE_WORDS):
             return 1, unit or ending or None
         if found := HEAT.fullmatch(rest):
             return (0 if found[1] == rest else 2), unit or ending or None
     return None
+
+
+def _unaccented(name: str) -> str:
+    """Return a name without accents and marks: `température` gives `temperature`."""
+    return "".join(one for one in unicodedata.normalize("NFD", name) if not unicodedata.combining(one))
 
 
 def unit_by_values(values: NDArray[np.float64]) -> HeatUnit | None:

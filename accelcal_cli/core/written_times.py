@@ -43,15 +43,17 @@ _MONTHS = (
     "janeiro fevereiro marco abril maio junho julho agosto setembro outubro novembro dezembro",
     "januari februari maart april mei juni juli augustus september oktober november december mrt",
     "januari februari mars april maj juni juli augusti september oktober november december",
+    "stycznia lutego marca kwietnia maja czerwca lipca sierpnia wrzesnia pazdziernika listopada grudnia",
 )
 _INITIALS = (
     *(("jan", 1), ("ene", 1), ("gen", 1), ("feb", 2), ("fev", 2), ("mar", 3), ("mae", 3), ("maa", 3)),
     *(("mrz", 3), ("mrt", 3), ("apr", 4), ("avr", 4), ("abr", 4), ("mai", 5), ("may", 5), ("mag", 5)),
     *(("mei", 5), ("maj", 5), ("jun", 6), ("juin", 6), ("giu", 6), ("jul", 7), ("juil", 7), ("lug", 7)),
     *(("aug", 8), ("aou", 8), ("ago", 8), ("sep", 9), ("set", 9), ("oct", 10), ("okt", 10), ("ott", 10)),
-    *(("out", 10), ("nov", 11), ("dec", 12), ("dez", 12), ("dic", 12)),
+    *(("out", 10), ("nov", 11), ("dec", 12), ("dez", 12), ("dic", 12), ("sty", 1), ("lut", 2), ("kwi", 4)),
+    *(("cze", 6), ("lip", 7), ("sie", 8), ("wrz", 9), ("paz", 10), ("lis", 11), ("gru", 12)),
 )
-"""Beginnings of months in English, German, French, Spanish, Italian, Portuguese, Dutch and Scandinavian."""
+"""Beginnings of months in the same languages."""
 
 _DAYS = frozenset(
     re.findall(
@@ -62,7 +64,15 @@ _DAYS = frozenset(
 )
 """Beginnings of weekdays in the same languages."""
 
-_FILLERS = frozenset(re.findall(r"\w+", "t at um a à às de del of den le il la las kl klo st nd rd th er"))
+_DAY_ENDS = re.compile(
+    r".*(?:day|dag|tag|woch|abend|d[iì]|manche|es|[sáa]bado|sabato|domenica|domingo|feira|ter[çc]a|segunda"
+    r"|quarta|quinta|sexta|tues|thurs?|weds)"
+)
+"""Ends of whole names of weekdays: other words begin like them."""
+
+_FILLERS = frozenset(
+    re.findall(r"\w+", "t at um a à às de del of den le il la las kl klo st nd rd th er 年 月 日 년 월 일")
+)
 """Words between the parts of a time that say nothing."""
 
 _OFFSETS_H = {
@@ -98,10 +108,14 @@ DOTS = (
     r"^(?P<before>.*\d{4}.*[^\d.,:] *|\d{1,2}\.\d{1,2}\.\d{2,4} +)(?P<h>\d{1,2})\.(?P<m>\d\d)\.(?P<s>\d\d)"
     r"(?:[.,](?P<f>\d{1,9}))?(?P<after>|[^\d.,:].*)$"
 )
+DASHES = (
+    r"^(?P<before>\d{4}-?\d\d-?\d\d[T _-])(?P<h>\d\d)-(?P<m>\d\d)-(?P<s>\d\d)"
+    r"(?:[.,-](?P<f>\d{3,9}))?(?P<after>|[^\d.,-].*)$"
+)
 DIGITS_ALONE = r"^(?P<before>)(?P<h>\d{1,2})(?P<m>\d\d)(?P<s>\d\d)(?:[.,](?P<f>\d{1,9}))?(?P<after>)$"
 """104140.000: digits of a time of day, which only a look at many of them tells from seconds."""
 
-SHAPES = tuple(re.compile(one) for one in (COLONS, BASIC, DOTS))
+SHAPES = tuple(re.compile(one) for one in (COLONS, BASIC, DOTS, DASHES))
 
 _NUMERIC = re.compile(r"\D*(\d{1,4})\D{1,3}(\d{1,2})\D{1,3}(\d{1,4})(?!\d)")
 _COMPACT = re.compile(r"\D*((?:19|2[0156])\d\d)(\d\d)(\d\d)\D*")
@@ -284,7 +298,7 @@ def _without_words(text: str) -> tuple[str, int | None, str | None] | None:
             offset_s = round(3600 * _OFFSETS_H[word.upper()])
         elif low == "w" or (month_of(word) is not None and low not in _FILLERS):
             continue
-        elif low not in _FILLERS and low not in _DAYS and low[:3] not in _DAYS:
+        elif low not in _FILLERS and low not in _DAYS and not (low[:3] in _DAYS and _DAY_ENDS.fullmatch(low)):
             return None
         text = re.sub(rf"(?<![^\W\d_]){word}(?![^\W\d_])\.?", " ", text, count=1)
     return text.replace("\0", " ").strip(" ,;_"), offset_s, vague

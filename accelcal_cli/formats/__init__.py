@@ -133,15 +133,18 @@ def has_parts(path: Path) -> bool:
 def archive_around(path: Path) -> bool | None:
     """Return whether an archive may hold recordings, by the names that a short look shows.
 
-    So may one that shows none: it is damaged, or has too many members. None: it is not an archive.
+    So may one that shows none: it is damaged, or has too many members. So may one with an archive in it.
+    None: it is not an archive.
     """
     if not path.name.lower().endswith(ARCHIVES) or not has_parts(path):
         return None
     from accelcal_cli.formats._parts.archive import first_names
 
-    names = [name.lower().removesuffix(".gz") for name in first_names(path, LOOKED_AT)]
+    names = [name.lower() for name in first_names(path, LOOKED_AT)]
     kinds = {suffix for item in all_formats() for suffix in item.suffixes} - NO_SIGN
-    return not names or any(Path(name).suffix in kinds or POLAR.fullmatch(name) for name in names)
+    plain = [name.removesuffix(".gz") for name in names]
+    known = any(Path(name).suffix in kinds or POLAR.fullmatch(name) for name in plain)
+    return not names or known or any(name.endswith(ARCHIVES) for name in names)
 
 
 def belongs_to(path: Path) -> Path | None:

@@ -110,8 +110,9 @@ def _errors(report: ReportView, known: KnownOrientationsView | None) -> list[str
     if everywhere is not None:
         low, high = everywhere.ci95
         sentences.append(
-            "The expected calibration error over all orientations, the mean of ||a| − 1 g| that the fit leaves "
-            f"uncertain, is {number(everywhere.mean)} mg (95 % interval {number(low)} to {number(high)} mg)."
+            "The expected calibration error over all orientations, the mean of ||a| − 1 g| that the fit "
+            f"leaves uncertain, is {number(everywhere.mean)} mg "
+            f"(95 % interval {number(low)} to {number(high)} mg)."
         )
     if holdout is not None:
         sentences.append(held_out_sentence(holdout))
@@ -122,8 +123,9 @@ def held_out_sentence(holdout: HoldoutView) -> str:
     """Return the errors on data that were held out of the fit, in a sentence."""
     factor = holdout.improvement_factor
     smaller = "" if factor is None else times_smaller(factor.value, factor.ci95)
+    method = holdout.method.replace("posture", "orientation")
     return (
-        f"On data held out of the fit ({holdout.method.replace('posture', 'orientation')}), the mean of ||a| − 1 g| is "
+        f"On data held out of the fit ({method}), the mean of ||a| − 1 g| is "
         f"{number(holdout.before_mg.mean)} mg before and {number(holdout.after_mg.mean)} mg after "
         f"calibration{smaller}."
     )

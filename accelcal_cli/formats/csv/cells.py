@@ -27,7 +27,19 @@ from accelcal_cli.formats._gravity import usual_length
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 MISSING = (
     *("", "NaN", "nan", "NAN", "-nan", "-NaN", "NA", "N/A", "n/a", "na", "#N/A", "#NA", "NULL", "null"),
-    *("None", "none", "1.#QNAN", "-1.#QNAN", "1.#IND", "-1.#IND"),
+    *(
+        "None",
+        "none",
+        "<NA>",
+        "NaT",
+        "missing",
+        "Missing",
+        "MISSING",
+        "1.#QNAN",
+        "-1.#QNAN",
+        "1.#IND",
+        "-1.#IND",
+    ),
 )
 """Cells that stand for a missing value; pyarrow is given the same list."""
 

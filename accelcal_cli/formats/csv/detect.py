@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, iso_time
 from accelcal_cli.core.door import has_file
 from accelcal_cli.core.errors import UnreadableError, UsageError, counted, printable
-from accelcal_cli.core.formats import GZIP_MAGIC, UTF16, ReadOptions, agreed_rate
+from accelcal_cli.core.formats import GZIP_MAGIC, UTF16_BYTES, ReadOptions, agreed_rate, utf16_in
 from accelcal_cli.core.input_files import read_text
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Device
 from accelcal_cli.core.vocabulary import COUNTS, UNIT_CHOICES
@@ -484,8 +484,13 @@ def _first_values(table: ParsedTable) -> dict[str, int]:
 def last_timestamp(parser: TableParser) -> int | None:
     """Return the time of the last row [us]; None if the file is compressed or has no times."""
     with parser.path.open("rb") as file:
-        mark = file.read(2)
-        if parser.time is None or mark == GZIP_MAGIC or mark in UTF16 or parser.dialect.bare_returns:
+        mark = file.read(UTF16_BYTES)
+        if (
+            parser.time is None
+            or mark.startswith(GZIP_MAGIC)
+            or utf16_in(mark)
+            or parser.dialect.bare_returns
+        ):
             return None
         size = file.seek(0, 2)
         file.seek(max(parser.dialect.offset, size - TAIL_BYTES))

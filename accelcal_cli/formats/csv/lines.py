@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.formats import UTF16
+from accelcal_cli.core.formats import utf16_in
 from accelcal_cli.core.recording import Closing
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats.csv.cells import BYTE_ORDER_MARK
@@ -110,18 +110,18 @@ class LineCutter:
 
 
 class InUtf8:
-    """Makes UTF-8 of text in UTF-16 that begins with its mark; any other text stays as it is."""
+    """Makes UTF-8 of text in UTF-16; any other text stays as it is."""
 
     def __init__(self) -> None:
         self._decoder: codecs.IncrementalDecoder | None = None
         self._begun = False
 
     def __call__(self, piece: bytes) -> bytes:
-        """Return the next bytes; of the first piece the mark decides."""
+        """Return the next bytes; the first piece decides."""
         if not self._begun and piece:
             self._begun = True
-            if piece.startswith(UTF16):
-                self._decoder = codecs.getincrementaldecoder("utf-16")("replace")
+            if (name := utf16_in(piece)) is not None:
+                self._decoder = codecs.getincrementaldecoder(name)("replace")
         return piece if self._decoder is None else self._decoder.decode(piece).encode()
 
 

@@ -209,7 +209,7 @@ def test_a_stopped_clock_asks_for_the_rate(tmp_path: Path) -> None:
     repeated = "2024-03-04T00:00:00.000000 in each of the first 50"
     with pytest.raises(
         UnreadableError,
-        match=f"the sampling rate cannot be found from the times of its rows: {repeated}; give it with --rate",
+        match=f"the sampling rate cannot be found from the times of its rows: {repeated}; give it with",
     ):
         with_times(tmp_path, cells)
     found = with_times(tmp_path, cells[:20], rate_hz=30.0)

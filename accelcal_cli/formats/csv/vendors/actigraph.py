@@ -74,7 +74,7 @@ def _group(pattern: re.Pattern[str], line: str) -> str | None:
 
 def _value(head: Head, key: str) -> str | None:
     """Return the value behind a key; tables saved by a spreadsheet have delimiters after it."""
-    pattern = re.compile(rf"\W*{key}\s*([^,;\t]+)")
+    pattern = re.compile(rf"\W*{key}\s*([^,;\t]+(?:, ?\d{{4}}\b)?)")
     match = next((match for line in head[1:HEADER_LINES] if (match := pattern.match(line))), None)
     return None if match is None else match[1].strip().strip('"') or None
 
