@@ -145,7 +145,7 @@ class CalibrationOptions(MethodOptions, total=False):
     prior: Literal["population", "none"] | None
     """Prior knowledge used in the fit. population: typical sensors. none: no prior; fit only as many
     parameters as the recording supports (default: population; none with model, profile paper, and
-    optimizers that know no prior)."""
+    optimizers that cannot use a prior)."""
 
 
 class StudyOptions(MethodOptions, total=False):
@@ -154,7 +154,7 @@ class StudyOptions(MethodOptions, total=False):
     prior: Literal["population", "none", "study", "device"] | None
     """Prior knowledge used in the fit. population: typical sensors. none: no prior; fit only as many
     parameters as the recording supports (default: population; none with model, profile paper, and
-    optimizers that know no prior)."""
+    optimizers that cannot use a prior)."""
 
 
 class FitOptions(TypedDict, total=False):
@@ -185,7 +185,7 @@ class FitOptions(TypedDict, total=False):
     prior: Literal["population", "none"] | None
     """Prior knowledge used in the fit. population: typical sensors. none: no prior; fit only as many
     parameters as the recording supports (default: population; none with model, profile paper, and
-    optimizers that know no prior)."""
+    optimizers that cannot use a prior)."""
 
 
 class PoseOptions(ReadingOptions, total=False):

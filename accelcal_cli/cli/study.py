@@ -29,7 +29,7 @@ from accelcal_cli.cli.report import study_pages
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.system import workers
-from accelcal_cli.output.words import clause
+from accelcal_cli.output.words import clause, sentence
 from accelcal_cli.pipeline.jobs import refuse_dash
 from accelcal_cli.pipeline.options import json_value
 from accelcal_cli.studies.discovery import Where
@@ -283,8 +283,12 @@ def _preview(study: Study, values: dict[str, Any]) -> int:
         elif not values["quiet"]:
             shown = _with_why(state, again.get(item.name))
             exit_codes.show("\t".join([path, shown, *_stated(item), *filter(None, [item.refusal])]))
-    for name, why in left.items() if not values["quiet"] else ():
-        exit_codes.say(f"{printable(name)}: left out: {clause(why)}")
+    for name, why in left.items():
+        if values["as_json"]:
+            about = {"path": printable(name), "state": "left_out", **why.as_json(), "message": sentence(why)}
+            exit_codes.show(json.dumps(about))
+        elif not values["quiet"]:
+            exit_codes.say(f"{printable(name)}: left out: {clause(why)}")
     return exit_codes.OK
 
 

@@ -485,12 +485,8 @@ def last_timestamp(parser: TableParser) -> int | None:
     """Return the time of the last row [us]; None if the file is compressed or has no times."""
     with parser.path.open("rb") as file:
         mark = file.read(UTF16_BYTES)
-        if (
-            parser.time is None
-            or mark.startswith(GZIP_MAGIC)
-            or utf16_in(mark)
-            or parser.dialect.bare_returns
-        ):
+        packed = mark.startswith(GZIP_MAGIC) or utf16_in(mark) is not None
+        if parser.time is None or packed or parser.dialect.bare_returns:
             return None
         size = file.seek(0, 2)
         file.seek(max(parser.dialect.offset, size - TAIL_BYTES))
