@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
 from pathlib import Path
@@ -415,8 +416,8 @@ def test_a_study_takes_tables_that_hold_acceleration_and_lets_others_lie(
     write(study / "results.parquet", {"age": [1.0, 2.0]})
     (study / "damaged.parquet").write_bytes((study / "renamed.parquet").read_bytes()[:5000])
     done = run(capsys, "study", study, "-d", tmp_path / "out", "-q", "-j", "1")
-    lines = (tmp_path / "out" / "study.csv").read_text().splitlines()[1:]
-    outcomes = dict(line.split(",")[:2] for line in lines)
+    with (tmp_path / "out" / "study.csv").open(encoding="utf-8", newline="") as file:
+        outcomes = {row["path"]: row["outcome"] for row in csv.DictReader(file)}
     assert outcomes == {"renamed.parquet": "already_good", "damaged.parquet": "failed"}
     assert done.code == 1
 
