@@ -26,7 +26,6 @@ text { font: 13px system-ui, sans-serif; fill: #1b2330; }
 .cell2 { fill: #14509e; opacity: .65; stroke: #fff; } .cell3 { fill: #14509e; stroke: #fff; }
 .frame, .grid { stroke: #566072; fill: none; } .mark { stroke: #a81c1c; fill: none; stroke-width: 2; }
 .strong { font-weight: 600; } .bad { fill: #a81c1c; font-weight: 600; } .page { fill: #fff; }
-@media (prefers-color-scheme: dark) { .page { fill: #fff; } }
 """
 
 

@@ -7,15 +7,17 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
+from accelcal_cli.pages.study_figures import shortened
+
 MOST_STRIPS = 100
 """Most recordings that are drawn: the newest."""
 MOST_ROWS = 24 * 28
 """Most rows of a recording that are drawn: four weeks of hours."""
 HALF = 0.5
 """Share of a row's samples, or of its time, from which filling or a gap names it."""
+LONGEST_NAME = 24
 MOSTLY_STILL = 9
 """Still windows for each moving one from which an hour counts as still."""
-LONGEST_NAME = 24
 LEFT, WIDTH, ROW, TOP, BOTTOM = 170, 900, 15, 8, 40
 
 STATES = {
@@ -44,15 +46,24 @@ class StripFigure:
     """The strips of some recordings, with a tick for each day.
 
     Attributes:
-        ticks: places and numbers of days; omitted: number of recordings that are not drawn.
+        ticks: places and numbers of days.
     """
 
     rows: list[StripRow]
     ticks: list[tuple[float, str]]
-    states: Mapping[str, str]
-    omitted: int
-    width: int
     height: int
+    left: int = LEFT
+    width: int = WIDTH
+
+    @property
+    def states(self) -> Mapping[str, str]:
+        """Words for the states of hours."""
+        return STATES
+
+    @property
+    def is_full(self) -> bool:
+        """True if there may be more recordings than are drawn."""
+        return len(self.rows) == MOST_STRIPS
 
 
 def states_of(quality: Mapping[str, Any]) -> tuple[list[str], float] | None:
@@ -82,9 +93,7 @@ def _state(seconds: float, row: Mapping[str, Any]) -> str:
     return "still" if row["still"] > MOSTLY_STILL * row["moving"] else "worn"
 
 
-def strips(
-    recordings: Sequence[tuple[str, str | None, tuple[list[str], float]]], omitted: int = 0
-) -> StripFigure | None:
+def strips(recordings: Sequence[tuple[str, str | None, tuple[list[str], float]]]) -> StripFigure | None:
     """Return the figure; None without recordings.
 
     Args:
@@ -96,7 +105,7 @@ def strips(
     scale = (WIDTH - LEFT - 10) / longest
     rows = [
         StripRow(
-            _short(name.rpartition("/")[2]),
+            shortened(name.rpartition("/")[2], LONGEST_NAME),
             href,
             TOP + ROW * place,
             tuple(_paths(states, seconds * scale, TOP + ROW * place)),
@@ -106,11 +115,7 @@ def strips(
     days = int(longest // 86_400)
     step = max(1, days // 14)
     ticks = [(round(LEFT + day * 86_400 * scale, 1), str(day)) for day in range(0, days + 1, step)]
-    return StripFigure(rows, ticks, STATES, omitted, WIDTH, TOP + ROW * len(rows) + BOTTOM)
-
-
-def _short(name: str) -> str:
-    return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…"
+    return StripFigure(rows, ticks, TOP + ROW * len(rows) + BOTTOM)
 
 
 def _paths(states: Sequence[str], width: float, y: int) -> Iterator[tuple[str, str]]:

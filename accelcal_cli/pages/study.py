@@ -193,10 +193,7 @@ def page(study: StudyContent) -> str:
         drift_limit=f"{study.drift_limit_mg:g}",
         nameless=counted(study.nameless, "recording") if study.nameless else None,
         csv=study.csv,
-        strips=strips(
-            [(entries[at].path, entries[at].href, hours) for at, hours in study.hours],
-            len(once) - len(study.hours),
-        ),
+        strips=strips([(entries[at].path, entries[at].href, hours) for at, hours in study.hours]),
         origin=[(name, printable(value)) for name, value in study.origin],
         left_out=_left_out(study.summary),
         recordings=len(once),

@@ -5,10 +5,13 @@ Coordinates are in the units of the figure's view box, rounded: the same numbers
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import floor, log10
 from typing import Any
+
+from accelcal_cli.output.advice import LIKELY_YEARS
 
 WIDTH, HEIGHT = 640, 400
 LEFT, RIGHT, TOP, BOTTOM = 56, 20, 12, 44
@@ -202,7 +205,7 @@ def drifts(devices: Sequence[tuple[str, Drift | None]], limit: float) -> DriftFi
 
     rows = [
         DriftRow(
-            name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…",
+            shortened(name),
             f"{name}: {drift.per_month:+.3g} ± {drift.error:.2g} mg a month",
             x(drift.per_month - 2 * drift.error),
             x(drift.per_month + 2 * drift.error),
@@ -222,7 +225,9 @@ def drifts(devices: Sequence[tuple[str, Drift | None]], limit: float) -> DriftFi
 
 
 MOST_MONTHS = 60
+"""Most months that are drawn: the last."""
 MONTHS_HEIGHT = 150
+MONTHS_GROUND = TOP + MONTHS_HEIGHT - 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,12 +244,18 @@ class MonthBar:
 
 @dataclass(frozen=True, slots=True)
 class MonthFigure:
-    """Outcomes by month, a bar for each month from the first to the last."""
+    """Outcomes by month, a bar for each month from the first to the last.
+
+    Attributes:
+        omitted: number of recordings that began earlier, or whose year is not known or unlikely.
+    """
 
     bars: list[MonthBar]
     ticks: list[Tick]
     counts: list[Tick]
-    undated: int
+    omitted: int
+    left: int = LEFT
+    right: int = WIDTH - RIGHT
     width: int = WIDTH
     height: int = MONTHS_HEIGHT + BOTTOM
 
@@ -258,46 +269,53 @@ def by_month(
         starts: times of first samples, as ISO 8601 text; None where they are not known.
         order: outcomes from the bottom of a bar upwards.
     """
-    counted: dict[int, dict[str, int]] = {}
-    for start, outcome in zip(starts, outcomes, strict=True):
-        month = _month(start)
-        if month is not None:
-            counts = counted.setdefault(month, {})
-            counts[outcome] = counts.get(outcome, 0) + 1
-    if len(counted) < 2:
+    months = Counter(
+        (month, outcome)
+        for start, outcome in zip(starts, outcomes, strict=True)
+        if (month := _month(start)) is not None
+    )
+    last = max((month for month, _ in months), default=0)
+    shown = {key: number for key, number in months.items() if key[0] > last - MOST_MONTHS}
+    sums = Counter[int]()
+    for (month, _), number in shown.items():
+        sums[month] += number
+    if len(sums) < 2:
         return None
-    first, last = max(min(counted), max(counted) - MOST_MONTHS + 1), max(counted)
-    largest = max(sum(counts.values()) for counts in counted.values())
-    step = (WIDTH - LEFT - RIGHT) / (last - first + 1)
-    ground, scale = TOP + MONTHS_HEIGHT - 20, (MONTHS_HEIGHT - 20) / largest
-    bars = []
-    for month, counts in sorted(counted.items()):
-        below = 0
-        for outcome in sorted(counts, key=lambda one: order.index(one) if one in order else len(order)):
-            number = counts[outcome]
-            below += number
-            text = f"{_month_name(month)}: {number} {outcome.replace('_', ' ')}"
-            x, y = LEFT + (month - first) * step, ground - below * scale
-            if month >= first:
-                sizes = (round(value, 1) for value in (x, y, 0.8 * step, number * scale))
-                bars.append(MonthBar(outcome, text, *sizes))
+    first, largest = min(sums), max(sums.values())
+    step, scale = (WIDTH - LEFT - RIGHT) / (last - first + 1), (MONTHS_GROUND - TOP) / largest
+
+    def x(month: float) -> float:
+        return round(LEFT + (month - first) * step, 1)
+
+    bars, tops = [], dict.fromkeys(sums, float(MONTHS_GROUND))
+    places = {name: place for place, name in enumerate(order)}
+    for month, outcome in sorted(shown, key=lambda key: (key[0], places.get(key[1], len(order)), key[1])):
+        number = shown[month, outcome]
+        tops[month] -= number * scale
+        text = f"{_month_name(month)}: {number} {outcome.replace('_', ' ')}"
+        sizes = x(month), round(tops[month], 1), round(0.8 * step, 1), round(number * scale, 1)
+        bars.append(MonthBar(outcome, text, *sizes))
     every = max(1, (last - first + 1) // 8)
-    ticks = [
-        Tick(round(LEFT + (month - first + 0.4) * step, 1), _month_name(month))
-        for month in range(first, last + 1, every)
-    ]
-    undated = sum(_month(start) is None for start in starts)
-    return MonthFigure(bars, ticks, [Tick(ground, "0"), Tick(TOP, str(largest))], undated)
+    ticks = [Tick(x(month + 0.4), _month_name(month)) for month in range(first, last + 1, every)]
+    counts = [Tick(MONTHS_GROUND, "0"), Tick(TOP, str(largest))]
+    return MonthFigure(bars, ticks, counts, len(starts) - sum(sums.values()))
 
 
 def _month(start: str | None) -> int | None:
-    """Number months from year 0; None for what is not a date."""
-    year, _, rest = (start or "").partition("-")
-    return 12 * int(year) + int(rest[:2]) - 1 if year.isdecimal() and rest[:2].isdecimal() else None
+    """Number months from year 0; None for what is not a date, or is that of a clock that was never set."""
+    year, month = (start or "")[:4], (start or "")[5:7]
+    if not (LIKELY_YEARS[0] <= year < LIKELY_YEARS[1] and month.isdecimal()):
+        return None
+    return 12 * int(year) + int(month) - 1
 
 
 def _month_name(month: int) -> str:
     return f"{month // 12}-{month % 12 + 1:02d}"
+
+
+def shortened(name: str, longest: int = LONGEST_NAME) -> str:
+    """Return a name, without its end if it is longer than there is room for."""
+    return name if len(name) <= longest else f"{name[: longest - 1]}…"
 
 
 def bar(number: int, total: int) -> int:

@@ -181,12 +181,11 @@ USES = {"good": "yes", "care": "with care", "bad": "no"}
 
 def _use(report: ReportView) -> dict[str, str | None]:
     """Return whether to use a recording, and why not, or why with care."""
-    verdict = page_verdict(report)
-    doubts = [sentence(one) for one in cautions(report) if one.code not in MILD]
-    why = None if verdict.level == "good" else (doubts or [verdict.reason])[0]
-    if verdict.level == "bad":
-        why = verdict.reason
-    return {"use": USES[verdict.level], "why": None if why is None else printable(why)}
+    verdict, why = page_verdict(report), None
+    if verdict.level != "good":
+        doubts = () if verdict.level == "bad" else cautions(report)
+        why = next((sentence(one) for one in doubts if one.code not in MILD), verdict.reason)
+    return {"use": USES[verdict.level], "why": why and printable(why)}
 
 
 def own(line: dict[str, Any]) -> dict[str, Any]:

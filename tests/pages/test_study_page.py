@@ -449,7 +449,7 @@ def test_bars_by_month_have_all_recordings_with_a_date() -> None:
     starts = ["2025-01-06T09:30:00", "2025-01-31T00:00:00", "2025-03-01T00:00:00", None, "what"]
     outcomes = ["calibrated", "refused", "calibrated", "calibrated", "failed"]
     months = study_figures.by_month(starts, outcomes, ["calibrated", "refused"])
-    assert months is not None and months.undated == 2
+    assert months is not None and months.omitted == 2
     drawn = [(one.text, one.height) for one in months.bars]
     assert drawn == [
         ("2025-01: 1 calibrated", 65.0),
@@ -460,6 +460,15 @@ def test_bars_by_month_have_all_recordings_with_a_date() -> None:
     assert above.y + above.height == bottom.y and months.bars[2].y == bottom.y
     assert [tick.label for tick in months.ticks] == ["2025-01", "2025-02", "2025-03"]
     assert study_figures.by_month(starts[:2], outcomes[:2], []) is None
+
+
+def test_a_clock_that_was_never_set_does_not_hide_the_months_of_others() -> None:
+    """Of 70 months the last 60 are drawn; years that no study has are not among them."""
+    starts = [f"{2019 + month // 12}-{month % 12 + 1:02d}-01T00:00:00" for month in range(70)]
+    odd = ["1980-01-01T00:00:00", "2079-06-01T00:00:00"]
+    months = study_figures.by_month(starts + odd, ["calibrated"] * 72, ["calibrated"])
+    assert months is not None and len(months.bars) == 60 and months.omitted == 12
+    assert months.ticks[0].label == "2019-11"
 
 
 def test_the_line_of_the_limit_is_where_the_axis_says() -> None:
