@@ -4,61 +4,94 @@ from __future__ import annotations
 
 from accelcal_cli.core.errors import counted
 from accelcal_cli.core.prior import POPULATION
+from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.numbers import number, times_smaller
 from accelcal_cli.output.report_view import CalibrationView, HoldoutView, KnownOrientationsView, ReportView
 from accelcal_cli.output.words import corrections_of
 
-FARAGO = "Faragó, Maczák and Gingl (2024), IEEE Access 12"
-VAN_HEES = "van Hees et al. (2014), J Appl Physiol 117, 738-744, doi:10.1152/japplphysiol.00421.2014"
-BRAGGE = "Bragge et al., Calibration of triaxial accelerometer by determining sensitivity matrix and offsets"
-
-BIBTEX = """@software{{accelcal,
+SOFTWARE = """@software{{accelcal,
   title = {{accelcal: autocalibration of raw accelerometer recordings}},
   author = {{{{accelcal developers}}}},
   year = {{2026}},
   version = {{{version}}}
 }}
-@article{{farago2024,
-  title = {{Enhancing Accuracy in Actigraphic Measurements: A Lightweight Calibration Method for Triaxial
-    Accelerometers}},
-  author = {{Farag{{\\'o}}, D{{\\'e}}nes and Macz{{\\'a}}k, B{{\\'a}}lint and Gingl, Zolt{{\\'a}}n}},
-  journal = {{IEEE Access}},
-  volume = {{12}},
-  year = {{2024}}
-}}
-@article{{vanhees2014,
-  title = {{Autocalibration of accelerometer data for free-living physical activity assessment using local
-    gravity and temperature: an evaluation on four continents}},
-  author = {{van Hees, Vincent T. and Fang, Zhou and Langford, Joss and others}},
-  journal = {{Journal of Applied Physiology}},
-  volume = {{117}},
-  number = {{7}},
-  pages = {{738--744}},
-  year = {{2014}},
-  doi = {{10.1152/japplphysiol.00421.2014}}
-}}
 """
+
+FARAGO, VAN_HEES, BRAGGE = "Faragó et al., 2024", "van Hees et al., 2014", "Bragge et al."
+"""How the paragraph cites the works that it may cite."""
+
+WORKS = {
+    FARAGO: (
+        "Faragó, Maczák and Gingl (2024), IEEE Access 12",
+        """@article{farago2024,
+  title = {Enhancing Accuracy in Actigraphic Measurements: A Lightweight Calibration Method for Triaxial
+    Accelerometers},
+  author = {Farag{\\'o}, D{\\'e}nes and Macz{\\'a}k, B{\\'a}lint and Gingl, Zolt{\\'a}n},
+  journal = {IEEE Access},
+  volume = {12},
+  year = {2024}
+}
+""",
+    ),
+    VAN_HEES: (
+        "van Hees et al. (2014), J Appl Physiol 117, 738-744, doi:10.1152/japplphysiol.00421.2014",
+        """@article{vanhees2014,
+  title = {Autocalibration of accelerometer data for free-living physical activity assessment using local
+    gravity and temperature: an evaluation on four continents},
+  author = {van Hees, Vincent T. and Fang, Zhou and Langford, Joss and others},
+  journal = {Journal of Applied Physiology},
+  volume = {117},
+  number = {7},
+  pages = {738--744},
+  year = {2014},
+  doi = {10.1152/japplphysiol.00421.2014}
+}
+""",
+    ),
+    BRAGGE: (
+        "Bragge et al., Calibration of triaxial accelerometer by determining sensitivity matrix and offsets "
+        "simultaneously",
+        """@misc{bragge,
+  title = {Calibration of triaxial accelerometer by determining sensitivity matrix and offsets
+    simultaneously},
+  author = {Bragge, T. and others}
+}
+""",
+    ),
+}
+"""For each citation the work in short, and its BibTeX entry."""
 
 
 def references(report: ReportView) -> str:
     """Return the works that the paragraph cites, in short."""
-    known = () if report.known_orientations is None else (BRAGGE,)
-    return "; ".join((FARAGO, VAN_HEES, *known))
+    return "; ".join(short for short, _ in _cited(report))
 
 
 def bibtex(report: ReportView) -> str:
-    """Return the references as BibTeX entries."""
-    return BIBTEX.format(version=report.accelcal_version)
+    """Return accelcal and the works that the paragraph cites as BibTeX entries."""
+    entries = (entry for _, entry in _cited(report))
+    return "".join((SOFTWARE.format(version=report.accelcal_version), *entries))
+
+
+def _cited(report: ReportView) -> list[tuple[str, str]]:
+    paragraph = methods_paragraph(report)
+    return [work for citation, work in WORKS.items() if citation in paragraph]
 
 
 def methods_paragraph(report: ReportView) -> str:
     """Return a paragraph for the methods section of a paper."""
-    calibration, version = report.calibration, report.accelcal_version
-    parts = [f"Raw acceleration was autocalibrated with accelcal {version}, {_windows(report)}."]
+    calibration, errors = report.calibration, _errors(report, report.known_orientations)
+    tool = f"accelcal {report.accelcal_version}"
+    if calibration is not None and report.outcome is Outcome.BORROWED and report.pool is None:
+        opening = f"Raw acceleration was calibrated with {tool}, by the coefficients of another recording."
+        return " ".join([opening, _model(report, calibration), *errors])
+    opening = f"Raw acceleration was autocalibrated with {tool}, {_windows(report)}."
     if calibration is None:
-        return " ".join([*parts, "The recording could not be calibrated and was left out."])
-    parts += [_model(calibration), _fit(report, calibration)]
-    return " ".join([*parts, *_errors(report, report.known_orientations)])
+        return f"{opening} The recording could not be calibrated and was left out."
+    if calibration.model == "0":
+        unchanged = "No model improved on the raw values, so they were used as they are."
+        return " ".join([opening, unchanged, *errors])
+    return " ".join([opening, _model(report, calibration), _fit(report, calibration), *errors])
 
 
 def _windows(report: ReportView) -> str:
@@ -71,35 +104,52 @@ def _windows(report: ReportView) -> str:
             f"from {still} of {seconds:g} s in {counted(report.known_orientations.orientations, 'position')}"
         )
     return (
-        f"from the gravity measured in {still} (periods of {seconds:g} s without movement; van Hees et al., "
-        f"2014), averaged by orientation to {points}"
+        f"from the gravity measured in {still} (periods of {seconds:g} s without movement; {VAN_HEES}), "
+        f"averaged by orientation to {points}"
     )
 
 
-def _model(calibration: CalibrationView) -> str:
-    equation = "a = K (v + o)" if calibration.temperature is None else "a = K (v + o + s (T − Tref))"
-    source = " (Faragó et al., 2024)"
+def _model(report: ReportView, calibration: CalibrationView) -> str:
+    """Give the equation with all its symbols, what it corrects, and whose it is."""
+    equation, symbols = "a = K (v + o)", "K a 3 × 3 matrix, and o the offsets"
+    source = FARAGO if report.known_orientations is None else BRAGGE
     if calibration.temperature is not None:
-        source = " (Faragó et al., 2024, with offsets that change with temperature)"
-    return f"The model {equation} corrects {corrections_of(calibration.model)}{source}."
+        equation = "a = K (v + o + s (T − Tref))"
+        symbols = "K a 3 × 3 matrix, o the offsets at temperature Tref, and s their slopes with temperature T"
+        source += ", with offsets that change with temperature"
+    return (
+        f"The model {equation} corrects {corrections_of(calibration.model)} ({source}), where v is the raw "
+        f"acceleration, a the calibrated one, {symbols}."
+    )
 
 
 def _fit(report: ReportView, calibration: CalibrationView) -> str:
     """Say what the parameters were fitted to, with what prior and by which optimizer."""
-    known, prior = report.known_orientations, report.settings.get("prior")
     goal = f"gravity measures {calibration.gravity['local_g']:.5f} g in every orientation"
-    if known is not None:
-        goal = "the positions measure their known accelerations (Bragge et al.)"
-    text = f"Its parameters were fitted so that {goal}"
+    if report.known_orientations is not None:
+        goal = f"the positions measure their known accelerations ({BRAGGE})"
+    prior, text = report.settings.get("prior"), f"Its parameters were fitted so that {goal}"
     if prior == "population":
         text += (
             f", with a weakly informative prior (Student's t with {POPULATION.freedom:g} degrees of freedom; "
-            f"scale parameters {POPULATION.width[0]:g} for scale, {POPULATION.width[3]:g} for misalignment, "
-            f"{1000 * POPULATION.width[6]:g} mg for offsets)"
+            f"scale parameters {_widths(calibration)})"
         )
     elif prior not in (None, "none"):
         text += ", with a prior learnt from other recordings of the study"
     return f"{text}, by the optimizer {calibration.optimizer['name']}."
+
+
+def _widths(calibration: CalibrationView) -> str:
+    """Give the prior's width for each kind of parameter."""
+    scale, misalignment, offset, slope = POPULATION.width[::3]
+    widths = [
+        f"{scale:g} for scale",
+        f"{misalignment:g} for misalignment",
+        f"{1000 * offset:g} mg for offsets",
+    ]
+    if calibration.temperature is not None:
+        widths.append(f"{1000 * slope:g} mg/°C for slopes")
+    return ", ".join(widths)
 
 
 def _errors(report: ReportView, known: KnownOrientationsView | None) -> list[str]:
