@@ -149,12 +149,17 @@ def _frame_of(piece: Samples) -> pd.DataFrame:
 
 @public
 def read(
-    source: Source, *, chunk_samples: int = DEFAULT_CHUNK_SAMPLES, **options: Unpack[ReadingOptions]
+    source: Source,
+    *,
+    parts: bool = False,
+    chunk_samples: int = DEFAULT_CHUNK_SAMPLES,
+    **options: Unpack[ReadingOptions],
 ) -> Reading:
     """Open a recording of any format.
 
     Args:
         source: a path, bytes, an open file, an (n, 3) array or a table.
+        parts: see `calibrate`.
         chunk_samples: approximate number of rows in a piece.
         options: how it is read.
 
@@ -169,7 +174,7 @@ def read(
     """
     given = as_file(source)
     wanted = recording_options(given.path, read_options(values_of(options, ReadOptions)))
-    return Reading(survey.open_marked(given.path, wanted), chunk_samples, given)
+    return Reading(survey.open_marked(given.path, wanted, joined=parts), chunk_samples, given)
 
 
 @public
@@ -179,6 +184,7 @@ def calibrate(
     temperature: ArrayLike | None = None,
     gyroscope: ArrayLike | None = None,
     time: ArrayLike | None = None,
+    parts: bool = False,
     report_only: bool = False,
     **options: Unpack[CalibrationOptions],
 ) -> Result:
@@ -191,6 +197,7 @@ def calibrate(
         temperature: of an array, (n,) [degrees C].
         gyroscope: of an array, (n, 3) [degrees/s], or in `gyro_unit`.
         time: of an array, (n,) datetime64.
+        parts: read the files in a folder, a pattern (`S01/*.csv`) or an archive as parts of one recording.
         report_only: skip the second pass, which alone counts `clipped_samples_after`.
         options: how it is read and calibrated: `rate` [Hz], `start`, `unit`, `timezone`, `prior`, ...
 
@@ -208,7 +215,11 @@ def calibrate(
     if gyroscope is not None and values["gyro_unit"] is None:
         values["gyro_unit"] = "deg/s"
     request = Request(
-        options=read_options(values), settings=chosen_settings(values), report_only=report_only, parts=True
+        options=read_options(values),
+        settings=chosen_settings(values),
+        report_only=report_only,
+        parts=parts,
+        joined=parts,
     )
     given = as_file(source, channels)
     before = file_stamp(given.path)
@@ -230,12 +241,15 @@ def _as_written(report: dict[str, Any]) -> dict[str, Any]:
 
 
 @public
-def inspect(source: Source, *, full: bool = False, **options: Unpack[CalibrationOptions]) -> dict[str, Any]:
+def inspect(
+    source: Source, *, full: bool = False, parts: bool = False, **options: Unpack[CalibrationOptions]
+) -> dict[str, Any]:
     """Look at a recording and predict the outcome of calibrating it, as `accelcal inspect` does.
 
     Args:
         source: as in `calibrate`.
         full: read all of it, not just pieces.
+        parts: see `calibrate`.
         options: those of `calibrate`.
 
     Returns:
@@ -252,7 +266,8 @@ def inspect(source: Source, *, full: bool = False, **options: Unpack[Calibration
     from accelcal_cli.pipeline import inspect as inspection  # few programs do both
 
     values, given = values_of(options, ReadOptions, Settings), as_file(source)
-    request = Request(read_options(values), inspection.inspection_settings(values, full=full), parts=True)
+    settings = inspection.inspection_settings(values, full=full)
+    request = Request(read_options(values), settings, parts=parts, joined=parts)
     found = inspection.inspect(given.path, request, full=full)
     return inspection.as_json(replace(found, recording=replace(found.recording, path=given.job.source)))
 
@@ -375,6 +390,7 @@ def effect(
     coefficients: AnyPath | None = None,
     any_device: bool = False,
     epoch: int = EPOCH_S,
+    parts: bool = False,
     **options: Unpack[CalibrationOptions],
 ) -> dict[str, Any]:
     """Compute what calibration changes in a recording's measures of activity, as `accelcal effect` does.
@@ -384,6 +400,7 @@ def effect(
         coefficients: a report whose coefficients are applied; None: the recording's own calibration.
         any_device: accept coefficients of any device.
         epoch: length of an epoch [s], 1 to 3600.
+        parts: see `calibrate`.
         options: those of `calibrate`.
 
     Returns:
@@ -409,7 +426,8 @@ def effect(
         coefficients=None if coefficients is None else read_coefficients(Path(coefficients)),
         any_device=any_device,
         report_only=True,
-        parts=True,
+        parts=parts,
+        joined=parts,
     )
     given = as_file(source)
     return _as_written(as_json(measured(given.job.source, request, int(epoch), source=given.path)))

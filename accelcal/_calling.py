@@ -21,7 +21,10 @@ R = TypeVar("R")
 OPTION = re.compile(r"--([a-z][a-z-]*)(?: ([A-Z]+\b|[\w./-]+))?")
 
 COMMAND = re.compile(r"\baccelcal [a-z-]+ ")
-"""A command to be typed in a terminal, whose options stay as they are."""
+"""A command to be typed in a terminal; options of its clause stay as they are."""
+
+PARTS = "parts"
+"""The option of calls that no setting declares, and a flag."""
 
 
 def public(function: Callable[P, R]) -> Callable[P, R]:
@@ -64,13 +67,13 @@ def in_keywords(error: AccelcalError) -> AccelcalError:
 
 
 def _worded(text: str) -> str:
-    if COMMAND.search(text):
-        return text
     known = option_fields(ReadOptions, Settings) | option_fields(PoseSettings)
 
     def keyword(found: re.Match[str]) -> str:
         name, value = found[1].replace("-", "_"), found[2]
         kind, field = known.get(name, (Settings, "profile"))
+        if name == PARTS or get_type_hints(kind)[field] is bool:
+            return f"{name}=True" if value is None else f"{name}=True {value}"
         if value is None or value.isupper() or value in setting_of(kind, field).choices or _is_number(value):
             return (
                 name
@@ -79,7 +82,8 @@ def _worded(text: str) -> str:
             )
         return f"{name} {value}"
 
-    return OPTION.sub(keyword, text)
+    clauses = text.split("; ")
+    return "; ".join(one if COMMAND.search(one) else OPTION.sub(keyword, one) for one in clauses)
 
 
 def _is_number(text: str) -> bool:

@@ -323,8 +323,9 @@ class Result(Report):
         jobs.check_unchanged(path, self._before)
         columns = export.columns_of(self._data)
         schema = schema_of(columns, reports.parquet_metadata(self._data))
-        with survey.open_marked(path, self._request.options, self._request.threads) as reader:
-            chunks = reader.chunks(self._request.chunk_samples)
+        request = self._request
+        with survey.open_marked(path, request.options, request.threads, joined=request.joined) as reader:
+            chunks = reader.chunks(request.chunk_samples)
             for chunk, xyz in export.calibrated(chunks, export.transform_of(self._data), lambda _byte: None):
                 values = values_of(columns, chunk, xyz)
                 arrays = [pa.array(part, item.type) for part, item in zip(values, schema, strict=True)]

@@ -205,6 +205,7 @@ def reproduced(
         any_device=True,
         unused=noted_unused(document.report["recording"]),
         parts=True,
+        joined=True,
         as_given=True,
     )
     with open_run(Job(recording, recording, document.path), request, progress) as run:

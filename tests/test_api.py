@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -21,7 +22,7 @@ from tests.cli.run import run
 from tests.cli.studies import NAMES, study_folder
 from tests.cli.test_change import jumping
 from tests.conftest import ROOT
-from tests.recordings import directions, still_counts, write_raw
+from tests.recordings import LSB_PER_G, directions, still_counts, write_raw
 
 Capture = pytest.CaptureFixture[str]
 SAMPLES = {
@@ -102,6 +103,30 @@ def test_a_calibration_that_follows_a_change_is_applied_along_the_recording(tmp_
     for part in accelcal.read(tmp_path / "jumps.raw", chunk_samples=9_000):
         rows = slice(part.first_sample, part.first_sample + len(part))
         assert (accelcal.apply(report, part.xyz, first_sample=part.first_sample) == values[rows]).all()
+
+
+@pytest.mark.parametrize("name", ["two", "two.zip", "two/*.csv"])
+def test_several_recordings_are_one_only_if_the_caller_says_so(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As for the commands: files of two people are not joined in silence."""
+    monkeypatch.chdir(tmp_path)
+    Path("two").mkdir()
+    xyz = still_counts(directions(30), seed=1) / LSB_PER_G
+    for day, who in enumerate(("anna", "bert")):
+        times = pd.date_range("2024-03-04", periods=len(xyz), freq="40ms") + pd.Timedelta(days=day)
+        pd.DataFrame(xyz, times, list("xyz")).to_csv(f"two/{who}.csv", index_label="time")
+    shutil.make_archive("two", "zip", "two")
+    for call in (accelcal.calibrate, accelcal.inspect, accelcal.effect, accelcal.read):
+        with pytest.raises(accelcal.AccelcalError, match=r"is a folder|anna\.csv and bert\.csv") as refused:
+            call(name)
+        assert "parts=True" in str(refused.value)
+    assert len(accelcal.calibrate(name, parts=True).to_arrow()) == 2 * len(xyz)
+    with accelcal.read(name, parts=True) as reading:
+        assert len(reading.to_pandas()) == 2 * len(xyz)
+    assert accelcal.inspect(name, parts=True)["recording"]["notes"] and accelcal.effect(name, parts=True)
+    table = accelcal.study(".", "out", include=["*.zip"], jobs=1, report_only=True)
+    assert "holds 2 recordings" in table["message"][0]
 
 
 def test_points_may_be_in_any_table(tmp_path: Path) -> None:

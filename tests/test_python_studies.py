@@ -155,7 +155,7 @@ def test_p10_dask_does_the_work(
     monkeypatch.chdir(expected[0])
     with (
         distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
         ) as cluster,
         distributed.Client(cluster) as client,
     ):

@@ -411,6 +411,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         settings=chosen_settings(values),
         chunk_samples=values["chunk_samples"],
         parts=values["parts"],
+        joined=values["parts"],
     )
     with progress_bars("homogeneity", quiet=values["quiet"]) as bars:
         found = homogeneity(recordings, request, values["largest_lag_s"], bars)

@@ -356,7 +356,7 @@ class Request:
     unused: tuple[str, ...] = ()
     rules: tuple[FolderRules, ...] = ()
     parts: bool = False
-    joined: bool = True
+    joined: bool = False
     as_given: bool = False
     replaces_gone: bool = False
 

@@ -32,7 +32,14 @@ from accelcal_cli.core.errors import (
     listed,
     printable,
 )
-from accelcal_cli.core.input_files import ARCHIVES, files_of, is_no_part, pattern_of_siblings, size_of
+from accelcal_cli.core.input_files import (
+    ARCHIVES,
+    files_of,
+    is_no_part,
+    is_pattern,
+    pattern_of_siblings,
+    size_of,
+)
 from accelcal_cli.core.recording import CUT_SHORT, Chunk, Problem, Reader, Recording
 from accelcal_cli.core.system import new_folder, remove_folder
 from accelcal_cli.formats._parts import archive
@@ -319,8 +326,10 @@ class PartsReader(FilesReader):
 
 
 def _unpacking_hint(path: Path) -> str:
-    """Return the commands that make a study of the recordings in an archive."""
+    """Return how each of several recordings is calibrated: the commands, for a folder or an archive."""
     name = printable(path)
+    if is_pattern(path):
+        return "name them one by one to calibrate each; with --parts they are parts of one"
     if is_folder(path):
         return (
             f"`accelcal study {shlex.quote(name)} -d OUT` calibrates each; with --parts they are parts of one"

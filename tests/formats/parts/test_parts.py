@@ -115,7 +115,7 @@ SOME = [
 
 
 def test_a_folder_has_the_bits_of_one_table(parts: Path, expected: dict[str, Any]) -> None:
-    report = accelcal.calibrate(parts, report_only=True, **SIMPLE).report
+    report = accelcal.calibrate(parts, parts=True, report_only=True, **SIMPLE).report
     assert same(report, expected)
     assert report["file_health"] == expected["file_health"] | {"lost_bytes": 0}
     about = report["recording"]
@@ -168,7 +168,7 @@ def test_the_rows_are_those_of_one_table_however_they_are_cut(
 
 def test_a_missing_part_is_a_gap_and_nothing_else(parts: Path) -> None:
     sensor_files(parts)[4].unlink()
-    report = accelcal.calibrate(parts, report_only=True, **SIMPLE).report
+    report = accelcal.calibrate(parts, parts=True, report_only=True, **SIMPLE).report
     (gap,) = report["recording"]["gaps"]
     assert gap["seconds"] == pytest.approx(PART_S, abs=0.05)
     (told,) = report["file_health"]["problems"]
@@ -180,7 +180,7 @@ def test_a_missing_part_is_a_gap_and_nothing_else(parts: Path) -> None:
 def test_a_part_that_is_there_twice_is_read_once_and_told(parts: Path, expected: dict[str, Any]) -> None:
     third = sensor_files(parts)[3]
     shutil.copy(third, parts / f"again-{third.name}")
-    report = accelcal.calibrate(parts, report_only=True, **SIMPLE).report
+    report = accelcal.calibrate(parts, parts=True, report_only=True, **SIMPLE).report
     assert same(report, expected)
     (told,) = report["file_health"]["problems"]
     assert told["code"] == "repeated_part"
@@ -192,7 +192,7 @@ def test_of_parts_that_overlap_the_later_rows_are_left_out(parts: Path, expected
     files = sensor_files(parts)
     text = files[5].read_text().splitlines(keepends=True)
     files[6].write_text(HEAD + "".join(text[-100:]) + files[6].read_text().removeprefix(HEAD))
-    report = accelcal.calibrate(parts, report_only=True, **SIMPLE).report
+    report = accelcal.calibrate(parts, parts=True, report_only=True, **SIMPLE).report
     assert same(report, expected)
     (told,) = report["file_health"]["problems"]
     assert told["code"] == "repeated_part"
@@ -203,7 +203,7 @@ def test_a_damaged_part_costs_itself(parts: Path) -> None:
     broken = sensor_files(parts)[5]
     broken.write_bytes(HEAD.encode() + b"\0\1\2 not a table\n" * 50)
     (parts / "notes.txt").write_text("recorded in spring\n")
-    report = accelcal.calibrate(parts, report_only=True, **SIMPLE).report
+    report = accelcal.calibrate(parts, parts=True, report_only=True, **SIMPLE).report
     codes = {one["code"]: one for one in report["file_health"]["problems"]}
     assert set(codes) <= {"unreadable_part", "clock_gap"}
     aside = [note for note in report["recording"]["notes"] if note.startswith("no recordings, set aside: ")]
@@ -230,7 +230,7 @@ def test_an_archive_cut_short_keeps_the_parts_before(made: Path, tmp_path: Path,
     alone.mkdir()
     for file in files[:number]:
         shutil.copy(file, alone)
-    assert same(result.report, accelcal.calibrate(alone, report_only=True, **SIMPLE).report)
+    assert same(result.report, accelcal.calibrate(alone, parts=True, report_only=True, **SIMPLE).report)
 
 
 def test_names_longer_than_a_file_system_takes_are_shortened(made: Path, tmp_path: Path) -> None:
@@ -255,9 +255,9 @@ def test_parts_of_two_devices_are_no_recording(parts: Path) -> None:
     other = sensor_files(parts)[-1]
     other.rename(parts / other.name.replace("NEO1D26171071", "NEO1D26171072"))
     with pytest.raises(UsageError, match="holds parts of 2 devices \\(NEO1D26171071 and NEO1D26171072\\)"):
-        accelcal.calibrate(parts)
+        accelcal.calibrate(parts, parts=True)
     pattern = parts / "*NEO1D26171071*.csv"
-    report = accelcal.calibrate(pattern, report_only=True, **SIMPLE).report
+    report = accelcal.calibrate(pattern, parts=True, report_only=True, **SIMPLE).report
     assert report["recording"]["samples"] == 25 * PART_S * (PARTS - 1)
 
 
@@ -265,7 +265,7 @@ def test_a_part_of_another_rate_is_left_out(parts: Path) -> None:
     last = sensor_files(parts)[-1]
     lines = last.read_text().splitlines(keepends=True)
     last.write_text("".join([lines[0], *lines[1::2]]))
-    report = accelcal.calibrate(parts, report_only=True, **SIMPLE).report
+    report = accelcal.calibrate(parts, parts=True, report_only=True, **SIMPLE).report
     told = {one["code"]: one["message"] for one in report["file_health"]["problems"]}
     assert told["other_part"].endswith("was left out: its sampling rate is not that of the first part")
 
