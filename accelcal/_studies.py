@@ -188,6 +188,9 @@ class _Bar:
     def note(self, text: str) -> None:
         """See `StudyObserver`."""
 
+    def stopped(self, done: int) -> None:
+        """See `StudyObserver`."""
+
     def close(self) -> None:
         """Remove the bar."""
         if self._bar is not None:

@@ -21,4 +21,5 @@ command = LazyGroup(
     parts=PARTS,
     modules="accelcal_cli.laboratory.",
     help="Compare methods and stillness rules; reproduce the published tables.",
+    no_args_is_help=False,
 )

@@ -96,7 +96,7 @@ def of_failure(error: Exception) -> int:
     if cause_of_kind(error, InterruptedBySignalError, KeyboardInterrupt):
         raise InterruptedBySignalError from None
     if isinstance(error, click.ClickException):
-        _show_usage(error)
+        say(_usage(error))
         return error.exit_code
     if isinstance(error, AccelcalError):
         say(str(error))
@@ -169,11 +169,14 @@ def _to_stderr(text: str) -> None:
             _silence(sys.stderr)
 
 
-def _show_usage(error: click.ClickException) -> None:
-    """Print click's message, which repeats words of the command line."""
-    text = io.StringIO()
-    error.show(text)
-    _to_stderr(printable(text.getvalue(), kept="\n"))
+def _usage(error: click.ClickException) -> str:
+    """Return click's message in one line, with the command whose help tells more."""
+    text = " ".join(error.format_message().split()).removesuffix(".")
+    text = f"{text[:1].lower()}{text[1:]}"
+    if not isinstance(error, click.UsageError):
+        return text
+    command = "accelcal" if error.ctx is None else error.ctx.command_path
+    return f"{text}{' See' if text.endswith('?') else '; see'}: {command} --help"
 
 
 def report_bug(path: Path | None = None) -> int:

@@ -12,14 +12,14 @@ from typing import Any
 import click
 
 GROUPS: dict[str, tuple[str, ...]] = {
-    "Which files": ("include", "exclude", "newer_than", "settle", "retry_failed"),
+    "Which files": ("include", "exclude", "newer_than", "settle", "retry_failed", "keep_older"),
     "Output": (
         "output_dir", "out", "output", "form", "html", "as_json", "as_json_", "as_csv", "as_what", "tsv",
-        "report_only", "effect", "windows", "draws", "keep_refused", "precision_mg", "integers",
-        "all_failures", "force", "quiet", "verbose", "help",
+        "full", "report_only", "effect", "windows", "draws", "keep_refused", "precision_mg", "integers",
+        "all_failures", "gzip", "resample_hz", "smooth", "measured_only", "force", "quiet", "verbose", "help",
     ),
     "Other recordings of the device": ("registry", "borrow", "pool"),
-    "Running": ("jobs", "dry_run", "timeout", "shard", "collect", "dask", "takeover", "unlock"),
+    "Running": ("jobs", "dry_run", "timeout", "shard", "collect", "dask", "takeover", "unlock", "prune"),
     "Reading the file": (
         "format", "unit", "lsb_per_g", "rate_hz", "columns", "time_column", "sensor", "layout", "parts",
         "config", "gyro_columns", "gyro_unit", "lsb_per_dps", "max_damage_percent",
@@ -59,7 +59,8 @@ class Command(click.Command):
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options by group, those of no group first."""
         options = (one for one in self.get_params(ctx) if isinstance(one, click.Option))
-        records = {one.name: one.get_help_record(ctx) for one in options}
+        asks = self.get_help_option(ctx)  # whose name depends on the version of click
+        records = {"help" if one is asks else one.name: one.get_help_record(ctx) for one in options}
         grouped = {name for names in GROUPS.values() for name in names}
         own = tuple(name for name in records if name not in grouped)
         for title, names in {"Options": own, **GROUPS}.items():

@@ -43,10 +43,11 @@ if TYPE_CHECKING:
 
 
 class TerminalObserver:
-    """Observer that prints a line for each recording and keeps the exit codes."""
+    """Observer that prints a line for each recording and keeps the exit codes, and what a stop left done."""
 
     def __init__(self, values: dict[str, Any], stack: contextlib.ExitStack) -> None:
         self.codes: list[int] = []
+        self.done = 0
         self._values = values
         self._stack = stack
         self._bar: Any = None
@@ -89,6 +90,10 @@ class TerminalObserver:
         if not self._values["quiet"]:
             with self._aside(fresh=False):
                 exit_codes.say(text)
+
+    def stopped(self, done: int) -> None:
+        """See `StudyObserver`."""
+        self.done = done
 
     @contextlib.contextmanager
     def _aside(self, *, fresh: bool) -> Iterator[None]:
@@ -203,8 +208,7 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
         try:
             summary = run(study, observer)
         except (KeyboardInterrupt, exit_codes.InterruptedBySignalError) as stop:
-            done = counted(len(observer.codes), "recording")
-            text = f"{done} done; the same command does the rest"
+            text = f"{counted(observer.done, 'recording')} done; the same command does the rest"
             raise exit_codes.InterruptedBySignalError(text) from stop
     code = _exit_code(study, summary, observer, values)
     if not values["html"]:

@@ -80,6 +80,9 @@ class StudyObserver(Protocol):
     def note(self, text: str) -> None:
         """Called with a line for the user."""
 
+    def stopped(self, done: int) -> None:
+        """Called if the run ends early, with the number of recordings that have their result."""
+
 
 def rounds(study: Study) -> tuple[Round, ...]:
     """Return the rounds after that of the own results; a shard, which may split a device, has none."""
@@ -237,6 +240,7 @@ class StudyRun:
             self._run(self.planned)
         except BaseException:
             self._table.write()
+            self._observer.stopped(len(self.known.recordings))
             raise
 
     def rows(self, kept: Sequence[Entry]) -> list[Mapping[str, Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 
@@ -53,6 +54,35 @@ def test_every_option_that_commands_share_is_in_one_group() -> None:
     assert len(set(grouped)) == len(grouped)
     options = {one.name for names in NAMES for one in command(names).params if isinstance(one, click.Option)}
     assert set(grouped) - {"help"} <= options
+
+
+OWN: dict[str, set[str]] = {
+    "apply": {"coefficients", "any_device"},
+    "six-pose": {"poses", "unchecked", "roll", "face_degrees"},
+    "watch": {"kind"},
+    "quality": {"coefficients", "any_device"},
+    "effect": {"coefficients", "any_device", "epoch_s", "table"},
+    "verify": {"values", "poses", "coefficients"},
+}
+"""Options that are what a command is about: they stand first, in no group."""
+
+LIMITS_AND_TRUTHS = ("devices", "simulate", "evaluate")
+"""Commands with many options of their own: limits of findings, and properties of simulated sensors."""
+
+
+@pytest.mark.parametrize("names", [one for one in NAMES if one[0] not in LIMITS_AND_TRUTHS], ids=" ".join)
+def test_options_stand_in_a_group_but_those_that_a_command_is_about(names: tuple[str, ...]) -> None:
+    grouped = {name for group in GROUPS.values() for name in group}
+    options = {one.name for one in command(names).params if isinstance(one, click.Option)}
+    assert options - grouped == OWN.get(names[0], set())
+
+
+@pytest.mark.parametrize("names", NAMES, ids=" ".join)
+def test_the_option_of_the_help_itself_is_in_a_group(
+    capsys: pytest.CaptureFixture[str], names: tuple[str, ...]
+) -> None:
+    text = run(capsys, *names, "--help").out
+    assert not re.search(r"^Options:\n(  .*\n)*  (-h, )?--help ", text, re.MULTILINE)
 
 
 def test_priors_that_a_study_learns_are_offered_in_a_study_alone() -> None:

@@ -99,5 +99,5 @@ def test_a_recording_is_calibrated_without_loading_what_only_others_need(tmp_pat
 
 def test_a_slip_in_a_command_s_name_is_pointed_out(capsys: pytest.CaptureFixture[str]) -> None:
     ran = run(capsys, "calibrat")
-    assert ran.code == 2 and "No such command 'calibrat'. Did you mean 'calibrate'?" in ran.err
+    assert ran.code == 2 and "no such command 'calibrat'. Did you mean 'calibrate'?" in ran.err
     assert "Did you mean" not in run(capsys, "frobnicate").err

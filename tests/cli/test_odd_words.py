@@ -82,4 +82,24 @@ def test_a_column_that_stands_twice_is_asked_about(tmp_path: Path, capsys: Captu
 def test_a_choice_that_is_missing_is_asked_for_on_one_line(capsys: Capture) -> None:
     ran = run(capsys, "export", SAMPLE)
     assert ran.code == 2
-    assert ran.err.splitlines()[-1].startswith("Error: Missing option '--to'. It is one of ggir, biobank, ")
+    assert ran.err.startswith("accelcal: missing option '--to'. It is one of ggir, biobank, ")
+    assert ran.err.endswith("; see: accelcal export --help\n") and ran.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (("inspect", "--unit", "furlong", "a.csv"), "invalid value for '--unit': 'furlong' is not one of "),
+        (("inspect", "--columns", "a,b", "a.csv"), "invalid value for '--columns': 'a,b' is not three names"),
+        (("study", "in"), "missing option '-d' / '--output-dir'; "),
+        (("evaluate",), "missing command"),
+        (("calibrate", "--nosuch", "a.csv"), "no such option '--nosuch'"),
+        (("calibrate", "--sensor\n", "a.csv"), "no such option '--sensor"),
+    ],
+)
+def test_a_wrong_option_is_told_in_one_line_with_the_command_that_tells_more(
+    words: tuple[str, ...], what: str, capsys: Capture
+) -> None:
+    ran = run(capsys, *words)
+    assert (ran.code, ran.out, ran.err.count("\n")) == (2, "", 1)
+    assert ran.err.startswith(f"accelcal: {what}") and ran.err.endswith(f"ee: accelcal {words[0]} --help\n")

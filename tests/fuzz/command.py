@@ -19,7 +19,7 @@ from accelcal_cli.cli.main import cli
 
 CODES = (0, 1, 2, 3, 4, 5, 75)
 CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
-OUR_LINES = re.compile(r"accelcal: |Usage: |Try |Error: |$")
+OUR_LINES = re.compile(r"accelcal: |$")
 WITHOUT_OUTPUTS = (2, 3, 5)
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.run import command
+from accelcal_cli.studies.records import Entry, Ledger
+from tests.cli.run import command, run
 from tests.cli.studies import results, run_in, study_folder
 from tests.recordings import directions, still_counts, write_raw
 from tests.studies.processes import begun, held, kill, lines, session, soon
@@ -110,6 +111,25 @@ def test_interrupted_at_the_terminal_while_workers_start_it_says_so_in_one_line(
         f"accelcal: interrupted; {left}; 0 recordings done; the same command does the rest\n"
     )
     soon(lambda: not session(process.pid))
+
+
+def test_interrupted_it_counts_what_the_table_has_although_a_later_round_is_to_come(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is reported of a recording that may borrow until all others are done."""
+    out, add = tmp_path / "out", Ledger.add
+    seen: list[Entry] = []
+
+    def interrupted(self: Ledger, entry: Entry) -> None:
+        seen.append(entry)
+        if len(seen) > 3:
+            raise KeyboardInterrupt
+        add(self, entry)
+
+    monkeypatch.setattr(Ledger, "add", interrupted)
+    ran = run(capsys, "study", folder, "-d", out, "-j", 1, "--borrow")
+    assert ran.code == 130 and "; 3 recordings done; " in ran.err
+    assert len((out / "study.csv").read_text().splitlines()) == 3 + 1
 
 
 def test_of_two_at_once_the_second_leaves(

@@ -26,6 +26,8 @@ class Looks:
 
     def note(self, text: str) -> None: ...
 
+    def stopped(self, done: int) -> None: ...
+
     def finished(self, item: Any, result: Any) -> None:
         if (self.out / "study.csv").exists():
             self.seen.append(len(rows(self.out)))
