@@ -9,7 +9,6 @@ coefficients, are expected to be as good, nor where the recording's own stillnes
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from itertools import combinations
@@ -19,11 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from accelcal_cli.core.calibration import Calibration
-from accelcal_cli.core.errors import UnreadableError, UsageError, printable
+from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.judge.errors import directions
-from accelcal_cli.output.coefficients import Coefficients
 from accelcal_cli.output.registry import RegistryEntry, temperatures_c
 from accelcal_cli.output.report_view import ReportView
 from accelcal_cli.pipeline import apply as applying
@@ -222,27 +220,18 @@ def calibrate(
     """Calibrate one recording from its own stillness, or by the request's registry where that is not enough.
 
     Raises:
+        UnreadableError: an entry of its device is damaged.
         AccelcalError: see `calibrate` in `pipeline/calibrate.py`.
     """
     result = own.calibrate(job, request, progress, source)
     if not request.registry or result.outcome not in OPEN or result.view.reason == "damaged":
         return result
     found = candidates(request.registry, Wanted.of_report(result.view, job.quality))
-    donors = _donors(found[:MOST_TRIED])
-    if not donors:
+    if not found:
         return result
+    donors = [one.entry.coefficients() for one in found[:MOST_TRIED]]
     with own.open_run(job, request, progress, source, before) as run:
-        loan = applying.borrow_in(run, donors)
-    return loan.result or own.calibrate(job, request, progress, source)
-
-
-def _donors(found: Sequence[Candidate]) -> list[Coefficients]:
-    """Return the coefficients of candidates, without those of damaged entries."""
-    sound = []
-    for one in found:
-        with suppress(UnreadableError):
-            sound.append(one.entry.coefficients())
-    return sound
+        return applying.borrow_in(run, donors).result or result
 
 
 def apply(
@@ -252,18 +241,21 @@ def apply(
 
     Raises:
         UsageError: the registry has none that is expected to be better than raw data.
+        UnreadableError: an entry of its device is damaged.
         AccelcalError: see `apply` in `pipeline/apply.py`.
     """
     assert request.registry is not None
     with own.open_run(job, request, source=source) as run:
         wanted = Wanted.of_recording(run.reader.recording)
-    donors = _donors(candidates(request.registry, wanted)[:1])
-    if not donors:
+    found = candidates(request.registry, wanted)
+    if not found:
         serial = (
             "without a serial number" if wanted.serial is None else f"of device {printable(wanted.serial)}"
         )
         hint = "accelcal devices OUT --registry FILE.json adds the calibrations of a study"
-        raise UsageError(
-            f"is a recording {serial}, of which the registry has none", path=job.source, hint=hint
+        text = (
+            f"is a recording {serial}, for which the registry has nothing that is surely better than raw data"
         )
-    return applying.apply(job, replace(request, coefficients=donors[0]), progress, source)
+        raise UsageError(text, path=job.source, hint=hint)
+    best = found[0].entry.coefficients()
+    return applying.apply(job, replace(request, coefficients=best), progress, source)

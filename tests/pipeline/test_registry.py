@@ -224,6 +224,17 @@ def test_51_2_apply_and_study_take_it_too(nights: Path, tmp_path: Path, capsys: 
     assert "borrowed" in table
 
 
+def test_a_known_device_without_a_calibration_that_helps_is_not_said_to_be_unknown(
+    nights: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    held = json.loads((nights / "lab.json").read_text())
+    held["devices"]["SIM00001"][0]["report"]["calibration_error_mg"]["before"] = 0.01
+    (tmp_path / "lab.json").write_text(json.dumps(held))
+    ran = run(capsys, "apply", nights / "short.bin", "--registry", tmp_path / "lab.json", "-d", tmp_path)
+    assert ran.code == 2
+    assert_one_line(ran, "of device SIM00001", "nothing that is surely better than raw data")
+
+
 def test_51_2_files_that_are_not_registries_are_said(nights: Path, tmp_path: Path, capsys: Capture) -> None:
     mine = tmp_path / "mine.json"
     mine.write_text('{"a": 1}')
@@ -233,6 +244,10 @@ def test_51_2_files_that_are_not_registries_are_said(nights: Path, tmp_path: Pat
     assert ran.code == 3
     assert_one_line(ran, "mine.json", "accelcal devices OUT --registry")
     damaged = json.loads((nights / "lab.json").read_text())
+    damaged["devices"]["SIM00001"][0]["report"]["calibration"]["model"] = "x"
+    mine.write_text(json.dumps(damaged))
+    ran = run(capsys, "calibrate", nights / "short.bin", "--registry", mine, "-d", tmp_path)
+    assert ran.code == 3 and "mine.json: is a damaged report" in ran.err
     damaged["devices"]["SIM00001"][0].pop("report")
     mine.write_text(json.dumps(damaged))
     assert run(capsys, "calibrate", nights / "short.bin", "--registry", mine, "-d", tmp_path).code == 3
