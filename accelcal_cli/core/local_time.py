@@ -5,8 +5,7 @@ offset for a clock that shows local time, `UTC` for times that count from 1970 o
 None if it states none.
 
 A user may state when a recording began, that its clock was wrong, or the zone in which it was worn. Times
-then
-move as a whole, by one number of microseconds, so that no row is lost, doubled or moved against another.
+then move as a whole, by one number of microseconds, so that no row is lost, doubled or moved against another.
 
 A device's clock runs on when its zone changes its offset. A computer's clock follows the change: times in its
 tables skip an hour in spring and repeat one in autumn. `LocalStamps` makes such times run on too, so that
@@ -112,8 +111,7 @@ class ZoneChange:
         at_us: time of the change, on a clock that had the zone's offset until then [us since 1970].
         before_s, after_s: seconds ahead of UTC.
         followed: True if the times followed it; None if they do not show it, and count as those of a clock
-        that
-            runs on.
+            that runs on.
     """
 
     zone: str
@@ -184,8 +182,7 @@ class LocalStamps:
     """Makes the times of a table's rows those of a clock that runs on.
 
     Times follow a change of the zone if they jump by as much as its clocks did, just when these did. Such a
-    jump
-    is undone; any other stays.
+    jump is undone; any other stays.
     """
 
     def __init__(self, zone: str | None) -> None:

@@ -42,6 +42,12 @@ DEFLATE = 8
 HEADER_CHECKSUM, EXTRA, NAME, COMMENT = 2, 4, 8, 16
 """Flags of a gzip header, one for each optional field."""
 
+ZIP_LOCAL = struct.Struct("<4s5HIIIHH")
+"""Header before each member of a zip file (PKWARE's APPNOTE.TXT 6.3, 4.3.7)."""
+
+IN_EXTRA = 0xFFFFFFFF
+"""Size in it that stands for one of 64 bits in the extra field (4.5.3)."""
+
 
 class ByteSource(Closing):
     """The (uncompressed) bytes of a file, from its beginning.
@@ -433,3 +439,15 @@ class ShortReads:
         if count > self._most:
             raise OSError("the directory is too long")
         return self._file.read(count)
+
+
+def long_sizes(extra: bytes) -> tuple[int, int] | None:
+    """Return the sizes of 64 bits, unpacked and packed, from the extra field of a zip file's header."""
+    index = 0
+    while index + 4 <= len(extra):
+        kind, length = struct.unpack_from("<HH", extra, index)
+        if kind == 1 and length >= 16 and index + 20 <= len(extra):
+            unpacked_bytes, packed_bytes = struct.unpack_from("<QQ", extra, index + 4)
+            return unpacked_bytes, packed_bytes
+        index += 4 + length
+    return None

@@ -3,8 +3,7 @@
 A counter of 16, 24 or 32 bits starts again after 2^16, 2^24 or 2^32 ticks. A logger may write the date of its
 start all night, or hours of a 12-hour clock without AM or PM. `find_wraps` says, by the first rows, by what
 such times may jump back and still run on; `RunningOn` puts them in order. A jump is treated as one of these
-only
-if no other reading of it is likely: the time after it has to be where the clock would have been.
+only if no other reading of it is likely: the time after it has to be where the clock would have been.
 """
 
 from __future__ import annotations

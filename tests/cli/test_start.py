@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.formats import all_formats
-from tests.formats import make_flash
+from tests.formats import make_csv, make_flash
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
 
 FORMATS = "accelcal_cli.formats."
@@ -147,6 +147,13 @@ def test_a_report_alone_is_written_without_pyarrow(tmp_path: Path) -> None:
     report, both = lists(commands(calibrating(made.path, "--report-only"), calibrating(made.path)))
     assert "pyarrow" not in report
     assert "pyarrow" in both
+
+
+def test_a_text_table_is_calibrated_without_arrows_computing(tmp_path: Path) -> None:
+    made = make_csv.make(tmp_path, still_counts(directions(12)), RATE_HZ, LSB_PER_G)
+    (found,) = lists(commands(calibrating(made.path)))
+    assert "pyarrow.csv" in found
+    assert "pyarrow.compute" not in found
 
 
 def test_only_a_page_needs_what_makes_pages(tmp_path: Path) -> None:

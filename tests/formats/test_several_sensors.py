@@ -295,7 +295,7 @@ def test_sensors_behind_the_head_are_found_in_the_pass(
     path = TEXTS[name](tmp_path / name, table)
     with open_recording(path, ReadOptions(unit="g")) as reader:
         reader.threads = threads
-        with pytest.raises(UnreadableError, match="'sensor' has left, right"):
+        with pytest.raises(UnreadableError, match="'sensor' has left, right and perhaps more"):
             list(reader.chunks(500))
     assert len(read(path, 500, sensor="right")[1]) == 3000
 

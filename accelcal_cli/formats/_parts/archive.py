@@ -11,7 +11,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from itertools import islice
@@ -50,12 +50,14 @@ class Unpacked:
         damage: where the archive breaks off; None for a sound archive.
         lost_bytes: bytes of the member that could not be unpacked to its end.
         empty: number of further members without bytes, which are not files.
+        names: of the files in the archive, with their folders.
     """
 
     files: tuple[Path, ...]
     damage: str | None = None
     lost_bytes: int = 0
     empty: int = 0
+    names: Mapping[Path, str] = field(default_factory=dict)
 
 
 def is_archive(path: Path) -> bool:
@@ -98,9 +100,9 @@ def unpack(path: Path, folder: Path, wanted: Callable[[str], bool], threads: int
         if not files.whole:
             text = f"damaged archive: nothing can be unpacked ({error})"
             raise UnreadableError(text, path=path, hint="copy it again from its source") from error
-        damage = f"the archive breaks off after {files.whole[-1].name}"
-        return Unpacked(tuple(files.whole), damage, files.begun_bytes(), files.empty)
-    return Unpacked(tuple(files.whole), empty=files.empty)
+        damage = f"the archive breaks off after {[*files.whole][-1].name}"
+        return Unpacked(tuple(files.whole), damage, files.begun_bytes(), files.empty, files.whole)
+    return Unpacked(tuple(files.whole), empty=files.empty, names=files.whole)
 
 
 @dataclass(slots=True)
@@ -108,12 +110,12 @@ class _Files:
     """The files that members become.
 
     Attributes:
-        whole: those that are complete.
+        whole: those that are complete, with their names in the archive.
         empty: number of members without bytes beyond the first MOST_EMPTY.
     """
 
     folder: Path
-    whole: list[Path] = field(default_factory=list)
+    whole: dict[Path, str] = field(default_factory=dict)
     empty: int = 0
     _target: Path | None = None
     _without_bytes: int = 0
@@ -140,7 +142,7 @@ class _Files:
                 return
             self._target = self._place(name)
             _write(self._target, b"", first=True)
-        self.whole.append(self._target)
+        self.whole[self._target] = name[-LONGEST_NAME:]
         self._target = None
 
     def _place(self, name: str) -> Path:

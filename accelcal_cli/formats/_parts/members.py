@@ -23,7 +23,15 @@ from typing import Any, BinaryIO, Protocol
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ZIP_MAGIC
-from accelcal_cli.formats._bytes import STEP_BYTES, Inflater, ShortReads, crc32
+from accelcal_cli.formats._bytes import (
+    IN_EXTRA,
+    STEP_BYTES,
+    ZIP_LOCAL,
+    Inflater,
+    ShortReads,
+    crc32,
+    long_sizes,
+)
 
 LZMA_MEMORY = 1 << 27
 """Most memory for a dictionary of xz; `xz -9` takes half of it."""
@@ -94,13 +102,7 @@ HEADERS = (
 PAX_RECORD = re.compile(rb"(?:^|\n)\d+ (path|size|GNU\.sparse\.[^=\n]*)=([^\n]*)")
 """A record of an extended header (POSIX pax) that matters here."""
 
-_LOCAL = struct.Struct("<4s5HIIIHH")
-"""Header before each member of a zip file (PKWARE's APPNOTE.TXT 6.3, 4.3.7)."""
-
 _ENCRYPTED, _SIZES_FOLLOW = 0x01, 0x08
-_IN_EXTRA = 0xFFFFFFFF
-"""Size that stands for one of 64 bits in the extra field (4.5.3)."""
-
 _DESCRIPTOR = b"PK\x07\x08"
 _UNKNOWN = 1 << 62
 
@@ -197,12 +199,9 @@ def _described(kind: bytes, data: bytes) -> dict[bytes, bytes]:
         return {}
     found = dict(PAX_RECORD.findall(data))
     sparse = {b"sparse": b""} if any(key.startswith(b"GNU.sparse.") for key in found) else {}
-    # A global header says nothing that only one member may say.
-    return (
-        sparse
-        if kind == tarfile.XGLTYPE
-        else {key: found[key] for key in (b"path", b"size") if key in found} | sparse
-    )
+    if kind == tarfile.XGLTYPE:  # of all members: only one can have a path and a size
+        return sparse
+    return {key: found[key] for key in (b"path", b"size") if key in found} | sparse
 
 
 class _Blocks:
@@ -274,13 +273,13 @@ def _zip_stream(path: Path, file: BinaryIO, allowance: Allowance) -> Iterator[Me
     at = 0
     while True:
         file.seek(at)
-        head = file.read(_LOCAL.size)
-        if len(head) < _LOCAL.size or not head.startswith(ZIP_MAGIC):
+        head = file.read(ZIP_LOCAL.size)
+        if len(head) < ZIP_LOCAL.size or not head.startswith(ZIP_MAGIC):
             raise zipfile.BadZipFile("its directory is missing")
-        _, _, flags, method, _, _, crc, packed, size, name_bytes, extra_bytes = _LOCAL.unpack(head)
+        _, _, flags, method, _, _, crc, packed, size, name_bytes, extra_bytes = ZIP_LOCAL.unpack(head)
         name = file.read(name_bytes).decode("utf-8", "replace")
-        if _IN_EXTRA in (packed, size):
-            packed, size = _long_sizes(file.read(extra_bytes)) or (packed, size)
+        if IN_EXTRA in (packed, size):
+            size, packed = long_sizes(file.read(extra_bytes)) or (size, packed)
         member = ZipMember(path, file, name, flags, method, allowance)
         member.at, member.packed, member.size, member.crc = at, packed, size, crc
         if follows := bool(flags & _SIZES_FOLLOW):
@@ -290,18 +289,6 @@ def _zip_stream(path: Path, file: BinaryIO, allowance: Allowance) -> Iterator[Me
                 raise zipfile.BadZipFile("only its directory, which is missing, says how long a member is")
         yield name, None if name.endswith("/") else member
         at = member.passed(follows)
-
-
-def _long_sizes(extra: bytes) -> tuple[int, int] | None:
-    """Return the sizes of 64 bits, packed and unpacked, from a header's extra field."""
-    index = 0
-    while index + 4 <= len(extra):
-        kind, length = struct.unpack_from("<HH", extra, index)
-        if kind == 1 and length >= 16 and index + 20 <= len(extra):
-            size, packed = struct.unpack_from("<QQ", extra, index + 4)
-            return packed, size
-        index += 4 + length
-    return None
 
 
 @dataclass(slots=True)
@@ -388,10 +375,10 @@ class ZipMember:
 
     def _go_to_data(self) -> None:
         self.file.seek(self.at)
-        head = self.file.read(_LOCAL.size)
-        if len(head) < _LOCAL.size or not head.startswith(ZIP_MAGIC):
+        head = self.file.read(ZIP_LOCAL.size)
+        if len(head) < ZIP_LOCAL.size or not head.startswith(ZIP_MAGIC):
             raise zipfile.BadZipFile("a member is not where the directory says")
-        self.file.seek(sum(_LOCAL.unpack(head)[-2:]), 1)
+        self.file.seek(sum(ZIP_LOCAL.unpack(head)[-2:]), 1)
 
     def _stored(self, count: int) -> bytes:
         data = self.file.read(min(count, self.packed))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import shlex
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -119,6 +119,7 @@ def open_parts(
     try:
         unpacked = archive.unpack(path, folder, lambda name: not is_no_part(Path(name)), threads)
         part_files = PartFiles(unpacked.files, unpacked.damage, unpacked.lost_bytes, folder, joined)
+        part_files.names = unpacked.names
         part_files.aside += [counted(unpacked.empty, "empty file")] if unpacked.empty else []
         with _naming(path, folder):
             return kind(path, _without_siblings(part_files, belongs_to), open_part)
@@ -160,6 +161,7 @@ class PartFiles:
         joined: the files are parts of one recording, whatever their names.
         aside: names of files that are not recordings.
         problems: one for each file that cannot be read.
+        names: of files of an archive, with the folders in it.
     """
 
     files: tuple[Path, ...]
@@ -169,6 +171,7 @@ class PartFiles:
     joined: bool = True
     aside: list[str] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
+    names: Mapping[Path, str] = field(default_factory=dict)
 
 
 class FilesReader(Reader):
@@ -302,6 +305,8 @@ class PartsReader(FilesReader):
         if len(files) + len(broken) == 1 or (len(siblings) == 1 and None not in siblings):
             return
         names = [printable(file.name) for file in files]
+        if len({*names}) < len(names):
+            names = [printable(self._part_files.names.get(file, str(file))) for file in files]
         some = listed(names) if len(names) <= SHOWN else f"{', '.join(names[:SHOWN])} and more"
         raise UnreadableError(
             f"holds {len(files) + len(broken)} recordings ({some})", path=path, hint=_unpacking_hint(path)

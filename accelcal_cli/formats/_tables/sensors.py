@@ -258,7 +258,8 @@ class Division:
         given = "" if chosen is None else f"{chosen},"
         options = [f"--sensor {shlex.quote(printable(given + text))}" for text in texts[:2]]
         return UnreadableError(
-            f"holds several sensors or people: column {printable(self.name)!r} has {_shown(texts)}",
+            f"holds several sensors or people: column {printable(self.name)!r} has {_shown(texts)} "
+            "and perhaps more",
             path=path,
             hint=f"choose one: {' or '.join(options)} (--sensor {EVERY_ROW} if all are of one sensor)",
         )

@@ -282,9 +282,14 @@ def find_timeline(source: TableSource) -> TableTimeline:
     if track is not None:
         with source.table.guard(f"{source.table.word} of times {readable(track.path)}"):
             return _stamped_timeline(source.table, track, rate, start, _asked_unit(source))
+    texts = () if options.time_column else find_time(source.table.text_tracks, source.accel)
+    words = f"{source.table.word} {readable(texts[0][0].path)} holds texts, not times" if texts else ""
+    if words and rate is None:
+        hint = "write it as timestamps, or ignore it with --time-column none and give --rate HZ"
+        raise UnreadableError(words, path=source.path, hint=hint)
     if start is not None:
         return TableTimeline(rate, *start)
-    what = "the file does not tell when the recording began"
+    what = words or "the file does not tell when the recording began"
     if stated is not None:
         what = f"the start time {stated!r} is not a date and time"
     problem = Problem("no_start_time", f"{what}; times count from 1970-01-01", None, 0)

@@ -27,19 +27,8 @@ from accelcal_cli.formats._gravity import usual_length
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 MISSING = (
     *("", "NaN", "nan", "NAN", "-nan", "-NaN", "NA", "N/A", "n/a", "na", "#N/A", "#NA", "NULL", "null"),
-    *(
-        "None",
-        "none",
-        "<NA>",
-        "NaT",
-        "missing",
-        "Missing",
-        "MISSING",
-        "1.#QNAN",
-        "-1.#QNAN",
-        "1.#IND",
-        "-1.#IND",
-    ),
+    *("None", "none", "<NA>", "NaT", "missing", "Missing", "MISSING"),
+    *("1.#QNAN", "-1.#QNAN", "1.#IND", "-1.#IND"),
 )
 """Cells that stand for a missing value; pyarrow is given the same list."""
 
@@ -224,7 +213,7 @@ def _with_year_first(found: re.Match[bytes], order: str) -> bytes:
 
 
 def filled(column: Any, kind: type[np.generic], null: float) -> NDArray[Any]:
-    """Return a chunked column of numbers of eight bytes, (n,), with `null` where a cell is empty."""
+    """Return a chunked column of numbers or times of eight bytes, (n,), with `null` where a cell is empty."""
     parts = [_filled(chunk, kind, null) for chunk in column.chunks if len(chunk)]
     if len(parts) == 1:
         return parts[0]

@@ -195,7 +195,7 @@ class TimeFormat:
         if self.written is not None:
             return filled(column, np.int64, NO_TIME)
         if self.unit_us is None:
-            whole = filled(column.cast(pa.int64()), np.int64, EMPTY_NS)
+            whole = filled(column, np.int64, EMPTY_NS)
             return np.where(whole == EMPTY_NS, NO_TIME, (whole + 500) // 1000)
         with np.errstate(over="ignore"):
             values = np.rint((floats(column) - self.epoch_day) * self.unit_us)

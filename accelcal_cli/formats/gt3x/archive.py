@@ -20,7 +20,16 @@ from accelcal_cli.core.errors import UnreadableError, listed, printable, unread
 from accelcal_cli.core.formats import ZIP_MAGIC
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.recording import Closing, Problem
-from accelcal_cli.formats._bytes import MOST_BYTES, STEP_BYTES, Inflater, ShortReads, crc32
+from accelcal_cli.formats._bytes import (
+    IN_EXTRA,
+    MOST_BYTES,
+    STEP_BYTES,
+    ZIP_LOCAL,
+    Inflater,
+    ShortReads,
+    crc32,
+    long_sizes,
+)
 
 INFO, LOG, ACTIVITY = "info.txt", "log.bin", "activity.bin"
 CALIBRATION, TEMPERATURE_CALIBRATION = "calibration.json", "temperature_calibration.json"
@@ -39,12 +48,10 @@ STORED, DEFLATED = zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED
 ENCRYPTED = 99
 """Method that stands for any encryption; zip files use it for AES."""
 
-_LOCAL = struct.Struct("<4s5HIIIHH")
-_LONGEST_MATCH = _LOCAL.size + 303 + max(map(len, WANTED))
+_LONGEST_MATCH = ZIP_LOCAL.size + 303 + max(map(len, WANTED))
 _END = b"PK\x05\x06"
 _LONGEST_END = 22 + 0xFFFF
 _SCAN_BYTES = 1 << 20
-_IN_EXTRA = 0xFFFFFFFF
 _SIZES_FOLLOW, _UTF8 = 0x08, 0x800
 _LARGEST_DIRECTORY = 1 << 20
 """Most bytes of a directory, enough for about 20 000 parts; devices write about ten.
@@ -189,12 +196,12 @@ def _placed(file: BinaryIO, entry: zipfile.ZipInfo) -> tuple[Member, bool]:
     """Return a part listed in the directory, and whether its own header lies where it should."""
     name = entry.orig_filename.encode("utf-8" if entry.flag_bits & _UTF8 else "cp437", "replace")
     file.seek(entry.header_offset)
-    header = file.read(_LOCAL.size + len(name)).ljust(_LOCAL.size, b"\0")
-    extra_bytes = _LOCAL.unpack_from(header)[-1]
+    header = file.read(ZIP_LOCAL.size + len(name)).ljust(ZIP_LOCAL.size, b"\0")
+    extra_bytes = ZIP_LOCAL.unpack_from(header)[-1]
     member = Member(
         last_name(entry.filename),
         ENCRYPTED if entry.flag_bits & 1 else entry.compress_type,
-        entry.header_offset + _LOCAL.size + len(name) + extra_bytes,
+        entry.header_offset + ZIP_LOCAL.size + len(name) + extra_bytes,
         entry.compress_size,
         entry.file_size,
         entry.CRC,
@@ -224,28 +231,16 @@ def by_headers(file: BinaryIO) -> tuple[dict[str, Member], tuple[Problem, ...]]:
 
 def _by_header(file: BinaryIO, offset: int, name: str) -> Member:
     file.seek(offset)
-    fields = _LOCAL.unpack(file.read(_LOCAL.size))
+    fields = ZIP_LOCAL.unpack(file.read(ZIP_LOCAL.size))
     _, _, flags, method, _, _, crc, packed, unpacked, name_bytes, extra_bytes = fields
-    file.seek(offset + _LOCAL.size + name_bytes)
-    if _IN_EXTRA in (packed, unpacked):
-        unpacked, packed = _long_sizes(file.read(extra_bytes))
-    start = offset + _LOCAL.size + name_bytes + extra_bytes
+    file.seek(offset + ZIP_LOCAL.size + name_bytes)
+    if IN_EXTRA in (packed, unpacked):
+        unpacked, packed = long_sizes(file.read(extra_bytes)) or (None, None)
+    start = offset + ZIP_LOCAL.size + name_bytes + extra_bytes
     method = ENCRYPTED if flags & 1 else method
     if flags & _SIZES_FOLLOW and not packed:
         return Member(name, method, start)
     return Member(name, method, start, packed, unpacked, crc)
-
-
-def _long_sizes(extra: bytes) -> tuple[int | None, int | None]:
-    """Return the sizes of 64 bits, unpacked and packed, from a header's extra field."""
-    index = 0
-    while index + 4 <= len(extra):
-        kind, length = struct.unpack_from("<HH", extra, index)
-        if kind == 1 and length >= 16 and index + 20 <= len(extra):
-            unpacked, packed = struct.unpack_from("<QQ", extra, index + 4)
-            return unpacked, packed
-        index += 4 + length
-    return None, None
 
 
 class Fault(Enum):

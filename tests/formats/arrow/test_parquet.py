@@ -57,6 +57,17 @@ def axes(grid: np.ndarray) -> dict[str, np.ndarray]:
     return {name: np.ascontiguousarray(grid[:, axis]) for axis, name in enumerate("xyz")}
 
 
+def test_a_column_of_times_as_texts_is_named(path: Path) -> None:
+    write(path, {"time": [f"{row} s" for row in range(ROWS)], **axes(values())})
+    with pytest.raises(UnreadableError, match="column /time holds texts, not times") as refused:
+        read(path)
+    assert "--time-column none and give --rate HZ" in (refused.value.hint or "")
+    (problem,) = read(path, rate_hz=50.0).problems
+    assert problem.message == "column /time holds texts, not times; times count from 1970-01-01"
+    (problem,) = read(path, rate_hz=50.0, time_column="none").problems
+    assert "texts" not in problem.message
+
+
 @pytest.mark.parametrize("kind", ["f4", "f8"])
 def test_row_groups_of_any_length_give_the_same_bits(path: Path, kind: str) -> None:
     made = table(values(3000).astype(kind), even_times(3000, 50.0))

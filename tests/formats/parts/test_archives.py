@@ -132,6 +132,12 @@ def test_t4_several_recordings_in_one_zip_are_told_with_the_commands(tmp_path: P
     assert f"`mkdir {tmp_path}/both && tar -xf {tar} -C {tmp_path}/both`" in run(capsys, "calibrate", tar).err
 
 
+def test_recordings_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+    files = {f"{side}/a.gt3x": gt3x(tmp_path, "a.gt3x") for side in ("left", "right")}
+    with pytest.raises(UnreadableError, match=r"holds 2 recordings \(left/a.gt3x and right/a.gt3x\)"):
+        open_recording(packed(files, tmp_path / "both.zip"), OPTIONS, joined=False)
+
+
 def test_t4_a_second_recording_that_cannot_be_read_is_not_lost_in_silence(tmp_path: Path) -> None:
     (tmp_path / "SUB02.gt3x").write_bytes(b"PK\3\4" + bytes(500))
     files = {"SUB01.gt3x": gt3x(tmp_path), "SUB02.gt3x": tmp_path / "SUB02.gt3x"}
