@@ -30,7 +30,7 @@ MOST_DRAWS = 100_000
     "calibrate",
     cls=Command,
     examples=(
-        "calibrate recording.cwa # writes recording.calibrated.parquet and recording.calibration.json",
+        "calibrate recording.cwa # writes recording.calibrated.parquet, .calibration.json, .quality.json",
         "calibrate *.gt3x -d calibrated --html # a folder for the results, and a page for each",
         "calibrate table.csv --unit mg --timezone Europe/Berlin # a table in mg with local times",
     ),

@@ -275,7 +275,7 @@ def cost(one: ExportedReport) -> str | None:
         means_mg = without.error_everywhere.mean, with_it.error_everywhere.mean
         parts.insert(0, "calibration error {:.2f} mg instead of {:.2f} mg".format(*means_mg))
     price = ", ".join(parts) or "the loss of accuracy is unknown, because there is too little stillness"
-    models = f"{one.simple.model} instead of {one.whole.model}"
+    models = f"{one.simple.model} ({one.whole.model} without misalignment)"
     return f"this form cannot hold misalignment; exported model {models}: {price}"
 
 

@@ -25,7 +25,7 @@ FEWEST_DEVICES = 5
 
 WIDTH_SPREAD = 0.5
 """Standard deviation of the logarithm of a model's width over the population's, which counts like four
-devices. Five devices without any scatter give a third of the population's width, eleven a tenth."""
+devices. Five devices without any scatter give 0.37 of the population's width, ten a tenth."""
 
 NARROWEST, WIDEST = 0.1, 3.0
 """Bounds of a learnt width, times the population's."""

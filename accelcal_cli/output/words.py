@@ -291,7 +291,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "own, and {usual_mg:mg} mg are usual in the pool.",
     "over_limit_here": "{before_mg:mg} mg become {after_mg:mg} mg in {orientations:n orientation} of its "
     "own, and the limit is {limit_mg:g} mg.",
-    "not_less": "{before_mg:mg} mg become {after_mg:mg} mg in {orientations:n orientation}, which is no "
+    "not_less": "{before_mg:mg} mg become {after_mg:mg} mg in {orientations:n orientation}, which is not "
     "less.",
     "own_is_no_worse": lambda values: (
         f"Its own calibration leaves {mg(values['own_mg'])} mg, and "

@@ -22,7 +22,7 @@ from accelcal_cli.core.reasons import Reason
 from accelcal_cli.formats import belongs_to
 from accelcal_cli.formats.csv import bids_channels_path
 from accelcal_cli.formats.raw import folder_layout, named_layout
-from accelcal_cli.output.files import looking_at, stored_schema
+from accelcal_cli.output.files import is_page, looking_at, stored_schema
 from accelcal_cli.output.report_reading import load_our_json
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.options import fits_pattern
@@ -262,9 +262,17 @@ def _subfolders(base: Path, names: list[str], out: Path, links: _Links) -> list[
 def _never(path: Path) -> bool:
     """Return True for what is nobody's recording and is not named: hidden, an output, options, a layout."""
     name = path.name
-    if name.startswith(".") or name.endswith(OURS):
+    if name.startswith(".") or name.endswith(OURS) or (path.suffix == ".html" and _is_our_page(path)):
         return True
     return NAMES.fullmatch(name) is not None and (path.suffix not in SUMMARY or _is_study_file(path))
+
+
+def _is_our_page(path: Path) -> bool:
+    """Return True for a page that accelcal made; False where it cannot be read."""
+    try:
+        return is_page(path)
+    except OutputError:
+        return False
 
 
 def _why_by_name(path: Path, below: str, where: Where) -> Reason | None:

@@ -95,7 +95,7 @@ def test_another_device_or_an_unknown_one_lends_nothing(out: Path, plain: Path) 
 
 
 @pytest.mark.parametrize(
-    ("name", "why"), [("perfect", "which is no less"), ("swapped", "the limit is 10 mg")]
+    ("name", "why"), [("perfect", "which is not less"), ("swapped", "the limit is 10 mg")]
 )
 def test_coefficients_that_make_it_worse_are_refused_and_the_own_result_stays(
     folder: Path, out: Path, plain: Path, name: str, why: str

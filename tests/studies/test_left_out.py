@@ -197,3 +197,18 @@ def test_t2_the_cases_are_rows_of_a_study(tmp_path: Path, capsys: Capture) -> No
     assert study(capsys, tmp_path / "in", "--max-damage", 50).code == 0
     table = (tmp_path / "out" / "study.csv").read_text()
     assert all(f"\n{name}," in table for name in names)
+
+
+def test_pages_of_accelcal_are_nobodys_recording_and_are_not_named(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "data"
+    folder.mkdir()
+    (folder / "walk.csv").write_text(HEAD + SAMPLES)
+    run(capsys, "calibrate", "data/walk.csv", "--html")
+    assert (folder / "walk.html").is_file()
+    (folder / "other.html").write_text("<!doctype html>\n<p>not of accelcal</p>\n")
+    ran = run(capsys, "study", "data", "-d", "out", "--dry-run", "-v")
+    assert "other.html" in ran.err
+    assert "walk.html" not in ran.err

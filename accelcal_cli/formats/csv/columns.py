@@ -512,7 +512,7 @@ def find_gyroscope(
         return None, (NOT_READ,)
     if len(groups) > 1:
         return None, (
-            "no gyroscope is read: several groups of columns are named like one; --gyro-columns chooses",
+            "no gyroscope is read: several groups of columns are named as one; --gyro-columns chooses",
         )
     xyz = groups[0]
     names = ", ".join(map(dialect.column_name, xyz))
