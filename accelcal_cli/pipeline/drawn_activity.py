@@ -69,9 +69,15 @@ class Affine:
         total -= np.float32(1)
         return total
 
-    def vectors(self, xyz: NDArray[np.float64], celsius: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (m, 3) of mean values (m, 3) [g] and temperatures (m,)."""
-        return np.asarray(xyz @ self.mix.T + self.shift + np.multiply.outer(celsius, self.per_c))
+    def vectors(self, xyz: NDArray[np.float64], celsius: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Return x, y and z, each (m,), of mean values (m, 3) [g] and temperatures (m,).
+
+        Elementwise, since a product of matrices gives other bits of one row than of many.
+        """
+        x, y, z = xyz.T
+        products = (x * one + y * two + z * three for one, two, three in self.mix)
+        heat = zip(products, self.shift, self.per_c, strict=True)
+        return [product + shift + celsius * per_c for product, shift, per_c in heat]
 
 
 @dataclass
@@ -126,7 +132,7 @@ class DrawnActivity:
     def turn(self, xyz: NDArray[np.float64], celsius: NDArray[np.float64]) -> None:
         """Take in mean values of 5 s, (m, 3) [g] and (m,), for the arm's angle."""
         for place, draw in enumerate(self.draws):
-            x, y, z = draw.vectors(xyz, celsius).T
+            x, y, z = draw.vectors(xyz, celsius)
             self.angle[place] += int(np.rint(MICRODEGREES * np.degrees(np.arctan2(z, np.hypot(x, y)))).sum())
 
     def _measured(self, epochs: WholeEpochs, columns: Sequence[Singles], part: slice) -> EpochMeasures:

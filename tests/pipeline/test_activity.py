@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from accelcal_cli.pipeline.activity import MG, Activity, ActivityMeter, EpochCutter, EpochTable
+from accelcal_cli.pipeline.drawn_activity import Affine
 
 SECOND = 1_000_000
 
@@ -91,6 +92,17 @@ def test_any_length_of_the_chunks_gives_the_same(step: int, seed: int) -> None:
     for name in ("start_us", "rows"):
         joined = [np.concatenate([getattr(t, name) for t in tables]).tolist() for tables in (rows, parts)]
         assert joined[0] == joined[1]
+
+
+def test_drawn_vectors_of_one_row_are_those_of_many() -> None:
+    random = np.random.default_rng(1)
+    affine = Affine(np.tril(random.normal(size=(3, 3))), random.normal(size=3), random.normal(size=3))
+    xyz, celsius = random.normal(size=(500, 3)), random.normal(size=500)
+    alone = [affine.vectors(xyz[row : row + 1], celsius[row : row + 1]) for row in range(500)]
+    whole = np.stack(affine.vectors(xyz, celsius))
+    assert (whole == np.stack(alone)[:, :, 0].T).all()
+    heat = affine.shift + np.multiply.outer(celsius, affine.per_c)
+    assert np.allclose(whole.T, xyz @ affine.mix.T + heat, rtol=0, atol=1e-14)
 
 
 def test_epochs_that_lack_samples_have_no_value() -> None:
