@@ -169,6 +169,10 @@ class Calibration:
         """Tref in degrees C; 0 without temperature."""
         return 0.0 if self.temperature is None else self.temperature.reference_mc / 1000
 
+    def offset_at(self, celsius: float) -> Floats:
+        """Offsets at a temperature, (3,) in g."""
+        return self.offset_g() + self.slope_g_per_c() * (celsius - self.reference_c())
+
     def applied(self, raw: Sequence[Floats], celsius: Floats | None) -> list[Floats]:
         """Return calibrated x, y, z [standard g], each (n,), of raw ones; the correction is not applied.
 

@@ -201,7 +201,4 @@ def difference_mg(one: Calibration, other: Calibration, raw_g: Floats) -> tuple[
 
 
 def _at(calibration: Calibration, raw_g: Floats, at_c: float) -> Floats:
-    shift = calibration.offset_g()
-    if calibration.temperature is not None:
-        shift = shift + calibration.slope_g_per_c() * (at_c - calibration.reference_c())
-    return np.asarray((raw_g + shift) @ calibration.gain().T)
+    return np.asarray((raw_g + calibration.offset_at(at_c)) @ calibration.gain().T)

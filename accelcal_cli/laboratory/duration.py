@@ -34,6 +34,7 @@ from accelcal_cli.laboratory.segments import (
     starts,
     stillness,
     stillness_of_table,
+    table_hours_option,
 )
 from accelcal_cli.laboratory.sensors import WornSensor, sphere_error_mg
 from accelcal_cli.output.files import csv_text
@@ -150,10 +151,9 @@ def errors_mg(found: Calibration, truth: Calibration) -> tuple[float, float]:
     Offsets are those at the other's reference temperature.
     """
     celsius = truth.reference_c() or found.reference_c()
-    offsets = [one.offset_g() + (celsius - one.reference_c()) * one.slope_g_per_c() for one in (found, truth)]
-    sensor = WornSensor(truth.gain(), offsets[1])
+    sensor = WornSensor(truth.gain(), truth.offset_at(celsius))
     raw = sphere_error_mg(sensor, np.eye(3), np.zeros(3))
-    return sphere_error_mg(sensor, found.gain(), offsets[0]), raw
+    return sphere_error_mg(sensor, found.gain(), found.offset_at(celsius)), raw
 
 
 def lengths(found: Sequence[Measured]) -> list[Length]:
@@ -230,8 +230,7 @@ FIGURES = {
 )
 @click.option("--number", type=click.IntRange(1, 10_000), default=12, show_default=True,
               help="Segments of each length and recording at most.")  # fmt: skip
-@click.option("--table-hours", type=options.Positive(100_000), metavar="HOURS",
-              help="The files are tables of still windows in the order of time, and span HOURS.")  # fmt: skip
+@table_hours_option
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")

@@ -353,6 +353,14 @@ def _error_option(name: str, unit: str, text: str, largest: int) -> Callable[[An
     return click.option(option, type=options.Within(0, largest), metavar=unit, help=words)
 
 
+table_hours_option = click.option(
+    "--table-hours",
+    type=options.Positive(100_000),
+    metavar="HOURS",
+    help="The files are tables of still windows in the order of time, and span HOURS.",
+)
+
+
 @click.command(
     "segments",
     cls=Command,
@@ -376,12 +384,7 @@ def _error_option(name: str, unit: str, text: str, largest: int) -> Callable[[An
     show_default=True,
     help="Segments of each length at most.",
 )
-@click.option(
-    "--table-hours",
-    type=options.Positive(100_000),
-    metavar="HOURS",
-    help="The files are tables of still windows in the order of time, and span HOURS.",
-)
+@table_hours_option
 @click.option(
     "--sensors",
     type=click.IntRange(1, 100_000),

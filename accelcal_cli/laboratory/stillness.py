@@ -140,8 +140,7 @@ def on_scale(points: PointSet, scale: TemperatureScale | None) -> PointSet:
 
 def true_errors(calibration: Calibration, truth: TrueParameters) -> tuple[float, float]:
     """Return the largest error of an entry of K, and of an offset [mg] at the true reference."""
-    drift_g = calibration.slope_g_per_c() * (truth.reference_c - calibration.reference_c())
-    offsets_g = calibration.offset_g() + drift_g - truth.offset_g
+    offsets_g = calibration.offset_at(truth.reference_c) - truth.offset_g
     return float(np.abs(calibration.gain() - truth.gain).max()), float(np.abs(offsets_g).max() * 1000)
 
 

@@ -48,9 +48,8 @@ class Affine:
     def between(cls, used: Calibration, drawn: Calibration) -> Affine:
         """Return what makes of values that one calibration gave those of another."""
         gain, slope = drawn.gain(), drawn.slope_g_per_c() - used.slope_g_per_c()
-        at_zero = [one.offset_g() - one.slope_g_per_c() * one.reference_c() for one in (used, drawn)]
         mix = gain @ np.linalg.inv(used.gain())
-        return cls(mix, gain @ (at_zero[1] - at_zero[0]), gain @ slope)
+        return cls(mix, gain @ (drawn.offset_at(0.0) - used.offset_at(0.0)), gain @ slope)
 
     def lengths(self, rows: Sequence[Singles], buffers: Singles) -> Singles:
         """Return |a'| - 1 g of x, y, z and T, each (n,), in the first buffer of four (4, n)."""

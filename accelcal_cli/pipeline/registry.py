@@ -188,9 +188,7 @@ def apart_mg(one: Calibration, other: Calibration) -> float:
     Offsets are those at the other's reference temperature.
     """
     celsius = other.reference_c() or one.reference_c()
-    offset, at = (
-        each.offset_g() + (celsius - each.reference_c()) * each.slope_g_per_c() for each in (one, other)
-    )
+    offset, at = one.offset_at(celsius), other.offset_at(celsius)
     raw = np.linalg.solve(other.gain(), directions().T).T - at
     lengths = np.sqrt((((raw + offset) @ one.gain().T) ** 2).sum(axis=1))
     return 1000 * float(np.abs(lengths - 1).mean())
