@@ -158,16 +158,19 @@ class TurnPairs:
 
 def wide_turns(found: Turns, calibration: Calibration) -> TurnPairs:
     """Return the turns of at least LEAST_TURN_DEG."""
-    before, after = (
-        directions([getattr(turn, side) for turn in found.turns], calibration, found.lsb_per_g)
-        for side in ("before", "after")
-    )
+    before, after = gravity_around(found, calibration)
     cosine = before[:, 0] * after[:, 0] + before[:, 1] * after[:, 1] + before[:, 2] * after[:, 2]
     wide = np.flatnonzero(cosine <= cos(radians(LEAST_TURN_DEG)))
     return TurnPairs([found.turns[index] for index in wide], before[wide], after[wide])
 
 
-def directions(rests: list[Rest], calibration: Calibration, lsb_per_g: float) -> Floats:
+def gravity_around(found: Turns, calibration: Calibration) -> tuple[Floats, Floats]:
+    """Return the unit vectors of gravity before and after each turn, (n, 3) each."""
+    before = _directions([turn.before for turn in found.turns], calibration, found.lsb_per_g)
+    return before, _directions([turn.after for turn in found.turns], calibration, found.lsb_per_g)
+
+
+def _directions(rests: list[Rest], calibration: Calibration, lsb_per_g: float) -> Floats:
     """Return unit vectors of the calibrated means, (n, 3)."""
     if not rests:
         return np.empty((0, 3))

@@ -21,7 +21,7 @@ from accelcal_cli.judge.gyroscope import (
     GRID,
     LEAST_SHARE,
     bias_on_grid,
-    directions,
+    gravity_around,
     refused,
     rows_of,
     turn_errors,
@@ -78,10 +78,7 @@ def judge_revolutions(
 
 def _revolutions(found: Turns, calibration: Calibration) -> tuple[Floats, Floats]:
     """Return the integrals (n, 3) [degrees] of whole revolutions by the raw rate, and the true ones."""
-    before, after = (
-        directions([getattr(turn, side) for turn in found.turns], calibration, found.lsb_per_g)
-        for side in ("before", "after")
-    )
+    before, after = gravity_around(found, calibration)
     integrals, wanted = [], []
     for turn, start, end in zip(found.turns, before, after, strict=True):
         steps = raw_steps(turn, found.dps_per_lsb)
