@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import json
 import platform
+import re
 import sys
 from datetime import UTC, datetime
 from functools import cache
@@ -17,7 +18,7 @@ from typing import Any
 from accelcal_cli.core.door import is_there
 from accelcal_cli.core.errors import OutputError, printable
 from accelcal_cli.core.formats import noted_unused
-from accelcal_cli.core.input_files import size_of
+from accelcal_cli.core.input_files import files_of, size_of
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import SIX_POSE, VARIED, PoseSettings
 from accelcal_cli.core.version import __version__, build_version
@@ -25,6 +26,7 @@ from accelcal_cli.output.files import exists, is_page, metadata_of, refuse_forei
 from accelcal_cli.output.report import dumps
 from accelcal_cli.output.report_reading import (
     fault,
+    file_place,
     load_our_json,
     load_report,
     report_schema,
@@ -48,6 +50,9 @@ PACKAGES = ("numpy", "pyarrow", "h5py", "click")
 
 CALIBRATE, APPLY = "calibrate", "apply"
 """Commands that, like SIX_POSE, do not replace each other's results; a study counts as `calibrate`."""
+
+ESCAPED = re.compile("[\\\\\ufffd]")
+"""Characters that `printable` puts into a name in place of others."""
 
 PARTS = ("sensor", "columns")
 """Reading options that choose one of several recordings in a file."""
@@ -194,9 +199,20 @@ def _was_replaced(report: dict[str, Any], job: Job) -> bool:
 
 
 def gone_from(report: dict[str, Any]) -> Path | None:
-    """Return where the recording of a report was if it is gone; None if it is there or nobody can tell."""
-    place = _place(report)
-    return None if is_there(place) else place
+    """Return where the recording of a report was if it is gone; None if it is there or nobody can tell.
+
+    A path is looked for from the working folder of then and from that of now. Nothing is known about standard
+    input, or about a name that the report has escaped.
+
+    Raises:
+        UnreadableError: a folder of parts cannot be listed.
+    """
+    said = file_place(report, "recording") or _said_place(report)
+    place = real(Path(said))
+    if said == "-" or ESCAPED.search(place.relative_to(place.anchor).as_posix()):
+        return None
+    there = any(is_there(one) or files_of(one) for one in (place, _place(report)))
+    return None if there else place
 
 
 def _place(report: dict[str, Any]) -> Path:

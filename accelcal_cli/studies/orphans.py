@@ -1,8 +1,9 @@
 """Results in OUT whose recording is gone or has another name now: found, told, and removed by `--prune`.
 
-A result is one of these only if the disk says that nothing is where its recording was, neither at the path in
-its report nor at its place in the study: a disk that cannot tell, or a folder that cannot be listed, is not a
-reason to remove anything.
+A result is one of these only if its recording was in a folder of the study, and the disk says that nothing is
+there now, neither at the path in its report nor at its place in the study. Nothing is removed where the disk
+cannot tell. A folder that is empty or cannot be listed may be that of a disk that is away. Then a result
+stays unless its recording is elsewhere in the study.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.door import files_below, is_there
-from accelcal_cli.core.errors import OutputError, UsageError, counted, printable
+from accelcal_cli.core.door import files_below, is_there, may_be_away
+from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, counted, printable
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.output.report_reading import load_report
 from accelcal_cli.output.words import sentence
@@ -64,36 +65,46 @@ def _orphan(path: Path, where: Where, names: Mapping[str, str]) -> list[Orphan]:
     try:
         report = load_report(path)
         source = None if report is None else gone_from(report)
-    except OutputError:
-        return []
-    if report is None or source is None:
+    except (OutputError, UnreadableError):
         return []
     below = path.relative_to(where.out)
-    for folder, place in places(where):
-        if below.as_posix().startswith(place):
-            inside = Path(below.as_posix().removeprefix(place)).parent
-            if is_there(folder / inside / source.name):
-                return []
+    if report is None or source is None or _is_elsewhere(source, below, where):
+        return []
     now = names.get(report["recording"]["sha256"])
+    if now is None and may_be_away(source):
+        return []
     reason = Reason.of("recording_gone", source=printable(source.name))
     if now is not None:
         reason = Reason.of("recording_renamed", source=printable(source.name), now=now)
     return [Orphan(below.as_posix(), path, reason)]
 
 
-def prune(found: Collection[Orphan], rows: int, *, force: bool) -> None:
-    """Remove results without their recordings.
+def _is_elsewhere(source: Path, below: Path, where: Where) -> bool:
+    """Return True if a recording was in no folder of the study, or is at the place of its result there."""
+    if not any(source.is_relative_to(jobs.real(folder)) for folder in where.folders):
+        return True
+    name = below.with_name(source.name).as_posix()
+    spots = [folder / name.removeprefix(place) for folder, place in places(where) if name.startswith(place)]
+    return any(map(is_there, spots))
+
+
+def refuse_too_many(found: Collection[Orphan], rows: int, *, force: bool) -> None:
+    """Refuse to remove more results than stay: a disk may be missing.
 
     Args:
-        rows: number of recordings of the study. With fewer of them than orphans a disk may be missing.
+        rows: number of recordings of the study.
 
     Raises:
         UsageError: there are more orphans than recordings, and `force` is not given.
-        OutputError: a file cannot be removed.
     """
     if len(found) > rows and not force:
         what = f"--prune would remove {counted(len(found), 'result')}, more than the {rows} that stay"
-        raise UsageError(what, hint="check that all disks are there; --force removes them")
+        hint = "check that all disks are there; --force removes them, and calibrates all recordings again"
+        raise UsageError(what, hint=hint)
+
+
+def prune(found: Collection[Orphan]) -> None:
+    """Remove results without their recordings; raises OutputError if a file cannot be removed."""
     for one in found:
         stem = one.report.name.removesuffix(jobs.REPORT_SUFFIX)
         remove_all(jobs.Job(one.report, one.report.with_name(stem + jobs.PARQUET_SUFFIX), one.report))

@@ -28,7 +28,7 @@ from accelcal_cli.studies.cluster import Cluster, Notify, WorkerRequirements, ca
 from accelcal_cli.studies.discovery import SUMMARY, Left, as_if_alone, places, refuse_foreign
 from accelcal_cli.studies.in_process import Futures, InProcess, must_stay
 from accelcal_cli.studies.lock import Lease
-from accelcal_cli.studies.orphans import Orphan, orphans, prune
+from accelcal_cli.studies.orphans import Orphan, orphans, prune, refuse_too_many
 from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools
 from accelcal_cli.studies.prior import LEARNING, without_prior
 from accelcal_cli.studies.process_pool import ProcessPool, sweep_folders
@@ -60,6 +60,8 @@ from accelcal_cli.studies.task import BUG, NO_MEMORY, CalibrationTask, Task, Tas
 from accelcal_cli.studies.upgrades import said_after, said_before
 
 PRELOAD = "accelcal_cli.studies.preload"
+
+STAYS = "stays, and --prune removes it"
 
 TABLE_S, TABLE_TIMES = 5.0, 20.0
 """Shortest time between updates of the table while a study runs, [s] and as a multiple of an update's."""
@@ -96,7 +98,7 @@ def run(study: Study, observer: StudyObserver) -> Summary:
     """Carry out a study.
 
     Raises:
-        UsageError: see `plan`; or there is nothing to collect.
+        UsageError: see `plan`; or there is nothing to collect, or `--prune` would remove too much.
         LockedError: another run works in the output folder, or has taken this one over.
         OutputError: the folder or the summary cannot be written, or would overwrite what no study wrote.
     """
@@ -118,6 +120,7 @@ def run(study: Study, observer: StudyObserver) -> Summary:
             raise UsageError(text, hint="run the parts first, or give --collect the options used for them")
         for text in (*planned.notes, *said_before(planned.why)):
             observer.note(printable(text))
+        _refuse_pruning(study, planned, _orphans(study, planned, ()) if study.prune else [])
         _tidy(planned, lease)
         study_run = StudyRun(study, ledger, observer, planned, lease)
         study_run.run()
@@ -127,9 +130,10 @@ def run(study: Study, observer: StudyObserver) -> Summary:
             observer.note(printable(change))
         left = _orphans(study, planned, result.rows)
         if study.prune:
-            prune(left, len(result.rows), force=study.request.force)
+            _refuse_pruning(study, planned, left)
+            prune(left)
         for one in left:
-            observer.note(orphaned(one, pruned=study.prune))
+            observer.note(orphaned(one, "removed" if study.prune else STAYS))
         result = replace(result, orphans=() if study.prune else [one.as_json() for one in left])
         lease.confirm()
         summary.write(result, study.out, base)
@@ -146,9 +150,13 @@ def _orphans(study: Study, planned: Plan, rows: Sequence[Mapping[str, Any]]) -> 
     return orphans(study.where, planned.reports, rows) if study.shard.whole else []
 
 
-def orphaned(one: Orphan, *, pruned: bool) -> str:
-    """Return the line about a result whose recording is gone."""
-    what = "removed" if pruned else "stays, and --prune removes it"
+def _refuse_pruning(study: Study, planned: Plan, left: Sequence[Orphan]) -> None:
+    stay = {*planned.sources(), *(entry.name for entry in planned.kept)}
+    refuse_too_many(left, len(stay), force=study.request.force)
+
+
+def orphaned(one: Orphan, what: str) -> str:
+    """Return the line about a result whose recording is gone, and what becomes of it."""
     return f"{printable(one.name)} {what}: {clause(one.reason)}"
 
 
@@ -478,9 +486,11 @@ def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str],
         for task, entry in taken:
             known.take(one, task.item.name, entry)
     rows = [one.last.row or {} for one in known.recordings.values()]
-    for left in _orphans(study, planned, rows):
-        what = "would be removed" if study.prune else "stays, and --prune removes it"
-        note(f"{printable(left.name)} {what}: {clause(left.reason)}")
+    left = _orphans(study, planned, rows)
+    for orphan in left:
+        note(orphaned(orphan, "would be removed" if study.prune else STAYS))
+    if study.prune:
+        _refuse_pruning(study, planned, left)
     named = [one for one in known.recordings.values() if not one.item.aside]
     of_now = {one.item: (one.last.row or {})["outcome"] for one in named} | states
     return of_now, planned.reasons(study.shard.owns), planned.why

@@ -115,7 +115,7 @@ def test_collected_without_an_option_a_later_round_is_not_forgotten(tmp_path: Pa
     ran = study(capsys, tmp_path / "in", "--collect")
     assert (ran.code, "1 not started" in ran.err) == (1, True)
     pooled = study(capsys, tmp_path / "in", *POOL, "--collect")
-    assert pooled.err.startswith("accelcal: 2 recordings: 2 calibrated;")
+    assert pooled.err.startswith("accelcal: 2 recordings: 2 calibrated.")
     ran = study(capsys, tmp_path / "in", "--collect")
     assert (ran.code, "no results of 2 recordings were found for these options" in ran.err) == (2, True)
     assert list((tmp_path / "out").glob("study.pool.*")), "both were made with it"

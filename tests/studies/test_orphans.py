@@ -72,6 +72,55 @@ def test_u3_nothing_is_pruned_that_may_be_there(tmp_path: Path, capsys: Capture)
     assert len(list(out.rglob("*.calibration.json"))) == 2
 
 
+def test_results_of_recordings_on_a_disk_that_is_away_stay(tmp_path: Path, capsys: Capture) -> None:
+    """Its folder is there and empty, as before a disk is mounted; or a link to it leads nowhere."""
+    folder, out = study_folder(tmp_path / "in", (*NAMES, "d.raw")), tmp_path / "out"
+    assert study(capsys, folder).code == 0
+    (folder / "north").rename(tmp_path / "away")
+    nowhere = tmp_path / "nowhere"
+    for make, remove in ((Path.mkdir, Path.rmdir), (lambda path: path.symlink_to(nowhere), Path.unlink)):
+        make(folder / "north")
+        assert study(capsys, folder, "--prune", "--force").code in (0, 1)
+        assert len(list(out.rglob("*.calibration.json"))) == 4 and told(out) == {}
+        remove(folder / "north")
+    assert study(capsys, folder, "--prune").code == 0
+    assert len(list(out.rglob("*.calibration.json"))) == 2
+
+
+def test_results_of_another_study_below_the_outputs_stay(tmp_path: Path, capsys: Capture) -> None:
+    """Also where its recordings are away."""
+    folder, out = study_folder(tmp_path / "in", NAMES), tmp_path / "out"
+    other = study_folder(tmp_path / "other", ("x.raw",))
+    assert run(capsys, "study", other, "-d", out / "other", "-j", 1).code == 0
+    (other / "x.raw").unlink()
+    (other / "notes.txt").write_text("moved\n")
+    assert study(capsys, folder, "--prune").code == 0
+    assert (out / "other/x.calibration.json").exists() and told(out) == {}
+
+
+def test_a_recording_is_looked_for_from_where_its_path_was_typed(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, out = study_folder(tmp_path / "in", NAMES), tmp_path / "out"
+    monkeypatch.chdir(folder / "north")
+    assert run(capsys, "calibrate", "b.raw", "-o", out / "mine.calibrated.parquet").code == 0
+    monkeypatch.chdir(folder)
+    assert study(capsys, folder, "--prune").code == 0
+    assert (out / "mine.calibration.json").exists() and told(out) == {}
+
+
+def test_too_much_to_prune_is_refused_before_the_work_begins(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in", NAMES), tmp_path / "out"
+    assert study(capsys, folder).code == 0
+    shutil.rmtree(folder / "north")
+    (folder / "a.raw").write_bytes(still_counts(directions(61), seed=7).astype("<i2").tobytes())
+    table = (out / "study.csv").read_bytes()
+    for words in ((), ("--dry-run",)):
+        ran = study(capsys, folder, "--prune", *words)
+        assert (ran.code, ran.out) == (2, "") and "--force" in ran.err
+    assert (out / "study.csv").read_bytes() == table
+
+
 @pytest.mark.parametrize("content", ["other", "same"])
 def test_u4_a_recording_that_was_replaced_replaces_its_outputs(
     content: str, tmp_path: Path, capsys: Capture

@@ -347,6 +347,22 @@ def test_a_study_knows_its_sets(
     assert "1 unchanged" in study(capsys, folder, "--model", 6).err
 
 
+def test_results_of_parts_are_pruned_only_once_all_parts_are_gone(
+    parts: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    folder = tmp_path / "in"
+    (folder / "S02").mkdir(parents=True)
+    shutil.move(parts, folder / "S01")
+    tarred(sensor_files(folder / "S01"), folder / "S02/S02.tar.bz2", "w:bz2")
+    assert study(capsys, folder, "--model", 6, "--report-only").code == 0
+    made = tmp_path / "out/S01/GT3XPLUS-AccelerationCalibrated-1x5x0.NEO1D26171071.sensor.calibration.json"
+    left_out = ("--model", 6, "--report-only", "--exclude", "*.sensor.csv", "--prune")
+    for part in sensor_files(folder / "S01"):
+        assert study(capsys, folder, *left_out).code == 0 and made.exists()
+        part.unlink()
+    assert study(capsys, folder, *left_out).code == 0 and not made.exists()
+
+
 def test_a_workbook_is_no_archive_of_parts(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "a.xlsx"
     with zipfile.ZipFile(path, "w") as file:
