@@ -13,6 +13,7 @@ from accelcal._hints import no_such_option
 from accelcal_cli.core.errors import AccelcalError, counted
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import PoseSettings, Settings, setting_of
+from accelcal_cli.core.system import folder_start
 from accelcal_cli.pipeline.options import field_values, option_fields
 
 P = ParamSpec("P")
@@ -23,8 +24,11 @@ OPTION = re.compile(r"--([a-z][a-z-]*)(?: ([A-Z]+\b|[\w./-]+))?")
 COMMAND = re.compile(r"\baccelcal [a-z-]+ ")
 """A command to be typed in a terminal; options of its clause stay as they are."""
 
-PARTS = "parts"
-"""The option of calls that no setting declares, and a flag."""
+SHORT = re.compile(r",? with -[do]\b")
+"""The way to name an output at a terminal."""
+
+FLAGS = ("parts", "force", "gzip", "measured_only")
+"""Flags that no setting declares."""
 
 
 def public(function: Callable[P, R]) -> Callable[P, R]:
@@ -46,7 +50,9 @@ def public(function: Callable[P, R]) -> Callable[P, R]:
             if name not in known:
                 raise no_such_option(name, known)
         if len(args) > positional:
-            most = f"{function.__name__} takes {counted(positional, 'value')} without a name"
+            most = (
+                f"{function.__name__} takes {counted(positional - ('self' in known), 'value')} without a name"
+            )
             named = "rate" if "rate" in options else known[-1]
             raise TypeError(f"{most}; the others have names, such as {named}=")
         try:
@@ -61,7 +67,7 @@ def public(function: Callable[P, R]) -> Callable[P, R]:
 def in_keywords(error: AccelcalError) -> AccelcalError:
     """Return an error that names options as keywords, and a temporary file by its name alone."""
     error.message, error.hint = _worded(error.message), error.hint and _worded(error.hint)
-    if error.path is not None and Path(error.path).parent.name.startswith("accelcal-"):
+    if error.path is not None and Path(error.path).parent.name.startswith(folder_start()):
         error.path = Path(Path(error.path).name)
     return error
 
@@ -72,18 +78,20 @@ def _worded(text: str) -> str:
     def keyword(found: re.Match[str]) -> str:
         name, value = found[1].replace("-", "_"), found[2]
         kind, field = known.get(name, (Settings, "profile"))
-        if name == PARTS or get_type_hints(kind)[field] is bool:
+        if name in FLAGS or get_type_hints(kind)[field] is bool:
             return f"{name}=True" if value is None else f"{name}=True {value}"
-        if value is None or value.isupper() or value in setting_of(kind, field).choices or _is_number(value):
-            return (
-                name
-                if value is None
-                else f"{name}={value if value.isupper() or _is_number(value) else repr(value)}"
-            )
+        if value is None:
+            return name
+        if value.isupper() or _is_number(value):
+            return f"{name}={value}"
+        if name == "to" or value in setting_of(kind, field).choices:
+            return f"{name}={value!r}"
         return f"{name} {value}"
 
     clauses = text.split("; ")
-    return "; ".join(one if COMMAND.search(one) else OPTION.sub(keyword, one) for one in clauses)
+    return "; ".join(
+        one if COMMAND.search(one) else OPTION.sub(keyword, SHORT.sub("", one)) for one in clauses
+    )
 
 
 def _is_number(text: str) -> bool:

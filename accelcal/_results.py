@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from accelcal._calling import public
 from accelcal._hints import no_such_attribute
 from accelcal._sources import AnyPath, Given
 from accelcal_cli.core import calibration as core
@@ -233,6 +234,7 @@ class Report:
         """Return the recording along time (docs/quality.md); None where it is not known."""
         return None
 
+    @public
     def to_html(self, path: AnyPath | None = None, *, force: bool = False) -> str:
         """Return the page of `accelcal report`, and write it if a path is given.
 
@@ -304,6 +306,11 @@ class Result(Report):
         super().__init__(report)
         self._data, self._request, self._first_pass = data, request, first_pass
         self._given, self._before = given, before
+
+    @property
+    def source(self) -> Path:
+        """Path of the recording; one that was in memory has a name alone."""
+        return self._given.job.source
 
     _more_uses = ", .to_pandas(), .plot(), .windows(), .write(folder)"
 
@@ -382,6 +389,7 @@ class Result(Report):
         made = self._first_pass.quality()
         return None if made is None else json.loads(dumps_quality(quality_json(made)))
 
+    @public
     def write(self, folder: AnyPath | None = None, *, force: bool = False) -> tuple[Path | None, Path]:
         """Write the files of the command `calibrate` next to the recording, or into a folder.
 
@@ -395,7 +403,7 @@ class Result(Report):
         if folder is None and self._given.folder is not None:
             raise UsageError("the recording is in no folder", hint="give one: .write(FOLDER)")
         (job,) = jobs.plan([self._given.path], None if folder is None else Path(folder), None)
-        job = replace(job, source=self._given.job.source)
+        job = replace(job, source=self.source)
         result = run_job(job, replace(self._request, force=force), source=self._given.path)
         return result.parquet, job.report
 

@@ -102,7 +102,7 @@ class Given:
 
     def __init__(self, path: Path, folder: Path | None = None) -> None:
         self.path, self.folder = path, folder
-        self._removal = None if folder is None else finalize(self, remove_folder, folder)
+        self._removal = None if folder is None else finalize(self, _remove_own, folder, os.getpid())
 
     @property
     def job(self) -> Job:
@@ -122,11 +122,18 @@ class Given:
             self._removal()
 
 
+def _remove_own(folder: Path, process: int) -> None:
+    """Remove a folder, but not from a forked copy of the process that made it."""
+    if os.getpid() == process:
+        remove_folder(folder)
+
+
 def _unpacked(name: str, content: bytes, changed_ns: int) -> Given:
     folder = new_folder()
-    (folder / name).write_bytes(content)
-    os.utime(folder / name, ns=(changed_ns, changed_ns))
-    return Given(folder / name, folder)
+    given = Given(folder / name, folder)
+    given.path.write_bytes(content)
+    os.utime(given.path, ns=(changed_ns, changed_ns))
+    return given
 
 
 def as_file(source: Source, channels: Channels | None = None) -> Given:

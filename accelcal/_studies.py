@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from datetime import datetime
 from os import PathLike
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal, Protocol, Unpack, runtime_checkable
+
+import numpy as np
 
 from accelcal._calling import public, values_of
 from accelcal._options import StudyOptions
 from accelcal._results import Report, Result
 from accelcal._sources import AnyPath
-from accelcal_cli.core.errors import AccelcalError, OutputError, UsageError
+from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.output.files import exists, write_text
-from accelcal_cli.pipeline.jobs import Request, no_progress, refuse_nameless, refuse_overwriting
+from accelcal_cli.core.system import temporary_folder
+from accelcal_cli.output.files import write_text
+from accelcal_cli.pipeline import outputs
+from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, Request, no_progress
 from accelcal_cli.pipeline.options import chosen_settings, folder_rules, read_options
 from accelcal_cli.studies.records import FAILED, Item
 from accelcal_cli.studies.study import Study, with_learnt_prior
@@ -38,6 +41,9 @@ SIMULATED = {
     "noise_mg": (0, 1e5), "lsb_per_g": (1, 1e6), "range_g": (1, 1e4), "seed": (0, 2**32 - 1),
 }  # fmt: skip
 """Bounds of the numbers of `simulate`."""
+
+LEAST_HZ = 1e-3
+"""Lowest rate to resample to."""
 
 
 @runtime_checkable
@@ -223,7 +229,8 @@ def export(
         results: results, or paths of reports, of calibrated Parquet files or of output folders of studies.
         to: `ggir`, `biobank`, `omconvert` or `json`: coefficients, unless a folder is given; `actipy`,
             `skdh`, `csv`, `npz`, `mhealth`, `bids` or `parquet`: data.
-        output: the new file; coefficients need none.
+        output: the new file; coefficients need none. What it costs that other tools know no misalignment is
+            in each report (`without_misalignment`).
         folder: where the data of all results go, with a script for the tool.
         gzip: compress tables in the folder; jobs: recordings at a time, None for one a CPU.
         resample: of data, the rate that they get [Hz].
@@ -232,50 +239,84 @@ def export(
         force: replace a file that is there.
 
     Returns:
-        coefficients as text; else the path of the file or the folder. A warning names each recording of
-        several that was refused and is skipped.
+        coefficients as text; else the path of the file or the folder. Warnings name each recording of
+        several that was refused and is skipped, and temperatures that the tool cannot use.
 
     Raises:
         AccelcalError: there are no coefficients or no data, or a file cannot be written.
 
     Example:
         >>> import accelcal
-        >>> text = accelcal.export(accelcal.calibrate("sample_data/recording.bin"), to="ggir")
-        >>> "recording.bin" in text
+        >>> text = accelcal.export(accelcal.calibrate("sample_data/evening.csv.gz"), to="ggir")
+        >>> "evening.csv.gz" in text
         True
     """
     from accelcal_cli.exports.data import ExportOptions
+    from accelcal_cli.exports.forms import COEFFICIENTS, check_form, refuse_other_kind
+    from accelcal_cli.exports.rows import WIDEST
 
+    rare = {
+        "gzip": gzip,
+        "jobs": jobs,
+        "resample": resample,
+        "smooth": smooth,
+        "measured_only": measured_only,
+    }
+    check_form(to, rare, folder=folder is not None)
+    if folder is not None and output is not None:
+        raise UsageError("output names one file, and folder a folder", hint="give one of them")
+    _check_number("jobs", jobs, 1, 64, whole=True)
+    _check_number("resample", resample, LEAST_HZ, 1e5)
+    _check_number("smooth", None if smooth == "auto" else smooth, 2, WIDEST, whole=True)
     given = [results] if isinstance(results, str | PathLike | Result) else [*results]
     width = 0 if smooth == "auto" else smooth
-    with TemporaryDirectory(prefix="accelcal-") as place:
-        text = folder is None and to in ("ggir", "biobank", "omconvert", "json")
-        paths = [_file(one, Path(place) / str(n), data=not text) for n, one in enumerate(given)]
+    text = folder is None and to in COEFFICIENTS
+    with temporary_folder() as place:
+        paths = [_file(one, place / str(n), data=not text) for n, one in enumerate(given)]
+        for path in paths if folder is None else ():
+            refuse_other_kind(path, to)
         if folder is not None:
             wanted = ExportOptions(Path(folder), resample, measured_only, width, gzip)
             return _folder(to, paths, wanted, jobs, force=force)
         if text:
             return _coefficients(to, paths, None if output is None else Path(output), force=force)
-        if len(paths) != 1 or output is None:
+        if len(paths) != 1 or output is None or paths[0].is_dir():
             hint = "give one and output=FILE, or folder=DIR"
             raise UsageError("data are exported from one result into a file", hint=hint)
         return _data(to, paths[0], ExportOptions(Path(output), resample, measured_only, width), force=force)
+
+
+def _check_number(name: str, value: Any, low: float, high: float, *, whole: bool = False) -> None:
+    if value is None:
+        return
+    kinds = (int, np.integer) if whole else (int, float, np.number)
+    if isinstance(value, bool) or not isinstance(value, kinds):
+        raise TypeError(f"{name} cannot be {value!r}")
+    if not low <= value <= high:
+        raise UsageError(f"{name} cannot be {value}", hint=f"possible: {low:g} to {high:g}")
 
 
 def _file(one: Result | AnyPath, folder: Path, *, data: bool) -> Path:
     """Return the file of a result, which is written into a folder if it has none."""
     if not isinstance(one, Result):
         return Path(one)
-    written, made = one.write(folder)
-    return written if data and written is not None else made
+    if data:
+        written, made = one.write(folder)
+        return written or made
+    source = one.source
+    folder.mkdir()
+    path = folder / f"{source.name}{REPORT_SUFFIX}"
+    outputs.save_report(path, outputs.with_provenance(one.report, ("accelcal.export",), recording=source))
+    return path
 
 
 def _coefficients(form: str, paths: Sequence[Path], output: Path | None, *, force: bool) -> str:
     from accelcal_cli.exports import coefficients
+    from accelcal_cli.exports.forms import refuse_outputs
     from accelcal_cli.exports.selection import select
 
     if output is not None:
-        _refuse((output,), paths, force=force)
+        refuse_outputs((output,), paths, force=force)
     selected = select(paths, data=False)
     read = coefficients.as_json if form == "json" else coefficients.read_exported
     done: list[Any] = []
@@ -291,6 +332,9 @@ def _coefficients(form: str, paths: Sequence[Path], output: Path | None, *, forc
     if not done:
         raise UsageError("none of the recordings has coefficients that can be exported")
     text = "".join(f"{line}\n" for line in done) if form == "json" else coefficients.TABLES[form](done)
+    for one in done if form != "json" else ():
+        if (note := coefficients.temperature_note(one, form)) is not None:
+            warnings.warn(f"{one.file_name}: {note}", stacklevel=4)
     if output is not None:
         write_text(output, text)
     return text
@@ -309,7 +353,8 @@ def _folder(form: str, paths: Sequence[Path], wanted: ExportOptions, jobs: int |
         warnings.warn(f"{text}; skipped", stacklevel=4)
     if not any(one.written for one in made):
         raise UsageError("none of the recordings has calibrated values that can be exported")
-    folder.write_coefficients(form, made, wanted.output)
+    for text in folder.write_coefficients(form, made, wanted.output):
+        warnings.warn(text, stacklevel=4)
     folder.write_script(form, made, wanted)
     return str(wanted.output)
 
@@ -317,19 +362,12 @@ def _folder(form: str, paths: Sequence[Path], wanted: ExportOptions, jobs: int |
 def _data(form: str, path: Path, wanted: ExportOptions, *, force: bool) -> str:
     from accelcal_cli.exports.data import export_data, outputs_of
     from accelcal_cli.exports.folder import WRITTEN_AS
+    from accelcal_cli.exports.forms import refuse_outputs
 
     form = WRITTEN_AS.get(form, form)
-    _refuse(outputs_of(form, wanted.output), [path], force=force)
+    refuse_outputs(outputs_of(form, wanted.output), [path], force=force)
     export_data(form, path, wanted, no_progress)
     return str(wanted.output)
-
-
-def _refuse(outputs: Iterable[Path], inputs: Sequence[Path], *, force: bool) -> None:
-    for path in outputs:
-        refuse_nameless(path)
-        refuse_overwriting((path,), inputs)
-        if exists(path) and not force:
-            raise OutputError("is there already", path=path, hint="give force=True to replace it")
 
 
 @public
@@ -411,7 +449,5 @@ def simulate(
         "no_temperature": no_temperature,
     }  # fmt: skip
     for name, (low, high) in SIMULATED.items():
-        if not low <= values[name] <= high:
-            keyword = name.removesuffix("_hz")
-            raise UsageError(f"{keyword} cannot be {values[name]}", hint=f"possible: {low:g} to {high:g}")
+        _check_number(name.removesuffix("_hz"), values[name], low, high)
     return written(Path(output), format, plan_of(values), force=force, progress=lambda _done: None)

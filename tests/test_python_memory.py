@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import os
 import pickle
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -97,6 +100,26 @@ def test_a_result_can_go_to_another_process(kind: str) -> None:
     del result
     again = pickle.loads(packed)
     assert again.to_arrow().equals(values) and len(again.windows()) and repr(again)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_forked_process_leaves_the_temporary_file_to_its_parent() -> None:
+    program = """
+import gc, os, numpy, accelcal
+result = accelcal.calibrate(numpy.tile([[0.0, 0.0, 1.0]], (1000, 1)), rate=50)
+if (child := os.fork()) == 0:
+    del result
+    gc.collect()
+    raise SystemExit
+assert os.waitpid(child, 0)[1] == 0
+path = result._given.path
+assert path.exists()
+del result
+gc.collect()
+assert not path.exists()
+"""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, "-W", "ignore", "-c", program], check=True, env=environment)
 
 
 def test_p4_an_array_of_xarray_brings_its_times() -> None:

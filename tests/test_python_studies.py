@@ -9,6 +9,7 @@ import sys
 import textwrap
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -228,12 +229,14 @@ def test_p7_coefficients_are_exported_as_by_the_command(
 ) -> None:
     _, report = result.write(tmp_path)
     told = run(capsys, "export", report, "--to", form, "-q").out
-    assert accelcal.export(report, to=form) == told
-    made = accelcal.export([result], to=form, output=tmp_path / "made")
+    noted = nullcontext() if form == "json" else pytest.warns(UserWarning, match="temperature is left out")
+    with noted:
+        assert accelcal.export(report, to=form) == told
+        made = accelcal.export([result], to=form, output=tmp_path / "made")
     assert (tmp_path / "made").read_text() == made
     if form != "json":
         assert made == told
-    with pytest.raises(accelcal.AccelcalError, match="is there already; give force=True"):
+    with pytest.raises(accelcal.AccelcalError, match="is there already; use force=True"):
         accelcal.export(report, to=form, output=tmp_path / "made")
 
 
@@ -247,6 +250,36 @@ def test_p7_data_are_exported_as_by_the_command(
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
     with pytest.raises(accelcal.AccelcalError, match="output=FILE, or folder=DIR"):
         accelcal.export(result, to="csv")
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "text"),
+    [
+        ({"to": "cvs"}, accelcal.AccelcalError, "there is no form 'cvs'; did you mean 'csv'"),
+        ({"to": "omconvert", "folder": "made"}, accelcal.AccelcalError, "to='omconvert' writes no folder"),
+        ({"to": "ggir", "resample": 10}, accelcal.AccelcalError, "resample is for data"),
+        ({"to": "ggir", "gzip": True}, accelcal.AccelcalError, "gzip=True is for a folder of recordings"),
+        ({"to": "csv", "output": "a", "folder": "made"}, accelcal.AccelcalError, "give one of them"),
+        (
+            {"to": "csv", "output": "a"},
+            accelcal.AccelcalError,
+            "to='csv' needs calibrated data; give .*parquet",
+        ),
+        ({"to": "csv", "folder": "made", "jobs": 0}, accelcal.AccelcalError, "jobs cannot be 0"),
+        ({"to": "csv", "output": "a", "smooth": 2.5}, TypeError, "smooth cannot be 2.5"),
+    ],
+)
+def test_an_export_that_cannot_be_is_refused_as_by_the_command(
+    options: Any, kind: type[Exception], text: str, result: accelcal.Result, tmp_path: Path
+) -> None:
+    _, report = result.write(tmp_path)
+    with pytest.raises(kind, match=text):
+        accelcal.export(report, **options)
+    with pytest.raises(accelcal.AccelcalError, match=r"recording\.calibration\.json.*use force=True"):
+        foreign = tmp_path / "foreign" / report.name
+        foreign.parent.mkdir()
+        foreign.write_text("{}")
+        result.write(foreign.parent)
 
 
 def test_p3_a_study_is_exported_as_by_the_command(tmp_path: Path, capsys: Capture) -> None:

@@ -14,29 +14,26 @@ from accelcal_cli.cli.exit_codes import OK, SOME_FAILED, of_all, of_failure, say
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.door import is_folder
-from accelcal_cli.core.errors import AccelcalError, OutputError, UsageError, counted, printable
+from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
 from accelcal_cli.core.system import cpus
-from accelcal_cli.exports.rows import WIDEST
-from accelcal_cli.output.files import exists, write_text
-from accelcal_cli.pipeline.jobs import (
-    PARQUET_SUFFIX,
-    REPORT_SUFFIX,
-    refuse_dash,
-    refuse_nameless,
-    refuse_overwriting,
+from accelcal_cli.exports.forms import (
+    COEFFICIENTS,
+    FORMS,
+    check_form,
+    refuse_other_kind,
+    refuse_outputs,
 )
+from accelcal_cli.exports.rows import WIDEST
+from accelcal_cli.output.files import write_text
+from accelcal_cli.pipeline.jobs import PARQUET_SUFFIX, refuse_dash
 
 if TYPE_CHECKING:
     from accelcal_cli.exports.data import ExportedData, ExportOptions
     from accelcal_cli.exports.folder import Made
     from accelcal_cli.exports.selection import Selected
 
-COEFFICIENTS = ("ggir", "biobank", "omconvert", "json")
-DATA = ("csv", "npz", "mhealth", "bids", "parquet")
-FOLDERS = ("ggir", "biobank", "actipy", "skdh", "csv", "npz", "mhealth", "parquet")
-"""Forms of which a folder of recordings can be made."""
-
-FORMS = tuple(dict.fromkeys((*COEFFICIENTS, "actipy", "skdh", *DATA)))
+VALUES = ("gzip", "jobs", "resample", "smooth", "measured_only")
+"""Options that not every form has."""
 
 
 class Width(options.AnyType):
@@ -69,7 +66,7 @@ class Width(options.AnyType):
 @click.option("--gzip", is_flag=True, help="With -d, compress tables (.csv.gz).")
 @click.option("-j", "--jobs", type=click.IntRange(1, 64), metavar="N",
               help="With -d, recordings at a time.  [default: as many as there are CPUs]")  # fmt: skip
-@click.option("--resample", "resample_hz", type=options.Positive(100_000), metavar="HZ",
+@click.option("--resample", type=options.Positive(100_000), metavar="HZ",
               help="Resample to HZ within each gap-free stretch.")  # fmt: skip
 @click.option("--smooth", type=Width(), metavar="auto|N",
               help="Rolling mean of N samples; auto: 3, 5, 10 or 20, by the rate.")  # fmt: skip
@@ -92,37 +89,27 @@ def command(files: tuple[Path, ...], **values: Any) -> int:
     cannot use misalignment, so a fit without it is exported, and a message gives the loss of accuracy. From
     one NAME.calibrated.parquet, exports the data: csv, npz, mhealth, bids, or (smoothed, resampled) parquet.
     """
-    if values["output_dir"] is not None:
+    into_folder = values["output_dir"] is not None
+    if into_folder:
+        refuse_dash(values["output_dir"])
+        if values["output"] is not None:
+            raise UsageError("-o names one file, and -d a folder", hint="give one of them")
+    check_form(values["form"], {name: values[name] for name in VALUES}, folder=into_folder)
+    if into_folder:
         return _folder(files, values)
-    for name in ("gzip", "jobs"):
-        if values[name]:
-            raise UsageError(f"--{name} is for a folder of recordings", hint="name one with -d, or omit it")
     if values["form"] in COEFFICIENTS:
         return _coefficients(files, values)
     return _data(files, values)
-
-
-def _refuse_other_kind(path: Path, form: str) -> None:
-    """Raise UsageError for data where a report is needed, or the other way round, naming the other file."""
-    kinds = [(DATA, PARQUET_SUFFIX, "calibrated data"), (COEFFICIENTS, REPORT_SUFFIX, "a report")]
-    (_, suffix, needed), (_, given, _) = kinds[::-1] if form in COEFFICIENTS else kinds
-    if path.name.endswith(given):
-        other = shlex.quote(printable(path.with_name(path.name.removesuffix(given) + suffix)))
-        raise UsageError(f"--to {form} needs {needed}", path=path, hint=f"give {other} instead")
 
 
 def _coefficients(files: tuple[Path, ...], values: dict[str, Any]) -> int:
     from accelcal_cli.exports.selection import select
 
     form, output = values["form"], values["output"]
-    for name in ("resample_hz", "measured_only", "smooth"):
-        if values[name] is not None and values[name] is not False:
-            option = f"--{name.removesuffix('_hz').replace('_', '-')}"
-            raise UsageError(f"{option} is for data (--to {', '.join(DATA)})", hint="omit it")
     for path in files:
-        _refuse_other_kind(path, form)
+        refuse_other_kind(path, form)
     if output is not None:
-        _refuse((output,), files, force=values["force"])
+        refuse_outputs((output,), files, force=values["force"])
     reports = select(files, data=False)
     done, codes = _each(reports, _reading(form))
     text = _text(form, done, quiet=values["quiet"])
@@ -174,15 +161,7 @@ def _folder(files: tuple[Path, ...], values: dict[str, Any]) -> int:
     from accelcal_cli.exports.selection import select
 
     form, out, quiet = values["form"], values["output_dir"], values["quiet"]
-    refuse_dash(out)
-    if values["output"] is not None:
-        raise UsageError("-o names one file, and -d a folder", hint="give one of them")
-    if form not in FOLDERS:
-        hint = f"choose one of {', '.join(FOLDERS)}, or give -o instead of -d"
-        raise UsageError(f"--to {form} writes no folder of recordings", hint=hint)
-    wanted = ExportOptions(
-        out, values["resample_hz"], values["measured_only"], values["smooth"], values["gzip"]
-    )
+    wanted = ExportOptions(out, values["resample"], values["measured_only"], values["smooth"], values["gzip"])
     selected = select(files, data=True)
     planned = folder.plan(form, selected, wanted, force=values["force"])
     made = []
@@ -234,13 +213,13 @@ def _data(files: tuple[Path, ...], values: dict[str, Any]) -> int:
     form, output = WRITTEN_AS.get(values["form"], values["form"]), values["output"]
     if len(files) > 1 or is_folder(files[0]):
         raise UsageError("several recordings need a folder", hint="name one with -d instead of -o")
-    _refuse_other_kind(files[0], form)
+    refuse_other_kind(files[0], form)
     if output is None:
         name = shlex.quote(printable(f"{files[0].name.removesuffix(PARQUET_SUFFIX)}.{form}"))
         hint = f"add -o {name}" if form in ("csv", "npz", "parquet") else "give one with -o"
         raise UsageError(f"--to {form} writes a file, which needs a name", hint=hint)
-    _refuse(outputs_of(form, output), files, force=values["force"])
-    wanted = ExportOptions(output, values["resample_hz"], values["measured_only"], values["smooth"])
+    refuse_outputs(outputs_of(form, output), files, force=values["force"])
+    wanted = ExportOptions(output, values["resample"], values["measured_only"], values["smooth"])
     with progress_bars(files[0].name, quiet=values["quiet"], unit="") as bars:
         written = export_data(form, files[0], wanted, bars)
     if not values["quiet"]:
@@ -257,12 +236,3 @@ def _about(output: Path, form: str, written: ExportedData) -> str:
     rows = f"{counted(written.rows, 'row')} at {about.rate_hz:g} Hz with {gaps}"
     means = "" if about.smoothed is None else f", a rolling mean of {about.smoothed} samples"
     return f"{output}: {rows}{means}, times {zone}{limits}"
-
-
-def _refuse(outputs: tuple[Path, ...], inputs: tuple[Path, ...], *, force: bool) -> None:
-    """Raise UsageError for an output that is an input, OutputError for one that is there already."""
-    for path in outputs:
-        refuse_nameless(path)
-        refuse_overwriting((path,), inputs)
-        if exists(path) and not force:
-            raise OutputError("is there already", path=path, hint="use --force to replace it")
