@@ -62,7 +62,7 @@ GROWTH = 10
 """A fit is tried again when a GROWTH-th more orientations are known."""
 
 BETTER = 0.9
-"""New coefficients must have at most this fraction of the largest error over the sphere of those in use."""
+"""Largest error over all directions of new coefficients, as a fraction of that of the ones in use."""
 
 KEPT_H = 24
 """Length [h] of the stretch that profile `paper` checks its coefficients against."""

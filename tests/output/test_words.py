@@ -98,6 +98,9 @@ WHY: dict[str, Any] = {"code": "no_stillness_on_sides", "values": {"sides": ["-z
 FACTOR = {"factor": 15.44, "factor_ci95": [11.8, 20.2]}
 HELD_OUT = {"before_mg": 31.5, "after_mg": 2.04, "orientations": 14, "held_out": "orientations"} | FACTOR
 HERE = {"before_mg": 31.5, "after_mg": 2.04, "orientations": 1}
+WORSE_HERE = {"before_mg": 2.04, "after_mg": 3.1, "orientations": 1}
+BAD_HERE = {"before_mg": 31.5, "after_mg": 12.0, "orientations": 1, "limit_mg": 10.0}
+NO_BETTER = HELD_OUT | {"before_mg": 5.5, "after_mg": 5.1, "factor": 1.078, "factor_ci95": [0.9, 1.3]}
 NOT_HERE = dict.fromkeys(HERE)
 LEVEL = {"mean": -3.25, "sd": 0.5}
 VECTORS = {"before_mg": 35.0, "after_mg": 4.5, "norm_before_mg": 30.0, "norm_after_mg": 1.5}
@@ -160,7 +163,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
         {"missing_bytes": 2841600, "missing_percent": 49.87},
     ],
     "damaged": [{"lost_percent": 61.53, "lost_bytes": 1234567, "limit_percent": 50.0}],
-    "donor": [{"path": "a.cwa", "why": {"code": "not_less", "values": HERE}}],
+    "donor": [{"path": "a.cwa", "why": {"code": "not_less", "values": WORSE_HERE}}],
     "earlier_verdict": [
         {"message": "no model improves on the 4.5 mg of the raw data"},
         {"message": "It is good."},
@@ -183,7 +186,9 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
         {"turns": 40, "before_deg": 4.5, "after_deg": 0.53, "unusual": unusual} for unusual in (False, True)
     ],
     "gyroscope_never_at_rest": [{}],
-    "held_out_error_over_limit": [HELD_OUT | {"model": "9", "asked_for": False, "limit_mg": 10.0}],
+    "held_out_error_over_limit": [
+        HELD_OUT | {"after_mg": 12.0, "model": "9", "asked_for": False, "limit_mg": 10.0}
+    ],
     "unfinished_copy": [{"suffix": ".part"}],
     "excluded": [{"by": "--exclude"}],
     "belongs_to_another": [{"name": "acc.bin"}],
@@ -215,10 +220,10 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "no_stillness_on_sides": [{"sides": ["-x", "+y"], "reach_g": 0.3}, WHY["values"]],
     "no_stillness_along": [{"axes": ["z"], "reach_g": 0.3}],
     "not_1_g": [REST],
-    "not_better": [HELD_OUT | {"model": "9", "asked_for": True}],
-    "not_clearly_better": [HELD_OUT],
+    "not_better": [NO_BETTER | {"model": "9", "asked_for": True}],
+    "not_clearly_better": [NO_BETTER],
     "not_determined": [{}],
-    "not_less": [HERE],
+    "not_less": [WORSE_HERE],
     "not_tried": [{"message": "it is the same recording"}],
     "nothing_but_filled": [{"filled_percent": 95.5}],
     "nothing_checks_poses": [{}],
@@ -239,7 +244,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "other_model": [{"model": "AX6"}],
     "other_rule": [{}],
     "other_stillness": [{"options": "--stillness both"}],
-    "over_limit_here": [HERE | {"limit_mg": 10.0}],
+    "over_limit_here": [BAD_HERE],
     "own_coefficients": [{}],
     "own_is_no_worse": [{"after_mg": 2.5, "own_mg": 2.0}, {"after_mg": None, "own_mg": 2.0}],
     "pooled": [
@@ -253,9 +258,16 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     ],
     "poses_disagree": [
         VECTORS
-        | {"vector_limit_mg": 20.0, "limit_mg": 10.0, "worst": "+z", "start_s": 125.0, "worst_mg": 90.0}
+        | {
+            "after_mg": 25.0,
+            "vector_limit_mg": 20.0,
+            "limit_mg": 10.0,
+            "worst": "+z",
+            "start_s": 125.0,
+            "worst_mg": 90.0,
+        }
     ],
-    "poses_no_better": [VECTORS],
+    "poses_no_better": [VECTORS | {"before_mg": 4.0}],
     "poses_unchecked": [{"orientations": 4, "before_mg": 35.0}],
     "prior_learnt": [
         {"model": "AX3", "devices": 12, "own": 0},
@@ -264,12 +276,10 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
         {"model": "AX3", "devices": 1, "own": 1},
     ],
     "provisional": [FIT | HELD_OUT | {"percent": 97.0}],
-    "raw_no_worse": [HELD_OUT],
+    "raw_no_worse": [NO_BETTER],
     "record_again": [{}],
     "record_longer": [{}],
-    "recordings_contradict": [
-        {"path": "a.cwa", "why": {"code": "over_limit_here", "values": HERE | {"limit_mg": 10.0}}}
-    ],
+    "recordings_contradict": [{"path": "a.cwa", "why": {"code": "over_limit_here", "values": BAD_HERE}}],
     "rest_on_faces": [{}],
     "rest_on_sides": [{"sides": ["-z"]}, {"sides": ["+x", "-z"]}],
     "rest_scatters": [{"low_g": 0.36, "high_g": 1.05}],

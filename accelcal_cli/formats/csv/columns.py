@@ -511,9 +511,7 @@ def find_gyroscope(
     if options.gyro_unit == "none":
         return None, (NOT_READ,)
     if len(groups) > 1:
-        return None, (
-            "no gyroscope is read: several groups of columns are named as one; --gyro-columns chooses",
-        )
+        return None, ("no gyroscope is read: several groups of columns could be one; --gyro-columns chooses",)
     xyz = groups[0]
     names = ", ".join(map(dialect.column_name, xyz))
     if any(dialect.kinds[column] is not CellKind.NUMBER for column in xyz):
