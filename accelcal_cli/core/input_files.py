@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.door import files_below, is_file, look, open_found
+from accelcal_cli.core.door import files_below, is_file, look, open_found, unreadable
 from accelcal_cli.core.errors import UnreadableError, UsageError
 
 ANY = "*"
@@ -69,9 +69,7 @@ def files_of(path: Path) -> tuple[Path, ...] | None:
             return None
         return tuple(sorted(one for one in found if is_file(one) and not is_no_part(one)))
     except OSError as error:
-        place = error.filename or path
-        hint = "check its permissions and its disk"
-        raise UnreadableError(f"cannot be read ({error.strerror or error})", path=place, hint=hint) from error
+        raise unreadable(error, path) from error
 
 
 def _below(folder: Path) -> Iterable[Path]:

@@ -60,23 +60,28 @@ def why_again(last: Entry | None, item: Item, asked: str, options: list[str]) ->
         return "changed"
     version = last.row.get("accelcal_version")
     if version != __version__:
-        return f"made by {version}"
+        return ", ".join([f"made by {version}", *(one for one in options if one != OTHER_OPTIONS)])
     if last.asked != asked:
         return " ".join(options) or OTHER_OPTIONS
     return "failed before" if last.failed or last.again else "an output is missing"
 
 
-def said_before(why: Mapping[str, str]) -> list[str]:
-    """Return a line for each reason why several results are made again: another version, or other options."""
+def said_before(why: Mapping[str, str], *, keep_older: bool) -> list[str]:
+    """Return a line for each reason why several results are made again: another version, or other options.
+
+    Args:
+        keep_older: `--keep-older` is given already.
+    """
     reasons = Counter(one for one in why.values() if one.startswith(("made by", "--", OTHER_OPTIONS)))
     return [
-        f"{counted(number, 'result')} to be made again ({one}){_way_out(one)}"
+        f"{counted(number, 'result')} to be made again ({one}){'' if keep_older else _way_out(one)}"
         for one, number in sorted(reasons.items())
     ]
 
 
 def _way_out(why: str) -> str:
-    return "; --keep-older leaves them" if why.startswith("made by") else ""
+    """Return how results are kept that were made with the same options."""
+    return "; --keep-older leaves them" if why.startswith("made by") and ", " not in why else ""
 
 
 def said_after(before: Mapping[str, Mapping[str, Any]], after: Mapping[str, Mapping[str, Any]]) -> str | None:

@@ -63,12 +63,21 @@ def test_u7_results_of_an_earlier_version_are_kept_if_asked(tmp_path: Path, caps
         ran = study(capsys, folder, "--keep-older")
         assert ran.code == 0 and "2 unchanged" in ran.err, ran.err
         assert (out / "study.csv").read_text().count("0.0.9") == 2
-    assert (
-        "todo (made by 0.0.9)" in study(capsys, folder, "--keep-older", "--no-temperature", "--dry-run").out
-    )
+    other = ("--keep-older", "--no-temperature")
+    assert "todo (made by 0.0.9, --no-temperature)" in study(capsys, folder, *other, "--dry-run").out
     assert study(capsys, folder, "--keep-older", "--borrow").code == 2
-    assert study(capsys, folder).code == 0
+    (out / "study.json").unlink()
+    ran = study(capsys, folder, "--keep-older")
+    assert "2 results to be made again (made by 0.0.9)\n" in ran.err, "the options of then are not known"
     assert "0.0.9" not in (out / "study.csv").read_text()
+
+
+def test_with_other_options_too_nothing_is_said_of_keeping(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in", ("a.raw", "b.raw")), tmp_path / "out"
+    assert study(capsys, folder).code == 0
+    as_if_made_by(out, "0.0.9")
+    ran = study(capsys, folder, "--no-temperature")
+    assert "2 results to be made again (made by 0.0.9, --no-temperature)\n" in ran.err
 
 
 def test_u7_an_option_is_named_that_makes_results_again(tmp_path: Path, capsys: Capture) -> None:
