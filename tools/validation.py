@@ -1,7 +1,7 @@
 """Write build/validation.md: accuracy, coverage of intervals and hours of wear, measured here and now.
 
 Each part is a command that anyone can run alone. Recordings are those of sample_data and, where it is, of
-../shared/data (or $ACCELCAL_REAL_DATA). A part that fails is said to have failed.
+../shared/data (or $ACCELCAL_REAL_DATA). A part that fails is marked as failed, and the exit code is then 1.
 """
 
 from __future__ import annotations
@@ -81,32 +81,34 @@ def recordings() -> list[Path]:
     return [Path("sample_data") / name for name in ("recording.bin", "night.h5")] + real
 
 
-def shown(part: Part) -> str:
-    """Run a part's command and return its section."""
+def shown(part: Part) -> tuple[str, bool]:
+    """Run a part's command and return its section, and True if it failed."""
     begun = time.monotonic()
     words = [sys.executable, *part.command]
     ran = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     said = ran.stdout.strip() or "(nothing)"
-    failed = (
-        ""
-        if ran.returncode == 0
-        else f"\n\n**Failed** with exit code {ran.returncode}: {ran.stderr.strip()[-400:]}"
-    )
+    why = f"\n\n**Failed** with exit code {ran.returncode}: {ran.stderr.strip()[-400:]}"
+    failed = why if ran.returncode else ""
     line = " ".join(part.command).replace("-m accelcal_cli", "accelcal").replace(f"{REAL}/", "")
     seconds = f"{time.monotonic() - begun:.0f} s"
-    return f"## {part.title}\n\n{part.text}\n\n```\n{said}\n```\n\n`{line}` ({seconds}){failed}\n"
+    return f"## {part.title}\n\n{part.text}\n\n```\n{said}\n```\n\n`{line}` ({seconds}){failed}\n", bool(
+        failed
+    )
 
 
-def main() -> None:
-    """Write the page, part by part, so that a part that takes long does not keep the others back."""
+def main() -> int:
+    """Write the page, part by part, so that a slow part does not hold up the others; return the exit code."""
     PAGE.parent.mkdir(exist_ok=True)
-    sections = ["# Validation\n"]
+    sections, failures = ["# Validation\n"], 0
     for part in parts():
         print(part.title, flush=True)
-        sections.append(shown(part))
+        section, failed = shown(part)
+        sections.append(section)
+        failures += failed
         PAGE.write_text("\n".join(sections), encoding="utf-8")
     print(PAGE)
+    return 1 if failures else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
