@@ -311,7 +311,7 @@ def counted_once(problems: Iterable[tuple[str, str]]) -> list[str]:
 
 
 def _in_all(code: str, stem: str, numbers: list[str]) -> str:
-    total = f": {sum(map(int, numbers))}" if numbers[0] else ""
+    total = f": {sum(map(int, filter(None, numbers)))}" if any(numbers) else ""
     return f"{code}: {stem}{total}{f', in {len(numbers)} places' if len(numbers) > 1 else ''}"
 
 

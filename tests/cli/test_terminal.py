@@ -239,3 +239,5 @@ def test_s4_a_problem_is_listed_once_with_its_count() -> None:
         "note: odd: head",
         "truncated: an incomplete page, bytes left out: 320",
     ]
+    once = [("checksum", "a page"), ("checksum", "a page: 3")]
+    assert counted_once(once) == ["checksum: a page: 3, in 2 places"]
