@@ -16,7 +16,6 @@ unexport PYTHONDONTWRITEBYTECODE
 
 setup: $(READY)
 
-# --no-compile: Python compiles the few modules that are used when they are first imported
 # installs the versions of the lock, or others where these cannot be had, such as for a newer Python
 define locked
 $(if $(LOCK),$(PIP) --constraint $(LOCK) $(1) \
@@ -27,6 +26,7 @@ $(PLAIN): pyproject.toml $(LOCK)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 	  || { echo "accelcal needs Python 3.11 or newer: make PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
+	@# --no-compile: Python compiles the few modules that are used when they are first imported
 	$(call locked,--no-compile --editable .)
 	touch $@
 
