@@ -196,7 +196,8 @@ def test_its_coefficients_are_applied_and_verified(base: Path, tmp_path: Path, c
 def test_a_learnt_prior_is_refused_elsewhere_with_where_it_is_available(capsys: Capture, words: str) -> None:
     ran = run(capsys, *words.split())
     assert ran.code == 2
-    assert ran.err.endswith("is available only in `accelcal study`: it uses other recordings.\n")
+    more = f"see: accelcal {words.split(maxsplit=1)[0]} --help\n"
+    assert ran.err.endswith(f"is available only in `accelcal study`: it uses other recordings; {more}")
 
 
 @pytest.mark.parametrize(
