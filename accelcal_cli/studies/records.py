@@ -274,6 +274,11 @@ def _shared(value: Any, texts: dict[str, str]) -> Any:
     return [_shared(one, texts) for one in value] if isinstance(value, list) else value
 
 
+def shared_row(entry: Entry, texts: dict[str, str]) -> Entry:
+    """Return an entry whose row has the texts that others have: each row of a worker comes with its own."""
+    return replace(entry, row=_shared(entry.row, texts))
+
+
 def is_ledger(path: Path) -> bool:
     """Return True if a file is a ledger, or what damage has left of one, and may be replaced.
 

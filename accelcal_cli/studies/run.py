@@ -42,6 +42,7 @@ from accelcal_cli.studies.records import (
     ProgressDelta,
     RecordingState,
     TaskFunction,
+    shared_row,
 )
 from accelcal_cli.studies.rounds import (
     Plan,
@@ -398,6 +399,7 @@ def results(
     if not tasks:
         return
     observer.begin([task.item for task in tasks])
+    texts: dict[str, str] = {}
     ordered = sorted(tasks, key=lambda task: (-task.item.size, task.item.name))
 
     def moved(task: Task, part: float) -> None:
@@ -407,7 +409,8 @@ def results(
     executor = executor_for(study, work, len(tasks), moved, observer.note)
     with contextlib.closing(executor.run(ordered)) as ended:
         for one in ended:
-            yield one.task.item, _result(one)
+            result = _result(one)
+            yield one.task.item, replace(result, entry=shared_row(result.entry, texts))
 
 
 def _result(ended: Finished) -> TaskResult:
