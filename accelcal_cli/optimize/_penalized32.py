@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from accelcal_cli.core.arithmetic import FRACTION_BITS, inverse, narrow, rounded_quotient
+from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, Fixed, inverse, narrow, rounded_quotient
+from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError
 from accelcal_cli.core.points import (
     PENALTY_BITS,
@@ -28,8 +29,10 @@ from accelcal_cli.optimize._objective32 import (
     COLUMNS,
     ENTRIES,
     LEAST_SCALE,
+    RESIDUAL_LIMIT,
     RISE_TOLERANCE_BITS,
     ROWS,
+    VALUE_LIMIT,
     WEIGHT_BITS,
     Stack,
     State,
@@ -46,6 +49,43 @@ STEP_BITS = 40
 """Fraction bits of the inverse curvature that a Gauss-Newton step is multiplied by."""
 
 MAX_NEWTON_STEPS = 100
+
+COARSE_BITS = 12
+"""Fraction bits of points by which `start_of` finds a centre, so that sums of their cubes are exact."""
+
+FARTHEST_FROM_SPHERE_G = 0.2
+"""Distance [g] from a sphere that scales and misalignment explain; a point beyond it is no offset's."""
+
+
+def start_of(points: PointSet) -> tuple[int, ...]:
+    """Return the parameters from which a fit sets out: an ideal sensor's, unless points are out of its range.
+
+    These may have an offset of half a g. All of them then lie near a sphere, whose centre is that of the
+    linear least squares of |v|^2 = 2 c v + d; the fit sets out from the offset -c.
+    """
+    if not len(points) or not _beyond_ideal(points.xyz):
+        return IDENTITY
+    coarse = points.xyz >> (FRACTION_BITS - COARSE_BITS)
+    squares = (coarse**2).sum(axis=1)
+    rows = np.column_stack([2 * coarse, np.full_like(squares, 1 << COARSE_BITS)])
+    try:
+        back = inverse([[float(value) for value in row] for row in (rows.T @ rows).tolist()])
+    except ValueError:
+        return IDENTITY
+    right = [float(value) for value in (rows.T @ squares).tolist()]
+    centre = [sum(value * one for value, one in zip(row, right, strict=True)) for row in back[:3]]
+    offset = [round(-value * (1 << (FRACTION_BITS - COARSE_BITS))) for value in centre]
+    x, y, z = (points.xyz + np.array(offset)).T.astype(np.float64) / ONE
+    explained = float(np.ptp(np.sqrt(x * x + y * y + z * z))) < 2 * FARTHEST_FROM_SPHERE_G
+    return (*IDENTITY[:ENTRIES], *offset, 0, 0, 0) if explained else IDENTITY
+
+
+def _beyond_ideal(xyz: Fixed) -> bool:
+    """Return True if points within the range of values leave that of residuals in an ideal sensor."""
+    if np.abs(xyz).max() >= VALUE_LIMIT:
+        return False
+    residuals = narrow((xyz**2).sum(axis=1) - (ONE << FRACTION_BITS))
+    return bool(residuals.max() >= RESIDUAL_LIMIT)
 
 
 def curvature(stack: Stack, state: State, parameters: tuple[int, ...], model: Model) -> list[list[float]]:
@@ -78,7 +118,8 @@ def fit_penalized(points: PointSet, model: Model, penalty: Penalty, start: tuple
     """Find the minimum of the objective with a penalty by Gauss-Newton steps on integers.
 
     A step that raises the exact sum by more than rounding can is halved. The descent ends where the step is
-    within the rounding of the gradient, or where it returns to parameters that it had before.
+    within the rounding of the gradient, or where it returns to parameters that it had before. Where an ideal
+    sensor is to be the start, `start_of` says what else may be.
 
     Raises:
         FixedPointOverflowError: a value leaves its range, or there are more than MAX_POINTS points.
@@ -87,6 +128,7 @@ def fit_penalized(points: PointSet, model: Model, penalty: Penalty, start: tuple
     if not points.weights.any():
         raise DivergedError("no point has any weight")
     stack = stacked((points,))
+    start = start_of(points) if start == IDENTITY else start
     here, stop = _at(stack, start, penalty), "iterations"
     seen, places, around = set[tuple[int, ...]](), [start], curvature(stack, here.state, start, model)
     while len(seen) < MAX_NEWTON_STEPS and stop == "iterations":

@@ -1,9 +1,9 @@
 """F's gradient descent in 32-bit fixed point: integers from the points to the coefficients.
 
-From the ideal sensor down the objective of `_objective32` (Farago, Maczak, Gingl 2024, section II.C). Where
-points hardly determine a parameter, as those near a plane, steps fall below one bit, or the iterations are
-used up, short of the minimum: such a descent is finished by Gauss-Newton steps on the same integers. F's own,
-of 50 iterations, is not.
+From the ideal sensor, or a large offset (`start_of`), down the objective of `_objective32` (Farago, Maczak,
+Gingl 2024, section II.C). Where points hardly determine a parameter, as those near a plane, steps fall below
+one bit, or the iterations are used up, short of the minimum: such a descent is finished by Gauss-Newton steps
+on the same integers. F's own, of 50 iterations, is not.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from accelcal_cli.optimize._objective32 import (
     operations_of,
     stacked,
 )
-from accelcal_cli.optimize._penalized32 import fit_penalized
+from accelcal_cli.optimize._penalized32 import fit_penalized, start_of
 
 RATE_BITS = 24
 """Fraction bits of a learning rate."""
@@ -156,7 +156,7 @@ class _Descent:
     free: tuple[int, ...]
     rates: list[int]
     keep_history: bool
-    here: list[int] = field(default_factory=lambda: list(IDENTITY))
+    here: list[int]
     before: list[int] = field(default_factory=list)
     best: list[int] = field(default_factory=list)
     lowest: int | None = None
@@ -227,7 +227,7 @@ def _accelerated(sets: Sequence[PointSet], model: Model, settings: DescentSettin
     if not sets:
         return []
     rates, keep, last = _rates(settings), settings.keep_history, settings.max_iterations
-    descents = [_Descent(len(points), model.free, rates, keep) for points in sets]
+    descents = [_Descent(len(points), model.free, rates, keep, list(start_of(points))) for points in sets]
     fits: list[Fit | None] = [None] * len(sets)
     stack, left = stacked(sets), list(range(len(sets)))
     for iteration in range(1, last + 1):

@@ -16,6 +16,7 @@ from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError
 from accelcal_cli.core.points import MODELS, WEIGHT_ONE, Fit, PointSet
 from accelcal_cli.optimize import fixed32
 from accelcal_cli.optimize._objective32 import MAX_POINTS, cost, evaluate, gradients, stacked
+from accelcal_cli.optimize._penalized32 import start_of
 from tests.optimize.oracle import directions, measured, points, random_directions
 
 SHORT = replace(fixed32.DEFAULT, max_iterations=60, keep_history=True)
@@ -168,3 +169,27 @@ def residuals(held: PointSet, p: np.ndarray) -> np.ndarray:
     u = held.xyz / ONE + p[6:9] + np.outer(held.tau / ONE, p[9:12])
     a = (p[0] * u[:, 0], p[3] * u[:, 0] + p[1] * u[:, 1], p[4] * u[:, 0] + p[5] * u[:, 1] + p[2] * u[:, 2])
     return a[0] ** 2 + a[1] ** 2 + a[2] ** 2 - 1
+
+
+@pytest.mark.parametrize("offset", [(0.475, 0, 0), (0, 0, -0.475), (0.3, -0.5, 0), (0.55, 0.55, 0.55)])
+@pytest.mark.parametrize("fit", ["descent", "prior"])
+def test_t10_an_offset_of_half_a_g_is_an_offset(offset: tuple[float, float, float], fit: str) -> None:
+    p = np.array([0.97, 1.02, 0.985, -0.008, 0.005, -0.004, *offset, 0, 0, 0])
+    held = points(measured(p, directions(60)))
+    with pytest.raises(FixedPointOverflowError):
+        evaluate(stacked([held]), np.array([IDENTITY], np.int64))
+    if fit == "descent":
+        found = fixed32.fit(held, MODELS["9"])
+        assert found == fixed32.fit(unbounded(held), MODELS["9"])
+    else:
+        found = fixed32.OPTIMIZER.fit_penalized(held, MODELS["9"], fixed32.NO_PENALTY, IDENTITY).fit
+    assert np.abs(np.array(found.parameters) / ONE - p).max() < 1e-6
+
+
+def test_t10_points_in_the_range_of_an_ideal_sensor_are_fitted_from_it() -> None:
+    near, far = (points(directions(40) + np.array([offset, 0, 0])) for offset in (0.3, 0.6))
+    assert start_of(near) == IDENTITY
+    found = start_of(far)
+    assert (found[:6], found[9:]) == (IDENTITY[:6], IDENTITY[9:])
+    assert found[6] / ONE == pytest.approx(-0.6, abs=1e-3)
+    assert found[7:9] == pytest.approx((0, 0), abs=1e-3 * ONE)
