@@ -144,8 +144,8 @@ def _sentence(row: dict[str, Any], source: Path, written: Path | None) -> str:
     elif before is not None:
         parts.append(f"the raw data are off by {mg(before)} mg")
     if written is not None:
-        parts.append(f"written to {written}")
-    return printable(": ".join(filter(None, (start, "; ".join(parts)))))
+        parts.append(f"Written to {written}")
+    return printable(": ".join(filter(None, (start, ". ".join(parts)))))
 
 
 def _errors(row: dict[str, Any]) -> list[str]:

@@ -27,7 +27,7 @@ CODES = {
     QualityState.REFUSED: exit_codes.REFUSED,
 }
 WORDS = {
-    QualityState.HOLDS: "the calibration holds",
+    QualityState.HOLDS: "the calibration still fits",
     QualityState.DEGRADED: "the calibration has degraded",
     QualityState.UNCHECKED: "not judged",
     QualityState.REFUSED: "refused",

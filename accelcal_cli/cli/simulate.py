@@ -35,9 +35,9 @@ LONGEST_DAYS, RATES_HZ = 3660, (0.1, 100_000)
 @click.option("--days", type=Positive(LONGEST_DAYS), default=1.0, show_default=True, help="Length in days.")
 @click.option("--rate", "rate_hz", type=Within(*RATES_HZ), default=100.0, show_default=True, metavar="HZ",
               help="Sampling rate.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(0, LARGEST_SEED), default=1, show_default=True,
+@click.option("--seed", type=click.IntRange(0, LARGEST_SEED), metavar="N", default=1, show_default=True,
               help="Seed for movement and noise.")  # fmt: skip
-@click.option("--truth", type=click.IntRange(0, LARGEST_SEED),
+@click.option("--truth", type=click.IntRange(0, LARGEST_SEED), metavar="N",
               help="Seed for the sensor's errors.  [default: that of --seed]")  # fmt: skip
 @click.option("--errors", type=Within(0, 100), default=1.0, show_default=True,
               help="Factor applied to all sensor errors; 0 for a perfect sensor.")  # fmt: skip

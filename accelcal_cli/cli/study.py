@@ -140,7 +140,7 @@ class TerminalObserver:
 @click.option("-d", "--output-dir", "out", type=FILE, required=True, help="Folder for the outputs.")
 @click.option("--include", multiple=True, metavar="GLOB", help="Process only these files, such as '*.cwa'.")
 @click.option("--exclude", multiple=True, metavar="GLOB", help="Skip these files, such as 'pilot/*'.")
-@click.option("-j", "--jobs", type=click.IntRange(1, 1024),
+@click.option("-j", "--jobs", type=click.IntRange(1, 1024), metavar="N",
               help="Number of workers.  [default: as many as CPUs and memory allow]")  # fmt: skip
 @click.option("--timeout", type=Positive(1e6), metavar="MINUTES", help="Time limit for each recording.")
 @click.option("--settle", type=Positive(), metavar="SECONDS",

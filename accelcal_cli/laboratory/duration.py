@@ -228,7 +228,7 @@ FIGURES = {
     show_default=True,
     help="Lengths of wear; those of more than half a recording are left out.",
 )
-@click.option("--number", type=click.IntRange(1, 10_000), default=12, show_default=True,
+@click.option("--number", type=click.IntRange(1, 10_000), metavar="N", default=12, show_default=True,
               help="Segments of each length and recording at most.")  # fmt: skip
 @table_hours_option
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")

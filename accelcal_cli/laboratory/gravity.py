@@ -210,16 +210,16 @@ def _rest(case: Case, plan: CasePlan, direction: Floats, random: RandomState) ->
 @click.option("--local-gravity", type=Within(9.7, 9.9), metavar="M/S2",
               help=f"Gravity at rest.  [default: {TABLE_8_GRAVITY}, as in the paper]")  # fmt: skip
 @gravity_options
-@click.option("--cases", type=click.IntRange(1), default=500, show_default=True,
+@click.option("--cases", type=click.IntRange(1), metavar="N", default=500, show_default=True,
               help="How many sensors to simulate.")  # fmt: skip
-@click.option("--points", type=click.IntRange(10, 8192), default=18, show_default=True,
+@click.option("--points", type=click.IntRange(10, 8192), metavar="N", default=18, show_default=True,
               help="Number of calibration points, shared by nine subsets.")  # fmt: skip
 @click.option("--noise-mg", type=Positive(100), default=1.0, show_default=True,
               help="Noise on each axis, standard deviation.")  # fmt: skip
 @click.option("--optimizer", "label", default="fixed32", type=METHOD, show_default=True,
               metavar="NAME[:paper]",
               help="Optimizer, with the paper's settings for NAME:paper.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=1, show_default=True,
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), metavar="N", default=1, show_default=True,
               help="Seed for all random numbers.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")

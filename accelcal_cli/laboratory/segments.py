@@ -380,6 +380,7 @@ table_hours_option = click.option(
 @click.option(
     "--number",
     type=click.IntRange(1, 10_000),
+    metavar="N",
     default=24,
     show_default=True,
     help="Segments of each length at most.",
@@ -388,9 +389,12 @@ table_hours_option = click.option(
 @click.option(
     "--sensors",
     type=click.IntRange(1, 100_000),
+    metavar="N",
     help="Replay each recording's still windows through N simulated sensors with known errors.",
 )
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of these sensors.")
+@click.option(
+    "--seed", type=click.IntRange(0), metavar="N", default=1, show_default=True, help="Seed of these sensors."
+)
 @_error_option("gain_percent", "PERCENT", "Their gains differ by up to this", 20)
 @_error_option("misalignment_percent", "PERCENT", "Their misalignments are up to this", 20)
 @_error_option("offset_mg", "MG", "Their offsets are up to this", 500)

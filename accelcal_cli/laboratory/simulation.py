@@ -451,7 +451,7 @@ def _notes(tables: tuple[ErrorTable, ...]) -> Iterator[str]:
     cls=Command,
     examples=("evaluate simulation --cases 100", "evaluate simulation --cases 100 --optimizer all --csv"),
 )
-@click.option("--cases", type=click.IntRange(1), default=500, show_default=True,
+@click.option("--cases", type=click.IntRange(1), metavar="N", default=500, show_default=True,
               help="How many sensors to simulate.")  # fmt: skip
 @click.option("--points", type=Listed(int, 9, 8192), default="18,144,432", show_default=True,
               metavar="N[,N...]", help="Numbers of calibration points.")  # fmt: skip
@@ -465,13 +465,13 @@ def _notes(tables: tuple[ErrorTable, ...]) -> Iterator[str]:
               help=f"May be repeated; `all` for all optimizers.  [default: {' '.join(USUAL)}]")  # fmt: skip
 @click.option("--rates", type=Listed(float, 0, 10), metavar="SCALE,MISALIGNMENT,OFFSET",
               help="Learning rates of one more method, `descent`.  [default: 0.3,0.8,0.2]")  # fmt: skip
-@click.option("--iterations", type=click.IntRange(1, 10_000),
+@click.option("--iterations", type=click.IntRange(1, 10_000), metavar="N",
               help="Iterations of `descent`.  [default: 50]")  # fmt: skip
 @click.option("--objective", type=OneOf(get_args(Objective)),
               help="What `descent` minimises: mean or sum of (|a|^2 - 1)^2, or mean of (|a| - 1)^2 (root).  "
                    "[default: mean]")  # fmt: skip
 @click.option("--convergence", is_flag=True, help="Also show how `descent` converges (Fig. 9).")
-@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=1, show_default=True,
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), metavar="N", default=1, show_default=True,
               help="Seed for all random numbers.")  # fmt: skip
 @click.option("--json", "as_what", flag_value="json", help="Print a JSON object.")
 @click.option("--csv", "as_what", flag_value="csv", help="Print CSV, a row for each parameter.")

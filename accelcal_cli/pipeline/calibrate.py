@@ -251,7 +251,7 @@ def open_run(
     with survey.open_marked(
         path, request.options, request.threads, request.unused, session=session, joined=request.joined
     ) as reader:
-        if reader.recording.calibrated is not None:  # a copy of what is there already helps nobody
+        if reader.recording.calibrated is not None:  # already calibrated: do not write a second copy
             request = replace(request, report_only=True)
         yield RecordingRun(job, request, progress, reader, path, before)
 

@@ -1,4 +1,4 @@
-"""`accelcal quality`: checks whether a calibration holds along a recording, in one pass that writes nothing.
+"""`accelcal quality`: checks whether a calibration still fits a recording, in one pass that writes nothing.
 
 The coefficients are those of a report, which are tested as `apply` tests them, or the recording's own.
 """

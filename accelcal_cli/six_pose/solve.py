@@ -74,8 +74,8 @@ def six_pose_fit(session: Session, settings: PoseSettings) -> SixPoseFit:
     checked = len({pose.number for pose, error in pairs if error.held_out is not None}) >= FEWEST_CHECKED
     if not checked and not settings.unchecked:
         raise DivergedError(
-            f"the poses{_which(session)} only just determine twelve parameters "
-            "and leave none to judge the fit by",
+            f"only {counted(session.orientations, 'pose')} found{_which(session)}: "
+            "enough for a fit, but not to check it",
             hint=f"{_missing(session)}{_way(session)}, {_UNCHECKED}",
         )
     surplus = session.orientations > UNKNOWNS

@@ -374,7 +374,7 @@ def test_what_is_printed(capsys: Capture) -> None:
     assert {len(row) for row in rows} == {len(head)}
     assert rows[0][:2] == ["2024-03-04T00:00:00", "707"]
     assert sentence == [
-        f"{SAMPLES / 'recording.bin'}: the calibration holds: " + sentence[0].split("holds: ")[1]
+        f"{SAMPLES / 'recording.bin'}: the calibration still fits: " + sentence[0].split("fits: ")[1]
     ]
 
 

@@ -35,7 +35,7 @@ def only(folder: Path, *names: str) -> bool:
         (["+x"], "only 1 pose found (+x), and at least 5 are needed"),
         (["+x", "-x", "+y", "-y"], "missing: +z, -z"),
         (["+x", "+y", "+z"], "missing: -x, -y, -z"),
-        (["+x", "-x", "+y", "+z"], "leave none to judge the fit by; missing: -y, -z"),
+        (["+x", "-x", "+y", "+z"], "enough for a fit, but not to check it; missing: -y, -z"),
         ([(0.6, 0.8, 0)] * 2, "no still state lies within 15 degrees of a face; 2 lie between faces"),
     ],
 )

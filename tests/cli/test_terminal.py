@@ -60,7 +60,7 @@ def test_an_interval_that_holds_the_raw_error_is_said(shown: Shown) -> None:
     """And one that reaches the limit of 10 mg."""
     sentence, *cautions = shown(ROW, Path("a.parquet")).splitlines()
     start = "a.cwa: calibrated with nine parameters: |r - 1| 13.5 -> 9.8 mg held out "
-    assert sentence == f"{start}(95 % interval 5.4 to 14.3), 1.38 times smaller; written to a.parquet"
+    assert sentence == f"{start}(95 % interval 5.4 to 14.3), 1.38 times smaller. Written to a.parquet"
     assert cautions == [f"  {REACH.format(14.3, 'on average')}", f"  {UNCERTAIN}"]
     assert UNCERTAIN not in shown(ROW | {"ci95_high_mg": 13.4})
     assert shown(ROW | {"ci95_high_mg": 9.9}).count("\n") == 1
@@ -108,7 +108,7 @@ def test_verdicts_10_a_sentence_has_the_error_everywhere_and_the_factor(shown: S
     interval = {"improvement_factor_low": 1.1, "improvement_factor_high": 1.75}
     assert shown(ROW | ERRORS | interval) == (
         "a.cwa: calibrated with nine parameters: error over all orientations 20 -> 4.1 mg (95 % interval "
-        "1.5 to 9.9); |r - 1| 13.5 -> 9.8 mg held out, 1.38 times smaller (95 % interval 1.1 to 1.75)\n"
+        "1.5 to 9.9). |r - 1| 13.5 -> 9.8 mg held out, 1.38 times smaller (95 % interval 1.1 to 1.75)\n"
     )
 
 

@@ -44,7 +44,7 @@ def test_four_poses_give_the_truth_by_hand() -> None:
 def test_four_poses_are_fitted_only_if_asked_for_and_claim_nothing() -> None:
     raw = FOUR @ K.T + O
     session = session_of(poses_of(FOUR, raw))
-    with pytest.raises(DivergedError, match=r"leave none to judge the fit by; .* with --unchecked"):
+    with pytest.raises(DivergedError, match=r"enough for a fit, but not to check it; .* with --unchecked"):
         six_pose_fit(session, CHECKED)
     fit = six_pose_fit(session, SETTINGS)
     verdict, vectors = judge_six_pose(session, fit, SETTINGS)
