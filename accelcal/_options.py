@@ -9,7 +9,7 @@ from datetime import datetime
 from os import PathLike
 from typing import Literal, TypedDict
 
-Columns = tuple[str | int, str | int, str | int] | list[str] | list[int]
+Columns = str | tuple[str | int, str | int, str | int] | list[str] | list[int]
 
 
 class ReadingOptions(TypedDict, total=False):
@@ -28,7 +28,7 @@ class ReadingOptions(TypedDict, total=False):
     """Counts per g (above 0, at most 1e+09)."""
 
     columns: Columns | None
-    """Columns of x, y and z: names, or numbers from 0."""
+    """Columns of x, y and z: names, or numbers from 0. One name: an array of all three."""
 
     time_column: str | None
     """Column of the times."""

@@ -23,6 +23,7 @@ accelcal.calibrate(xyz, rate=100.0, start=datetime(2024, 3, 4), temperature=np.z
 accelcal.calibrate(xyz.astype(np.int16), rate=50, unit="counts", lsb_per_g=256, gyroscope=xyz)
 accelcal.calibrate(b"PK", columns=("x", "y", "z"), timezone="Europe/Berlin")
 accelcal.calibrate(io.BytesIO(b""), columns=[1, 2, 3])
+accelcal.calibrate("rows.npz", columns="imu/raw", gyro_columns="imu/turns")
 accelcal.calibrate([[0.0, 0.0, 1.0]], rate=100)
 accelcal.calibrate({"x": [0.0], "y": [0.0], "z": [1.0]}, rate=None)
 accelcal.calibrate("night.cwa", profile="paper", stillness_axis="y", max_subset_points=4)
@@ -58,7 +59,7 @@ accelcal.calibrate("night.cwa", rate="25")  # wrong
 accelcal.calibrate("night.cwa", 25)  # wrong
 accelcal.calibrate(3)  # wrong
 accelcal.calibrate()  # wrong
-accelcal.calibrate("night.cwa", columns="x,y,z")  # wrong
+accelcal.calibrate("night.cwa", columns=("x", "y"))  # wrong
 accelcal.calibrate("night.cwa").data  # wrong
 accelcal.calibrate("night.cwa").calibration.gian  # wrong
 accelcal.Calibration("x.json").fit(xyz)  # wrong

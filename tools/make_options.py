@@ -30,7 +30,7 @@ from datetime import datetime
 from os import PathLike
 from typing import Literal, TypedDict
 
-Columns = tuple[str | int, str | int, str | int] | list[str] | list[int]
+Columns = str | tuple[str | int, str | int, str | int] | list[str] | list[int]
 '''
 TYPES = {
     "columns": "Columns", "gyro_columns": "Columns", "layout": "str | PathLike[str]",

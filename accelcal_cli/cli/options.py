@@ -17,7 +17,7 @@ from click.shell_completion import CompletionItem
 from accelcal_cli.cli.exit_codes import say
 from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import UsageError, counted, did_you_mean
-from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.formats import ReadOptions, three_names
 from accelcal_cli.core.input_files import may_be_archive, pattern_of
 from accelcal_cli.core.settings import LEARNT_PRIORS, Option, Setting, Settings, setting_of
 from accelcal_cli.formats import all_encoders, all_formats
@@ -140,7 +140,7 @@ ENCODER = Name(lambda: [item.name for item in all_encoders()])
 
 
 class ColumnNames(AnyType):
-    """Option type: three names separated by commas."""
+    """Option type: three names separated by commas, or one."""
 
     name = "X,Y,Z"
 
@@ -148,12 +148,9 @@ class ColumnNames(AnyType):
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[str, str, str]:
         """Split and count."""
-        if isinstance(value, tuple):
-            return value
-        parts = [part.strip() for part in str(value).split(",")]
-        if len(parts) != 3 or not all(parts):
-            self.fail(f"{value!r} is not three names separated by commas", param, ctx)
-        return parts[0], parts[1], parts[2]
+        if (names := three_names(value)) is None:
+            self.fail(f"{value!r} is not three names separated by commas, nor one", param, ctx)
+        return names[0], names[1], names[2]
 
 
 class Listed(AnyType):

@@ -47,7 +47,7 @@ class ReadOptions:
 
     Attributes:
         unit: one of g, mg, m/s2, counts.
-        columns: names (or numbers from 0) of x, y and z.
+        columns: names (or numbers from 0) of x, y and z; one name thrice: an array of three numbers a row.
         time_format: form of times, as strptime writes it, or the unit of numbers.
         date_format: order of day, month and year in dates: dmy, mdy or ymd.
         layout: a layout file for raw dumps.
@@ -63,7 +63,10 @@ class ReadOptions:
     unit: str | None = setting(None, option=Option("--unit", "Unit of the raw values."), choices=UNIT_CHOICES)
     lsb_per_g: float | None = setting(None, 1e-9, 10**9, Option("--lsb-per-g", "Counts per g.", "N", above=0))
     columns: tuple[str, str, str] | None = setting(
-        None, option=Option("--columns", "Columns of x, y and z: names, or numbers from 0.")
+        None,
+        option=Option(
+            "--columns", "Columns of x, y and z: names, or numbers from 0. One name: an array of all three."
+        ),
     )
     time_column: str | None = setting(None, option=Option("--time-column", "Column of the times.", "NAME"))
     date_format: str | None = setting(
@@ -151,6 +154,18 @@ UNUSED = re.compile(
     r"(--.*) (?:means? nothing for|do(?:es)? not apply to) format (\S+) and (?:was|were) not used"
 )
 """Pattern of a note on unused options, in reports of all versions; groups: the options, the format."""
+
+
+COLUMNS = ("columns", "gyro_columns")
+"""Options that name three columns."""
+
+
+def three_names(value: Any) -> list[str] | None:
+    """Return the three columns of a list, or of a text with commas; a single one thrice; None if there are
+    others."""
+    parts = [str(part).strip() for part in (value.split(",") if isinstance(value, str) else value)]
+    names = parts * 3 if len(parts) == 1 else parts
+    return names if len(names) == 3 and all(names) else None
 
 
 def option_name(name: str) -> str:

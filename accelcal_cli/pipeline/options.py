@@ -32,7 +32,7 @@ import numpy as np
 
 from accelcal_cli.core.door import has_file, is_same, is_there, look
 from accelcal_cli.core.errors import UsageError, did_you_mean, printable
-from accelcal_cli.core.formats import ReadOptions, option_name
+from accelcal_cli.core.formats import COLUMNS, ReadOptions, option_name, three_names
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.input_files import read_toml
 from accelcal_cli.core.settings import (
@@ -110,6 +110,8 @@ def _checked(keyword: str, kind: type, name: str, value: Any) -> Any:
         if value not in tuple("xyz"):
             raise UsageError(f"{keyword} cannot be {value!r}", hint="possible: x, y, z")
         plain = ["xyz".index(value)]
+    if name in COLUMNS and isinstance(plain, str | list):
+        plain = three_names(plain) or plain
     hint, declared = get_type_hints(kind)[name], setting_of(kind, name)
     try:
         found = converted(plain.item() if isinstance(plain, np.generic) else plain, hint)

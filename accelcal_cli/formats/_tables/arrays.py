@@ -149,7 +149,7 @@ class ArrayTable(SensorTable):
     Attributes:
         missing: bytes that a file that was cut short lacks, -1 if that is not known.
         damaged: number of entries that cannot be read.
-        unknown: names of entries of kinds that cannot be read.
+        objects: names of entries of kinds that cannot be read.
         numbers: of the texts of tracks of texts, as far as they were read.
     """
 
@@ -158,7 +158,7 @@ class ArrayTable(SensorTable):
     scalars: dict[str, object] = field(default_factory=dict)
     missing: int = 0
     damaged: int = 0
-    unknown: list[str] = field(default_factory=list)
+    objects: list[str] = field(default_factory=list)
     numbers: dict[str, dict[str, int]] = field(default_factory=dict)
     word = "array"
 

@@ -54,6 +54,7 @@ from accelcal_cli.formats._tables.table import (
     chosen_axes,
     find_accel,
     good_rows,
+    is_in_group,
     readable,
     split_unit,
 )
@@ -156,8 +157,7 @@ def _group_of(table: SensorTable, tracks: tuple[Track, ...], options: ReadOption
 
 def _is_group(sensor: str, tracks: tuple[Track, ...]) -> bool:
     """Return True if --sensor names a group of the file."""
-    name = sensor.strip("/").lower()
-    return any(name in track.path.lower().split("/")[:-1] for track in tracks)
+    return any(is_in_group(track, sensor) for track in tracks)
 
 
 def plan_of(source: TableSource, format_name: str) -> ReadingPlan:

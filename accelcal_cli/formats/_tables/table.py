@@ -7,8 +7,9 @@ have (`Table`) and gives the rows of each (`RowSource`); `RowSelection` notes wh
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from posixpath import basename, dirname
@@ -17,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import NoRecordingError, UnreadableError, UsageError
+from accelcal_cli.core.errors import AccelcalError, NoRecordingError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.thermometers import BARE, find_thermometer
 from accelcal_cli.core.vocabulary import AXES, TABLES, UNIT_AT_END, normalized
@@ -40,6 +41,14 @@ VALUE_NAMES = frozenset({"data", "values", "value", "samples", "xyz"})
 
 OTHER_SENSORS = ("gyr", "mag", "angular", "orient", "quat")
 """Beginnings of names that rule out acceleration."""
+
+MOST_SHOWN = 20
+"""Number of tracks, and of objects, that a message names."""
+
+OBJECTS = (
+    "(tables, timetables, cells and dates are objects): save their columns as plain arrays, with times in "
+    "seconds (in MATLAB: posixtime)"
+)
 
 TEXT = np.dtype(object)
 """Type of a track of texts."""
@@ -156,7 +165,7 @@ def track_of_shape(path: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> T
 def described(tracks: Iterable[Track]) -> str:
     """Return tracks as people read them: `/a (100 x 3), /b (100)`."""
     shown = [f"{item.path} ({item.rows}{' x 3' if item.width == 3 else ''})" for item in tracks]
-    return ", ".join(shown[:20] + ["..."] * (len(shown) > 20)) or "none"
+    return ", ".join(shown[:MOST_SHOWN] + ["..."] * (len(shown) > MOST_SHOWN)) or "none"
 
 
 class RowSource(Protocol):
@@ -223,11 +232,25 @@ class SensorTable:
     Attributes:
         word: the word for a track in messages.
         text_tracks: columns of texts; their rows are numbers of the texts that `texts_of` returns.
+        objects: names of what holds neither numbers nor texts.
     """
 
     path: Path
     word = "column"
     text_tracks: tuple[Track, ...] = ()
+    objects: Sequence[str] = ()
+
+    @property
+    def unread(self) -> str:
+        """Names what of the file cannot be read, and says how to save it; empty if there is nothing."""
+        shown = ", ".join(map(readable, sorted(self.objects)[:MOST_SHOWN])) + ", ..." * (
+            len(self.objects) > MOST_SHOWN
+        )
+        return shown and f"{shown} cannot be read {OBJECTS}"
+
+    def described(self, tracks: Iterable[Track]) -> str:
+        """Return these tracks, and what cannot be read of the file, for people."""
+        return "; ".join(filter(None, (f"{self.word}s of the file: {described(tracks)}", self.unread)))
 
     def texts_of(self, track: Track) -> list[str] | None:
         """Return the texts of a column that were read so far; None for one of numbers."""
@@ -255,7 +278,25 @@ class SensorTable:
 
     def explaining(self, damaged: int = 0) -> AbstractContextManager[None]:
         """Add to any error of ours that the file is cut short or damaged, if it is."""
-        return nullcontext()
+        return self._explaining(damaged)
+
+    @contextmanager
+    def _explaining(self, damaged: int) -> Iterator[None]:
+        missing, size = self.missing_bytes(), None
+        try:
+            yield
+        except AccelcalError as error:
+            what, hint = error.message, error.hint
+            if missing:
+                size = self.path.stat().st_size
+                to = f" to {size} of {size + missing} bytes" if missing > 0 else ""
+                what = f"is cut short{to}, so that {what}"
+                hint = "; or ".join(filter(None, (hint, "copy the whole file again from its source")))
+            elif damaged:
+                what = f"is damaged in {damaged} places, so that {what}"
+            else:
+                raise
+            raise type(error)(what, path=self.path, byte_offset=size, hint=hint) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -371,7 +412,7 @@ class RowSelection:
 def chosen_axes(
     tracks: tuple[Track, ...], columns: tuple[str, str, str], table: SensorTable, option: str = "--columns"
 ) -> Group:
-    """Return the tracks that an option names: three of one number a row, or one of three named thrice.
+    """Return the tracks that an option names: three of one number a row, or one of three.
 
     Raises:
         UsageError: a name fits no track or several, or the lengths differ.
@@ -381,7 +422,7 @@ def chosen_axes(
         return named[:1]
     if any(item.width != 1 for item in named) or len({item.rows for item in named}) != 1:
         raise UsageError(
-            f"{option} must name three {table.word}s of one length, or one of three numbers a row thrice, "
+            f"{option} must name three {table.word}s of one length, or one of three numbers a row, "
             f"not {described(named)}",
             path=table.path,
         )
@@ -402,13 +443,18 @@ def named_track(tracks: tuple[Track, ...], name: str, table: SensorTable) -> Tra
         raise UsageError(
             f"{what} named {name!r}",
             path=table.path,
-            hint=f"{table.word}s of the file: {described(found or tracks)}",
+            hint=table.described(found or tracks),
         )
     return found[0]
 
 
+def is_in_group(track: Track, sensor: str) -> bool:
+    """Return True if a group around a track has this name, or this path: `Test5/Trial1`."""
+    return f"/{sensor.strip().strip('/')}/".lower() in f"{track.parent.rstrip('/')}/".lower()
+
+
 def find_accel(tracks: tuple[Track, ...], table: SensorTable, sensor: str | None) -> Group:
-    """Find the tracks of acceleration by name; `sensor` is a group on their path.
+    """Find the tracks of acceleration by name; `sensor` names a group around them.
 
     Raises:
         UsageError: several fit, or none of the named sensor.
@@ -418,7 +464,7 @@ def find_accel(tracks: tuple[Track, ...], table: SensorTable, sensor: str | None
         group
         for group in _groups(tracks, TABLES.accelerometer, sorted(AXES.accelerometer))
         if not any(normalized(part).startswith(OTHER_SENSORS) for part in group[0].path.split("/"))
-        and (sensor is None or sensor.strip("/").lower() in group[0].path.lower().split("/")[:-1])
+        and (sensor is None or is_in_group(group[0], sensor))
     ]
     if len(found) == 1:
         return found[0]
@@ -427,26 +473,32 @@ def find_accel(tracks: tuple[Track, ...], table: SensorTable, sensor: str | None
         raise UnreadableError(
             f"several {table.word}s may hold the acceleration: {listed}",
             path=table.path,
-            hint=f"choose with --columns PATH,PATH,PATH (one {table.word} of three numbers a row: its path "
-            "three times)",
+            hint=f"choose one: {' or '.join(map(_choice, found[:2]))}",
         )
     if sensor is not None:
         raise UsageError(
             f"no acceleration in a group named {sensor!r}",
             path=table.path,
-            hint=f"{table.word}s of the file: {described(tracks)}",
+            hint=table.described(tracks),
         )
     if not tracks:
         raise NoRecordingError(
             f"no {table.word} of numbers can be found",
             path=table.path,
-            hint="give it x, y and z, and times, as numbers",
+            hint=table.unread or "give it x, y and z, and times, as numbers",
         )
+    wide = [(track,) for track in tracks if track.width == 3]
+    columns = _choice(wide[0]) if wide else "--columns PATH,PATH,PATH"
     raise NoRecordingError(
         f"no {table.word} has a name known for acceleration",
         path=table.path,
-        hint=f"name it with --columns PATH,PATH,PATH; {table.word}s of the file: {described(tracks)}",
+        hint=f"name it, as in {columns}; {table.described(tracks)}",
     )
+
+
+def _choice(group: Group) -> str:
+    """Return the option that chooses the acceleration."""
+    return f"--columns {shlex.quote(','.join(readable(track.path) for track in group))}"
 
 
 def find_gyro(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:

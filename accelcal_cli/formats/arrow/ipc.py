@@ -23,7 +23,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import AccelcalError, UnreadableError
+from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.core.system import open_file_name
@@ -314,17 +314,6 @@ class IpcTable(SensorTable):
     def missing_bytes(self) -> int:
         """Return the number of bytes that are missing at the end; -1 if that is not known."""
         return self._messages.missing
-
-    @contextmanager
-    def explaining(self, damaged: int = 0) -> Iterator[None]:
-        """Add to any error of ours that the file is cut short, if it is."""
-        try:
-            yield
-        except AccelcalError as error:
-            if self._messages.missing:
-                what = f"is cut short, so that {error.message}"
-                raise type(error)(what, path=self.path, hint=error.hint or AGAIN) from error
-            raise
 
     def texts_of(self, track: Track) -> list[str] | None:
         """Return the texts of a column that were read so far; None for one of numbers."""

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.formats._tables.reader import ReadingPlan, TableReader, plan_of, source_of
@@ -37,6 +37,9 @@ from accelcal_cli.formats.hdf5.rows import ChunkIndex, TrackRows
 
 MATLAB_EMPTY = "MATLAB_empty"
 """Attribute of an empty array of MATLAB, whose numbers are the lengths of its axes."""
+
+MATLAB_OBJECT = "MATLAB_object_decode"
+"""Attribute of a table, a date or another object of MATLAB, whose numbers say where its content is."""
 
 
 class TextDataset:
@@ -120,23 +123,6 @@ class Hdf5Table(SensorTable):
                 hint="the file is damaged: copy it again from its source",
             ) from error
 
-    @contextmanager
-    def explaining(self, damaged: int = 0) -> Iterator[None]:
-        """Add to any error of ours that the file is cut short or damaged, if it is."""
-        missing, path = self.missing_bytes(), self.path
-        try:
-            yield
-        except (UnreadableError, UsageError) as error:
-            if missing:
-                size = path.stat().st_size
-                what = f"is cut short to {size} of {size + missing} bytes, so that {error.message}"
-                hint = "; or ".join(filter(None, (error.hint, "copy the whole file again from its source")))
-                raise type(error)(what, path=path, byte_offset=size, hint=hint) from error
-            if damaged:
-                what = f"is damaged in {damaged} places, so that {error.message}"
-                raise type(error)(what, path=path, hint=error.hint) from error
-            raise
-
 
 DEEPEST = 64
 """Groups within groups that are entered; each costs as many steps again as it lies deep."""
@@ -144,14 +130,16 @@ DEEPEST = 64
 
 def as_track(path: str, dataset: Any) -> Track | None:
     """Return a dataset as a track of rows of 1 or 3 numbers; None if it cannot be read so."""
-    if dataset.shape is None or MATLAB_EMPTY in dataset.attrs:
+    if dataset.shape is None or MATLAB_EMPTY in dataset.attrs or MATLAB_OBJECT in dataset.attrs:
         return None
     return track_of_shape(path, dataset.shape, dataset.dtype)
 
 
-def all_tracks(file: Any) -> tuple[tuple[Track, ...], int]:
-    """Return every dataset of rows of 1 or 3 numbers, or of a text, by path, and how many are damaged."""
+def all_tracks(file: Any) -> tuple[tuple[Track, ...], int, list[str]]:
+    """Return every dataset of rows of 1 or 3 numbers, or of a text, by path, how many are damaged, and those
+    that hold neither numbers nor texts."""
     found: list[Track] = []
+    objects: list[str] = []
     damaged = 0
     seen: set[int] = set()
     groups = [("", file["/"])]
@@ -168,7 +156,19 @@ def all_tracks(file: Any) -> tuple[tuple[Track, ...], int]:
                 groups.append((f"{parent}/{name}", node))
             elif isinstance(node, h5py.Dataset) and (track := _track(f"{parent}/{name}", node)):
                 found.append(track)
-    return tuple(sorted(found, key=lambda track: track.path)), damaged
+            elif isinstance(node, h5py.Dataset) and _holds_objects(node):
+                objects.append(f"{parent}/{name}")
+    return tuple(sorted(found, key=lambda track: track.path)), damaged, sorted(objects)
+
+
+def _holds_objects(dataset: Any) -> bool:
+    """Return True for what refers to other datasets, as MATLAB's tables and cells do, and for rows with named
+    fields."""
+    try:
+        special = dataset.dtype.kind in "OV" and h5py.check_string_dtype(dataset.dtype) is None
+        return special or MATLAB_OBJECT in dataset.attrs
+    except H5PY_ERRORS:
+        return False
 
 
 def _track(path: str, dataset: Any) -> Track | None:
@@ -191,7 +191,7 @@ def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
     with open_hdf5(path) as file:
         table = Hdf5Table(file, path)
         with table.guard("list of datasets"):
-            tracks, damaged = all_tracks(file)
+            tracks, damaged, table.objects = all_tracks(file)
             table.text_tracks = tuple(track for track in tracks if track.dtype == TEXT)
             tracks = tuple(track for track in tracks if track.dtype != TEXT)
         with table.explaining(damaged), table.guard("description of the recording"):

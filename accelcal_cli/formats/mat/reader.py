@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,14 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from accelcal_cli.core.errors import AccelcalError, UnreadableError
+from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats._bytes import PIECE_BYTES, ByteSource, PackedStream, PlainStream
 from accelcal_cli.formats._tables.arrays import ArrayReader, ArrayTable, Stream, array_of
 from accelcal_cli.formats._tables.reader import plan_of, source_of
 from accelcal_cli.formats.mat import BIG, HEAD_BYTES, LITTLE, VERSION
 
-AS_NUMBERS = "save its columns as plain arrays, with times in seconds (posixtime) or days (datenum)"
 STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 """Types of numbers as they are stored, by the data type of their element."""
 
@@ -34,7 +32,9 @@ CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13:
 """Types of numbers as MATLAB has them, by the class of their array."""
 
 ENCODINGS = {1: "latin-1", 2: "utf-8", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
-MATRIX, COMPRESSED, STRUCTURE, LETTERS = 14, 15, 2, 4
+MATRIX, COMPRESSED, LENGTHS, STRUCTURE, LETTERS, OPAQUE = 14, 15, 5, 2, 4, 17
+"""Data types of elements, and classes of arrays. An opaque array, such as a timetable, has no lengths."""
+
 COMPLEX, LOGICAL = 0x08, 0x02
 TAG_BYTES = 8
 DEEPEST, MOST_ELEMENTS, MOST_FIELDS, LONGEST_TEXT = 8, 10_000, 1024, 1 << 16
@@ -161,15 +161,15 @@ class MatElements:
             return
         flags = struct.unpack(f"{self._order}I", cursor.data()[1][:4])[0]
         kind, about = flags & 0xFF, flags >> 8 & 0xFF
-        if kind not in (STRUCTURE, LETTERS, *CLASSES):
-            self._table.unknown.append(name or "a variable")
-            cursor.skip_to(end)
-            return
-        lengths = cursor.data()[1]
-        shape = struct.unpack(f"{self._order}{len(lengths) // 4}i", lengths[: len(lengths) // 4 * 4])
-        own = cursor.data()[1].decode("latin-1")
+        first, lengths = cursor.data()
+        named = kind == OPAQUE and first != LENGTHS
+        count = 0 if named else len(lengths) // 4
+        shape = struct.unpack(f"{self._order}{count}i", lengths[: 4 * count])
+        own = (lengths if named else cursor.data()[1]).decode("latin-1")
         name = f"{name}/{own}" if own else name
-        if kind == STRUCTURE:
+        if named or kind not in (STRUCTURE, LETTERS, *CLASSES):
+            self._table.objects += [name] * bool(name)
+        elif kind == STRUCTURE:
             self._structure(cursor, shape, name, depth)
         elif kind == LETTERS:
             self._letters(cursor, name)
@@ -178,12 +178,13 @@ class MatElements:
         cursor.skip_to(end)
 
     def _structure(self, cursor: Cursor, shape: tuple[int, ...], name: str, depth: int) -> None:
-        """Read the fields of a structure; an array of structures is skipped."""
+        """Read the fields of a structure; an array of structures counts as an object."""
         (length,) = struct.unpack(f"{self._order}i", cursor.data()[1])
         names = cursor.data()[1]
         if not 0 < length <= 1024 or len(names) // length > MOST_FIELDS:
             raise DamagedError("names of no length")
         if set(shape) != {1}:
+            self._table.objects += [name] * (min(shape, default=0) > 0)
             return
         for start in range(0, len(names) // length * length, length):
             own = names[start : start + length].split(b"\0")[0].decode("latin-1")
@@ -237,7 +238,7 @@ def open_recording(path: Path, options: ReadOptions) -> ArrayReader:
         UsageError: an option names no array.
     """
     table = _opened(path)
-    with _explaining(table):
+    with table.explaining(table.damaged):
         return ArrayReader(plan_of(source_of(table, table.tracks, options, table.damaged), "mat"), table)
 
 
@@ -254,20 +255,3 @@ def _opened(path: Path) -> ArrayTable:
     table = ArrayTable(path)
     MatElements(table, "<" if version == LITTLE else ">").all()
     return table
-
-
-@contextmanager
-def _explaining(table: ArrayTable) -> Iterator[None]:
-    """Add to any error of ours which parts of the file could not be read."""
-    try:
-        yield
-    except AccelcalError as error:
-        what, hint = error.message, error.hint
-        if table.missing:
-            what, hint = f"is cut short, so that {what}", "copy the whole file again from its source"
-        elif table.damaged:
-            what = f"is damaged in {table.damaged} places, so that {what}"
-        elif table.unknown:
-            what = f"{what}; its tables, timetables, cells and dates cannot be read"
-            hint = AS_NUMBERS
-        raise type(error)(what, path=table.path, hint=hint) from error

@@ -53,7 +53,8 @@ def open_recording(path: Path, options: ReadOptions) -> ArrayReader:
         UsageError: an option names no array.
     """
     table = _opened(path)
-    return ArrayReader(plan_of(source_of(table, table.tracks, options, table.damaged), "npz"), table)
+    with table.explaining(table.damaged):
+        return ArrayReader(plan_of(source_of(table, table.tracks, options, table.damaged), "npz"), table)
 
 
 def _opened(path: Path) -> ArrayTable:
@@ -81,6 +82,9 @@ def _add(table: ArrayTable, name: str, member: zipfile.ZipInfo, size: int) -> No
     stream = _stream(table.path, member)
     head = b"".join(stream.copy().pieces(HEAD_BYTES))
     shape, column_major, dtype, length = _head(head)
+    if dtype.hasobject or dtype.names:
+        table.objects.append(name)
+        return
     if np.prod(shape, dtype=np.float64) == 1 or not shape:
         table.scalars[name] = _scalar(head, length, dtype)
         return
