@@ -70,6 +70,7 @@ def study(
     report_only: bool = False,
     retry_failed: bool = False,
     newer_than: datetime | None = None,
+    decisions: AnyPath | None = None,
     html: bool = False,
     force: bool = False,
     progress: bool | None = None,
@@ -93,6 +94,7 @@ def study(
         report_only: write reports but no Parquet.
         retry_failed: try recordings again that failed and have not changed.
         newer_than: work only on files that were modified since then.
+        decisions: table of what people decided about recordings; None: decisions.csv in `output`.
         html: also write the pages of the study and of its recordings.
         force: redo what is up to date, and replace files that accelcal did not write.
         progress: show a bar; None: at a terminal and in a notebook.
@@ -138,6 +140,7 @@ def study(
         retry_failed=retry_failed,
         borrow=borrow,
         pool=pool,
+        decisions=None if decisions is None else Path(decisions),
         here=jobs == 1 and timeout is None,
     )
     with _Bar(progress) as bar:

@@ -16,7 +16,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Output": (
         "output_dir", "out", "output", "form", "html", "as_json", "as_json_", "as_csv", "as_what", "tsv",
         "full", "report_only", "effect", "windows", "draws", "keep_refused", "precision_mg", "integers",
-        "all_failures", "gzip", "resample", "smooth", "measured_only", "force", "quiet", "verbose", "help",
+        "decisions", "all_failures", "gzip", "resample", "smooth", "measured_only", "force", "quiet",
+        "verbose", "help",
     ),
     "Other recordings of the device": ("registry", "borrow", "pool"),
     "Running": ("jobs", "dry_run", "timeout", "shard", "collect", "dask", "takeover", "unlock", "prune"),

@@ -151,6 +151,8 @@ class TerminalObserver:
 @click.option("--all-failures", is_flag=True,
               help="With -q, also report failures and refusals from earlier runs.")  # fmt: skip
 @click.option("--html", is_flag=True, help="Create study.html and a page for each recording that changed.")
+@click.option("--decisions", type=FILE, metavar="FILE",
+              help="Table of people's decisions.  [default: decisions.csv in OUT]")  # fmt: skip
 @click.option("--keep-older", is_flag=True,
               help="Keep results that an earlier version made with the same options.")  # fmt: skip
 @click.option("--prune", is_flag=True,
@@ -234,6 +236,8 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         raise UsageError("--shard processes one part, --collect merges all parts", hint="give one of them")
     if values["prune"] and values["shard"]:
         raise UsageError("--prune is for the whole study", hint="give it to --collect, not to --shard")
+    if values["shard"] and values["decisions"]:
+        raise UsageError("--decisions is for the whole study", hint="give it to --collect, not to --shard")
     if values["shard"] and values["html"]:
         raise UsageError("--html is for the whole study", hint="give it to --collect, not to --shard")
     study = Study(
@@ -250,6 +254,7 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         pool=values["pool"] is not None,
         borrow=values["borrow"],
         prune=values["prune"],
+        decisions=values["decisions"],
         keep_older=values["keep_older"],
         takeover_s=None if values["takeover"] is None else values["takeover"] * 60,
     )
@@ -323,7 +328,8 @@ def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, value
     if not values["quiet"] or unfinished:
         counts = [f"{number} {name.replace('_', ' ')}" for name, number in summary.outcomes().items()]
         counts += [f"{summary.copies} copied from others"] if summary.copies else []
-        more = {"unchanged": summary.up_to_date, "not started": summary.waiting}
+        decided = 0 if summary.decisions is None else len(summary.decisions.changes)
+        more = {"unchanged": summary.up_to_date, "not started": summary.waiting, "decided by people": decided}
         counts += [f"{number} {name}" for name, number in more.items() if number]
         counts += [f"{summary.kept} kept, made with other options"] if summary.kept else []
         if values["verbose"]:

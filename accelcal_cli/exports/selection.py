@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,15 @@ from accelcal_cli.core.errors import AccelcalError, UnreadableError, UsageError,
 from accelcal_cli.core.input_files import is_pattern, matching
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.exports.coefficients import NO_RECORDING
+from accelcal_cli.output import decisions
+from accelcal_cli.output.files import looking_at
 from accelcal_cli.output.report_reading import check_sections, read_document
+from accelcal_cli.output.words import begun_small
 from accelcal_cli.pipeline.jobs import PARQUET_SUFFIX, REPORT_SUFFIX, parquet_of, report_of
 
 TABLE, SUMMARY = "study.parquet", "study.json"
+READ = ("path", "report", "message", "use", "why", "decided_by", "result")
+"""Columns of a study's table; earlier versions have only the first three."""
 SECTIONS = ("recording", "outcome", "message", "file_health")
 
 
@@ -79,9 +84,14 @@ def _of(path: Path, *, data: bool) -> Iterator[Selected]:
 def _of_folder(folder: Path, *, data: bool) -> Iterator[Selected]:
     """Yield a study's recordings: those of its table where there is one, or all whose reports lie there."""
     rows = _rows(folder / TABLE)
-    known = None if rows is None else {row["report"] for row in rows}
+    known = None if rows is None else {row["report"]: row for row in rows}
+    excluded = _excluded(folder, rows or [])
     for report in _reports_below(folder):
-        if known is not None and printable(report.relative_to(folder)) not in known:
+        name = printable(report.relative_to(folder))
+        if known is not None and name not in known:
+            continue
+        if known is not None and (why := excluded.get(known[name]["path"])) is not None:
+            yield Selected(report, report, skipped=why)
             continue
         one = of_report(report) if data else _unless_refused(of_report(report))
         if (one.held or {}).get("recording", {}).get("format") not in NO_RECORDING:
@@ -89,6 +99,21 @@ def _of_folder(folder: Path, *, data: bool) -> Iterator[Selected]:
     for row in rows or ():
         if not row["report"]:
             yield Selected(Path(row["path"]), skipped=f"failed ({row['message']})")
+
+
+def _excluded(folder: Path, rows: Sequence[dict[str, Any]]) -> dict[str, str]:
+    """Return why recordings are skipped that a person excluded, by their paths in the table.
+
+    A file of decisions that was changed since the last run of the study counts as it is now.
+    """
+    decided = {row["path"]: row for row in rows if row["decided_by"] is not None}
+    path = folder / decisions.NAME
+    if rows and is_file(path):
+        with looking_at(path, UnreadableError):
+            decided |= decisions.merged(decisions.read_decisions(path), rows).changes
+    return {
+        path: begun_small(row["why"]).removesuffix(".") for path, row in decided.items() if row["use"] == "no"
+    }
 
 
 def _reports_below(folder: Path) -> list[Path]:
@@ -120,15 +145,14 @@ def _rows(table: Path) -> list[dict[str, Any]] | None:
 
     try:
         with table.open("rb") as source, pq.ParquetFile(source, pre_buffer=False) as file:
-            rows: list[dict[str, Any]] = file.read(
-                columns=["path", "report", "message"], use_threads=False
-            ).to_pylist()
+            there = [name for name in READ if name in file.schema_arrow.names]
+            rows: list[dict[str, Any]] = file.read(columns=there, use_threads=False).to_pylist()
     except (pa.ArrowException, OSError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise UnreadableError(f"cannot be read ({reason})", path=table, hint="run the study again") from error
-    if rows and rows[0].keys() != {"path", "report", "message"}:
+    if not {"path", "report", "message"} <= {*there}:
         raise UnreadableError("is not the table of a study", path=table, hint="name reports")
-    return rows
+    return [dict.fromkeys(READ) | row for row in rows]
 
 
 def of_report(report: Path, parquet: Path | None = None) -> Selected:

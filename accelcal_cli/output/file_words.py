@@ -1,4 +1,4 @@
-"""Sentences about the files of a study: why one is left out, made again, or no longer belongs to it.
+"""Sentences about the files of a study: why one is left out, no longer belongs to it, or was decided on.
 
 Part of `SENTENCES` in `words.py`, where they are made from reasons.
 """
@@ -21,6 +21,24 @@ def _other_quantities(values: Mapping[str, Any]) -> str:
     return f"It is a table of other quantities: {columns}."
 
 
+DECIDED = {"yes": "to use it", "with care": "to use it with care", "no": "not to use it"}
+
+
+def _decided(values: Mapping[str, Any]) -> str:
+    """Say what a person decided about a recording, and the person's note."""
+    who_and_when = ", ".join(filter(None, (values["who"], values["when"])))
+    note = f": {values['note'].rstrip('.')}" if values["note"] else ""
+    by = f" ({who_and_when})" if who_and_when else ""
+    return f"A person decided {DECIDED[values['decided']]}{by}{note}."
+
+
+def _no_decision(values: Mapping[str, Any]) -> str:
+    """Say what is wrong with a row of decisions."""
+    if values["column"] == "recording":
+        return f"Row {values['row']} names no recording."
+    return f"In row {values['row']}, use is '{values['cell']}', which is not yes, with care or no."
+
+
 FILES: dict[str, FormOfValues] = {
     # why a file of a study is left out
     "unfinished_copy": "It is a download or a copy that is not finished ({suffix}).",
@@ -39,5 +57,14 @@ FILES: dict[str, FormOfValues] = {
     # results whose recording is gone
     "recording_gone": "Its recording {source} is gone.",
     "recording_renamed": "Its recording {source} is now called {now}.",
+    # what a person decided
+    "decided_by_a_person": _decided,
+    "decision_outdated": "The result of {recording} has changed since row {row} decided {decided}. "
+    "The more cautious of both counts: {use}.",
+    "decision_unreadable": _no_decision,
+    "decision_without_recording": "Row {row} names {recording}, which is not a recording of the study.",
+    "decisions_contradict": "Rows {rows:list} contradict each other on {recording}. The most cautious of "
+    "them counts: {use}.",
+    "decisions_more": "{number:n more finding} about rows.",
 }
 """Sentences by code; words in braces are values of the reason."""

@@ -22,6 +22,7 @@ from accelcal_cli.core.reasons import Reason
 from accelcal_cli.formats import belongs_to
 from accelcal_cli.formats.csv import bids_channels_path
 from accelcal_cli.formats.raw import folder_layout, named_layout
+from accelcal_cli.output import decisions
 from accelcal_cli.output.files import is_page, looking_at, stored_schema
 from accelcal_cli.output.report_reading import load_our_json
 from accelcal_cli.pipeline import jobs
@@ -239,7 +240,7 @@ def _folder(where: Where, folder: Path, place: str, links: _Links, left: Left) -
             continue
         for name in names:
             path = base / name
-            if _never(path):
+            if _never(path) or (name == decisions.NAME and jobs.real(base) == out):
                 continue
             below = path.relative_to(folder).as_posix()
             aside = bool(where.include) and not fits_pattern(below, where.include)

@@ -8,18 +8,20 @@ gives tasks to workers, and the results of earlier rounds decide which.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress
 from pathlib import Path
 from typing import Any, Protocol
 
 from accelcal_cli.core import system
-from accelcal_cli.core.door import is_file, matching
+from accelcal_cli.core.door import is_file, is_there, matching, unreadable
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.version import __version__
 from accelcal_cli.formats import refuse_unused
+from accelcal_cli.output.decisions import NAME as DECISIONS
+from accelcal_cli.output.decisions import Decisions, Merged, merged, read_decisions
 from accelcal_cli.output.files import looking_at
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.pipeline.options import STUDY_FILE, FolderRules, stated_stamp, with_stated
@@ -128,6 +130,7 @@ class Plan:
         kept: results of earlier runs with other options, of recordings that this run does not name.
         why: why recordings are calibrated again, by name; before: rows of their earlier results.
         reports: reports of all recordings that were found, whatever is done with them.
+        decisions: what people decided about recordings; None without a file of it.
         by_name: why files were left out without a look at their content, by name.
         notes: lines for the user: patterns of `study.toml` that no file fits, links that are not followed.
     """
@@ -144,6 +147,7 @@ class Plan:
     reports: set[Path] = field(default_factory=set)
     why: dict[str, str] = field(default_factory=dict)
     before: dict[str, dict[str, Any]] = field(default_factory=dict)
+    decisions: Decisions | None = None
 
     def ahead(self) -> int:
         """Return the number of waiting recordings changed in the future, by this machine's clock."""
@@ -156,6 +160,13 @@ class Plan:
         by_name = {name: why for name, why in self.by_name.items() if owns(name)}
         return dict(sorted({**by_name, **looked_at}.items()))
 
+    def merged(self, rows: Iterable[Mapping[str, Any]]) -> Merged | None:
+        """Put what people decided to the rows of the table; None if nobody did."""
+        if self.decisions is None:
+            return None
+        waiting, left_out = ([one.name for one in ones] for ones in (self.waiting, self.left_out))
+        return merged(self.decisions, rows, set(map(printable, (*waiting, *left_out, *self.by_name))))
+
     def sources(self) -> list[Path]:
         """Return the files of all recordings."""
         return [item.source for item in (*(item for item, _ in self.done), *self.todo, *self.waiting)]
@@ -166,9 +177,11 @@ def plan(study: Study, ledger: Ledger) -> Plan:
 
     Raises:
         UsageError: one of the folders is not a folder, or they hold no recording, or none for which an option
-            means anything.
+            means anything; or there is no file of decisions of the name that was given.
+        UnreadableError: decisions cannot be read; exclusions must not be lost in silence.
     """
     planning = _Planning(study, ledger, study.asked(), Plan(), options_changed(study, settings_before(study)))
+    planning.plan.decisions = _decisions(study)
     by_name = planning.plan.by_name
     listed, rules = files(study.where, planning.plan.notes, by_name), study.request.rules
     planning.plan.notes += unfit_patterns(rules, listed)
@@ -188,6 +201,19 @@ def plan(study: Study, ledger: Ledger) -> Plan:
     for item in items:
         planning.place_aside(item)
     return planning.plan
+
+
+def _decisions(study: Study) -> Decisions | None:
+    """Return what people decided; nothing for a shard, whose table nobody decides by."""
+    path = study.decisions or study.out / DECISIONS
+    if not study.shard.whole or (study.decisions is None and not is_there(path)):
+        return None
+    try:
+        return read_decisions(path)
+    except FileNotFoundError as error:
+        raise UsageError("there is no such file", path=path, hint="correct or omit --decisions") from error
+    except OSError as error:
+        raise unreadable(error, path) from error
 
 
 def _concerned(study: Study, items: list[Item]) -> tuple[list[Item], list[Item]]:

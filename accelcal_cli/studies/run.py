@@ -18,6 +18,7 @@ from typing import Any, Protocol
 from accelcal_cli.core.door import is_folder, is_there, matching
 from accelcal_cli.core.errors import LockedError, OutputError, UsageError, counted, printable
 from accelcal_cli.core.version import __version__
+from accelcal_cli.output.decisions import Merged
 from accelcal_cli.output.files import disk_errors, looking_at, sweep, sweep_host, sweep_of
 from accelcal_cli.output.study_words import copied
 from accelcal_cli.output.words import clause
@@ -129,13 +130,9 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         made = {name: one.last.row or {} for name, one in study_run.known.recordings.items()}
         if (change := said_after(planned.before, made)) is not None:
             observer.note(printable(change))
-        left = _orphans(study, planned, result.rows)
-        if study.prune:
-            _refuse_pruning(study, planned, left)
-            prune(left)
-        for one in left:
-            observer.note(orphaned(one, "removed" if study.prune else STAYS))
-        result = replace(result, orphans=() if study.prune else [one.as_json() for one in left])
+        for text in () if result.decisions is None else result.decisions.lines():
+            observer.note(text)
+        result = _told_of_orphans(study, planned, result, observer)
         lease.confirm()
         summary.write(result, study.out, base)
         lease.confirm()
@@ -149,6 +146,17 @@ def run(study: Study, observer: StudyObserver) -> Summary:
 
 def _orphans(study: Study, planned: Plan, rows: Sequence[Mapping[str, Any]]) -> list[Orphan]:
     return orphans(study.where, planned.reports, rows) if study.shard.whole else []
+
+
+def _told_of_orphans(study: Study, planned: Plan, result: Summary, observer: StudyObserver) -> Summary:
+    """Name results whose recording is gone, and remove them if that is asked for."""
+    left = _orphans(study, planned, result.rows)
+    if study.prune:
+        _refuse_pruning(study, planned, left)
+        prune(left)
+    for one in left:
+        observer.note(orphaned(one, "removed" if study.prune else STAYS))
+    return replace(result, orphans=() if study.prune else [one.as_json() for one in left])
 
 
 def _refuse_pruning(study: Study, planned: Plan, left: Sequence[Orphan]) -> None:
@@ -199,6 +207,7 @@ def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
     states, pools = study_run.known.recordings, study_run.known.pools
     return Summary(
         rows=study_run.rows(planned.kept),
+        decisions=study_run.decided,
         settings=_settings(study),
         waiting=len(planned.waiting),
         ahead=planned.ahead(),
@@ -226,6 +235,7 @@ class StudyRun:
         planned: the plan at its beginning.
         lease: the lock that allows it to write in OUT, confirmed before each write that two runs must not do.
         worked: names of the recordings that were given to a worker.
+        decided: what people decided, put to the rows that were returned last.
     """
 
     def __init__(
@@ -235,6 +245,7 @@ class StudyRun:
         self.lease = lease
         self.known = StudyState()
         self.worked: set[str] = set()
+        self.decided: Merged | None = None
         self.planned = planned
         self._table = _InterimTable(self, ledger)
         self._ledger = ledger
@@ -255,14 +266,20 @@ class StudyRun:
     def rows(self, kept: Sequence[Entry]) -> list[Mapping[str, Any]]:
         """Return the rows of the table by name, those of `kept` where there is no newer result.
 
-        Rows of copies name the recording that counts.
+        Rows of copies name the recording that counts, and what a person decided is in its place.
         """
         last = {entry.name: entry.row for entry in kept}
         last |= {name: one.last.row for name, one in self.known.recordings.items()}
         rows = {name: row for name, row in sorted(last.items()) if row is not None}
-        first = {name: {"copy_of": printable(one)} for name, one in summary.copies(rows).items()}
-        # a row of a hundred columns is not copied for one of them
-        return [ChainMap(first[name], row) if name in first else row for name, row in rows.items()]
+        more: dict[str, dict[str, Any]]
+        more = {name: {"copy_of": printable(one)} for name, one in summary.copies(rows).items()}
+        self.decided = self.planned.merged(rows.values())
+        changes = {} if self.decided is None else self.decided.changes
+        for name in rows.keys() if changes else ():
+            if (change := changes.get(printable(name))) is not None:
+                more[name] = {**more.get(name, {}), **change}
+        # a row of a hundred columns is not copied for some of them
+        return [ChainMap(more[name], row) if name in more else row for name, row in rows.items()]
 
     def _run(self, planned: Plan) -> None:
         self._planner.untouched |= planned.changing

@@ -102,6 +102,7 @@ class Study:
         here: whether this process does all the work.
         pool_of_caller: the executor of the calling program that does the work; None for processes here.
         prune: whether results whose recording is gone are removed.
+        decisions: file of what people decided about recordings; None: decisions.csv in OUT, if it is there.
         keep_older: whether results of earlier versions stay where files and options are the same.
         takeover_s: silence after which a run of another host is taken to have ended; None if never.
     """
@@ -121,6 +122,7 @@ class Study:
     prior: str | None = None
     takeover_s: float | None = None
     prune: bool = False
+    decisions: Path | None = None
     keep_older: bool = False
     here: bool = False
     pool_of_caller: Pool | None = None

@@ -5,6 +5,7 @@ Rows are sorted and have no times, so that an interrupted study ends with the sa
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -22,6 +23,7 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output import files
 from accelcal_cli.output.advice import MILD, cautions, page_verdict
+from accelcal_cli.output.decisions import Merged
 from accelcal_cli.output.files import json_text, replacing, write_text
 from accelcal_cli.output.report_view import (
     ERROR_COLUMNS,
@@ -45,7 +47,7 @@ TEXT = (
     "path", "outcome", "reason", "cautions", "message", "model", "format", "device_model", "device_serial",
     "device_firmware", "start_time", "time_zone", "sha256", "accelcal_version", "parquet", "report",
     "borrowed_from", "pool", "own_outcome", "own_message", "change", "change_at", "misfits", "gyroscope",
-    "prior", "copy_of", "use", "why",
+    "prior", "copy_of", "use", "why", "decided_by", "decided_at", "note", "result",
 )  # fmt: skip
 WHOLE = (
     "exit_code", "bytes", "samples", "gaps", "postures", "points", "cells", "filled_samples",
@@ -75,8 +77,8 @@ FIRST = (
 )  # fmt: skip
 """Columns to decide by, before all others."""
 REST = (
-    "outcome", "exit_code", "reason", "cautions", "message", "model", "copy_of",
-    "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
+    "decided_by", "decided_at", "note", "outcome", "exit_code", "reason", "cautions", "message", "model",
+    "copy_of", "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
     "own_outcome", "own_message", "own_after_mg", "prior",
     "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", *FACTOR_COLUMNS,
     "postures", "points",
@@ -91,7 +93,7 @@ REST = (
     *(f"offset_{axis}_g" for axis in AXES),
     *(f"slope_{axis}_g_per_c" for axis in AXES), "reference_c",
     *(f"se_{name}" for name in PARAMETERS),
-    "lost_percent", "bytes", "sha256", "accelcal_version", "parquet", "report",
+    "lost_percent", "bytes", "sha256", "accelcal_version", "parquet", "report", "result",
 )  # fmt: skip
 COLUMNS = (*FIRST, *(name for name in REST if name not in FIRST))
 """Columns in the order of the table. Errors are held out; columns neither TEXT nor WHOLE are numbers."""
@@ -144,7 +146,7 @@ def failed(item: Item, code: int, message: str) -> dict[str, Any]:
     failure = {"outcome": FAILED, "reason": FAILURES.get(code, FAILED), "message": message}
     failure |= {"use": USES["bad"], "why": message}
     file = {"path": printable(item.name), "exit_code": code, "bytes": item.size}
-    return dict.fromkeys(COLUMNS) | file | failure | {"accelcal_version": __version__}
+    return with_result(dict.fromkeys(COLUMNS) | file | failure | {"accelcal_version": __version__})
 
 
 def of_report(
@@ -172,7 +174,21 @@ def of_report(
     }
     figures = _recording(view) | _errors(view) | _coverage(view.coverage) | _calibration(view.calibration)
     judged = _change(view) | _misfits(view) | _gyroscope(view) | _effect(view)
-    return dict.fromkeys(COLUMNS) | identity | verdict | figures | judged | outputs
+    return with_result(dict.fromkeys(COLUMNS) | identity | verdict | figures | judged | outputs)
+
+
+DECIDED_ON = (
+    "sha256", "use", "outcome", "model",
+    *(f"k_{row}{column}" for row in AXES for column in AXES), *PARAMETERS[6:],
+)  # fmt: skip
+"""Columns that are another result if they differ."""
+
+
+def with_result(row: dict[str, Any]) -> dict[str, Any]:
+    """Return a row with the name of its result, by which a decision knows it, never a number."""
+    values = [f"{value:.6f}" if isinstance(value, float) else value for value in map(row.get, DECIDED_ON)]
+    digest = hashlib.sha256(json.dumps(values).encode()).hexdigest()
+    return row | {"result": f"r{digest[:10]}"}
 
 
 USES = {"good": "yes", "care": "with care", "bad": "no"}
@@ -316,6 +332,7 @@ class Summary:
         left_out: number of files that are not recordings; files_left_out: why, by name, with those left out
             by their names.
         orphans: results whose recording is gone, as objects of `study.json`.
+        decisions: what a person decided, put to the rows; None if nobody did.
         kept: number of recordings that this run does not name, whose rows are from one with other options.
         up_to_date: number of recordings for which nothing had to be done; not written.
         pools: device, number of recordings, outcome and message of each pool, by name.
@@ -331,6 +348,7 @@ class Summary:
     kept: int = 0
     up_to_date: int = 0
     pools: dict[str, dict[str, Any]] = field(default_factory=dict)
+    decisions: Merged | None = None
 
     @property
     def once(self) -> list[Mapping[str, Any]]:
@@ -368,6 +386,7 @@ class Summary:
             "recordings": len(self.rows),
             "copies": self.copies,
             "outcomes": self.outcomes(),
+            "uses": dict(sorted(Counter(row["use"] for row in self.once if row.get("use")).items())),
             "models": dict(sorted(Counter(row["model"] for row in self.once if row["model"]).items())),
             "time_zones": self.time_zones(),
             "mixed_times": self.mixed_times(),
@@ -378,6 +397,7 @@ class Summary:
                 for name, why in self.files_left_out.items()
             ],
             "orphans": list(self.orphans),
+            "decisions": None if self.decisions is None else self.decisions.as_json(),
             "kept": self.kept,
             "pools": self.pools,
             "settings": self.settings,

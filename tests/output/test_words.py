@@ -163,6 +163,22 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
         {"missing_bytes": 2841600, "missing_percent": 49.87},
     ],
     "damaged": [{"lost_percent": 61.53, "lost_bytes": 1234567, "limit_percent": 50.0}],
+    "decided_by_a_person": [
+        {"who": who, "when": when, "note": note, "decided": decided, "own": "yes"}
+        for who, when, note, decided in (
+            ("", "", "", "yes"),
+            ("", "2026-11-27", "", "with care"),
+            ("B. Meyer", "2026-11-27", "The strap was loose.", "no"),
+        )
+    ],
+    "decision_outdated": [{"recording": "a.cwa", "row": 2, "decided": "yes", "use": "with care"}],
+    "decision_unreadable": [
+        {"row": 3, "column": "recording", "cell": ""},
+        {"row": 3, "column": "use", "cell": "maybe"},
+    ],
+    "decision_without_recording": [{"row": 4, "recording": "b.cwa"}],
+    "decisions_contradict": [{"recording": "a.cwa", "rows": [2, 5], "use": "no"}],
+    "decisions_more": [{"number": 12}],
     "donor": [{"path": "a.cwa", "why": {"code": "not_less", "values": WORSE_HERE}}],
     "earlier_verdict": [
         {"message": "no model improves on the 4.5 mg of the raw data"},
