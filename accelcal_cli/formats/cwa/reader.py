@@ -28,6 +28,7 @@ from accelcal_cli.formats._pages.timeline import Spacing
 from accelcal_cli.formats._problems import Event, ProblemLog
 from accelcal_cli.formats._rows import MISSING, HeldChannels, missing_kind
 from accelcal_cli.formats.cwa import HEADER_BYTES, SECTOR_BYTES, sector
+from accelcal_cli.formats.cwa.seconds import SecondsTimeline, stamp_unit
 from accelcal_cli.formats.cwa.sector import SETTINGS, Header, SectorBlock, Settings
 from accelcal_cli.formats.cwa.timeline import NO_SPANS, Linker, Links, Spans, Timeline, nominal_us
 
@@ -57,11 +58,15 @@ CUT_OFF = "an incomplete sector at the end of the file, bytes left out"
 SEARCH_SECTORS = 2048
 """Sectors that are read at a time in search of the first intact one."""
 
+LOOK_SECTORS = 256
+"""Sectors at the beginning that show how exact the stamps are."""
+
 LAST_SECTORS = 64
 """Sectors before the end of the data in which the last time is looked for."""
 
 NO_HEADER = "the header at the start of the file is damaged; settings were taken from the data sectors"
 HALF_HEADER = "the second half of the header is missing; the data sectors in its place are read"
+WHOLE_SECONDS = "its stamps are whole seconds: samples are placed on lines through them"
 NO_START = "the device's clock was not set: times count from the recording's start"
 
 
@@ -137,10 +142,15 @@ class SectorEvents(EventMaker):
 
 @dataclass(frozen=True, slots=True)
 class SectorScheme(FileScheme[RawBlock]):
-    """Describes how the sectors of one file are read."""
+    """Describes how the sectors of one file are read.
+
+    Attributes:
+        unit_us: by how much stamps may be early [us], if they are whole seconds; None: they are finer.
+    """
 
     file: SectorFile
     settings: Settings
+    unit_us: int | None
 
     def assembler(self, sample: int = 0, *, whole: bool = True) -> SectorAssembler:
         """See FileScheme."""
@@ -162,8 +172,9 @@ class SectorAssembler(Assembler[RawBlock]):
     def __init__(self, scheme: SectorScheme, sample: int, problems: tuple[Problem, ...]) -> None:
         settings = self._settings = scheme.settings
         self._events = SectorEvents()
-        self._linker = Linker(settings.rate, settings.rows)
-        self._timeline = Timeline(settings.rate)
+        self._linker = Linker(settings.rate, settings.rows, scheme.unit_us)
+        unit = scheme.unit_us
+        self._timeline = Timeline(settings.rate) if unit is None else SecondsTimeline(settings.rate, unit)
         self._log = ProblemLog(problems)
         self._channels = HeldChannels(scheme.first_values)
         self._waiting: deque[_Waiting] = deque()
@@ -248,12 +259,22 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         file,
         Spacing(settings.rate, settings.rows),
         settings,
+        _unit_of(file, first, position, settings),
         first_values=sector.first_values(first, settings),
         problems=tuple(problems),
     )
     device = header.device if header.intact else sector.device_of_sector(settings, int(first["fraction"]))
     notes = _notes(scheme, header)
     return PagedReader(describe(scheme, device, options, clock_set, notes), scheme)
+
+
+def _unit_of(file: SectorFile, first: Any, position: int, settings: Settings) -> int | None:
+    """Return by how much stamps may be early [us]; None if they are finer than whole seconds."""
+    if sector.anchors(np.atleast_1d(first), settings).time_us[0] % MICROSECONDS:
+        return None
+    with closing(file.blocks(LOOK_SECTORS, position)) as blocks:
+        block, _ = sector.decode(next(blocks).pages, position, settings)
+    return stamp_unit(block, settings.rate, settings.rows)
 
 
 def header_problems(header: Header) -> Iterator[Problem]:
@@ -320,13 +341,14 @@ def last_time(scheme: SectorScheme) -> int | None:
     if not len(block) or not block.anchors.known[-1]:
         return None
     after = block.rows[-1:] - block.anchors.row[-1:]
-    return int(block.anchors.time_us[-1] + nominal_us(after, scheme.settings.rate)[0])
+    within = (scheme.unit_us or 0) // 2
+    return within + int(block.anchors.time_us[-1] + nominal_us(after, scheme.settings.rate)[0])
 
 
 def _notes(scheme: SectorScheme, header: Header) -> tuple[str, ...]:
     rate = scheme.settings.rate
     sensor = scheme.settings.thermometer
-    notes = [] if sensor is None else [sensor.note]
+    notes = ([] if sensor is None else [sensor.note]) + [WHOLE_SECONDS] * bool(scheme.unit_us)
     if header.rate is not None and header.rate != rate:
         notes.append(f"the header says {float(header.rate):g} Hz, the data sectors {float(rate):g} Hz")
     return tuple(notes)

@@ -104,10 +104,16 @@ def nominal_us(rows: NDArray[np.int64], rate: Fraction) -> NDArray[np.int64]:
 
 
 class Linker:
-    """Finds how sectors continue each other; takes blocks of good sectors in file order."""
+    """Finds how sectors continue each other; takes blocks of good sectors in file order.
 
-    def __init__(self, rate: Fraction, full_rows: int) -> None:
-        self._rate = rate
+    Args:
+        unit_us: by how much stamps may be early [us], if they are whole seconds, so that several sectors may
+            have the same; None: they are finer.
+    """
+
+    def __init__(self, rate: Fraction, full_rows: int, unit_us: int | None = None) -> None:
+        self._rate, self._early_us = rate, unit_us or 0
+        self._repeat = 0 if unit_us is None else full_rows
         self._full_rows = full_rows
         self._longest_gap = int(LONGEST_GAP_S * rate / full_rows) + 1
         self._last: _Last | None = None
@@ -200,8 +206,10 @@ class Linker:
         """
         expected = passed * (MICROSECONDS * self._rate.denominator / self._rate.numerator)
         off = passed_us - expected
-        jump = np.abs(off) > np.maximum(RATE_TOLERANCE * np.abs(expected), STAMP_TOLERANCE_US)
-        jump |= (passed <= 0) | (passed_us <= 0) | (few & (passed_us > LONGEST_PERIODS * expected))
+        tolerance = STAMP_TOLERANCE_US + self._early_us
+        jump = np.abs(off) > np.maximum(RATE_TOLERANCE * np.abs(expected), tolerance)
+        jump |= (passed + self._repeat <= 0) | (passed_us + MICROSECONDS * (self._repeat > 0) <= 0)
+        jump |= few & (passed_us > LONGEST_PERIODS * expected + self._early_us)
         if not jump.any():
             return np.zeros(len(jump), np.int64)
         size = np.rint(off).astype(np.int64)
