@@ -27,6 +27,10 @@ class ReadingOptions(TypedDict, total=False):
     lsb_per_g: float | None
     """Counts per g (above 0, at most 1e+09)."""
 
+    zero: int | None
+    """Count of a table that stands for 0 g, such as 512 of a converter of 10 bits (-1.07374e+09 to
+    1.07374e+09)."""
+
     columns: Columns | None
     """Columns of x, y and z: names, or numbers from 0. One name: an array of all three."""
 

@@ -22,8 +22,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Other recordings of the device": ("registry", "borrow", "pool"),
     "Running": ("jobs", "dry_run", "timeout", "shard", "collect", "dask", "takeover", "unlock", "prune"),
     "Reading the file": (
-        "format", "unit", "lsb_per_g", "rate_hz", "columns", "time_column", "sensor", "layout", "parts",
-        "config", "gyro_columns", "gyro_unit", "lsb_per_dps", "max_damage_percent",
+        "format", "unit", "lsb_per_g", "zero", "rate_hz", "columns", "time_column", "sensor", "layout",
+        "parts", "config", "gyro_columns", "gyro_unit", "lsb_per_dps", "max_damage_percent",
     ),
     "Time": (
         "timezone", "date_format", "time_format", "start", "shift_s", "configured_zone", "worn_zone",

@@ -47,6 +47,7 @@ class ReadOptions:
 
     Attributes:
         unit: one of g, mg, m/s2, counts.
+        zero: count that stands for 0 g.
         columns: names (or numbers from 0) of x, y and z; one name thrice: an array of three numbers a row.
         time_format: form of times, as strptime writes it, or the unit of numbers.
         date_format: order of day, month and year in dates: dmy, mdy or ymd.
@@ -62,6 +63,12 @@ class ReadOptions:
     rate_hz: float | None = setting(None, 1e-3, 100_000, Option("--rate", "Sampling rate.", "HZ", above=0))
     unit: str | None = setting(None, option=Option("--unit", "Unit of the raw values."), choices=UNIT_CHOICES)
     lsb_per_g: float | None = setting(None, 1e-9, 10**9, Option("--lsb-per-g", "Counts per g.", "N", above=0))
+    zero: int | None = setting(
+        None,
+        -(2**30),
+        2**30,
+        Option("--zero", "Count of a table that stands for 0 g, such as 512 of a converter of 10 bits.", "N"),
+    )
     columns: tuple[str, str, str] | None = setting(
         None,
         option=Option(
@@ -147,7 +154,10 @@ GYRO_OPTIONS = ("gyro_columns", "gyro_unit", "lsb_per_dps")
 TIMES_OF_TABLES = ("time_column", "date_format", "time_format")
 """Options on times, which only tables understand."""
 
-IF_GIVEN = ("time_format", "start", "shift_s", "configured_zone", "worn_zone", *GYRO_OPTIONS)
+ONLY_TABLES = (*GYRO_OPTIONS, "zero")
+"""Options that only tables understand, besides those on times."""
+
+IF_GIVEN = ("time_format", "start", "shift_s", "configured_zone", "worn_zone", *ONLY_TABLES)
 """Options that a report names only if they were given."""
 
 UNUSED = re.compile(

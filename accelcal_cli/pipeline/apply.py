@@ -48,7 +48,7 @@ from accelcal_cli.pipeline.outputs import prepare
 from accelcal_cli.pipeline.procedures import Method, make_method
 from accelcal_cli.pipeline.report_settings import settings_from_report
 
-READING = ("unit", "columns", "sensor", "lsb_per_g", "layout_sha256")
+READING = ("unit", "columns", "sensor", "lsb_per_g", "zero", "layout_sha256")
 """Reading options that change the values themselves."""
 
 OF_THE_RECIPIENT = ("precision_mg", "max_damage_percent", "max_error_mg", "strict")
@@ -227,7 +227,7 @@ def _is_read_otherwise(document: Document, recording: Recording, request: Reques
         return True
     now = jobs.input_settings(request.options, recording.companion)
     used = set(READING) - set(noted_unused(document.report["recording"]))
-    return any(before.get(name) != now[name] for name in used)
+    return any(before.get(name) != now.get(name) for name in used)
 
 
 def _refuse_changes(donor: Coefficients, recording: Recording, wanted: Settings) -> None:

@@ -20,6 +20,7 @@ BOUNDS: list[tuple[set[str], str, float, float]] = [
     (RATE, "--lsb-per-dps", TINY, 1e9),
     (RATE, "--rate", TINY, 100_000),
     (RATE, "--lsb-per-g", TINY, 1e9),
+    (RATE, "--zero", -(2**30), 2**30),
     (WINDOWS, "--segment-seconds", TINY, 3600),
     ({"six-pose"}, "--segment-seconds", 0.1, 60),
     ({*WINDOWS, "six-pose"}, "--stillness-threshold-g", TINY, 4),

@@ -64,6 +64,7 @@ LIMITS = {
     "longest_gap_s": (0, 10),
     "rate_hz": (1e-3, 1e5),
     "lsb_per_g": (1e-9, 1e9),
+    "zero": (-(2**30), 2**30),
     "lsb_per_dps": (1e-9, 1e9),
 }
 """What a report may hold, whichever of the records has the field."""

@@ -50,6 +50,9 @@ LARGEST_DPS = 32_767.0
 GYRO_LSB_PER_DPS = 65_536.0
 """Counts per deg/s given to rotation rates that arrive as decimal fractions."""
 
+SHORT_BYTES = 2
+"""Bytes of whole numbers whose distances from any zero fit 32 bits."""
+
 EMPTY = -(1 << 63)
 """Stands for an empty cell among whole numbers of 64 bits."""
 
@@ -72,15 +75,19 @@ class CountScale:
         divisor: the size of one unit of the result in the track; None if its numbers are counts.
         limit: largest believable magnitude, in units of the result; of no use for counts.
         exact: the type that holds all counts of the track, None if some may not fit.
+        zero: the number that stands for 0.
     """
 
     lsb: float
     divisor: float | None = None
     limit: float = 0.0
     exact: type[np.int16] | type[np.int32] | None = None
+    zero: int = 0
 
     def counts(self, values: NDArray[Any]) -> tuple[Counts, dict[str, NDArray[np.bool_]]]:
         """Return counts of rows (n, 3), and by problem code the rows (n,) that have none."""
+        if self.zero:
+            values = _less(values, self.zero)
         if self.exact is np.int16 and values.dtype.kind != "f":
             return values.astype(np.int16), {}
         if self.exact is np.int32 and values.dtype.kind != "f":
@@ -126,6 +133,14 @@ def _rows(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return rows
 
 
+def _less(values: NDArray[Any], zero: int) -> NDArray[Any]:
+    """Return numbers less what stands for 0; empty cells stay empty."""
+    if values.dtype.kind == "f":
+        return values.astype(np.float64) - zero
+    wide = values.astype(np.int64)
+    return np.where(wide == EMPTY, EMPTY, wide - zero)
+
+
 def _narrowed(values: NDArray[Any]) -> tuple[Counts, dict[str, NDArray[np.bool_]]]:
     """Return whole numbers as int32, and the rows that do not fit or are empty."""
     beyond, faults = values > 2**31 - 1, {}
@@ -137,8 +152,11 @@ def _narrowed(values: NDArray[Any]) -> tuple[Counts, dict[str, NDArray[np.bool_]
     return np.where(beyond, 0, values).astype(np.int32), faults
 
 
-def count_scale(lsb: float, dtype: np.dtype[Any]) -> CountScale:
-    """Return the scale of numbers that are counts already."""
+def count_scale(lsb: float, dtype: np.dtype[Any], zero: int = 0) -> CountScale:
+    """Return the scale of numbers that are counts already; `zero` stands for 0."""
+    if zero:
+        fits = dtype.kind in "iu" and dtype.itemsize <= SHORT_BYTES
+        return CountScale(lsb, exact=np.int32 if fits else None, zero=zero)
     if dtype.kind == "f" or not np.can_cast(dtype, np.int32):
         return CountScale(lsb)
     return CountScale(lsb, exact=np.int16 if np.can_cast(dtype, np.int16) else np.int32)

@@ -21,7 +21,7 @@ from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.local_time import FOLLOWED
 from accelcal_cli.core.recording import Channels, Chunk, Device, Problem, Reader, Recording
-from accelcal_cli.core.vocabulary import PER_G, TABLES, normalized
+from accelcal_cli.core.vocabulary import COUNTS, PER_G, TABLES, normalized
 from accelcal_cli.formats._gravity import guess_unit, likely_counts, usual_length
 from accelcal_cli.formats._problems import ProblemLog, Run
 from accelcal_cli.formats._stamps import GAP_PERIODS, LOST
@@ -66,6 +66,7 @@ from accelcal_cli.formats._tables.times import (
     find_timeline,
     stored_stamps,
 )
+from accelcal_cli.formats._unsigned import FOUND_ZERO, are_unsigned, refuse_other_zero, zero_of
 
 LEAST_LSB = 1e-9
 """Smallest believable number of counts in one g."""
@@ -257,13 +258,25 @@ def _scale(source: TableSource) -> tuple[CountScale, tuple[str, ...]]:
     """Return the scale, and a note if gravity decided the unit; the user's unit outweighs the rest."""
     unit, lsb = _unit_and_lsb(source)
     notes: tuple[str, ...] = ()
+    zero = source.options.zero
+    if zero is None and (unit is None or (unit == COUNTS and lsb is None)):
+        refuse_other_zero(_more_values(source), source.path)
     if unit is None:
         unit = guess_unit(_some_values(source), source.path)
         notes = (f"unit: {unit} (judged by the length of gravity)",)
     dtype = np.result_type(*(item.dtype for item in source.group))
-    if unit == "counts":
-        return _scale_of_counts(source, _checked_lsb(lsb, source), dtype), notes
-    return physical_scale(unit, dtype), notes
+    if unit != COUNTS:
+        return physical_scale(unit, dtype), notes
+    lsb = _checked_lsb(lsb, source)
+    if zero is None and (zero := zero_of(_more_values(source), lsb, source.path)) is not None:
+        notes = (*notes, FOUND_ZERO.format(zero))
+    return _scale_of_counts(source, lsb, dtype, zero or 0), notes
+
+
+def _more_values(source: TableSource) -> NDArray[np.float64]:
+    """Return values (n, 3) of several places, and many of the beginning if they may be of a converter."""
+    values = _some_values(source)
+    return np.concatenate([_first_values(source)[1], values]) if are_unsigned(values) else values
 
 
 def _some_values(source: TableSource) -> NDArray[np.float64]:
@@ -305,8 +318,10 @@ def _unit_and_lsb(source: TableSource) -> tuple[str | None, float | None]:
     options = source.options
     file_unit, file_lsb = _shared_unit_and_lsb(source)
     lsb = file_lsb if options.lsb_per_g is None else options.lsb_per_g
-    if options.unit is not None:
-        return options.unit, lsb
+    if options.unit not in (None, COUNTS) and options.zero is not None:
+        raise UsageError(f"--zero is for counts, not for values in {options.unit}", hint="omit --zero")
+    if options.unit is not None or options.zero is not None:
+        return options.unit or COUNTS, lsb
     whole = all(item.dtype.kind in "iu" for item in source.group)
     if lsb is not None and (whole or file_unit is None):
         return "counts", lsb
@@ -337,7 +352,7 @@ def _shared_unit_and_lsb(source: TableSource) -> tuple[str | None, float | None]
 def _checked_lsb(lsb: float | None, source: TableSource) -> float:
     path = source.path
     if lsb is None:
-        likely = likely_counts(usual_length(_some_values(source)))
+        likely = likely_counts(usual_length(_some_values(source) - (source.options.zero or 0)))
         raise UnreadableError(
             "the file does not state the counts per g",
             path=path,
@@ -348,15 +363,15 @@ def _checked_lsb(lsb: float | None, source: TableSource) -> float:
     return lsb
 
 
-def _scale_of_counts(source: TableSource, lsb: float, dtype: np.dtype[Any]) -> CountScale:
+def _scale_of_counts(source: TableSource, lsb: float, dtype: np.dtype[Any], zero: int) -> CountScale:
     """Return the scale of counts; counts with decimal fractions (averages) go to the grid of fractions."""
     if dtype.kind == "f":
         for item in source.group:
             seen = spread_rows(source.table, item)
             seen = seen[np.isfinite(seen)]
             if np.any(seen != np.rint(seen)):
-                return CountScale(recordings.FLOAT_LSB_PER_G, lsb, LARGEST_G)
-    return count_scale(lsb, dtype)
+                return CountScale(recordings.FLOAT_LSB_PER_G, lsb, LARGEST_G, zero=zero)
+    return count_scale(lsb, dtype, zero)
 
 
 def spread_rows(table: SensorTable, track: Track) -> NDArray[Any]:

@@ -141,12 +141,13 @@ class AccelScale:
 
     Attributes:
         unit: of the values, or `counts`.
-        zero: the count that stands for 0 g.
+        zero: the count that stands for 0 g; found_zero: the values show it, and nothing states it.
     """
 
     unit: str
     lsb_per_g: float
     zero: int = 0
+    found_zero: bool = False
 
     @property
     def limit(self) -> float:

@@ -25,10 +25,8 @@ from accelcal_cli.core.door import has_file
 from accelcal_cli.core.errors import UnreadableError, UsageError, counted, printable
 from accelcal_cli.core.formats import GZIP_MAGIC, UTF16_BYTES, ReadOptions, agreed_rate, utf16_in
 from accelcal_cli.core.input_files import read_text
-from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Device
-from accelcal_cli.core.vocabulary import COUNTS, UNIT_CHOICES
+from accelcal_cli.core.recording import Device
 from accelcal_cli.core.written_times import ORDERS, read_date, written_start
-from accelcal_cli.formats._gravity import guess_unit
 from accelcal_cli.formats._stamps import (
     GAP_PERIODS,
     IMPOSSIBLE,
@@ -40,11 +38,11 @@ from accelcal_cli.formats._stamps import (
     shares_stamps,
 )
 from accelcal_cli.formats._tables.channels import CountScale
+from accelcal_cli.formats._unsigned import FOUND_ZERO
 from accelcal_cli.formats._wraps import DATES, TIMES_OF_DAY, RunningOn, Wraps, find_wraps
 from accelcal_cli.formats.csv import BIDS_CHANNELS, BIDS_MOTION, bids_channels_path
 from accelcal_cli.formats.csv.cells import (
     AccelScale,
-    acceleration_unit,
     is_year_first,
     number_of,
     year_first,
@@ -68,6 +66,7 @@ from accelcal_cli.formats.csv.dialect import (
 from accelcal_cli.formats.csv.exports import PHYPHOX_HEAD, experiment_start
 from accelcal_cli.formats.csv.lines import Block, LineFile, RepeatedHeads, lone_block
 from accelcal_cli.formats.csv.rows import ParsedTable, TableParser, usual_stride, with_heat_unit
+from accelcal_cli.formats.csv.scales import find_scale
 from accelcal_cli.formats.csv.sensors import SensorWatch, dividing_columns, rows_of_sensor
 from accelcal_cli.formats.csv.times import (
     FASTEST_HZ,
@@ -148,6 +147,7 @@ class Detected:
         how = " (judged by the length of gravity)" if self.guessed_unit else ""
         notes = [f"an export of {self.export.title}"] * bool(self.export.title) + [*self.export.notes]
         notes += [f"x, y, z: {axes}", f"unit: {self.scale.unit}{how}"]
+        notes += [FOUND_ZERO.format(self.scale.zero)] * self.scale.found_zero
         if roles.time is not None:
             dates = "" if roles.date is None else f"{dialect.column_name(roles.date)} and "
             how = "" if self.parser.time is None else self.parser.time.how
@@ -204,7 +204,7 @@ def detect(path: Path, options: ReadOptions) -> Detected:
         watch.see(watch.all_of(block, table), table.time_us)
     if table.rates is not None and (fault := why_not_read(table.values, table.rates)):
         gyro, gyro_notes, parser = None, (fault,), replace(parser, roles=roles)
-    scale, guessed = _find_scale(table.values, roles, export, options, path)
+    scale, guessed = find_scale(table.values, roles.hints, export, options, path)
     stride = usual_stride(table.values)
     measured = table if stride == 1 else table.only(np.asarray(~np.isnan(table.values).any(axis=1)))
     pace = _pace(measured, export, options, path)
@@ -346,40 +346,6 @@ def _stated_orders(cells: list[str], export: ExportDescription) -> list[str]:
     days = export.start.days(export.date_order) if export.start is not None and cells else ()
     fitting = [order for order in ORDERS if days and read_date(cells[0], order) in days]
     return [order for order in (fitting[0] if len(fitting) == 1 else None, export.date_order) if order]
-
-
-def _find_scale(
-    values: NDArray[np.float64], roles: Roles, export: ExportDescription, options: ReadOptions, path: Path
-) -> tuple[AccelScale, bool]:
-    """Return the scale of accelerations (n, 3), and whether gravity alone decided the unit."""
-    stated = _stated_unit(options, roles.hints)
-    if stated is None and export.unit is not None:
-        scale = _scale_of(export.unit, export.lsb_per_g, export.zero)
-        scale.check(values, path)
-        return scale, False
-    unit = stated or guess_unit(values, path)
-    return _scale_of(unit, options.lsb_per_g, export.zero), stated is None
-
-
-def _stated_unit(options: ReadOptions, hints: frozenset[str]) -> str | None:
-    """Return the unit that the user or the column names give, None if neither does."""
-    if options.unit is not None:
-        unit = acceleration_unit(options.unit)
-        if unit is None:
-            one_of = f"--unit is one of {', '.join(UNIT_CHOICES)}"
-            raise UsageError(f"unknown unit {options.unit!r}", hint=one_of)
-        return unit
-    if len(hints) == 1:
-        return next(iter(hints))
-    return COUNTS if options.lsb_per_g is not None else None
-
-
-def _scale_of(unit: str, lsb_per_g: float | None, zero: int) -> AccelScale:
-    if unit != COUNTS:
-        return AccelScale(unit, FLOAT_LSB_PER_G)
-    if lsb_per_g is None:
-        raise UsageError("counts need their scale", hint="give --lsb-per-g, the counts in one g")
-    return AccelScale(unit, float(lsb_per_g), zero)
 
 
 def _pace(table: ParsedTable, export: ExportDescription, options: ReadOptions, path: Path) -> Pace:

@@ -7,7 +7,7 @@ device up, without a zone.
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
 
 HEADER_BYTES = 1024
 HEADER_MAGIC = b"MD" + (HEADER_BYTES - 4).to_bytes(2, "little")
@@ -36,6 +36,6 @@ FORMAT = Format(
         *TIMES_OF_TABLES,
         "layout",
         "sensor",
-        *GYRO_OPTIONS,
+        *ONLY_TABLES,
     ),
 )

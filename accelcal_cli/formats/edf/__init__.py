@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
 
 EDF_MAGIC = b"0       "
 BDF_MAGIC = b"\xffBIOSEMI"
@@ -30,5 +30,5 @@ FORMAT = Format(
     (".edf", ".bdf", ".rec"),
     sniff,
     reader="accelcal_cli.formats.edf.reader:open_recording",
-    ignores=(*TIMES_OF_TABLES, "layout", *GYRO_OPTIONS),
+    ignores=(*TIMES_OF_TABLES, "layout", *ONLY_TABLES),
 )

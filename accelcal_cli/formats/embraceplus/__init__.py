@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
 
 AVRO_MAGIC = b"Obj\x01"
 SCHEMA_WORDS = (b"empatica", b"rawData")
@@ -28,6 +28,6 @@ FORMAT = Format(
         *TIMES_OF_TABLES,
         "layout",
         "sensor",
-        *GYRO_OPTIONS,
+        *ONLY_TABLES,
     ),
 )

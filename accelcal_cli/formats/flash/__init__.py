@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 import zlib
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
 
 PAGE_BYTES = 512
 HEADER_MAGIC = b"\x89ACL\r\n\x1a\n"
@@ -51,6 +51,6 @@ FORMAT = Format(
         *TIMES_OF_TABLES,
         "layout",
         "sensor",
-        *GYRO_OPTIONS,
+        *ONLY_TABLES,
     ),
 )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
 
 HEADER_MAGIC = b"Device Identity"
 MARK = b"Recorded Data"
@@ -58,6 +58,6 @@ FORMAT = Format(
         *TIMES_OF_TABLES,
         "layout",
         "sensor",
-        *GYRO_OPTIONS,
+        *ONLY_TABLES,
     ),
 )

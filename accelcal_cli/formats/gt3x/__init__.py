@@ -9,7 +9,7 @@ file says so.
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, ZIP_MAGIC, Format, Probe
+from accelcal_cli.core.formats import ONLY_TABLES, ZIP_MAGIC, Format, Probe
 
 SUFFIXES = (".gt3x", ".agdc")
 
@@ -43,5 +43,5 @@ FORMAT = Format(
     SUFFIXES,
     sniff,
     reader="accelcal_cli.formats.gt3x.reader:open_recording",
-    ignores=("unit", "columns", "time_column", "layout", *GYRO_OPTIONS),
+    ignores=("unit", "columns", "time_column", "layout", *ONLY_TABLES),
 )

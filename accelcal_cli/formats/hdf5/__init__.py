@@ -5,7 +5,7 @@ They are recognised without importing h5py, so other formats need not wait for i
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 FIRST_USER_BLOCK = 512
@@ -36,7 +36,7 @@ OPAL = Format(
     suffixes=(".h5",),
     sniff=sniff_opal,
     reader="accelcal_cli.formats.hdf5.opal:open_recording",
-    ignores=("layout", "columns", *TIMES_OF_TABLES, *GYRO_OPTIONS),
+    ignores=("layout", "columns", *TIMES_OF_TABLES, *ONLY_TABLES),
 )
 
 

@@ -6,7 +6,7 @@ sample files; docs/more-devices.md says what each field means to the reader.
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
 
 PACKET_MAGIC = b"MDTCPACK"
 HEADER_MAGIC = b"MDTC"
@@ -33,6 +33,6 @@ FORMAT = Format(
         *TIMES_OF_TABLES,
         "layout",
         "sensor",
-        *GYRO_OPTIONS,
+        *ONLY_TABLES,
     ),
 )

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from accelcal_cli.core.door import has_file, is_file
-from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe, ReadOptions
+from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe, ReadOptions
 
 SUFFIX = ".layout.toml"
 FOLDER_NAME = "layout.toml"
@@ -73,5 +73,5 @@ FORMAT = Format(
     DUMP_SUFFIXES,
     sniff,
     reader="accelcal_cli.formats.raw.reader:open_recording",
-    ignores=("unit", "columns", *TIMES_OF_TABLES, "sensor", *GYRO_OPTIONS),
+    ignores=("unit", "columns", *TIMES_OF_TABLES, "sensor", *ONLY_TABLES),
 )

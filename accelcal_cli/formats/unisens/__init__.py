@@ -11,7 +11,7 @@ from pathlib import Path
 
 from accelcal_cli.core.door import is_file, open_found
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
 
 DESCRIPTION = "unisens.xml"
 ROOT = re.compile(rb"<(?:\w+:)?unisens\b")
@@ -79,6 +79,6 @@ FORMAT = Format(
     (".bin",),
     sniff,
     reader="accelcal_cli.formats.unisens.reader:open_recording",
-    ignores=("columns", *TIMES_OF_TABLES, "layout", "sensor", *GYRO_OPTIONS),
+    ignores=("columns", *TIMES_OF_TABLES, "layout", "sensor", *ONLY_TABLES),
     belongs_to=belongs_to,
 )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 
-from accelcal_cli.core.formats import GYRO_OPTIONS, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
 
 MAGIC = b"RIFF"
 KIND, KIND_AT = b"WAVE", 8
@@ -35,6 +35,6 @@ FORMAT = Format(
         *TIMES_OF_TABLES,
         "layout",
         "sensor",
-        *GYRO_OPTIONS,
+        *ONLY_TABLES,
     ),
 )
