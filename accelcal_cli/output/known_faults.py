@@ -1,7 +1,7 @@
 """Faults of devices that their makers have published, as data: which recordings may have them.
 
-`known_faults.json` has an object for each: `name` as the maker calls it, `serial` with which serial numbers
-begin, versions of `firmware` (empty: all), dates between which the devices were `shipped` (or null), the
+`known_faults.json` has an object for each: `name` as the maker calls it, `model` of the device (or null),
+`serial` with which serial numbers begin (or nothing), versions of `firmware` (empty: all), dates between which the devices were `shipped` (or null), the
 `fault` in words, and its public `source`. Only what is published stands there.
 """
 
@@ -22,6 +22,7 @@ class KnownFault:
     """A published fault; see the module."""
 
     name: str
+    model: str | None
     serial: str
     firmware: tuple[str, ...]
     shipped: tuple[str, str] | None
@@ -29,9 +30,13 @@ class KnownFault:
     source: str
 
     def concerns(self, device: Device) -> bool:
-        """Return True if a device may have the fault, by its serial number and firmware."""
+        """Return True if a device may have the fault, by its model, serial number and firmware."""
         begins = (device.serial or "").startswith(self.serial)
-        return begins and (not self.firmware or device.firmware in self.firmware)
+        return (
+            begins
+            and self.model in (None, device.model)
+            and (not self.firmware or device.firmware in self.firmware)
+        )
 
     def caution(self) -> Reason:
         """Return the caution of a recording that may have the fault."""
@@ -56,6 +61,7 @@ def _fault(held: dict[str, Any]) -> KnownFault:
     shipped = held["shipped"]
     return KnownFault(
         name=held["name"],
+        model=held["model"],
         serial=held["serial"],
         firmware=tuple(held["firmware"]),
         shipped=None if shipped is None else (shipped[0], shipped[1]),

@@ -17,7 +17,7 @@ from tests.recordings import directions, still_counts
 def test_51_7_each_has_a_public_source() -> None:
     assert known_faults()
     for one in known_faults():
-        assert one.source.startswith("https://") and one.name and one.fault and one.serial
+        assert one.source.startswith("https://") and one.name and one.fault and (one.serial or one.model)
 
 
 @pytest.mark.parametrize(
@@ -33,6 +33,15 @@ def test_51_7_each_has_a_public_source() -> None:
 def test_51_7_only_devices_that_it_names(serial: str | None, firmware: str | None, told: bool) -> None:
     found = of_device(Device("wGT3XBT", serial, firmware))
     assert [one.values["name"] for one in found] == (["16CPAN03"] if told else [])
+
+
+@pytest.mark.parametrize(
+    ("model", "firmware", "told"),
+    [("AX6", "54", True), ("AX6", "56", False), ("AX3", "51", False), ("AX6", None, False)],
+)
+def test_51_7_only_models_that_it_names(model: str, firmware: str | None, told: bool) -> None:
+    found = of_device(Device(model, "6011834", firmware))
+    assert [one.values["name"] for one in found] == (["AX6 firmware 56"] if told else [])
 
 
 @pytest.mark.parametrize(("firmware", "told"), [("v1.7.0", True), ("v1.9.2", False)])
