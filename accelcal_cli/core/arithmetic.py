@@ -115,3 +115,16 @@ def inverse(matrix: Matrix) -> list[list[float]]:
                 total += back[index][row] * back[index][column]
             inverted[row][column] = inverted[column][row] = total
     return inverted
+
+
+def quotient(matrix: Matrix, lower: Matrix) -> list[list[float]]:
+    """Return M with M L = matrix, for a lower triangular L."""
+    size = len(lower)
+    found = [[0.0] * size for _ in matrix]
+    for row, values in zip(found, matrix, strict=True):
+        for column in reversed(range(size)):
+            rest = values[column]
+            for index in range(column + 1, size):
+                rest -= row[index] * lower[index][column]
+            row[column] = rest / lower[column][column]
+    return found

@@ -188,6 +188,16 @@ def temperatures_c(points: PointSet) -> Floats:
     return np.asarray(scale.reference_mc / 1000 + points.tau / ONE * scale.span_c, np.float64)
 
 
+def apart_mg(one: Calibration, other: Calibration) -> float:
+    """Return the mean | |a| - 1 g | over all directions by one calibration, if the other one is true [mg].
+
+    Offsets are those at the other's reference temperature.
+    """
+    celsius = other.reference_c() or one.reference_c()
+    raw = np.linalg.solve(other.gain(), directions().T).T - other.offset_at(celsius)
+    return 1000 * float(np.abs(np.sqrt((_at(one, raw, celsius) ** 2).sum(axis=1)) - 1).mean())
+
+
 def difference_mg(one: Calibration, other: Calibration, raw_g: Floats) -> tuple[float, float]:
     """Return the largest and mean length of the difference between two calibrations' results [mg].
 

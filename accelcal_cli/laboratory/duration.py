@@ -21,12 +21,13 @@ import numpy as np
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import aligned, each_recording, refuse_both
-from accelcal_cli.core.calibration import Calibration
+from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.statistics import mean, quantile
+from accelcal_cli.judge.errors import apart_mg
 from accelcal_cli.laboratory.segments import (
     Stillness,
     collected,
@@ -36,7 +37,6 @@ from accelcal_cli.laboratory.segments import (
     stillness_of_table,
     table_hours_option,
 )
-from accelcal_cli.laboratory.sensors import WornSensor, sphere_error_mg
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.numbers import formatted
 from accelcal_cli.output.words import explained
@@ -48,6 +48,9 @@ from accelcal_cli.studies.discovery import recordings_in
 
 SITES = ("wrist", "hip", "waist", "back", "sacrum", "thigh", "ankle", "chest", "arm", "leg", "foot")
 """Wear sites that are known if the name of a recording, or of its folder, has the word."""
+
+NONE = Calibration("0", IDENTITY)
+"""That of raw data."""
 
 ENOUGH = 0.9
 """Share of the segments of a length that are calibrated where it usually suffices."""
@@ -140,20 +143,9 @@ def _worn(still: Stillness, start_h: float, hours: float, settings: Settings, na
     rest = collected(still, ~which, settings).judge(how)
     error = raw = None
     if verdict.calibration is not None and rest.calibration is not None:
-        error, raw = errors_mg(verdict.calibration, rest.calibration)
+        error, raw = (apart_mg(one, rest.calibration) for one in (verdict.calibration, NONE))
     claimed = None if verdict.sphere is None or verdict.calibration is None else verdict.sphere.mean
     return Worn(*named, hours, start_h, str(verdict.outcome), error, raw, claimed)
-
-
-def errors_mg(found: Calibration, truth: Calibration) -> tuple[float, float]:
-    """Return the mean error over all orientations of a calibration and of raw data, if another is true.
-
-    Offsets are those at the other's reference temperature.
-    """
-    celsius = truth.reference_c() or found.reference_c()
-    sensor = WornSensor(truth.gain(), truth.offset_at(celsius))
-    raw = sphere_error_mg(sensor, np.eye(3), np.zeros(3))
-    return sphere_error_mg(sensor, found.gain(), found.offset_at(celsius)), raw
 
 
 def lengths(found: Sequence[Measured]) -> list[Length]:

@@ -1,8 +1,9 @@
 """Faults of devices that their makers have published, as data: which recordings may have them.
 
 `known_faults.json` has an object for each: `name` as the maker calls it, `model` of the device (or null),
-`serial` with which serial numbers begin (or nothing), versions of `firmware` (empty: all), dates between which the devices were `shipped` (or null), the
-`fault` in words, and its public `source`. Only what is published stands there.
+`serial` with which serial numbers begin (or nothing), versions of `firmware` (empty: all), dates between
+which the devices were `shipped` (or null), the `fault` in words, and its public `source`. Only what is
+published stands there.
 """
 
 from __future__ import annotations

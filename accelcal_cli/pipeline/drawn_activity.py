@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import quotient
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.pipeline.epochs import CROSSING_MG, MG, MVPA_MG, ONE_G, EpochMeasures, Integers, WholeEpochs
 
@@ -48,8 +49,9 @@ class Affine:
     def between(cls, used: Calibration, drawn: Calibration) -> Affine:
         """Return what makes of values that one calibration gave those of another."""
         gain, slope = drawn.gain(), drawn.slope_g_per_c() - used.slope_g_per_c()
-        mix = gain @ np.linalg.inv(used.gain())
-        return cls(mix, gain @ (drawn.offset_at(0.0) - used.offset_at(0.0)), gain @ slope)
+        mix = np.array(quotient(gain.tolist(), used.gain().tolist()))
+        shift = drawn.offset_at(0.0) - used.offset_at(0.0)
+        return cls(mix, (gain * shift).sum(axis=1), (gain * slope).sum(axis=1))
 
     def lengths(self, rows: Sequence[Singles], buffers: Singles) -> Singles:
         """Return |a'| - 1 g of x, y, z and T, each (n,), in the first buffer of four (4, n)."""

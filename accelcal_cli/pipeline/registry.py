@@ -15,13 +15,10 @@ from itertools import combinations
 from math import hypot, sqrt
 from pathlib import Path
 
-import numpy as np
-
-from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.judge.errors import directions
+from accelcal_cli.judge.errors import apart_mg
 from accelcal_cli.output.registry import RegistryEntry, temperatures_c
 from accelcal_cli.output.report_view import ReportView
 from accelcal_cli.pipeline import apply as applying
@@ -180,18 +177,6 @@ def walk_mg2_a_day(known: Sequence[RegistryEntry]) -> float:
             weights += weight * days**2
         walk = max(total / weights, WALK_MG2_A_DAY / 10)
     return walk
-
-
-def apart_mg(one: Calibration, other: Calibration) -> float:
-    """Return the mean | |a| - 1 g | over all directions by one calibration, if the other one is true [mg].
-
-    Offsets are those at the other's reference temperature.
-    """
-    celsius = other.reference_c() or one.reference_c()
-    offset, at = one.offset_at(celsius), other.offset_at(celsius)
-    raw = np.linalg.solve(other.gain(), directions().T).T - at
-    lengths = np.sqrt((((raw + offset) @ one.gain().T) ** 2).sum(axis=1))
-    return 1000 * float(np.abs(lengths - 1).mean())
 
 
 def _moment(start: str | None) -> datetime | None:

@@ -18,6 +18,7 @@ from accelcal_cli.core.arithmetic import (
     cholesky,
     inverse,
     narrow,
+    quotient,
     to_fixed,
     to_float,
 )
@@ -99,3 +100,9 @@ def test_by_hand() -> None:
 def test_what_is_not_positive_definite_is_refused(matrix: list[list[float]]) -> None:
     with pytest.raises(ValueError, match="positive definite"):
         inverse(matrix)
+
+
+def test_a_quotient_by_a_lower_triangular_matrix_is_exact_step_by_step() -> None:
+    matrix, lower = np.tril(np.arange(1.0, 10).reshape(3, 3)), np.array([[2, 0, 0], [1, 4, 0], [-3, 5, 8.0]])
+    found = np.array(quotient((matrix @ lower).tolist(), lower.tolist()))
+    assert (found == matrix).all()

@@ -15,9 +15,10 @@ import pytest
 
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY, Calibration
+from accelcal_cli.judge.errors import apart_mg
 from accelcal_cli.output.coefficients import coefficients_json
 from accelcal_cli.output.registry import RegistryEntry, read_registry, write_registry
-from accelcal_cli.pipeline.registry import Wanted, apart_mg, candidates, walk_mg2_a_day
+from accelcal_cli.pipeline.registry import Wanted, candidates, walk_mg2_a_day
 from tests.cli.run import assert_one_line, exit_code, run, verify
 from tests.recordings import good_raw
 
