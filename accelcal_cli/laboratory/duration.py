@@ -9,7 +9,6 @@ the lengths at which others of its kind are calibrated say how many more hours u
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -39,15 +38,13 @@ from accelcal_cli.laboratory.segments import (
 )
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.numbers import formatted
+from accelcal_cli.output.study_words import kind_of
 from accelcal_cli.output.words import explained
 from accelcal_cli.pipeline.jobs import ProgressMaker
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 from accelcal_cli.pipeline.procedures import fitting
 from accelcal_cli.pipeline.survey import open_marked
 from accelcal_cli.studies.discovery import recordings_in
-
-SITES = ("wrist", "hip", "waist", "back", "sacrum", "thigh", "ankle", "chest", "arm", "leg", "foot")
-"""Wear sites that are known if the name of a recording, or of its folder, has the word."""
 
 NONE = Calibration("0", IDENTITY)
 """That of raw data."""
@@ -117,7 +114,7 @@ def measured(path: Path, still: Stillness, device: Device, hours: Sequence[float
     Raises:
         UsageError: the settings have a profile without orientation cells.
     """
-    kind = kind_of(path, device)
+    kind = kind_of(str(path), device.model)
     found = [
         _worn(still, start, length, settings, (printable(path), kind))
         for length in hours
@@ -128,13 +125,6 @@ def measured(path: Path, still: Stillness, device: Device, hours: Sequence[float
     refused = verdict.outcome is Outcome.REFUSED
     refusal = explained(verdict.reason, verdict.advice) if refused else None
     return Measured(printable(path), kind, still.span_h, tuple(found), refusal)
-
-
-def kind_of(path: Path, device: Device) -> str:
-    """Return the device's model and the wear site, as far as they are known."""
-    words = re.split(r"[^a-z]+", f"{path.parent.name} {path.name}".lower())
-    site = next((site for site in SITES if site in words), None)
-    return ", ".join(filter(None, (printable(device.model or ""), site))) or "any device"
 
 
 def _worn(still: Stillness, start_h: float, hours: float, settings: Settings, named: tuple[str, str]) -> Worn:

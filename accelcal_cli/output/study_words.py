@@ -5,6 +5,8 @@ Sentences stand here and in `words.py`, which has those about one recording; not
 
 from __future__ import annotations
 
+import re
+
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.output.numbers import mg, with_error
@@ -93,3 +95,14 @@ def changed(kind: str, at: str | None, size_mg: float | None) -> str:
 def not_described(kinds: str) -> str:
     """Say which kinds of misfit were found."""
     return f"found: {kinds}"
+
+
+SITES = ("wrist", "hip", "waist", "back", "sacrum", "thigh", "ankle", "chest", "arm", "leg", "foot")
+"""Wear sites that are known if the name of a recording, or of its folder, has the word."""
+
+
+def kind_of(path: str, model: str | None) -> str:
+    """Return a device's model and the wear site, as far as the name of the file or of its folder has it."""
+    words = re.split(r"[^a-z]+", "/".join(path.lower().replace("\\", "/").split("/")[-2:]))
+    site = next((site for site in SITES if site in words), None)
+    return ", ".join(filter(None, (printable(model or ""), site))) or "any device"

@@ -30,6 +30,7 @@ from accelcal_cli.output.words import OUTCOMES, outcome_words
 from accelcal_cli.pages import study_figures as figures
 from accelcal_cli.pages.rendering import rendered
 from accelcal_cli.pages.strips import strips
+from accelcal_cli.pages.wear import Wear, by_wear
 
 WANTED = (
     "path", "use", "why", "wear_hours", "outcome", "reason", "message", "model", "copy_of", "borrowed_from",
@@ -185,6 +186,7 @@ def page(study: StudyContent) -> str:
         months=figures.by_month(
             [entry.row["start_time"] for entry in once], [entry.outcome for entry in once], list(OUTCOMES)
         ),
+        wear=by_wear([entry.wear for entry in once]),
         marked=_marked(scatter, entries, groups),
         devices=devices,
         troubled=[line for line in devices if line.verdict in TROUBLED],
@@ -268,6 +270,14 @@ class _Entry:
         """Length of the recording [h]."""
         seconds = self.row["duration_s"]
         return None if seconds is None else seconds / HOUR_S
+
+    @property
+    def wear(self) -> Wear:
+        """Hours of wear, or else of the recording, and the error over all orientations."""
+        worn, error = self.row["wear_hours"], self.row["calibration_error_mg"]
+        kind = study_words.kind_of(self.path, self.row["device_model"])
+        usable = outcome_words(self.outcome).usable
+        return Wear(kind, self.hours if worn is None else worn, self.outcome, usable, error)
 
     @property
     def errors(self) -> tuple[float, float] | None:

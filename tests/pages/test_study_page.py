@@ -14,6 +14,7 @@ from accelcal_cli.output import study_words
 from accelcal_cli.output.words import outcome_words
 from accelcal_cli.pages import study_figures
 from accelcal_cli.pages.study import WANTED, DeviceLine, StudyContent, page
+from accelcal_cli.pages.wear import Wear, by_wear
 from accelcal_cli.pages.write import write_study_pages
 from tests.cli.run import Ran, assert_one_line, run
 from tests.devices.made import drifting, fitted, good_devices, write
@@ -475,3 +476,31 @@ def test_the_line_of_the_limit_is_where_the_axis_says() -> None:
     scatter = study_figures.Scatter.of([(40.0, 0.5), (30.0, 20.0)])
     assert scatter.limit(10.0) == f"M{scatter.x.begin} {scatter.y.at(10.0)}H{scatter.x.end}"
     assert study_figures.Scatter.of([(4.0, 0.5)]).limit(100.0) == ""
+
+
+def test_51_3_hours_of_wear_have_a_figure_and_a_table_by_device_and_site() -> None:
+    rows = [
+        row("wrist/a.cwa", wear_hours=2.0, device_model="AX3", calibration_error_mg=4.0),
+        row("wrist/b.cwa", "refused", wear_hours=2.5, device_model="AX3", calibration_error_mg=None),
+        row("wrist/c.cwa", wear_hours=None, duration_s=30 * 3600, device_model="AX3"),
+        row("hip_d.gt3x", wear_hours=200.0, device_model="Link", calibration_error_mg=0.5),
+        row("hip_copy.gt3x", wear_hours=200.0, device_model="Link", copy_of="hip_d.gt3x"),
+    ]
+    root = elements(page(content(*rows)))
+    check_page(root)
+    (table,) = (one for one in root.within("table") if "by hours of wear" in one.text)
+    assert [[cell.text for cell in line.within("th", "td")] for line in table.within("tr")] == [
+        ["Device", "1 to 3 h", "24 to 72 h", "168 h or more"],
+        ["AX3, wrist", "50 % of 2, 4 mg", "100 % of 1, 1 mg", ""],
+        ["Link, hip", "", "", "100 % of 1, 0.5 mg"],
+        ["all", "50 % of 2, 4 mg", "100 % of 1, 1 mg", "100 % of 1, 0.5 mg"],
+    ]
+
+
+def test_51_3_errors_are_drawn_against_hours_of_wear() -> None:
+    known = [Wear("AX3", 1.0, "calibrated", True, 10.0), Wear("AX3", 10.0, "calibrated", True, 1.0)]
+    figure = by_wear([*known, Wear("AX3", None, "failed", False, None)])
+    assert figure is not None and figure.head == ["1 to 3 h", "6 to 12 h"]
+    (first, second), x, y = figure.scatter.places, figure.scatter.x, figure.scatter.y
+    assert first == (x.at(1.0), y.at(10.0)) and second == (x.at(10.0), y.at(1.0))
+    assert by_wear(known[:1]) is None
