@@ -54,9 +54,10 @@ nightly: $(READY)
 fuzz: $(READY)
 	ACCELCAL_FUZZ=$${ACCELCAL_FUZZ:-100000} $(BIN)/python -m tests.fuzz
 
-# accuracy, coverage of intervals and hours of wear, measured here, as one page: build/validation.md
+# accelcal beside other methods, coverage of intervals and hours of wear, measured here, as one page: build/validation.md;
+# actipy and scikit-digital-health take part after `make bench_data/peers/.ready`
 validation: $(READY)
-	$(BIN)/python tools/validation.py
+	$(BIN)/python -m tools.validation
 
 # the table of docs/reliability.md: FAULTS calls of each operation fail in turn (3; 0: all, which takes hours)
 faults: $(READY)
