@@ -12,7 +12,7 @@ import csv
 import io
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -83,12 +83,14 @@ class Merged:
 
     Attributes:
         changes: columns that change, by the path of the recording in the table.
+        rows: the decisions, by the paths of their recordings where these are known.
         findings: what is wrong with decisions.
     """
 
     decisions: Decisions
     changes: dict[str, dict[str, str | None]] = field(default_factory=dict)
     findings: list[Reason] = field(default_factory=list)
+    rows: list[Decision] = field(default_factory=list)
 
     def said(self) -> list[Reason]:
         """Return the findings, of many only the first."""
@@ -104,7 +106,7 @@ class Merged:
 
     def as_json(self) -> dict[str, Any]:
         """Return the object of `study.json`: the file as it was read, and what is wrong with it."""
-        rows = [[getattr(one, name) for name in COLUMNS] for one in self.decisions.rows]
+        rows = [[getattr(one, name) for name in COLUMNS] for one in self.rows]
         found = [{**one.as_json(), "message": sentence(one)} for one in self.said()]
         return {"file": self.decisions.file, "decided": len(self.changes), "findings": found, "rows": rows}
 
@@ -202,7 +204,9 @@ def merged(decisions: Decisions, rows: Iterable[Mapping[str, Any]], others: Coll
     found, lookup = Merged(decisions, findings=[*decisions.findings]), _Lookup([*table, *others])
     of_recording: dict[str, list[Decision]] = {}
     for one in decisions.rows:
-        if (path := lookup.path(one.recording)) is not None:
+        path = lookup.path(one.recording)
+        found.rows.append(replace(one, recording=path or one.recording))
+        if path is not None:
             of_recording.setdefault(path, []).append(one)
         else:
             values = {"row": one.row, "recording": one.recording}

@@ -4,6 +4,10 @@
   const ROW = 30; // height of a row in pixels, as in the style sheet
   const AROUND = 10; // rows beyond each end of what is in sight
   const NEAR = 14; // how far from a dot the pointer may be, in units of the figure
+  const WORDS = { "": "", yes: "use", "with care": "with care", no: "exclude" }; // what people choose
+  const FIELDS = ["recording", "use", "note", "who", "when", "result"]; // columns of decisions.csv
+  const FORMULA = /^(?:[=@\uff1d\uff20\uff0b\uff0d\t\r\n]|[+-](?![0-9.eE+-]*$))/; // as in core/errors.py
+  const KEPT = `accelcal decisions ${location.pathname}`;
   const data = JSON.parse(document.getElementById("data").textContent);
   const $ = (id) => document.getElementById(id);
   const grouped = new Intl.NumberFormat("en").format;
@@ -30,6 +34,8 @@
       return value === 0 ? "" : column.names[value[0]].map((part, at) => at ? value[at] + part : part).join("");
     },
   };
+  texts.decision = (column, row) => WORDS[decisions.row(row)?.[1] ?? ""];
+  texts.note = (column, row) => decisions.row(row)?.[2] ?? "";
   const numeric = (column) => column.kind === "number" || column.kind === "mg";
   const shown = (column, row) => texts[column.kind](column, row);
 
@@ -38,7 +44,7 @@
     if (!column.ranks) {
       const count = column.values.length;
       column.ranks = new Float64Array(count);
-      if (column.kind === "text" || column.kind === "message") {
+      if (!numeric(column) && column.kind !== "choice" && column.kind !== "minutes") {
         const words = Array.from({ length: count }, (_, row) => shown(column, row));
         const order = [...new Set(words)].sort();
         const place = new Map(order.map((word, at) => [word, at]));
@@ -155,6 +161,10 @@
       const cells = this.columns.map((column, index) => {
         const text = shown(column, row);
         const cell = element("td", numeric(column) ? { class: "number" } : {});
+        if (column.kind === "decision" || column.kind === "note") {
+          cell.append(decisions.field(column.kind, row));
+          return cell;
+        }
         const link = index === 0 ? address(this.table, row) : null;
         if (link) cell.append(element("a", { href: link }, element("bdi", {}, text)));
         else if (column.kind === "text" || column.key === "device") cell.append(element("bdi", {}, text));
@@ -170,7 +180,7 @@
     step(event) {
       const row = event.target.closest("tbody tr");
       const steps = { ArrowDown: 1, ArrowUp: -1, PageDown: 15, PageUp: -15, Home: -Infinity, End: Infinity };
-      if (!row || !(event.key in steps) || event.altKey || event.metaKey) return;
+      if (!row || event.target.matches("select, input") || !(event.key in steps) || event.altKey || event.metaKey) return;
       event.preventDefault();
       const at = Number(row.getAttribute("aria-rowindex")) - 2;
       this.go(Math.min(this.rows.length - 1, Math.max(0, at + steps[event.key])));
@@ -200,6 +210,124 @@
     return table.columns.find((one) => one.key === key);
   }
 
+  // What people decide, by the path of the recording: the rows of decisions.csv, and those chosen here since.
+  class Decisions {
+    constructor(rows, table) {
+      this.paths = table.columns[0].values;
+      this.results = table.results;
+      this.file = new Map();
+      for (const row of rows) this.file.set(row[0], [...(this.file.get(row[0]) ?? []), row]);
+      this.chosen = new Map();
+      this.unsaved = false;
+      this.kept = true;
+      const own = (key, width) => ({ key, label: key, kind: key, width, values: this.paths });
+      this.columns = [own("decision", 7.5), own("note", 14)];
+      table.columns.splice(3, 0, ...this.columns);
+      this.restore();
+      $("save-decisions").addEventListener("click", () => this.save());
+      $("who").addEventListener("input", () => this.keep());
+      addEventListener("beforeunload", (event) => { if (this.unsaved && !this.kept) event.preventDefault(); });
+      $("decide").hidden = false;
+      this.say("");
+    }
+
+    // A decision as it stands: of rows that contradict each other the most cautious one.
+    of(path) {
+      if (this.chosen.has(path)) return this.chosen.get(path);
+      const rows = this.file.get(path) ?? [];
+      return ["no", "with care", "yes"].map((use) => rows.findLast((row) => row[1] === use)).find((row) => row) ?? null;
+    }
+
+    row(row) {
+      return this.of(this.paths[row]);
+    }
+
+    field(kind, row) {
+      const path = this.paths[row], now = this.of(path);
+      const field = kind === "note" ? element("input", { maxlength: 500 }) : element("select");
+      field.setAttribute("aria-label", `${kind} on ${path}`);
+      if (kind === "note") field.disabled = !now;
+      else for (const [value, text] of Object.entries(WORDS)) field.append(element("option", { value }, text));
+      field.value = (kind === "note" ? now?.[2] : now?.[1]) ?? "";
+      if (now) field.title = now.slice(2, 5).filter((text) => text).join(", ");
+      field.addEventListener("change", () => this.choose(row, kind, field));
+      return field;
+    }
+
+    choose(row, kind, field) {
+      const path = this.paths[row], now = this.of(path);
+      const use = kind === "note" ? now[1] : field.value, note = kind === "note" ? field.value.trim() : now?.[2] ?? "";
+      this.chosen.set(path, use ? [path, use, note, $("who").value.trim(), moment(), this.results[row]] : null);
+      const beside = field.closest("tr").querySelector("td input");
+      beside.disabled = !use;
+      beside.value = use ? note : "";
+      for (const column of this.columns) delete column.ranks;
+      this.unsaved = true;
+      this.keep();
+      this.say("not saved yet");
+    }
+
+    rows() {
+      const others = [...this.file].filter(([path]) => !this.chosen.has(path)).flatMap(([, rows]) => rows);
+      const chosen = [...this.chosen.values()].filter((row) => row);
+      return [...others, ...chosen.map((row) => row.with(3, row[3] || $("who").value.trim()))];
+    }
+
+    save() {
+      const lines = [FIELDS, ...this.rows()].map((row) => row.map(cell).join(",")).join("\r\n");
+      const link = element("a", { download: "decisions.csv" });
+      link.href = URL.createObjectURL(new Blob([`\ufeff${lines}\r\n`], { type: "text/csv" }));
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 60000);
+      this.unsaved = false;
+      this.say("saved as a download: put it in the place of decisions.csv in the folder of the results, and run the study again");
+    }
+
+    say(what) {
+      const count = this.rows().length;
+      $("decided-count").textContent = count || what
+        ? [`${grouped(count)} decision${count === 1 ? "" : "s"}`, what].filter((text) => text).join(", ")
+        : "Choose in the columns decision and note of the table.";
+    }
+
+    // Marks outlive a reload where the browser allows it; those that decisions.csv has overtaken are dropped.
+    keep() {
+      const chosen = [...this.chosen].map(([path, row]) => [path, row, JSON.stringify(this.file.get(path) ?? null)]);
+      try {
+        localStorage.setItem(KEPT, JSON.stringify({ who: $("who").value, chosen }));
+      } catch {
+        this.kept = false;
+      }
+    }
+
+    restore() {
+      try {
+        const { who, chosen } = JSON.parse(localStorage.getItem(KEPT)) ?? { who: "", chosen: [] };
+        $("who").value = String(who);
+        const fits = (row) => row === null || (row.length === FIELDS.length && row.every((text) => typeof text === "string"));
+        for (const [path, row, before] of chosen) {
+          if (fits(row) && before === JSON.stringify(this.file.get(path) ?? null)) this.chosen.set(path, row);
+        }
+        this.unsaved = this.chosen.size > 0;
+      } catch {
+        this.kept = false;
+      }
+    }
+  }
+
+  function moment() {
+    const now = new Date(), ahead = -now.getTimezoneOffset(), two = (number) => String(Math.floor(number)).padStart(2, "0");
+    const local = new Date(now.getTime() + ahead * 60000).toISOString().slice(0, 19), size = Math.abs(ahead);
+    return `${local}${ahead < 0 ? "-" : "+"}${two(size / 60)}:${two(size % 60)}`;
+  }
+
+  // A cell that no spreadsheet calculates.
+  function cell(text) {
+    const plain = FORMULA.test(text) ? `'${text}` : text;
+    return /[",;\t\r\n]/.test(plain) ? `"${plain.replaceAll('"', '""')}"` : plain;
+  }
+
+  const decisions = new Decisions(data.decisions, data.recordings);
   const recordings = new Grid("recordings", data.recordings);
   if ($("devices-grid")) new Grid("devices", data.devices);
 

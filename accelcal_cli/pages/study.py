@@ -27,6 +27,7 @@ from accelcal_cli.output import study_words
 from accelcal_cli.output.advice import LIMIT_MG
 from accelcal_cli.output.numbers import mg_of_two_digits
 from accelcal_cli.output.words import OUTCOMES, outcome_words
+from accelcal_cli.pages import decisions
 from accelcal_cli.pages import study_figures as figures
 from accelcal_cli.pages.rendering import rendered
 from accelcal_cli.pages.strips import strips
@@ -38,6 +39,7 @@ WANTED = (
     "calibration_error_mg",
     "calibration_error_high_mg", "calibration_error_before_mg", "change", "change_at", "change_mg", "misfits",
     "device_model", "device_serial", "start_time", "duration_s", "lost_percent", "report",
+    "decided_by", "result",
 )  # fmt: skip
 """Columns of the study's table that the page shows."""
 
@@ -198,9 +200,15 @@ def page(study: StudyContent) -> str:
         strips=strips([(entries[at].path, entries[at].href, hours) for at, hours in study.hours]),
         origin=[(name, printable(value)) for name, value in study.origin],
         left_out=_left_out(study.summary),
+        decided=[entry for entry in entries if entry.row["decided_by"]][:LISTED],
+        doubtful=decisions.findings(study.summary),
         recordings=len(once),
         data=embedded(
-            {"recordings": _recordings_table(entries, scatter), "devices": _devices_table(devices)}
+            {
+                "recordings": _recordings_table(entries, scatter),
+                "devices": _devices_table(devices),
+                "decisions": decisions.rows(study.summary),
+            }
         ),
     )
 
@@ -246,6 +254,11 @@ class _Entry:
     def device(self) -> str:
         """Serial number, or what else is known of the device."""
         return self.row["device_serial"] or self.row["device_model"] or "-"
+
+    @property
+    def excluded(self) -> bool:
+        """True if a person decided not to use it."""
+        return bool(self.row["decided_by"]) and self.row["use"] == "no"
 
     @property
     def outcome_name(self) -> str:
@@ -348,7 +361,7 @@ def _listed(groups: Sequence[Group]) -> list[tuple[ProblemKind, list[_Entry], in
 
 def _headline(entries: Sequence[_Entry], copies: int) -> dict[str, str]:
     """Return the study in a few figures, to which copies do not count."""
-    usable = sum(outcome_words(entry.outcome).usable for entry in entries)
+    usable = sum(outcome_words(entry.outcome).usable and not entry.excluded for entry in entries)
     pairs = [entry.errors for entry in entries if entry.errors is not None]
     headline = {
         "Recordings": f"{len(entries):,}{f' (and {copies:,} copied from them)' if copies else ''}",
@@ -452,6 +465,7 @@ def _recordings_table(entries: Sequence[_Entry], scatter: figures.Scatter) -> di
             message_column("message", "finding", 70, of("finding")),
         ],
         "pages": of("link"),
+        "results": [result or "" for result in of_row("result")],
         "scatter": scatter.scale(),
     }
 

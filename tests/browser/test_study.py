@@ -130,16 +130,16 @@ def test_axe_finds_nothing(
 
 def test_sorting_by_keyboard(few: Path, opened: Opens) -> None:
     window = opened(few)
-    window.page.focus("#recordings-grid thead th:nth-child(6) button")
+    window.page.focus("#recordings-grid thead th:nth-child(8) button")
     window.page.keyboard.press("Enter")
-    head = window.page.locator("#recordings-grid thead th:nth-child(6)")
+    head = window.page.locator("#recordings-grid thead th:nth-child(8)")
     assert head.get_attribute("aria-sort") == "ascending"
-    values = [float(text) for text in shown_rows(window, 5)]
+    values = [float(text) for text in shown_rows(window, 7)]
     assert len(values) > 10 and values == sorted(values)
     assert status(window) == "200 recordings, sorted by after, mg, ascending"
     window.page.keyboard.press("Space")
     assert head.get_attribute("aria-sort") == "descending"
-    values = [float(text) for text in shown_rows(window, 5)]
+    values = [float(text) for text in shown_rows(window, 7)]
     assert values == sorted(values, reverse=True)
     window.page.keyboard.press("Tab")
     window.page.keyboard.press("Enter")
@@ -149,18 +149,18 @@ def test_sorting_by_keyboard(few: Path, opened: Opens) -> None:
 
 LAST_IS_EMPTY = """() => {
   const rows = document.querySelectorAll("#recordings-grid tbody tr:not(.space)");
-  return !rows[rows.length - 1].children[5].textContent;
+  return !rows[rows.length - 1].children[7].textContent;
 }"""
 
 
 def test_what_is_not_known_comes_last_either_way(few: Path, opened: Opens) -> None:
     window = opened(few)
     for _ in range(2):
-        window.page.click("#recordings-grid thead th:nth-child(6) button")
-        assert "" not in shown_rows(window, 5)
+        window.page.click("#recordings-grid thead th:nth-child(8) button")
+        assert "" not in shown_rows(window, 7)
         window.page.locator("#recordings-grid").evaluate("box => { box.scrollTop = box.scrollHeight; }")
         window.page.wait_for_function(LAST_IS_EMPTY)
-        assert shown_rows(window, 5)[-1] == ""
+        assert shown_rows(window, 7)[-1] == ""
 
 
 def test_filtering_by_keyboard(few: Path, opened: Opens) -> None:
@@ -266,8 +266,8 @@ def test_a_step_on_the_fourth_day_is_seen_and_said(stepped: Path, opened: Opens)
     assert f"its offsets jump at {STEP_AT}" in first
     size = float(first.split("by up to ")[1].split(" mg")[0])
     assert 19 <= size <= 22
-    assert shown_rows(window, 3) == ["sensor changed"]
-    assert float(shown_rows(window, 12)[0]) == pytest.approx(size, abs=0.11)
+    assert shown_rows(window, 5) == ["sensor changed"]
+    assert float(shown_rows(window, 14)[0]) == pytest.approx(size, abs=0.11)
 
 
 def test_ten_thousand_recordings_load_and_sort_fast(many: Path, opened: Opens) -> None:

@@ -504,3 +504,28 @@ def test_51_3_errors_are_drawn_against_hours_of_wear() -> None:
     (first, second), x, y = figure.scatter.places, figure.scatter.x, figure.scatter.y
     assert first == (x.at(1.0), y.at(10.0)) and second == (x.at(10.0), y.at(1.0))
     assert by_wear(known[:1]) is None
+
+
+def test_u50_decisions_are_on_the_page_and_hostile_ones_are_texts() -> None:
+    """A file of `study.json` that others changed leaves nothing on the page but texts."""
+    good = ["a.cwa", "no", "</script><img src=x>", "=who", "2026", "r1"]
+    nonsense: list[Any] = [None, "text", ["a.cwa", "no"], [*good[:5], 3], ["a.cwa", "delete", "", "", "", ""]]
+    found = [{"message": f"{name} is odd"} for name in HOSTILE]
+    held = {"file": HOSTILE[0], "rows": [good, *nonsense], "findings": [*found, "nonsense"]}
+    no = {
+        "use": "no",
+        "decided_by": "=who",
+        "why": "A person decided not to use it: <b>loose</b>.",
+        "result": "r1",
+    }
+    rows = (row("a.cwa", **no), row("b.cwa", use="no"))
+    text = page(content(*rows, summary={"decisions": held}))
+    root = elements(text)
+    check_page(root)
+    assert data_of(root)["decisions"] == [good]
+    assert data_of(root)["recordings"]["results"] == ["r1", ""]
+    assert "<b>loose" not in text and "&lt;b&gt;loose&lt;/b&gt;" in text
+    assert not SHAPELESS.search(text)
+    assert "<dt>Can be used</dt><dd>1 (50.0 %)</dd>" in text
+    for odd in (None, 3, {"rows": 3, "findings": None}, {"rows": {"a": 1}}):
+        assert data_of(elements(page(content(*rows, summary={"decisions": odd}))))["decisions"] == []
