@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelcal._calling import public, values_of
+from accelcal._calling import public, speaking_python, values_of
 from accelcal._options import CalibrationOptions, FitOptions, PoseOptions, ReadingOptions
 from accelcal._results import Calibration, Report, Result
 from accelcal._sources import AnyPath, Channels, Given, Source, array_of, arrow_of, as_file
@@ -79,7 +79,7 @@ class Reading:
     """
 
     def __init__(self, reader: Reader, chunk_samples: int, given: Given) -> None:
-        self.recording: Recording = reader.recording
+        self.recording: Recording = replace(reader.recording, path=given.job.source)
         self._reader, self._chunk_samples, self._given = reader, chunk_samples, given
 
     def __iter__(self) -> Iterator[Samples]:
@@ -88,6 +88,10 @@ class Reading:
         Raises:
             UnreadableError: the recording cannot be read on.
         """
+        with speaking_python():
+            yield from self._samples()
+
+    def _samples(self) -> Iterator[Samples]:
         offset_s, dated = None, True
         for chunk in self._reader.chunks(self._chunk_samples):
             dated &= all(problem.code != "no_start_time" for problem in chunk.problems)

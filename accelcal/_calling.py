@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
+from tempfile import gettempdir
 from typing import Any, ParamSpec, TypeVar, get_type_hints
 
 from accelcal._hints import no_such_option
@@ -55,21 +57,24 @@ def public(function: Callable[P, R]) -> Callable[P, R]:
             )
             named = "rate" if "rate" in options else known[-1]
             raise TypeError(f"{most}; the others have names, such as {named}=")
-        try:
+        with speaking_python():
             return function(*args, **kwargs)
-        except AccelcalError as error:
-            raise in_keywords(error) from error.__cause__
 
     called.__signature__ = signature.replace(parameters=[*given, *shown])  # type: ignore[attr-defined]
     return called
 
 
-def in_keywords(error: AccelcalError) -> AccelcalError:
-    """Return an error that names options as keywords, and a temporary file by its name alone."""
-    error.message, error.hint = _worded(error.message), error.hint and _worded(error.hint)
-    if error.path is not None and Path(error.path).parent.name.startswith(folder_start()):
-        error.path = Path(Path(error.path).name)
-    return error
+@contextmanager
+def speaking_python() -> Iterator[None]:
+    """Let errors name options as keywords, and what was in memory by what it is, not by a temporary file."""
+    try:
+        yield
+    except AccelcalError as error:
+        folder = f"{re.escape(gettempdir())}/{folder_start()}[^/]+/(?:[0-9]+/)?"
+        message, hint = (text and re.sub(folder, "", _worded(text)) for text in (error.message, error.hint))
+        error.message, error.hint = message or "", hint
+        error.path = error.path and Path(re.sub(folder, "", Path(error.path).as_posix()))
+        raise error from error.__cause__
 
 
 def _worded(text: str) -> str:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelcal._calling import public
+from accelcal._calling import public, speaking_python
 from accelcal._hints import no_such_attribute
 from accelcal._sources import AnyPath, Given
 from accelcal_cli.core import calibration as core
@@ -320,6 +320,10 @@ class Result(Report):
         Raises:
             AccelcalError: the recording was refused, changed while it was read, or cannot be read on.
         """
+        with speaking_python():
+            yield from self._batches()
+
+    def _batches(self) -> Iterator[pa.RecordBatch]:
         import pyarrow as pa
 
         from accelcal_cli.output.columns import schema_of, values_of

@@ -1,7 +1,7 @@
 """Recordings as users have them: a path, bytes, an open file, an array, or a table of any library.
 
 All but paths become temporary files, so that they are read and judged as a file of the same values is: the
-results are the same bits.
+results are the same bits. Such a file is named after what was given: `array`, `frame`, `table`, `columns`.
 """
 
 from __future__ import annotations
@@ -170,20 +170,25 @@ def _written(source: Any, extra: Channels, folder: Path) -> Path:
     if isinstance(source, Mapping):
         _refuse_channels(extra, "name it among the columns")
         columns: dict[str, Any] = {str(name): np.asarray(column) for name, column in source.items()}
-        np.savez(folder / "columns.npz", **columns)
-        return folder / "columns.npz"
+        return _saved(folder / "columns", columns)
     if (table := arrow_of(source)) is not None:
         _refuse_channels(extra, "make it a column of the table")
         import pyarrow.feather
 
-        pyarrow.feather.write_feather(table, str(folder / "table.feather"), compression="uncompressed")
-        return folder / "table.feather"
+        path = folder / ("frame" if hasattr(source, "head") else "table")  # of pandas or polars, or not
+        pyarrow.feather.write_feather(table, str(path), compression="uncompressed")
+        return path
     xyz = array_of(source)
     if "time" in getattr(source, "coords", ()) and "time" not in extra.arrays:  # of xarray
         extra.arrays["time"] = np.asarray(source.coords["time"])
     arrays: dict[str, Any] = extra.checked(len(xyz))
-    np.savez(folder / "array.npz", xyz=xyz, **arrays)
-    return folder / "array.npz"
+    return _saved(folder / "array", {"xyz": xyz, **arrays})
+
+
+def _saved(path: Path, arrays: dict[str, Any]) -> Path:
+    with path.open("wb") as file:
+        np.savez(file, **arrays)
+    return path
 
 
 def _refuse_channels(extra: Channels, instead: str) -> None:

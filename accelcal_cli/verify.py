@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.door import is_file, is_folder
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
-from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.input_files import files_of, is_pattern
 from accelcal_cli.core.reasons import significant
 from accelcal_cli.core.settings import PoseSettings, Settings
@@ -203,7 +202,7 @@ def reproduced(
         effect=made_with.effect,
         coefficients=donor_of(document, options.coefficients),
         any_device=True,
-        unused=noted_unused(document.report["recording"]),
+        unused=made_with.unused,
         parts=True,
         joined=True,
         as_given=True,

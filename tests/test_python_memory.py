@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import pickle
 import subprocess
 import sys
 import tempfile
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +54,7 @@ def test_p4_an_array_is_calibrated_as_a_file_of_it(dtype: Any, tmp_path: Path) -
     found = accelcal.calibrate(xyz, rate=RATE_HZ, start=START, temperature=CELSIUS, **options)
     same(found, file)
     assert found.report["recording"]["sha256"] == file.report["recording"]["sha256"]
-    assert found.report["recording"]["path"] == "array.npz"
+    assert found.report["recording"]["path"] == "array"
     same(accelcal.calibrate(np.asfortranarray(xyz)[::1], time=TIMES, temperature=CELSIUS, **options), file)
 
 
@@ -162,6 +164,51 @@ def test_p4_temporary_files_go_with_the_result(tmp_path: Path, monkeypatch: pyte
     assert [one.name for one in tmp_path.iterdir()] == ["out"]
 
 
+LAZY: dict[str, tuple[Any, str]] = {
+    "batches": (lambda: next(accelcal.calibrate(XYZ[:500], rate=RATE_HZ).batches()), "array: there are no "),
+    "to_pandas": (lambda: accelcal.calibrate(FRAME[:500]).to_pandas(), "frame: there are no calibrated val"),
+    "to_arrow": (lambda: accelcal.calibrate(pa.table(FRAME[:500])).to_arrow(), "table: there are no calibr"),
+    "polars": (lambda: accelcal.calibrate(pl.from_pandas(FRAME[:500])).to_polars(), "frame: there are no c"),
+    "columns": (lambda: accelcal.calibrate({"a": [1.0], "b": [1.0]}), "columns: no array of numbers can be"),
+    "changed": (lambda: changed(accelcal.calibrate(XYZ, rate=RATE_HZ)).to_arrow(), "array: changed while it"),
+    "gone": (lambda: gone(accelcal.read(FRAME)).to_pandas(), "frame: file not found"),
+    "export": (lambda: accelcal.export(accelcal.calibrate(XYZ[:500], rate=25), to="ggir"), "array.calibrat"),
+    "zip": (lambda: accelcal.calibrate(zip_of("S01/left/night.csv")), "bytes/S01/left/night.csv"),
+}  # fmt: skip
+"""Calls that fail late, or deep within what was given, and how their messages begin."""
+
+
+def changed(result: accelcal.Result) -> accelcal.Result:
+    os.utime(result._given.path, (1, 1))
+    return result
+
+
+def gone(reading: accelcal.Reading) -> accelcal.Reading:
+    reading._given.path.unlink()
+    return reading
+
+
+def zip_of(name: str) -> bytes:
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w") as archive:
+        archive.writestr(name, "time,x,y,z\n1,2\n")
+    return whole.getvalue()
+
+
+@pytest.mark.parametrize("name", LAZY)
+def test_errors_name_what_was_given_and_no_temporary_file(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    call, text = LAZY[name]
+    with pytest.raises(accelcal.AccelcalError) as caught:
+        call()
+    assert str(caught.value).startswith(text) and str(tmp_path) not in str(caught.value)
+    del caught, call
+    gc.collect()
+    assert not [*tmp_path.iterdir()]
+
+
 def test_no_room_for_a_temporary_file_is_an_error_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_words: Any, **_more: Any) -> None:
         raise OSError(28, "No space left on device")
@@ -176,7 +223,7 @@ def test_no_room_for_a_temporary_file_is_an_error_with_a_remedy(monkeypatch: pyt
     [
         (lambda: accelcal.calibrate(XYZ.T, rate=25), ValueError, r"\(3, \d+\), not \(n, 3\).*give xyz\.T"),
         (lambda: accelcal.calibrate(XYZ[0], rate=25), ValueError, r"\(3,\), not \(n, 3\)"),
-        (lambda: accelcal.calibrate(XYZ), accelcal.AccelcalError, "array.npz: .*give it with rate=HZ"),
+        (lambda: accelcal.calibrate(XYZ), accelcal.AccelcalError, "^array: .*give it with rate=HZ"),
         (lambda: accelcal.calibrate(XYZ, rate=25, temperature=CELSIUS[1:]), ValueError, "temperature has"),
         (lambda: accelcal.calibrate(XYZ, rate=25, gyroscope=XYZ.T), ValueError, r"give gyroscope\.T"),
         (lambda: accelcal.calibrate(FRAME, temperature=CELSIUS), accelcal.AccelcalError, "make it a column"),

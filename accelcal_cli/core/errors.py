@@ -163,6 +163,12 @@ class UnreadableError(AccelcalError):
 
     exit_code = 3
 
+    @property
+    def fault(self) -> str:
+        """What the disk said, such as `Permission denied`; the message where it was not the disk."""
+        said = getattr(self.__cause__, "strerror", None)
+        return str(said or self.message)
+
 
 class NoFormatError(UnreadableError):
     """The content of the file matches no format."""

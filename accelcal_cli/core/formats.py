@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import gzip
 import importlib
-import re
 import stat
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -154,16 +153,14 @@ GYRO_OPTIONS = ("gyro_columns", "gyro_unit", "lsb_per_dps")
 TIMES_OF_TABLES = ("time_column", "date_format", "time_format")
 """Options on times, which only tables understand."""
 
+UNUSED = "unused"
+"""Key of a report's `settings.input` for options that were given and mean nothing for the recording."""
+
 ONLY_TABLES = (*GYRO_OPTIONS, "zero")
 """Options that only tables understand, besides those on times."""
 
 IF_GIVEN = ("time_format", "start", "shift_s", "configured_zone", "worn_zone", *ONLY_TABLES)
 """Options that a report names only if they were given."""
-
-UNUSED = re.compile(
-    r"(--.*) (?:means? nothing for|do(?:es)? not apply to) format (\S+) and (?:was|were) not used"
-)
-"""Pattern of a note on unused options, in reports of all versions; groups: the options, the format."""
 
 
 COLUMNS = ("columns", "gyro_columns")
@@ -201,15 +198,6 @@ def unused_note(names: Sequence[str], format_name: str) -> str:
     """Return the note of a recording for which some options mean nothing."""
     verb = "was" if len(names) == 1 else "were"
     return f"{mean_nothing(names)} to format {format_name} and {verb} not used"
-
-
-def noted_unused(recording: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the fields of `ReadOptions` that the notes of a report's `recording` call unused."""
-    notes = recording.get("notes")
-    found = [UNUSED.fullmatch(str(note)) for note in (notes if isinstance(notes, list) else [])]
-    phrases = " ".join(note[1] for note in found if note and note[2] == recording.get("format"))
-    words = re.findall("--[a-z-]+", phrases)
-    return tuple(name for name in ReadOptions.__dataclass_fields__ if option_name(name) in words)
 
 
 def agreed_rate(options: ReadOptions, stated_hz: float, path: Path) -> float:

@@ -187,6 +187,11 @@ def unused_options(path: Path, options: ReadOptions) -> tuple[str, ...]:
     return () if has_parts(path) else find_format(path, options).unused(options)
 
 
+def ignored_options(name: str) -> tuple[str, ...]:
+    """Return the reading options that mean nothing to a format; none for a name that no format has."""
+    return next((item.ignores for item in all_formats() if item.name == name), ())
+
+
 def _may_be_unused(options: ReadOptions) -> set[str]:
     return {name for item in all_formats() for name in item.unused(options)}
 

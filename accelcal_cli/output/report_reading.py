@@ -70,6 +70,7 @@ LATER = {
     "gyroscope": "0.2.0",
     "settings.recalibrate": "0.2.0",
     "settings.longest_gap_s": "0.2.0",
+    "settings.input.unused": "0.3.0",
     "settings.other_stillness": "0.3.0",
     "calibration.course": "0.2.0",
     "fit.windows.temperature_left_out": "0.2.0",

@@ -16,12 +16,12 @@ from typing import Any
 
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import UsageError, printable
-from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.input_files import size_of
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome, WithoutMisalignment
 from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS, SIX_POSE, Settings
+from accelcal_cli.formats import ignored_options
 from accelcal_cli.judge.model_ladder import FEWEST_POSTURES, held_out
 from accelcal_cli.judge.verdict import better
 from accelcal_cli.output.coefficients import (
@@ -226,7 +226,7 @@ def _is_read_otherwise(document: Document, recording: Recording, request: Reques
     if not isinstance(before, dict):
         return True
     now = jobs.input_settings(request.options, recording.companion)
-    used = set(READING) - set(noted_unused(document.report["recording"]))
+    used = set(READING) - set(ignored_options(then.format))
     return any(before.get(name) != now.get(name) for name in used)
 
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from accelcal_cli.core.door import is_file, is_folder, look
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable, unread
-from accelcal_cli.core.formats import IF_GIVEN, ReadOptions, without
+from accelcal_cli.core.formats import IF_GIVEN, UNUSED, ReadOptions, without
 from accelcal_cli.core.input_files import ANY, ARCHIVES, files_of, is_pattern
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
@@ -328,7 +328,7 @@ class Request:
         command: the command line, for the provenance.
         threads: how many may work at a time on one recording.
         several: the options are for several recordings; those that mean nothing for one are left out there.
-        unused: of this recording's options those that mean nothing; its report has a note of them.
+        unused: of this recording's options those that mean nothing; its report names them.
         rules: reading options by name, of `study.toml`.
         parts: a folder or a pattern stands for the parts of one recording.
         joined: so do the recordings in an archive, whatever their names.
@@ -408,7 +408,7 @@ class Request:
             companion: the file that says how to read the recording; its content counts.
         """
         poses = (None, None) if self.poses is None else (self.poses.name, sha256(self.poses))
-        used = input_settings(self.options, companion)
+        used = input_settings(self.options, companion) | ({UNUSED: [*self.unused]} if self.unused else {})
         return EffectiveSettings(self.settings, self.report_only, used, poses, self.effect)
 
 

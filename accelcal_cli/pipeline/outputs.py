@@ -17,11 +17,11 @@ from typing import Any
 
 from accelcal_cli.core.door import is_there
 from accelcal_cli.core.errors import OutputError, printable
-from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.input_files import files_of, size_of
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import SIX_POSE, VARIED, PoseSettings
 from accelcal_cli.core.version import __version__, build_version
+from accelcal_cli.formats import ignored_options
 from accelcal_cli.output.files import exists, is_page, metadata_of, refuse_foreign, write_text, written_by_us
 from accelcal_cli.output.report import dumps
 from accelcal_cli.output.report_reading import (
@@ -152,7 +152,7 @@ def _matches(report: dict[str, Any], recording: Recording, request: Request) -> 
     """Return True if a report is whole, of this version, these settings and these coefficients."""
     if report.get("accelcal_version") != __version__ or fault(report, report_schema()) is not None:
         return False
-    if "pool" in report or _unused(report) != request.unused:
+    if "pool" in report:
         return False
     used = report.get("coefficients", {}).get("sha256")
     settings = json_round_trip(request.effective_settings(recording.companion).as_json())
@@ -248,11 +248,8 @@ def _refuse_replacing(job: Job, source: Path, report: dict[str, Any], request: R
 
 
 def _part(report: dict[str, Any], name: str) -> Any:
-    return None if name in _unused(report) else section(report, "settings", "input").get(name)
-
-
-def _unused(report: dict[str, Any]) -> tuple[str, ...]:
-    return noted_unused(report["recording"])
+    ignored = name in ignored_options(str(report["recording"]["format"]))
+    return None if ignored else section(report, "settings", "input").get(name)
 
 
 def _words(report: dict[str, Any], name: str) -> str:

@@ -131,8 +131,8 @@ def _contradictory(verdict: Judgement, misfits: Mapping[_Part, Reason]) -> Judge
 
 def _input(fitted: _Fitted, left_out: Mapping[_Part, Reason], request: Request) -> PoolInput:
     parts, settings = fitted.parts, request.recording_settings
-    unused = [name for name in parts[0].unused if all(name in part.unused for part in parts)]
-    request = replace(request, options=without(request.options, unused))
+    unused = tuple(name for name in parts[0].unused if all(name in part.unused for part in parts))
+    request = replace(request, options=without(request.options, unused), unused=unused)
     return PoolInput(
         members=tuple(part.member for part in parts),
         left_out=tuple((part.member, why) for part, why in left_out.items() if part not in parts),

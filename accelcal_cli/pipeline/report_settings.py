@@ -13,9 +13,9 @@ from types import NoneType, UnionType
 from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
-from accelcal_cli.core.formats import IF_GIVEN, ReadOptions
+from accelcal_cli.core.formats import IF_GIVEN, UNUSED, ReadOptions
 from accelcal_cli.core.settings import POSES_IF_ASKED, SIX_POSE, STILLNESS, PoseSettings, Settings, setting_of
-from accelcal_cli.formats import named_format
+from accelcal_cli.formats import ignored_options, named_format
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report_reading import Document, damaged
 
@@ -136,6 +136,7 @@ class ReportSettings:
         poses: the list of poses of a session, None without one.
         missing: settings that the report does not name; they have this version's defaults.
         unknown: settings that it names and this version does not have; they are not used.
+        unused: options that mean nothing for the recording.
         effect: whether measures of activity were asked for.
     """
 
@@ -146,6 +147,7 @@ class ReportSettings:
     poses: NamedFile | None
     missing: tuple[str, ...]
     unknown: tuple[str, ...]
+    unused: tuple[str, ...]
     effect: bool = False
 
 
@@ -159,7 +161,7 @@ def settings_from_report(document: Document) -> ReportSettings:
     if not isinstance(values, dict) or not isinstance(values.get("input"), dict):
         raise damaged(document, "it does not say how the recording was read")
     try:
-        return _from_values(values)
+        return _from_values(values, document.recording.format)
     except ValueError as error:
         raise damaged(document, f"settings: {error}") from error
     except AccelcalError as error:
@@ -168,12 +170,12 @@ def settings_from_report(document: Document) -> ReportSettings:
         ) from error
 
 
-def _from_values(values: dict[str, Any]) -> ReportSettings:
+def _from_values(values: dict[str, Any], form: str) -> ReportSettings:
     settings, read = _settings(values), values["input"]
     if read.get("format") == POINTS:
         options = Restored(ReadOptions(), (), ())
     else:
-        options = restored(ReadOptions, _without(read, NOT_OPTIONS))
+        options = restored(ReadOptions, _without(read, (*NOT_OPTIONS, UNUSED)))
     _check(settings.record)
     _check(options.record)
     missing, unknown = _unmatched(values, settings, options)
@@ -185,8 +187,17 @@ def _from_values(values: dict[str, Any]) -> ReportSettings:
         poses=_file(values, "poses"),
         missing=missing,
         unknown=unknown,
+        unused=_unused(read, options.record, form),
         effect=_typed(values, "effect", bool, default=False),
     )
+
+
+def _unused(read: Mapping[str, Any], options: ReadOptions, form: str) -> tuple[str, ...]:
+    """Return the options that mean nothing, which reports of before 0.3.0 name like any other."""
+    named = read.get(UNUSED, [])
+    if not isinstance(named, list) or not {*map(str, named)} <= ReadOptions.__dataclass_fields__.keys():
+        raise ValueError(f"input.{UNUSED} cannot be {str(named)[:80]!r}")
+    return tuple(named) or tuple(one for one in ignored_options(form) if getattr(options, one) is not None)
 
 
 def _settings(values: Mapping[str, Any]) -> Restored[Any]:

@@ -50,13 +50,7 @@ def why_left_out(item: Item, options: ReadOptions, *, asked_for: bool) -> Reason
         probe = probe_file(item.source, without(options, ("layout",)))
     except UnreadableError as error:
         known = _suffix(item) in _suffixes(all_formats())
-        return (
-            None
-            if known
-            else Reason.of(
-                "not_looked_into", fault=error.message.removeprefix("cannot be read (").removesuffix(")")
-            )
-        )
+        return None if known else Reason.of("not_looked_into", fault=error.fault)
     scores = [one.sniff(probe) for one in wanted]
     if (best := max(scores)) > 0:
         return _why_not_this(wanted[scores.index(best)], best, probe, item, options)

@@ -70,7 +70,8 @@ def test_of_several_those_that_they_are_not_meant_for_say_so(tmp_path: Path, cap
     assert run(capsys, "calibrate", *sorted(folder.glob("[ab].[rc]*")), *words).code == 0
     told, used = report(tmp_path / "a.calibration.json"), report(tmp_path / "b.calibration.json")
     assert (told["settings"]["input"]["unit"], told["recording"]["notes"]) == (None, [NOTE])
-    assert used["settings"]["input"]["unit"] == "g"
+    assert told["settings"]["input"]["unused"] == ["unit"]
+    assert used["settings"]["input"]["unit"] == "g" and "unused" not in used["settings"]["input"]
     assert not any("not apply" in note for note in used["recording"]["notes"])
 
 
@@ -111,7 +112,7 @@ def test_reports_of_before_that_hold_such_an_option_are_still_verified(
     path = good_raw(tmp_path)
     assert run(capsys, "calibrate", path, "--report-only").code == 0
     old = report(tmp_path / "good.calibration.json")
-    old["settings"]["input"]["unit"] = "mg"
+    old["settings"]["input"]["unit"], old["accelcal_version"] = "mg", "0.2.0"
     old["recording"]["notes"].append(note)
     (tmp_path / "old.calibration.json").write_text(json.dumps(old))
     ran = run(capsys, "verify", tmp_path / "old.calibration.json", path)
@@ -137,6 +138,26 @@ def test_a_pool_leaves_out_what_means_nothing_for_its_members(tmp_path: Path, ca
     (pool,) = (tmp_path / "out").glob("study.pool.*.json")
     made = report(pool)
     assert (made["settings"]["input"]["unit"], made["recording"]["notes"]) == (None, [NOTE])
+
+
+@pytest.mark.parametrize("worded", ["otherwise", "", None])
+def test_no_program_reads_the_note(tmp_path: Path, capsys: Capture, worded: str | None) -> None:
+    """Reports name the options as values: verify and a second run do not look at the sentence."""
+    folder = mixed(tmp_path / "in")
+    words = ("--unit", "g", "--report-only", "-d", tmp_path)
+    assert run(capsys, "calibrate", *sorted(folder.glob("[ab].[rc]*")), *words).code == 0
+    told = tmp_path / "a.calibration.json"
+    content = report(told)
+    content["recording"]["notes"] = [] if worded is None else [worded]
+    told.write_text(json.dumps(content))
+    assert run(capsys, "verify", told, folder / "a.raw").code == 0
+    assert "up to date" in run(capsys, "calibrate", *sorted(folder.glob("[ab].[rc]*")), *words).err
+    for wrong in ("unit", ["units"], [["unit"]], [3]):
+        content["settings"]["input"]["unused"] = wrong
+        told.write_text(json.dumps(content))
+        ran = run(capsys, "verify", told, folder / "a.raw")
+        assert ran.code == 3
+        assert_one_line(ran, "settings: input.unused cannot be ")
 
 
 def test_two_of_them_are_noted_in_a_sentence_and_verified(tmp_path: Path, capsys: Capture) -> None:

@@ -121,7 +121,7 @@ def open_parts(
         part_files = PartFiles(unpacked.files, unpacked.damage, unpacked.lost_bytes, folder, joined)
         part_files.names = unpacked.names
         part_files.aside += [counted(unpacked.empty, "empty file")] if unpacked.empty else []
-        with _naming(path, folder):
+        with _naming(path, part_files):
             return kind(path, _without_siblings(part_files, belongs_to), open_part)
     except BaseException:
         remove_folder(folder)
@@ -129,17 +129,22 @@ def open_parts(
 
 
 @contextmanager
-def _naming(archived: Path, folder: Path | None) -> Iterator[None]:
-    """Let errors name the member of an archive, not the file it was unpacked to."""
+def _naming(archived: Path, part_files: PartFiles) -> Iterator[None]:
+    """Let errors name the member of an archive, with its folders there, not the file it was unpacked to."""
     try:
         yield
     except AccelcalError as error:
-        if folder is not None:
-            unpacked = re.compile(rf"{re.escape(str(folder))}(?:/\d+)?(?:/meta)?/?")
+        if part_files.folder is not None:
+            unpacked = re.compile(rf"{re.escape(str(part_files.folder))}(?:/(\d+))?/?")
+            places = part_files.places()
+
+            def in_archive(found: re.Match[str]) -> str:
+                return places.get(found[1], "")
+
             if error.path is not None and unpacked.match(str(error.path)):
-                error.path = archived / unpacked.sub("", str(error.path))
-            error.message = unpacked.sub("", error.message)
-            error.hint = error.hint and unpacked.sub("", error.hint)
+                error.path = archived / unpacked.sub(in_archive, str(error.path))
+            error.message = unpacked.sub(in_archive, error.message)
+            error.hint = error.hint and unpacked.sub(in_archive, error.hint)
         raise
 
 
@@ -173,6 +178,18 @@ class PartFiles:
     problems: list[Problem] = field(default_factory=list)
     names: Mapping[Path, str] = field(default_factory=dict)
 
+    def name(self, file: Path) -> str:
+        """Return the name of a file for people, with its folders in an archive."""
+        return printable(self.names.get(file, file.name))
+
+    def places(self) -> dict[str, str]:
+        """Return folders of the archive, each ending in /, by the numbers of those they were unpacked to."""
+        found = {}
+        for path, name in self.names.items():
+            number, *within = path.relative_to(self.folder or path.anchor).parts
+            found[number] = name[: max(0, len(name) - len("/".join(within)))].lstrip("/")
+        return found
+
 
 class FilesReader(Reader):
     """Reads a recording of several files, one at a time.
@@ -194,7 +211,7 @@ class FilesReader(Reader):
             remove_folder(self._part_files.folder)
 
     def _named(self) -> AbstractContextManager[None]:
-        return _naming(self.recording.path, self._part_files.folder)
+        return _naming(self.recording.path, self._part_files)
 
     def _open(self, path: Path) -> Reader:
         reader = self._open_part(path)
@@ -290,7 +307,7 @@ class PartsReader(FilesReader):
             if file.stat().st_size == 0 or (tables and not self._part_files.joined):
                 self._part_files.aside.append(file.name)
             elif file.suffix.lower() in suffixes or self._part_files.joined:
-                text = printable(f"part {file.name} cannot be read: {error.message}")
+                text = f"part {self._part_files.name(file)} cannot be read: {printable(error.message)}"
                 self._part_files.problems.append(
                     Problem("unreadable_part", text, None, 0, 1, file.stat().st_size)
                 )

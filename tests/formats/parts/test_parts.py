@@ -242,13 +242,26 @@ def test_names_longer_than_a_file_system_takes_are_shortened(made: Path, tmp_pat
     assert result.report["recording"]["samples"] == 25 * PART_S * PARTS
 
 
-def test_an_error_names_the_member_and_not_where_it_was_unpacked(tmp_path: Path) -> None:
+def damaged_part(path: Path, name: str) -> dict[str, Any]:
+    """The report of an archive with a part that can be read, and one that cannot."""
+    with zipfile.ZipFile(path, "w") as archive:
+        rows = "".join(f"{second / 10},0.0,0.0,1.0\n" for second in range(1000))
+        archive.writestr("whole.csv", f"time,x,y,z\n{rows}")
+        archive.writestr(name, "time,x,y,z\n1,2\n")
+    return accelcal.calibrate(path, parts=True, report_only=True).report
+
+
+@pytest.mark.parametrize("name", ["one.csv", "sub/one.csv", "a b/left/one.csv", "/sub/one.csv", "s/0/1.csv"])
+def test_an_error_names_the_member_and_not_where_it_was_unpacked(name: str, tmp_path: Path) -> None:
     path = tmp_path / "S01.zip"
     with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("sub/one.csv", b"")
+        archive.writestr(name, b"")
     with pytest.raises(UnreadableError) as caught:
         accelcal.calibrate(path, report_only=True)
-    assert str(caught.value).startswith(f"{path / 'one.csv'}, byte 0: is empty")
+    assert str(caught.value).startswith(f"{path / name.lstrip('/')}, byte 0: is empty")
+    report_of_one = damaged_part(tmp_path / "S02.zip", name)
+    (problem,) = [one for one in report_of_one["file_health"]["problems"] if one["code"] == "unreadable_part"]
+    assert f"part {name} cannot be read: " in problem["message"]
 
 
 def test_parts_of_two_devices_are_no_recording(parts: Path) -> None:
