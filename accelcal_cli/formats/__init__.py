@@ -229,7 +229,7 @@ def open_recording(
     unused: tuple[str, ...] = (),
     *,
     session: bool = False,
-    joined: bool = True,
+    joined: bool = False,
 ) -> Reader:
     """Open a recording of any format, or one in parts, for streaming.
 

@@ -127,7 +127,7 @@ def open_marked(
     unused: tuple[str, ...] = (),
     *,
     session: bool = False,
-    joined: bool = True,
+    joined: bool = False,
 ) -> Reader:
     """Open a recording; rows at the sensor's range, and runs of zeros, are marked in `validity`.
 

@@ -364,7 +364,7 @@ def test_h17_parts_with_a_zip_of_recordings_name_it(tmp_path: Path) -> None:
     (tmp_path / "p").mkdir()
     write_csv(tmp_path / "p/a.csv", still_counts(directions(2)))
     packed({"b.csv": tmp_path / "p/a.csv"}, tmp_path / "p/b.zip")
-    with open_recording(tmp_path / "p", OPTIONS) as reader:
+    with open_recording(tmp_path / "p", OPTIONS, joined=True) as reader:
         told = [one for chunk in reader.chunks(1000) for one in chunk.problems]
     assert [one.code for one in told] == ["unreadable_part"]
     assert "b.zip" in told[0].message
