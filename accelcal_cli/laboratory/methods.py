@@ -22,10 +22,13 @@ from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import NO_PRIOR, PAPER, Settings, other_rules, rule_options
 from accelcal_cli.core.statistics import mean, ratio_uncertainty95
 from accelcal_cli.judge.model_ladder import Fitting
+from accelcal_cli.laboratory.methods_page import MOST_DRAWN, Drawn, drawn, page
 from accelcal_cli.optimize import all_optimizers, named_optimizer
-from accelcal_cli.output.files import csv_text
+from accelcal_cli.output.files import csv_text, write_text
 from accelcal_cli.output.numbers import formatted, percent
 from accelcal_cli.output.words import begun_small, explained
+from accelcal_cli.pages.rendering import PageTable
+from accelcal_cli.pages.write import refuse_foreign_page
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 from accelcal_cli.pipeline.procedures import Procedure, fitting, make_method
@@ -80,12 +83,18 @@ def compare(
     Raises:
         AccelcalError: it cannot be read.
     """
-    procedure, settings = _collected_to_fit(path, options, settings, progress)
+    yield from rows_of(path, *collected_to_fit(path, options, settings, progress), optimizers)
+
+
+def rows_of(
+    path: Path, procedure: Procedure, settings: Settings, optimizers: tuple[str, ...]
+) -> Iterator[MethodRow]:
+    """Yield a row for each optimizer, of a recording that was read."""
     for name in optimizers:
         yield _row(path, procedure, replace(settings, optimizer=name, prior=NO_PRIOR))
 
 
-def _collected_to_fit(
+def collected_to_fit(
     path: Path, options: ReadOptions, settings: Settings, progress: ProgressMaker
 ) -> tuple[Procedure, Settings]:
     """Return the procedure of the settings, or of the first other rule by which it calibrates."""
@@ -223,6 +232,9 @@ PUBLISHED = ("Table 3 of Farago, Maczak, Gingl 2024 (own recordings)", "before m
 @click.option(
     "--only", type=options.OPTIMIZERS, metavar="A,B", help="Compare only these optimizers.  [default: all]"
 )
+@click.option("--html", "page", type=options.FILE, metavar="PAGE.html",
+              help="Also write a page: the tables, and figures of the first recordings.")  # fmt: skip
+@click.option("--force", is_flag=True, help="Replace a page that accelcal did not make.")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
@@ -238,14 +250,23 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     paper: 18 points and a second set of control points to judge by, as in the paper.
     """
     refuse_both(as_json=values["as_json_"], as_csv=values["as_csv"])
-    names = _names(values["only"])
+    names, to = _names(values["only"]), values["page"]
+    if to is not None:
+        refuse_foreign_page(to, force=values["force"])
+    pictures: list[Drawn] = []
 
     def work(path: Path, bars: ProgressMaker) -> list[MethodRow]:
-        return list(compare(path, read_options(values), chosen_settings(values), names, bars))
+        reading = read_options(values)
+        procedure, settings = collected_to_fit(path, reading, chosen_settings(values), bars)
+        if to is not None and len(pictures) < MOST_DRAWN:
+            pictures.append(drawn(path, reading, settings, procedure.result(), len(pictures)))
+        return list(rows_of(path, procedure, settings, names))
 
     chosen = recordings_in(recordings, read_options(values))
     found, code = each_recording(chosen, work, quiet=values["quiet"])
     if rows := list(chain.from_iterable(found)):
+        if to is not None:
+            write_text(to, page(_page_tables(rows), pictures))
         exit_codes.show(_shown(rows, values))
     return code
 
@@ -265,8 +286,21 @@ def _shown(rows: list[MethodRow], values: dict[str, Any]) -> str:
     if values["as_csv"]:
         fields = list(MethodRow.__dataclass_fields__)
         return csv_text(fields, [[getattr(row, name) for name in fields] for row in rows]).rstrip("\n")
-    published = [[name, str(before), str(after), str(gain)] for name, before, after, gain in TABLE_3_OF_F]
-    return "\n\n".join([*_tables(rows), *_means(rows), aligned(PUBLISHED, published)])
+    return "\n\n".join([*_tables(rows), *_means(rows), aligned(PUBLISHED, _published())])
+
+
+def _published() -> list[list[str]]:
+    return [[name, str(before), str(after), str(gain)] for name, before, after, gain in TABLE_3_OF_F]
+
+
+def _page_tables(rows: list[MethodRow]) -> list[PageTable]:
+    """Return the means, the published ones, and each recording's own."""
+    found = [PageTable("Mean over recordings", list(MEANS), _mean_lines(rows))] if means(rows) else []
+    found.append(PageTable(PUBLISHED[0], ["method", *PUBLISHED[1:]], _published()))
+    for recording in dict.fromkeys(row.recording for row in rows):
+        own = [_cells(row) for row in rows if row.recording == recording]
+        found.append(PageTable(recording, list(HEAD), own, words=(0, 1)))
+    return found
 
 
 def _tables(rows: list[MethodRow]) -> list[str]:
@@ -283,7 +317,12 @@ def _tables(rows: list[MethodRow]) -> list[str]:
 
 def _means(rows: list[MethodRow]) -> list[str]:
     """Return a table of the means over recordings; none for a single one."""
-    lines = [
+    lines = _mean_lines(rows)
+    return [aligned(MEANS, lines)] if lines else []
+
+
+def _mean_lines(rows: list[MethodRow]) -> list[list[str]]:
+    return [
         [
             one.optimizer,
             str(one.recordings),
@@ -294,7 +333,6 @@ def _means(rows: list[MethodRow]) -> list[str]:
         ]
         for one in means(rows)
     ]
-    return [aligned(MEANS, lines)] if lines else []
 
 
 def _between(interval: tuple[float, float] | None) -> str:
