@@ -53,7 +53,7 @@ class MeasuredEffect:
 
     Attributes:
         outcome, message: outcome of the calibration, and its message.
-        effect: measures of activity, as in a report.
+        effect: measures of activity, as in a report; empty if it failed.
     """
 
     path: Path
@@ -166,7 +166,7 @@ def as_json(found: MeasuredEffect) -> dict[str, Any]:
         "recording": printable(found.path),
         "outcome": found.outcome,
         "message": found.message,
-        "effect": found.effect,
+        "effect": found.effect or None,
     }
 
 

@@ -86,7 +86,12 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         with bytes_of(path) as source:
             return effect(path, request, values["epoch_s"], table, bars, source)
 
-    measured, code = each_recording(options.recordings_of(recordings, values), work, quiet=values["quiet"])
+    def instead(path: Path, message: str) -> MeasuredEffect:
+        return MeasuredEffect(path, "failed", printable(message), {})
+
+    wanted = instead if values["as_json"] else None
+    named = options.recordings_of(recordings, values)
+    measured, code = each_recording(named, work, quiet=values["quiet"], instead=wanted)
     if measured:
         exit_codes.show(_shown(measured, values))
     return code

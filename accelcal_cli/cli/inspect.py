@@ -17,7 +17,7 @@ from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import refuse_unused
 from accelcal_cli.output.words import sentence
-from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect, inspection_settings
+from accelcal_cli.pipeline.inspect import Inspection, as_json, failed_json, inspect, inspection_settings
 from accelcal_cli.pipeline.jobs import STDIN, Request
 from accelcal_cli.pipeline.options import read_options
 
@@ -72,7 +72,10 @@ def _one(path: Path, request: Request, values: dict[str, Any]) -> int:
         with bytes_of(path) as source:
             inspection = inspect(source, request, full=values["full"])
     except AccelcalError as error:
-        return exit_codes.of_failure(error)
+        code = exit_codes.of_failure(error)
+        if values["as_json_"]:
+            exit_codes.show(json.dumps(failed_json(path, code, error.line_for((path,)))))
+        return code
     inspection = replace(inspection, recording=replace(inspection.recording, path=path))
     shown = as_json(inspection)
     exit_codes.show(json.dumps(shown) if values["as_json_"] else text(inspection, shown))

@@ -203,9 +203,17 @@ RecordingResult = TypeVar("RecordingResult")
 
 
 def each_recording(
-    recordings: Sequence[Path], work: Callable[[Path, ProgressMaker], RecordingResult], *, quiet: bool
+    recordings: Sequence[Path],
+    work: Callable[[Path, ProgressMaker], RecordingResult],
+    *,
+    quiet: bool,
+    instead: Callable[[Path, str], RecordingResult] | None = None,
 ) -> tuple[list[RecordingResult], int]:
-    """Return the results of all recordings that can be read, and the exit code; a failure is printed."""
+    """Return the results of all recordings that can be read, and the exit code; a failure is printed.
+
+    Args:
+        instead: returns the result of a recording that failed, from its path and the message.
+    """
     results, failed = [], 0
     for path in recordings:
         try:
@@ -213,6 +221,7 @@ def each_recording(
                 results.append(work(path, bars))
         except AccelcalError as error:
             failed = exit_codes.of_failure(error)
+            results += [] if instead is None else [instead(path, error.line_for((path,)))]
     return results, exit_codes.SOME_FAILED if failed and len(recordings) > 1 else failed
 
 
@@ -250,9 +259,11 @@ def run_jobs(
                 result = work(job, bars, source)
         except AccelcalError as error:
             codes.append(exit_codes.of_failure(error))
+            _show_failed(job.source, codes[-1], error.line_for((job.source,)), values)
             continue
-        except Exception:
+        except Exception as error:
             codes.append(exit_codes.report_bug(job.source))
+            _show_failed(job.source, codes[-1], f"{type(error).__name__}: {error}", values)
             continue
         if values["as_json"]:
             exit_codes.show(json.dumps(result.report))
@@ -265,6 +276,14 @@ def run_jobs(
     if (len(jobs) > 1 or (pages and outcomes)) and _in_words(values) and not values["quiet"]:
         exit_codes.show(_sum_of(jobs, outcomes, pages=pages))
     return exit_codes.of_all(codes)
+
+
+def _show_failed(source: Path, code: int, message: str, values: dict[str, Any]) -> None:
+    """Print the object of a recording that failed, if objects are wanted."""
+    if values["as_json"]:
+        from accelcal_cli.output.report_kinds import failed_document
+
+        exit_codes.show(json.dumps(failed_document(source, code, message)))
 
 
 def _sum_of(jobs: Sequence[Job], outcomes: Sequence[Outcome], *, pages: bool) -> str:

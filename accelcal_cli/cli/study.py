@@ -108,8 +108,7 @@ class TerminalObserver:
 
     def _print(self, item: Item, row: dict[str, Any]) -> None:
         if self._values["as_json"]:
-            if row["outcome"] != FAILED:
-                exit_codes.show(json.dumps(json.loads(item.job.report.read_text("utf-8"))))
+            exit_codes.show(json.dumps(_document(item, row)))
         elif not self._values["quiet"]:
             kept = row["outcome"] == Outcome.REFUSED
             written = None if row["parquet"] is None else item.job.uncalibrated if kept else item.job.parquet
@@ -217,6 +216,15 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
         return code
     of_pages = study_pages(study.out, force=study.request.force, quiet=values["quiet"])
     return code or of_pages
+
+
+def _document(item: Item, row: dict[str, Any]) -> Any:
+    """Return the report of a recording, or the object in its place if it failed."""
+    if row["outcome"] != FAILED:
+        return json.loads(item.job.report.read_text("utf-8"))
+    from accelcal_cli.output.report_kinds import failed_document
+
+    return failed_document(item.source, row["exit_code"], row["message"])
 
 
 def _unlock(study: Study) -> int:

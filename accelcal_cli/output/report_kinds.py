@@ -1,7 +1,7 @@
-"""Reports of a table of points and of a pool: the keys of a recording's, without what only samples tell.
+"""Documents with the keys of a recording's report, without what only samples tell.
 
-One is that of a fit to points from a table; the other that of a pool, several recordings calibrated as one,
-with what the reports of its members say about it.
+They are the report of a fit to points from a table, that of a pool of recordings calibrated as one, with
+what the reports of its members say about it, and the object that `--json` prints for a recording that failed.
 """
 
 from __future__ import annotations
@@ -17,12 +17,15 @@ from accelcal_cli.core.errors import printable
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout
+from accelcal_cli.core.version import __version__
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.advice import completed
-from accelcal_cli.output.report_reading import Document
+from accelcal_cli.output.report_reading import Document, report_schema
 from accelcal_cli.output.report_view import ReportRecording
 
 FORMAT = "pool"
+FAILURES = {2: "wrong_usage", 3: "unreadable", 5: "not_written", 70: "bug", 71: "out_of_memory"}
+"""Codes of failures, by exit code."""
 TAKEN = (
     "calibration",
     "without_misalignment",
@@ -168,3 +171,28 @@ def of_member(pool: Document, report: Path, holdout: Holdout | None) -> dict[str
     pooled = pool.report["pool"]
     section = {**pooled, "path": printable(relative), "sha256": pool.content_sha256, "own_windows": own}
     return {**{name: pool.report.get(name) for name in TAKEN}, "pool": section}
+
+
+def failure_code(exit_code: int) -> str:
+    """Return the code of the reason why a recording failed."""
+    return FAILURES.get(exit_code, "failed")
+
+
+def failed_document(path: Path, exit_code: int, message: str) -> dict[str, Any]:
+    """Return the object of a recording that has no report: the keys of one, null where nothing is known.
+
+    It is never written into a file. The schema has it under `$defs`, as `failure`.
+    """
+    schema = report_schema()
+    document: dict[str, Any] = dict.fromkeys(schema["required"])
+    recording = dict.fromkeys(schema["properties"]["recording"]["required"])
+    return document | {
+        "schema_version": schema["properties"]["schema_version"]["const"],
+        "accelcal_version": __version__,
+        "recording": recording | {"path": reports.file_name(path)},
+        "outcome": "failed",
+        "reason": failure_code(exit_code),
+        "values": {"path": printable(path), "exit_code": exit_code},
+        "message": printable(message),
+        **{name: [] for name in ("notes", "cautions", "advice")},
+    }

@@ -32,6 +32,7 @@ from accelcal_cli.output.report import (
     problem_json,
     rest_json,
 )
+from accelcal_cli.output.report_kinds import failure_code
 from accelcal_cli.output.words import explained
 from accelcal_cli.pipeline.facts import FactsObserver
 from accelcal_cli.pipeline.jobs import Request
@@ -223,6 +224,25 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
             "advice": [one.as_json() for one in prediction.advice],
             "holdout": None if prediction.holdout is None else holdout_json(prediction.holdout),
         },
+    }
+
+
+RECORDING = (
+    "path", "bytes", "format", "device", "sample_rate_hz", "lsb_per_g", "range_g", "start_time", "timezone",
+    "time_zone", "samples", "duration_s", "temperature", "gyroscope", "gaps", "notes",
+)  # fmt: skip
+"""Keys of the recording in the object of an inspection."""
+
+
+def failed_json(path: Path, exit_code: int, message: str) -> dict[str, Any]:
+    """Return the object of a file that cannot be read: the same keys, null where nothing is known."""
+    prediction = {"outcome": "failed", "reason": failure_code(exit_code), "values": {"exit_code": exit_code}}
+    return {
+        "accelcal_version": __version__,
+        "recording": dict.fromkeys(RECORDING) | {"path": printable(path)},
+        **dict.fromkeys(("file_health", "read", "values")),
+        "prediction": prediction
+        | {"message": printable(message), "cautions": [], "advice": [], "holdout": None},
     }
 
 

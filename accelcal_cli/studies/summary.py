@@ -25,6 +25,7 @@ from accelcal_cli.output import files
 from accelcal_cli.output.advice import MILD, cautions, page_verdict
 from accelcal_cli.output.decisions import Merged
 from accelcal_cli.output.files import json_text, replacing, write_text
+from accelcal_cli.output.report_kinds import failure_code
 from accelcal_cli.output.report_view import (
     ERROR_COLUMNS,
     FACTOR_COLUMNS,
@@ -137,13 +138,10 @@ def fits(entry: Entry) -> bool:
 POOL_ROUND = "pool"
 OUTCOMES = frozenset((*Outcome, FAILED))
 
-FAILURES = {2: "wrong_usage", 3: "unreadable", 5: "not_written", 70: "bug", 71: "out_of_memory"}
-"""Codes in the column `reason` of recordings that failed, by exit code."""
-
 
 def failed(item: Item, code: int, message: str) -> dict[str, Any]:
     """Return the row of a recording that has no report."""
-    failure = {"outcome": FAILED, "reason": FAILURES.get(code, FAILED), "message": message}
+    failure = {"outcome": FAILED, "reason": failure_code(code), "message": message}
     failure |= {"use": USES["bad"], "why": message}
     file = {"path": printable(item.name), "exit_code": code, "bytes": item.size}
     return with_result(dict.fromkeys(COLUMNS) | file | failure | {"accelcal_version": __version__})
