@@ -39,6 +39,8 @@ EXAMPLES = [
     ("doc", "One (of the first kind) is read (but not used) here.", "One (of the first kind) is (0, 1, -2)."),
     ("page", "One (a b c). Two (d e f) of (g h i).", "One (a b c). Two (d e f)."),
     ("page", "One; two; three.", "One; two. Three."),
+    ("cell", "word " * 26, "word " * 25),
+    ("cell", "It was put right.", "It was corrected."),
     ("help", "it is damaged; it ends early; copy it again", "it ends early; copy it again"),
 ]
 """Kinds of text with a bad and a good example, for each rule one at least."""

@@ -28,7 +28,8 @@ class Rule:
 
     Attributes:
         name: the fault, and the words to write instead.
-        kinds: kinds of text that the rule holds for: `doc`, `help` (and messages), `page`, `docstring`.
+        kinds: kinds of text that the rule holds for: `doc` (and cells of its tables), `cell`, `help` (and
+            messages), `page`, `docstring`.
     """
 
     name: str
@@ -70,6 +71,9 @@ FIELD = {
 
 REMARK = r"\((?![-\d., ]*\))[^()=+−]* [^()=+−]* [^()=+−]*\)"
 """Three words or more in parentheses, which are neither a formula nor a vector."""
+LONGEST_CELL = 25
+LONGER = rf"^(?:\S+\s+){{{LONGEST_CELL}}}\S"
+"""Too many words for a cell of a table."""
 BE = r"\b(?:is|are|was|were)"
 RULES = (
     *(_rule(f"write `{plain}` for `{word}`", rf"\b{word}\b") for word, plain in LITERARY.items()),
@@ -108,6 +112,7 @@ RULES = (
         ("doc", "page"),
     ),
     _rule("one semicolon at most in a paragraph", r";[^;]*;", ("doc", "page")),
+    _rule(f"{LONGEST_CELL} words at most in a cell: make a list or a section of it", LONGER, ("cell",)),
     _rule("no semicolon chain in a message", r"; [^;]*; ", ("help",)),
 )
 
@@ -116,6 +121,9 @@ ALLOWED = {
     "folds of whole postures": "value of `holdout.method` in reports of all versions",
 }
 """Parts of texts that a rule would find and that are right, with the reason."""
+
+MESSAGES = ("reasons.md",)
+"""Pages whose cells are whole messages, however long these are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +148,9 @@ def documents(paths: list[Path]) -> Iterator[Text]:
             if fenced or line.startswith(("```", "    ", "#")):
                 continue
             if line.startswith("|"):
-                for cell in line.strip("|").split("|"):
-                    yield Text(f"{_shown(path)}:{number}", "doc", _plain(cell))
+                for cell in re.split(r"(?<!\\)\|", line.strip("|")):
+                    kind = "doc" if path.name in MESSAGES else "cell"
+                    yield Text(f"{_shown(path)}:{number}", kind, _plain(cell))
                 continue
             if line.strip() and not re.match(r"\s*(?:[-*]|\d+\.) ", line):
                 start = start if paragraph else number
@@ -212,7 +221,8 @@ def findings(texts: Iterator[Text]) -> Iterator[str]:
     for one in texts:
         text = reduce(lambda words, part: words.replace(part, "x"), ALLOWED, one.text)
         for rule in RULES:
-            found = rule.pattern.search(text) if one.kind in rule.kinds else None
+            of_kind = one.kind in rule.kinds or (one.kind == "cell" and "doc" in rule.kinds)
+            found = rule.pattern.search(text) if of_kind else None
             if found is not None:
                 yield f"{one.place}: {rule.name}: ...{text[max(0, found.start() - 30) : found.end() + 40]}"
 

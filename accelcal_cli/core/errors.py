@@ -165,7 +165,7 @@ class UnreadableError(AccelcalError):
 
     @property
     def fault(self) -> str:
-        """What the disk said, such as `Permission denied`; the message where it was not the disk."""
+        """Words of the disk, such as `Permission denied`; the message if the disk is not the cause."""
         said = getattr(self.__cause__, "strerror", None)
         return str(said or self.message)
 

@@ -47,7 +47,7 @@ from accelcal_cli.pipeline.survey import open_marked
 from accelcal_cli.studies.discovery import recordings_in
 
 NONE = Calibration("0", IDENTITY)
-"""That of raw data."""
+"""Calibration of raw data: none."""
 
 ENOUGH = 0.9
 """Share of the segments of a length that are calibrated where it usually suffices."""

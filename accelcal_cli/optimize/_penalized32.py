@@ -54,7 +54,7 @@ COARSE_BITS = 12
 """Fraction bits of points by which `start_of` finds a centre, so that sums of their cubes are exact."""
 
 FARTHEST_FROM_SPHERE_G = 0.2
-"""Distance [g] from a sphere that scales and misalignment explain; a point beyond it is no offset's."""
+"""Distance [g] from a sphere that scales and misalignment explain; beyond it an offset explains nothing."""
 
 
 def start_of(points: PointSet) -> tuple[int, ...]:

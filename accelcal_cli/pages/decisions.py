@@ -1,4 +1,4 @@
-"""What people decided, on the page of a study: the rows of their file, and what is wrong with some of them.
+"""Decisions of people on the page of a study: the rows of their file, and the faults of some of them.
 
 Both come from `study.json`, which others may have changed: what does not fit is left out.
 """
