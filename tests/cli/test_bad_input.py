@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import os
 import shlex
 import signal
@@ -61,11 +62,22 @@ def test_random_bytes_under_any_name(tmp_path: Path, capsys: Capture, suffix: st
     refuse(capsys, path, 3)
 
 
-def test_text_in_a_column(tmp_path: Path, capsys: Capture) -> None:
+def test_t17_text_in_a_column_is_damage_unless_it_is_everywhere(tmp_path: Path, capsys: Capture) -> None:
     path = good_csv(tmp_path)
     lines = path.read_text().splitlines()
+    good = run(capsys, "calibrate", path, "--report-only", "--json")
     lines[1000] = lines[1000].rsplit(",", 1)[0] + ",broken"
     path.write_text("\n".join(lines) + "\n")
+    ran = run(capsys, "calibrate", path, "--report-only", "--json", "--force")
+    assert (ran.code, good.code) == (0, 0)
+    (problem,) = json.loads(ran.out)["file_health"]["problems"]
+    assert (
+        problem["code"] == "bad_line" and "line 1001" in problem["message"] and "broken" in problem["message"]
+    )
+    for index in range(5000, len(lines)):
+        lines[index] = lines[index].rsplit(",", 1)[0] + ",broken"
+    path.write_text("\n".join(lines) + "\n")
+    path.with_suffix(".calibration.json").unlink()
     refuse(capsys, path, 3, "line 1001", "broken")
 
 

@@ -77,7 +77,13 @@ def test_t7_rows_without_values_are_a_gap(tmp_path: Path, name: str, write: obje
     assert "cut_short" not in codes(report["cautions"])
 
 
-@pytest.mark.parametrize("empty", ["", "NaN", "NA", "null"])
+WORDS = [
+    *("", "NaN", "NA", "null", "NULL", "None", "n/a", "#N/A", "missing", "nil", "undefined", "#DIV/0!"),
+    *("-", "--", "---", "\u2013", "\u2014", "?", ".", " - "),
+]  # a dash by itself is a missing value, as in the tables of spreadsheets; in a number it is damage
+
+
+@pytest.mark.parametrize("empty", WORDS)
 def test_t7_values_missing_in_the_middle_make_a_gap(tmp_path: Path, empty: str) -> None:
     values = np.tile([0.1, 0.2, 0.97], (1000, 1)) + 0.01 * np.random.RandomState(1).randn(1000, 3)
     values[300:900] = np.nan

@@ -25,11 +25,12 @@ from accelcal_cli.core.written_times import is_date, is_time, read_date
 from accelcal_cli.formats._gravity import usual_length
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
-MISSING = (
-    *("", "NaN", "nan", "NAN", "-nan", "-NaN", "NA", "N/A", "n/a", "na", "#N/A", "#NA", "NULL", "null"),
-    *("None", "none", "<NA>", "NaT", "missing", "Missing", "MISSING"),
-    *("1.#QNAN", "-1.#QNAN", "1.#IND", "-1.#IND"),
-)
+MISSING = frozenset({
+    *("", "NaN", "nan", "NAN", "Nan", "-nan", "-NaN", "NA", "N/A", "n/a", "na", "n.a.", "N.A.", "#N/A"),
+    *("#NA", "NULL", "null", "Null", "(null)", "<null>", "None", "none", "NONE", "nil", "<NA>", "NaT"),
+    *("undefined", "missing", "Missing", "MISSING", "-", "--", "---", "\u2013", "\u2014", "?", "??", "."),
+    *("*", "#NUM!", "#VALUE!", "#DIV/0!", "1.#QNAN", "-1.#QNAN", "1.#IND", "-1.#IND"),
+})  # fmt: skip
 """Cells that stand for a missing value; pyarrow is given the same list."""
 
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|infinity)", re.IGNORECASE)
@@ -47,6 +48,9 @@ OTHER_UNITS = (
 
 DATE_BYTES = re.compile(rb"(?<!\d)(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})([ T])(\d(?=:))?")
 ISO = re.compile(r"\d{4}[-/]\d\d[-/]\d\d(?!\d)")
+FEW = 6
+"""Lines from which on one that is unlike the others is damage."""
+
 LARGEST_G = 127.0
 """Values beyond this [g] are damage."""
 
@@ -90,14 +94,22 @@ def cell_kind(cell: str, decimal_comma: bool) -> CellKind:
     return CellKind.TIME if known else CellKind.TEXT
 
 
+def least_of(number: int, share: float) -> float:
+    """Return how many of some lines a share is; of a few, all but one."""
+    return min(share * number, number - 1) if number >= FEW else share * number
+
+
 def column_kind(cells: Sequence[str], decimal_comma: bool, share: float) -> CellKind:
-    """Return the kind that this share of the cells have, unless missing; TEXT if there is none."""
+    """Return the kind that this share of the cells have, unless missing; TEXT if there is none.
+
+    Where cells are few, one may be unlike the others, which is damage.
+    """
     kinds = [cell_kind(cell, decimal_comma) for cell in cells]
     missing = kinds.count(CellKind.MISSING)
     if missing == len(kinds):
         return CellKind.MISSING
     for kind in (CellKind.NUMBER, CellKind.TIME):
-        if kind in kinds and kinds.count(kind) + missing >= share * len(kinds):
+        if kind in kinds and kinds.count(kind) + missing >= least_of(len(kinds), share):
             return kind
     return CellKind.TEXT
 

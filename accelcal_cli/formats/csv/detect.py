@@ -65,7 +65,7 @@ from accelcal_cli.formats.csv.dialect import (
 )
 from accelcal_cli.formats.csv.exports import PHYPHOX_HEAD, experiment_start
 from accelcal_cli.formats.csv.lines import Block, LineFile, RepeatedHeads, lone_block
-from accelcal_cli.formats.csv.rows import ParsedTable, TableParser, usual_stride, with_heat_unit
+from accelcal_cli.formats.csv.rows import ParsedTable, TableParser, not_rows, usual_stride, with_heat_unit
 from accelcal_cli.formats.csv.scales import find_scale
 from accelcal_cli.formats.csv.sensors import SensorWatch, dividing_columns, rows_of_sensor
 from accelcal_cli.formats.csv.times import (
@@ -82,8 +82,8 @@ from accelcal_cli.formats.csv.vendors import ExportDescription, Start, export_de
 HEAD_BYTES = 1 << 20
 """Bytes that are read to understand a file."""
 
-TAIL_BYTES = 1 << 16
-"""Bytes that are read to find the last row."""
+TAIL_BYTES, LAST_LINES = 1 << 16, 20
+"""Bytes that are read to find the last row, and lines below the last row of one sensor."""
 
 ABOUT = "_motion.json"
 """End of the name of the sidecar with rate and device."""
@@ -194,7 +194,10 @@ def detect(path: Path, options: ReadOptions) -> Detected:
         block, dialect = RepeatedHeads(above).without(sensor.block), sensor.sample_of(dialect)
     parser = _table_parser(block, dialect, roles, export, options, path)
     parser = replace(parser, roles=all_roles, sensor=() if sensor is None else sensor.texts)
-    parser, table, roles = with_heat_unit(parser, parser.parse(block), roles)
+    table = parser.parse(block)
+    if 2 * len(table.bad) > len(table.line):
+        raise not_rows(path, *next(iter(table.bad.items())))
+    parser, table, roles = with_heat_unit(parser, table, roles)
     wraps = _wraps(parser, table)
     if table.time_us is not None:
         table = replace(table, time_us=RunningOn(wraps).running_on(table.time_us))
@@ -456,15 +459,11 @@ def last_timestamp(parser: TableParser) -> int | None:
             return None
         size = file.seek(0, 2)
         file.seek(max(parser.dialect.offset, size - TAIL_BYTES))
-        lines = file.read().splitlines(keepends=True)[1 if parser.sensor else -3 :]
+        lines = file.read().splitlines(keepends=True)[1 if parser.sensor else -LAST_LINES :]
     whole = [line for line in lines if line.endswith((b"\n", b"\r")) and line.strip()]
-    whole = whole if parser.sensor else whole[-1:]
-    try:
-        stamps = parser.parse(lone_block(b"".join(whole), 1, 0)).time_us
-    except UnreadableError:
-        return None
-    usable = stamps is not None and len(stamps) and stamps[-1] > IMPOSSIBLE
-    return int(stamps[-1]) if stamps is not None and usable else None
+    stamps = parser.parse(lone_block(b"".join(whole), 1, 0)).time_us
+    usable = None if stamps is None else stamps[stamps > IMPOSSIBLE]
+    return None if usable is None or not len(usable) else int(usable[-1])
 
 
 def bids_description(path: Path) -> ExportDescription | None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -23,6 +23,7 @@ from accelcal_cli.formats.csv.cells import (
     column_kind,
     decode,
     is_unit_cell,
+    least_of,
     split_line,
     year_first,
 )
@@ -218,11 +219,7 @@ class Dialect:
         text = decode(self.normaliser(line + b"\n")).strip("\r\n")
         cells = [cell.strip() for cell in split_line(text, self.normaliser.delimiter)]
         comma = self.normaliser.delimiter != ","
-        fits = len(cells) == self.columns and all(
-            cell_kind(cell, comma) in (kind, CellKind.MISSING)
-            for cell, kind in zip(cells, self.kinds, strict=True)
-            if kind in (CellKind.NUMBER, CellKind.TIME)
-        )
+        fits = len(cells) == self.columns and have_kinds(cells, self.kinds, comma)
         above = [row[-1].strip() for row in self.sample]
         return fits and all(part(cells[-1]) >= min(map(part, above)) for part in (len, _decimals))
 
@@ -238,6 +235,15 @@ class Dialect:
     def cells(self, column: int) -> list[str]:
         """Return the sample's cells of one column."""
         return [row[column] for row in self.sample]
+
+
+def have_kinds(cells: Sequence[str], kinds: Sequence[CellKind], decimal_comma: bool) -> bool:
+    """Return True if cells hold a number or time, or nothing, wherever their columns have one."""
+    return all(
+        cell_kind(cell, decimal_comma) in (kind, CellKind.MISSING)
+        for cell, kind in zip(cells, kinds, strict=True)
+        if kind in (CellKind.NUMBER, CellKind.TIME)
+    )
 
 
 def _decimals(cell: str) -> int:
@@ -317,7 +323,7 @@ def _moved(dialect: Dialect, top: int, skipped: bytes) -> Dialect:
 def _without_end(head: bytes, preamble: int) -> Dialect | None:
     """Return the layout of the rows of a short file above its last lines, which may be others."""
     lines = head.splitlines(keepends=True)
-    for left_out in (1, 2, 4, 8):
+    for left_out in (1, 2, 3, 4, 6, 8):
         found = _dialect_of(b"".join(lines[:-left_out]), preamble)
         if found is not None and len(found.sample) >= LEAST_ROWS:
             return found
@@ -368,7 +374,7 @@ class _DelimiterTrial:
         delimiter = normaliser.delimiter
         rows = _last_rows(raw_lines, normaliser, tail)
         width, count = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
-        if width < 3 or count < 0.9 * len(rows):
+        if width < 3 or count < least_of(len(rows), 0.9):
             return cls(raw_lines, normaliser, ())
         rows = [row for row in rows if len(row) == width]
         kinds = _column_kinds(rows, delimiter, 0.9)
@@ -392,7 +398,9 @@ class _DelimiterTrial:
         names, units, names_line = self._names(first)
         sample = numbered_rows(self.raw_lines[first : first + SAMPLE_ROWS], self.normaliser, first + 1)
         whole = [(line, tuple(row)) for line, row in sample if len(row) == len(self.kinds)]
-        lines, rows = zip(*whole, strict=True)
+        comma = self.normaliser.delimiter != ","
+        fitting = [(line, row) for line, row in whole if have_kinds(row, self.kinds, comma)]
+        lines, rows = zip(*(fitting or whole), strict=True)
         offset += sum(map(len, self.raw_lines[:first]))
         layout = (self.normaliser, self.kinds, names, units, names_line)
         return Dialect(*layout, rows, lines, first, offset, False)

@@ -41,7 +41,7 @@ from accelcal_cli.formats.csv.dialect import Dialect
 from accelcal_cli.formats.csv.exports import sibling_gyroscope
 from accelcal_cli.formats.csv.gyroscope import READ_AS, WithGyroscope, can_join
 from accelcal_cli.formats.csv.lines import Block, InUtf8, LineCutter, LineFile, RepeatedHeads
-from accelcal_cli.formats.csv.rows import CsvRows, Fault, RowParser, joined_rows
+from accelcal_cli.formats.csv.rows import CsvRows, Fault, RowParser, joined_rows, not_rows
 
 BLOCK_BYTES = 1 << 21
 """Text that is parsed at a time, however many samples are wanted: its table takes as much again."""
@@ -57,6 +57,7 @@ SINGLE = 50
 
 MISSING = ("missing_value", "{rows} from line {line} on left out: a value is missing")
 OUT_OF_RANGE = ("out_of_range", "{rows} from line {line} on left out: a value is beyond any sensor's range")
+BAD_LINE = ("bad_line", "{rows} from line {line} on left out: {why}")
 IMPOSSIBLE_TIME = ("impossible_time", "{rows} from line {line} on left out: an impossible time")
 ASLEEP = ("idle_sleep", "{rows} from line {line} on not measured: the device slept, and repeated a value")
 AHEAD = ("clock_gap", "the time jumps ahead{jump} before line {line}{repeated}")
@@ -64,7 +65,7 @@ BACK = ("clock_back", "the time goes back{jump} before line {line}{repeated}")
 WITH_ITS_ZONE = (FOLLOWED, "the times follow a change of the clocks in {zone} before line {{line}}")
 NO_LINE_END = "no_line_end"
 BROKEN_OFF = "the compressed data ends early or is damaged; the rows before that were read"
-KINDS = MISSING, OUT_OF_RANGE, IMPOSSIBLE_TIME, ASLEEP, AHEAD, BACK, WITH_ITS_ZONE
+KINDS = MISSING, OUT_OF_RANGE, IMPOSSIBLE_TIME, BAD_LINE, ASLEEP, AHEAD, BACK, WITH_ITS_ZONE
 CODES = [*(code for code, _ in KINDS), WRAPPED]
 """The order of problems that only the end of the file completes."""
 
@@ -378,7 +379,7 @@ class CsvAssembler:
         self._start_us = detected.start_us or 0
         self._pace = detected.pace
         self._rate = rate_fraction(detected.pace.rate_hz)
-        self._log = ProblemLog(problems, _message, SINGLE, by_end=True)
+        self._log, self._bad = ProblemLog(problems, self._message, SINGLE, by_end=True), dict[int, str]()
         self._followed = [] if stream is None else stream.followed
         self._ran_on = RunningOn(Wraps()) if stream is None else stream.clock
         self._with_its_zone = (FOLLOWED, WITH_ITS_ZONE[1].format(zone=zone))
@@ -399,6 +400,8 @@ class CsvAssembler:
         breaks, clock_jumps = self._breaks(kept, events, rows.first_row + len(rows))
         for event in events:
             self._log.add(event)
+        for line in rows.bad if len(self._bad) <= SINGLE else ():
+            self._bad[line] = rows.bad[line]
         self.rows += len(rows)
         self.empty += int(np.count_nonzero(rows.fault == Fault.EMPTY))
         problems = self._log.take(self.rows)
@@ -429,6 +432,8 @@ class CsvAssembler:
             UnreadableError: most rows cannot be used.
         """
         if 2 * self.samples < self.rows - self.empty or not self.samples:
+            if self._bad:
+                raise not_rows(self._detected.parser.path, *next(iter(self._bad.items())))
             what = f"only {self.samples} of {self.rows} rows hold usable values"
             raise _unusable(self._detected, what)
         more = _joined_files(repeated_heads, self.samples)
@@ -454,6 +459,7 @@ class CsvAssembler:
             flags.append((MISSING, missing, self._row_bytes))
             flags.append((OUT_OF_RANGE, rows.fault == Fault.OUT_OF_RANGE, self._row_bytes))
             flags.append((IMPOSSIBLE_TIME, rows.fault == Fault.TIME, self._row_bytes))
+            flags.append((BAD_LINE, rows.fault == Fault.LINE, self._row_bytes))
         if rows.filled is not None and rows.filled.any():
             flags.append((ASLEEP, rows.filled, 0))
         here = [row - rows.first_row for row in self._followed if 0 <= row - rows.first_row < len(rows)]
@@ -468,6 +474,18 @@ class CsvAssembler:
                 empty = int(np.count_nonzero(rows.fault[places[index : index + count]] == Fault.EMPTY))
                 amounts = (self.samples + sample, count, 0, (count - empty) * row_bytes)
                 yield Event(row, count, *kind, None, *amounts, line, scattered, empty)
+
+    def _message(self, run: Run) -> str:
+        """Return what is wrong with a run of rows."""
+        size, count, line = run.event.amount_us, run.count, run.event.line
+        text = run.event.text.format(
+            rows="1 row" if count == 1 else f"{count} rows",
+            line=line,
+            why=self._bad.get(line, "lines that are not rows of this table"),
+            jump=f" by {abs(size) / MICROSECONDS:g} s" if size and not run.scattered else "",
+            repeated=f", and so on for {count} rows" if count > 1 else "",
+        )
+        return f"and more of the same: {text}" if run.scattered else text
 
     def _wrap_events(self, rows: CsvRows) -> Iterator[Event]:
         for row, jump_us in self._ran_on.taken(rows.first_row + len(rows)):
@@ -539,17 +557,6 @@ class CsvAssembler:
             length = int(ends[places[index + count - 1]]) - row
             line, size = int(kept.line[place]), int(steps[place])
             yield Event(row, length, *kind, None, self.samples + place, count, size, 0, line, scattered)
-
-
-def _message(run: Run) -> str:
-    size, count, line = run.event.amount_us, run.count, run.event.line
-    text = run.event.text.format(
-        rows="1 row" if count == 1 else f"{count} rows",
-        line=line,
-        jump=f" by {abs(size) / MICROSECONDS:g} s" if size and not run.scattered else "",
-        repeated=f", and so on for {count} rows" if count > 1 else "",
-    )
-    return f"and more of the same: {text}" if run.scattered else text
 
 
 def _joined_files(lines: Sequence[int], samples: int) -> tuple[Problem, ...]:

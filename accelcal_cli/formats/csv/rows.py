@@ -1,12 +1,12 @@
 """Turns blocks of lines into columns of numbers and times, and these into counts and faults.
 
-Single lines are looked at only where a block cannot be parsed, to name the first bad one.
+Single lines are looked at only where a block cannot be parsed: those that are not rows are damage.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
@@ -39,7 +39,7 @@ from accelcal_cli.formats.csv.cells import (
 )
 from accelcal_cli.formats.csv.columns import CHANNELS, HEAT, UNKNOWN, Roles
 from accelcal_cli.formats.csv.dialect import Dialect
-from accelcal_cli.formats.csv.lines import Block, lone_block
+from accelcal_cli.formats.csv.lines import Block
 from accelcal_cli.formats.csv.times import DateColumn, TimeFormat
 
 PARSER_BYTES = 1 << 20
@@ -50,6 +50,9 @@ if process_is_ours():  # else Arrow starts a thread for signals, and ends the pr
 
 DATES, TEXTS = (pa.dictionary(pa.int32(), kind) for kind in (pa.string(), pa.binary()))
 PADDING = frozenset(b" \t\r\n")
+MOST_BAD = 100_000
+"""Lines that are not rows, above which a file that mostly has such lines is not read on."""
+
 SHOWN = 40
 """Letters of a line that a message shows."""
 
@@ -64,11 +67,10 @@ class LineCheck:
     format: TimeFormat | None
     date: DateColumn | None = None
 
-    def bad_line(self, raw: bytes, line: int, path: Path) -> UnreadableError:
-        """Return the error for a normalised line that cannot be parsed."""
-        text = decode(raw)
-        fault = self._fault(text) or f"the line cannot be read ({shortened(text)!r})"
-        return UnreadableError(fault, path=path, line=line, hint="correct or remove that line")
+    def fault(self, raw: bytes) -> str:
+        """Return what is wrong with a normalised line that cannot be parsed."""
+        text = decode(raw.rstrip(b"\r\n"))
+        return self._fault(text) or f"the line cannot be read ({shortened(text)!r})"
 
     def _fault(self, text: str) -> str | None:
         cells = split_line(text, self.dialect.normaliser.delimiter)
@@ -113,6 +115,7 @@ class ParsedTable:
         channels: (n,) each, as `values`.
         rates: (n, 3) rotation rates, as `values`, or None.
         wanted: flags of the rows of the block that these are, None for all.
+        bad: what is wrong with lines that are not rows, by their number; each is a row without values.
     """
 
     line: NDArray[np.int64]
@@ -121,6 +124,7 @@ class ParsedTable:
     channels: Channels
     rates: NDArray[np.float64] | None = None
     wanted: NDArray[np.bool_] | None = None
+    bad: Mapping[int, str] = field(default_factory=dict)
 
     def only(self, wanted: NDArray[np.bool_]) -> ParsedTable:
         """Return some of the rows."""
@@ -163,11 +167,23 @@ class TableParser:
         return _converting(types)
 
     def parse(self, block: Block) -> ParsedTable:
-        """Return the rows of a block's whole lines.
+        """Return the rows of a block's whole lines; those that cannot be parsed have no values.
 
         Raises:
-            UnreadableError: a line has a wrong number of columns, or a text where a number belongs.
+            UnreadableError: no single line is what cannot be parsed.
         """
+        try:
+            return self._rows(block)
+        except pa.ArrowException:
+            bad = self._bad_lines(block)
+        try:
+            return replace(self._rows(_without(block, bad, self._empty_line)), bad=bad)
+        except pa.ArrowException as error:
+            raise not_rows(
+                self.path, block.line, f"the lines from here on cannot be read ({error})"
+            ) from error
+
+    def _rows(self, block: Block) -> ParsedTable:
         data = self.dialect.normaliser(block.data)
         table, data, impossible = self._table(data, block)
         line = block.line + np.arange(table.num_rows, dtype=np.int64)
@@ -192,9 +208,16 @@ class TableParser:
         try:
             table = self._read(self.dialect.normaliser(block.data), converting)
         except pa.ArrowException:
-            thorough = replace(self.dialect.normaliser, thorough=True)
-            table = self._read(thorough(block.data), converting)
+            table = self._read_repaired(block, converting)
         return tuple(_text_values(table[str(column)]) for column in columns)
+
+    def _read_repaired(self, block: Block, converting: Any) -> Any:
+        thorough = replace(self.dialect.normaliser, thorough=True)
+        try:
+            return self._read(thorough(block.data), converting)
+        except pa.ArrowException:
+            repaired = _without(block, self._bad_lines(block), self._empty_line)
+            return self._read(thorough(repaired.data), converting)
 
     def _of_sensor(self, block: Block) -> NDArray[np.bool_]:
         """Return flags of the rows of a block that are of the sensor."""
@@ -214,10 +237,10 @@ class TableParser:
             thorough = replace(self.dialect.normaliser, thorough=True)(block.data)
         try:
             return self._parsed(thorough), thorough, None
-        except pa.ArrowException as error:
+        except pa.ArrowException:
             if found := self._with_impossible_times(thorough):
                 return found[0], thorough, found[1]
-            raise self._bad_line(thorough, block.line) from error
+            raise
 
     def _with_impossible_times(self, data: bytes) -> tuple[Any, NDArray[np.bool_]] | None:
         """Return the columns with impossible times empty, and flags of these; None if more is wrong."""
@@ -235,14 +258,29 @@ class TableParser:
         place = table.schema.get_field_index(name)
         return table.set_column(place, name, pa.chunked_array([times])), impossible
 
-    def _bad_line(self, data: bytes, first_line: int) -> UnreadableError:
-        lines = data.splitlines(keepends=True)
-        good, bad = 0, len(lines)
-        while bad - good > 1:
-            middle = (good + bad) // 2
-            good, bad = (middle, bad) if self._is_sound(b"".join(lines[:middle])) else (good, middle)
+    @property
+    def _empty_line(self) -> bytes:
+        """A line without a value in any column."""
+        return self.dialect.normaliser.delimiter.encode().join([b"NaN"] * self.dialect.columns) + b"\n"
+
+    def _bad_lines(self, block: Block) -> dict[int, str]:
+        """Return what is wrong with lines of a block that cannot be parsed, by their numbers."""
+        lines = replace(self.dialect.normaliser, thorough=True)(block.data).splitlines(keepends=True)
         check = LineCheck(self.dialect, tuple(self.used), self.roles.time, self.time, self.date)
-        return check.bad_line(lines[good].rstrip(b"\r\n"), first_line + good, self.path)
+        return {
+            block.line + place: check.fault(lines[place]) for place in self._unsound(lines, 0, len(lines))
+        }
+
+    def _unsound(self, lines: list[bytes], first: int, end: int) -> Iterator[int]:
+        """Yield the places of lines that cannot be parsed, by halving stretches with one."""
+        if self._is_sound(b"".join(lines[first:end])):
+            return
+        if end - first == 1:
+            yield first
+            return
+        middle = (first + end) // 2
+        yield from self._unsound(lines, first, middle)
+        yield from self._unsound(lines, middle, end)
 
     def _is_sound(self, data: bytes) -> bool:
         try:
@@ -290,12 +328,25 @@ class TableParser:
         return table.set_column(table.schema.get_field_index(name), name, column)
 
 
+def _without(block: Block, bad: Iterable[int], empty: bytes) -> Block:
+    """Return a block with other lines in place of some."""
+    lines = block.data.splitlines(keepends=True)
+    for number in bad:
+        lines[number - block.line] = empty
+    return replace(block, data=b"".join(lines))
+
+
+def not_rows(path: Path, line: int, fault: str) -> UnreadableError:
+    """Return the error of a file most of whose lines are not rows, by the first of these."""
+    return UnreadableError(fault, path=path, line=line, hint="correct or remove that line")
+
+
 def _converting(types: dict[str, Any]) -> Any:
     """Return how pyarrow makes values of the cells of these columns."""
     return pa_csv.ConvertOptions(
         column_types=types,
         include_columns=list(types),
-        null_values=list(MISSING),
+        null_values=sorted(MISSING),
         strings_can_be_null=True,
         quoted_strings_can_be_null=True,
     )
@@ -356,6 +407,7 @@ class Fault(IntEnum):
     OUT_OF_RANGE = 2
     TIME = 3
     EMPTY = 4
+    LINE = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -370,6 +422,7 @@ class CsvRows:
         time_us: (n,) or None.
         channels: (n,) or (n, 3) int32 each.
         filled: (n,) rows that the device did not measure, or None if none are known.
+        bad: what is wrong with lines that are not rows, by their number.
     """
 
     first_row: int
@@ -379,6 +432,7 @@ class CsvRows:
     time_us: NDArray[np.int64] | None
     channels: Channels
     filled: NDArray[np.bool_] | None = None
+    bad: Mapping[int, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.line)
@@ -404,7 +458,8 @@ def joined_rows(parts: list[CsvRows]) -> CsvRows:
     if len(parts) == 1:
         return parts[0]
     channels = joined_channels([part.channels for part in parts])
-    return CsvRows(parts[0].first_row, channels=channels, **joined_columns(parts, COLUMNS))
+    bad = {line: fault for part in parts for line, fault in part.bad.items()}
+    return CsvRows(parts[0].first_row, channels=channels, bad=bad, **joined_columns(parts, COLUMNS))
 
 
 class RowParser:
@@ -428,7 +483,8 @@ class RowParser:
         self._scale = scale
         self._gyro = gyro
         self._last_values = dict(first_values)
-        self._next_row = 0
+        self._next_row = self._bad = 0
+        self._first_bad: tuple[int, str] | None = None
 
     def rows(self, blocks: Iterable[Block], threads: int) -> Iterator[tuple[CsvRows, Block]]:
         """Yield the rows of blocks that follow each other, and each block without its lines.
@@ -437,12 +493,23 @@ class RowParser:
             threads: how many may work at a time.
 
         Raises:
-            UnreadableError: a line is not a row of the file, or counts are not whole.
+            UnreadableError: most lines are not rows of the file, or counts are not whole.
         """
         for rows, block, seen in parallel_map(self._rows_of, blocks, threads):
+            if rows.bad or self._bad:
+                self._refuse_mostly_bad(rows)
             if self._watch is not None:
                 self._watch.see(seen, rows.time_us)
             yield self._placed(rows), block
+
+    def _refuse_mostly_bad(self, rows: CsvRows) -> None:
+        """Raise UnreadableError once most lines up to one are not rows, however the lines were cut."""
+        self._first_bad = self._first_bad or next(iter(rows.bad.items()))
+        bad = self._bad + np.cumsum(rows.fault == Fault.LINE)
+        number = self._next_row + np.arange(1, len(rows) + 1)
+        if ((bad > MOST_BAD) & (2 * bad > number)).any():
+            raise not_rows(self._parser.path, *self._first_bad)
+        self._bad = int(bad[-1]) if len(bad) else self._bad
 
     def _placed(self, rows: CsvRows) -> CsvRows:
         """Return the next rows with their number in the file, and values of channels from before them."""
@@ -455,7 +522,7 @@ class RowParser:
 
     def _rows_of(self, block: Block) -> tuple[CsvRows, Block, Any]:
         """Return the rows of a block by themselves, and what the watch saw; this may run in any order."""
-        table = self._table(block)
+        table = self._parser.parse(block)
         self._refuse_fractions(table)
         counts, fault = self._counts(table.values)
         if table.time_us is not None:
@@ -468,19 +535,11 @@ class RowParser:
             channels["gyro_counts"], faults = self._gyro.counts(table.rates)
             fault[faults["missing_value"] & (fault == Fault.NONE)] = Fault.MISSING
             fault[faults["out_of_range"] & (fault == Fault.NONE)] = Fault.OUT_OF_RANGE
+        if table.bad:
+            fault[np.isin(table.line, list(table.bad))] = Fault.LINE
         seen = None if self._watch is None else self._watch.look(block, table)
-        return CsvRows(0, table.line, counts, fault, table.time_us, channels), block.without_lines(), seen
-
-    def _table(self, block: Block) -> ParsedTable:
-        """Parse a block; the error is that of its first wrong line, however long the block is."""
-        try:
-            return self._parser.parse(block)
-        except UnreadableError as error:
-            above = block.data.splitlines(keepends=True)[: (error.line or 0) - block.line]
-            if above:
-                sound = lone_block(b"".join(above), block.line, block.offset)
-                self._refuse_fractions(self._parser.parse(sound))
-            raise
+        rows = CsvRows(0, table.line, counts, fault, table.time_us, channels, bad=table.bad)
+        return rows, block.without_lines(), seen
 
     def _counts(self, values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
         scaled = self._scale.counts(values)

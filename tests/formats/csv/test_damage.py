@@ -11,8 +11,11 @@ import pytest
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.formats.csv import detect
 from accelcal_cli.formats.csv import lines as csv_lines
+from accelcal_cli.formats.csv import rows as csv_rows
+from tests.cli.run import exit_code
 from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_csv import make, read, stamp, written
+from tests.recordings import good_csv
 
 HEADER = "time,x,y,z\n"
 COUNTS = np.random.default_rng(5).integers(-256, 256, (40, 3)).astype(np.int16)
@@ -175,31 +178,74 @@ def test_mostly_unusable_rows_are_refused(tmp_path: Path) -> None:
     ("line", "message"),
     [
         ("oops,0,1", "column 1 holds 'oops', which is not a number"),
-        ("0,-,1", "column 2 holds '-', which is not a number"),
-        ("0,1", r"the line has 3 columns, not 4"),
-        ("0,1,2,3", r"the line has 5 columns, not 4"),
+        ("0,1-2,1", "column 2 holds '1-2', which is not a number"),
+        ("0,1", "the line has 3 columns, not 4 ('2024-03-04T00:00:02.000000,0,1')"),
+        ("0,1,2,3", "the line has 5 columns, not 4 ('2024-03-04T00:00:02.000000,0,1,2,3')"),
         ("0,0,0x10", "column 3 holds '0x10', which is not a number"),
-        ('0,"0,1', r"the line has 3 columns, not 4"),
+        ('0,"0,1', "the line has 3 columns, not 4 ('2024-03-04T00:00:02.000000,0,\"0,1')"),
     ],
 )
 @pytest.mark.parametrize("chunk_samples", [10, 1000])
 @pytest.mark.parametrize("blank", ["", "\n"])
-def test_bad_lines_are_named(tmp_path: Path, line: str, message: str, chunk_samples: int, blank: str) -> None:
+def test_t17_a_line_that_is_not_a_row_is_damage_and_is_named(
+    tmp_path: Path, line: str, message: str, chunk_samples: int, blank: str
+) -> None:
     text = HEADER + rows(200) + blank + row(200, line) + rows(100, 201)
-    with pytest.raises(UnreadableError, match=f"line {202 + len(blank)}: {message}"):
-        read(written(tmp_path, text), chunk_samples)
+    found = read(written(tmp_path, text), chunk_samples)
+    assert (len(found.counts), found.breaks, found.codes) == (300, [200], ["bad_line"])
+    (problem,) = found.problems
+    assert problem.message == f"1 row from line {202 + len(blank)} on left out: {message}"
+    assert problem.lost_bytes > 20 and problem.empty_rows == 0
 
 
-def test_a_bad_time_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize("chunk_samples", [1, 7, 100_000])
+def test_t17_lines_that_are_not_rows_keep_their_place_in_a_file_without_times(
+    tmp_path: Path, chunk_samples: int
+) -> None:
+    lines = [f"{0.001 * (line % 7):.3f},0.5,0.8\n" for line in range(400)]
+    lines[100], lines[200:203] = "0.1\n", ["a,b,c\n"] * 3
+    found = read(written(tmp_path, "x,y,z\n" + "".join(lines)), chunk_samples, rate_hz=50.0)
+    assert (len(found.counts), found.breaks) == (396, [100, 199])
+    assert [problem.count for problem in found.problems if problem.code == "bad_line"] == [1, 3]
+    assert found.times[199] - found.times[198] == 4 * 20_000
+
+
+def test_t17_a_time_that_is_none_is_named(tmp_path: Path) -> None:
     text = HEADER + rows(500) + "yesterday,0,0,1\n" + rows(100, 501)
-    with pytest.raises(UnreadableError, match="line 502: column 0 holds 'yesterday', which is not a time"):
-        read(written(tmp_path, text))
+    found = read(written(tmp_path, text))
+    assert len(found.counts) == 600
+    assert found.problems[0].message.endswith("column 0 holds 'yesterday', which is not a time")
 
 
-def test_a_bad_line_far_behind_the_head_is_named(tmp_path: Path) -> None:
+def test_t17_a_bad_line_far_behind_the_head_is_named(tmp_path: Path) -> None:
     text = HEADER + rows(45_000) + row(45_000, "a,b,c") + rows(100, 45_001)
-    with pytest.raises(UnreadableError, match="line 45002: column 1 holds 'a', which is not a number"):
-        read(written(tmp_path, text), 5000)
+    found = read(written(tmp_path, text), 5000)
+    assert (len(found.counts), found.problems[0].sample) == (45_100, 45_000)
+    assert "from line 45002 on" in found.problems[0].message
+
+
+@pytest.mark.parametrize("chunk_samples", [7, 5000])
+def test_t17_a_file_most_of_whose_lines_are_not_rows_is_refused_with_the_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk_samples: int
+) -> None:
+    """Another table follows on the first; nothing is read on once it is the larger part."""
+    monkeypatch.setattr(detect, "HEAD_BYTES", 1000)
+    monkeypatch.setattr(csv_rows, "MOST_BAD", 1000)
+    for number in (200, 5000):
+        path = written(tmp_path, HEADER + rows(number) + "a,b\n" * (number + 1))
+        with pytest.raises(
+            UnreadableError, match=rf"line {number + 2}: the line has 2 columns, not 4 \('a,b'\)"
+        ):
+            read(path, chunk_samples)
+
+
+def test_t17_max_damage_judges_lines_that_are_not_rows(tmp_path: Path) -> None:
+    """A fifth of the lines is damage, which is allowed unless the user says otherwise."""
+    lines = good_csv(tmp_path).read_text().splitlines(keepends=True)
+    fifth = len(lines) // 5
+    path = written(tmp_path, "".join([*lines[:fifth], *["?!\n"] * fifth, *lines[2 * fifth :]]))
+    assert exit_code("calibrate", path, "--report-only", "-q") == 0
+    assert exit_code("calibrate", path, "--report-only", "-q", "--force", "--max-damage", 10) == 4
 
 
 def test_blank_lines_are_no_rows(tmp_path: Path) -> None:
@@ -297,14 +343,26 @@ BAD_LINES = {
 
 @pytest.mark.parametrize("chunk_samples", [1, 7, 100, 100_000])
 @pytest.mark.parametrize("line", BAD_LINES.values(), ids=BAD_LINES)
-def test_the_first_bad_line_is_named_whatever_the_chunk_size(
+def test_t17_bad_lines_are_the_same_whatever_the_chunk_size(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, chunk_samples: int
 ) -> None:
     monkeypatch.setattr(detect, "HEAD_BYTES", 1000)
     monkeypatch.setattr(csv_lines, "PIECE_BYTES", 200)
-    text = HEADER + rows(900) + "2024-02-30,0,0,1\n" + rows(50, 901) + line + rows(40, 952) + "x\n"
-    with pytest.raises(UnreadableError, match="line 953: "):
-        read(written(tmp_path, text), chunk_samples)
+    text = (
+        HEADER
+        + rows(900)
+        + "2024-02-30,0,0,1\n"
+        + rows(50, 901)
+        + line
+        + rows(40, 952)
+        + "x\ny\n"
+        + rows(9, 994)
+    )
+    found = read(written(tmp_path, text), chunk_samples)
+    assert len(found.counts) == 999
+    said = [problem.message for problem in found.problems if problem.code == "bad_line"]
+    assert [one.split(" on left")[0] for one in said] == ["1 row from line 953", "2 rows from line 994"]
+    assert "impossible_time" in found.codes
 
 
 @pytest.mark.parametrize("chunk_samples", [1, 7, 100_000])

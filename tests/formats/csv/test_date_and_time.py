@@ -141,10 +141,10 @@ def test_a_row_without_a_time_is_left_out(tmp_path: Path, cells: str, code: str)
 
 
 @pytest.mark.parametrize("cells", ["2024-03-14,noon", "yesterday,10:00:01.000", "2024-03-14,10:00:01.000,7"])
-def test_a_line_that_is_no_row_is_named(tmp_path: Path, cells: str) -> None:
-    with pytest.raises(UnreadableError) as caught:
-        faulty(tmp_path, 300, cells)
-    assert caught.value.line == 302
+def test_t17_a_line_that_is_not_a_row_is_named(tmp_path: Path, cells: str) -> None:
+    found = faulty(tmp_path, 300, cells)
+    assert "bad_line" in found.codes and "from line 302 on" in str(found.problems)
+    assert found.times.tolist() == us([t for row, t in enumerate(moments(NINE)) if row != 300])
 
 
 def test_an_order_of_dates_that_is_not_clear_is_asked_for(tmp_path: Path) -> None:

@@ -40,15 +40,44 @@ def test_t15_a_last_row_without_a_line_end_is_kept_unless_it_is_cut(
         assert read(path, samples).same_as(whole)
 
 
-@pytest.mark.parametrize(
-    "below", ["end of file\n", "\nTotal,,\nmean 3,4\n", "1,2\n1,2,3,4,5,6\n", "# done\n# bye\n"]
-)
-def test_t17_lines_below_the_rows_are_named(tmp_path: Path, below: str) -> None:
-    """They made a small file none of a known format."""
-    path = written(tmp_path, HEADER + rows(30) + below, "small.csv")
-    with pytest.raises(UnreadableError) as error, open_recording(path, ReadOptions()) as reader:
-        [*reader.chunks(1000)]
-    assert error.value.line in (32, 33) and "correct or remove that line" in str(error.value)
+BELOW = {
+    "a word": "end of file\n",
+    "totals": "\nTotal,,\nmean 3,4\n",
+    "ragged rows": "1,2\n1,2,3,4,5,6\n",
+    "comments": "# done\n# bye\n",
+    "a row of words": "Summary:,0.01,0.02,0.99\n",
+    "a rule": "-----,-----,-----,-----\n",
+    "a sentence with commas": "Recording stopped by user; battery 3 %, OK\n",
+}
+AMONG = {
+    "a word": "ERROR: sensor timeout\n",
+    "too few cells": f"{stamp(150_000)},0.01,0.02\n",
+    "too many cells": f"{stamp(150_000)},0.01,0.02,0.99,7\n",
+    "a text": f"{stamp(150_000)},0.01,x,0.99\n",
+    "no time": "yesterday,0.01,0.02,0.99\n",
+    "a quote": '"unfinished,1,2,3\n',
+}
+
+
+@pytest.mark.parametrize("number", [12, 30, 300])
+@pytest.mark.parametrize("header", [HEADER, ""], ids=["names", "no names"])
+@pytest.mark.parametrize("line", [*BELOW.items(), *AMONG.items()], ids=lambda line: line[0])
+def test_t17_lines_that_are_not_rows_refuse_no_recording(
+    tmp_path: Path, number: int, header: str, line: tuple[str, str]
+) -> None:
+    """They made a small file none of a known format, and a large one unreadable."""
+    name, text = line
+    place = number if name in BELOW and BELOW[name] == text else number // 2
+    good = rows(number).splitlines(keepends=True)
+    path = written(tmp_path, header + "".join([*good[:place], text, *good[place:]]), "small.csv")
+    with open_recording(path, ReadOptions()) as reader:
+        chunks = list(reader.chunks(1000))
+    assert sum(map(len, chunks)) == number
+    problems = [problem for chunk in chunks for problem in chunk.problems if problem.code == "bad_line"]
+    first = len(header.splitlines()) + place + 1 + text.startswith("\n")
+    assert f"from line {first} on left out: " in problems[0].message
+    assert sum(problem.count for problem in problems) == len(text.strip().splitlines())
+    assert reader.recording.duration_s == pytest.approx((number - 1) / 100)
 
 
 def test_t20_several_accelerometers_are_named_with_a_command(tmp_path: Path) -> None:

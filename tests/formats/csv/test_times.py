@@ -254,20 +254,29 @@ def test_a_z_can_be_overruled_by_force_and_an_offset_cannot(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("cell", "message"),
     [
-        ("10000-01-01", "is not written as"),
-        ("9e11", "is not written as"),
+        ("10000-01-01", None),
+        ("9e11", None),
+        ("yesterday", None),
         ("2024-03-04T00:00:00Z", "have a zone"),
     ],
 )
 @pytest.mark.parametrize("line", [2, 3, 9, 150])
-def test_an_error_names_the_line_of_the_odd_time(tmp_path: Path, cell: str, message: str, line: int) -> None:
+def test_t17_an_odd_time_is_named_by_its_line(
+    tmp_path: Path, cell: str, message: str | None, line: int
+) -> None:
     """Blank lines count; the first row is blamed only where it is the odd one."""
     rows = [f"{stamp(20_000 * k)},0.{k % 7},0.1,0.9" for k in range(170)]
     lines = ["time,x,y,z", *rows[:5], "", *rows[5:]]
     lines[line - 1] = f"{cell},0.1,0.2,0.3"
-    with pytest.raises(UnreadableError, match=message) as caught:
-        read(written(tmp_path, "\n".join(lines) + "\n"))
-    assert caught.value.line == line
+    path = written(tmp_path, "\n".join(lines) + "\n")
+    if message is None:
+        found = read(path)
+        assert len(found.counts) == 169
+        assert line == 2 or f"from line {line} on left out" in str(found.problems)
+    else:
+        with pytest.raises(UnreadableError, match=message) as caught:
+            read(path)
+        assert caught.value.line == line
 
 
 def test_a_time_too_large_for_any_number_is_told_without_a_warning(tmp_path: Path) -> None:
