@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 import accelcal_cli
+import hatch_build
 from tools.oldest import oldest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -30,7 +31,11 @@ def as_conda(requirement: str) -> str:
 
 def test_versions_are_that_of_the_package() -> None:
     assert re.findall(r"^version: (.*)$", CITATION, re.MULTILINE) == [accelcal_cli.__version__]
-    assert re.findall(r'^  version: "(.*)"$', RECIPE, re.MULTILINE) == [accelcal_cli.__version__]
+    assert '\n  version: ${{ env.get("VERSION") }}\n' in RECIPE  # of the project, with its commit
+    assert RECIPE.splitlines()[1].startswith("# VERSION=$(python hatch_build.py) rattler-build ")
+    assert (
+        f'echo "$PKG_VERSION" > {hatch_build.MADE}' in RECIPE and f"> /source/{hatch_build.MADE}" in CONTAINER
+    )
 
 
 def test_the_recipe_needs_what_the_project_needs() -> None:
@@ -54,10 +59,11 @@ def test_the_citation_describes_the_project() -> None:
 
 
 def test_the_container_has_a_python_that_is_supported_and_no_root() -> None:
-    (version,) = re.findall(r"^ARG PYTHON=docker.io/library/python:(\d+\.\d+)-slim$", CONTAINER, re.MULTILINE)
+    based = r"^# python:(\d+\.\d+)\.\d+-slim-\w+; .*:\1-slim\nARG PYTHON=docker.io/library/python@sha256:[0-9a-f]{64}$"
+    (version,) = re.findall(based, CONTAINER, re.MULTILINE)
     assert f"Programming Language :: Python :: {version}" in PROJECT["project"]["classifiers"]
     assert re.search(r"^USER [1-9]\d*:[1-9]\d*$", CONTAINER, re.MULTILINE)
-    kept = (ROOT / ".containerignore").read_text("utf-8").split()
+    kept = (ROOT / ".dockerignore").read_text("utf-8").split()
     for line in re.findall(r"^COPY (?!--from)(.*) \S+$", CONTAINER, re.MULTILINE):
         for source in line.split():
             assert (ROOT / source).exists() and f"!{source}" in kept
