@@ -138,12 +138,20 @@ def python_of(path: Path) -> list[str]:
     return re.findall(r"^```python\n(.*?)^```", path.read_text("utf-8"), re.MULTILINE | re.DOTALL)
 
 
+NIGHTLY = pytest.mark.nightly
+
+
 @pytest.mark.parametrize(
-    "name", ["examples/first_look.ipynb", pytest.param("docs/python.md", marks=pytest.mark.nightly)]
+    ("name", "place"),
+    [
+        ("examples/first_look.ipynb", "examples"),
+        pytest.param("examples/first_look.ipynb", ".", marks=NIGHTLY),
+        pytest.param("docs/python.md", ".", marks=NIGHTLY),
+    ],
 )
-def test_python_examples_run(name: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_python_examples_run(name: str, place: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     mpl.use("Agg")
-    monkeypatch.chdir((ROOT / name).parent if name.endswith("ipynb") else ROOT)
+    monkeypatch.chdir(ROOT / place)
     names: dict[str, Any] = {}
     parts = python_of(ROOT / name)
     assert len(parts) >= 3
