@@ -95,7 +95,7 @@ def test_51_5_tables_of_the_docs_that_differ_are_named_or_replaced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     docs = tmp_path / "compared.md"
-    docs.write_text("before\n<!-- make validation: a -->\n| old |\n<!-- end -->\nafter\n")
+    docs.write_text("before\n<!-- make validation: a -->\n| x | y |\n| 0 |\n<!-- end -->\nafter\n")
     monkeypatch.setattr(validation, "DOCS", docs)
     new = Table("a", "", ("x", "y"), [["1", "2"]])
     validation.compare([new], replace=False)

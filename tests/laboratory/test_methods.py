@@ -194,3 +194,17 @@ def test_51_4_a_page_of_somebody_else_is_not_replaced(tmp_path: Path, capsys: Ca
     assert ran.code != 0 and page.read_text() == "mine"
     ran = run(capsys, *METHODS, good_csv(tmp_path), "--only", "fixed32", "--html", page, "-q", "--force")
     assert ran.code == 0 and "mine" not in page.read_text()
+
+
+@pytest.mark.nightly
+def test_51_4_table_3_of_the_docs_is_that_of_sample_data(capsys: Capture) -> None:
+    names = "fixed32,gauss-newton,ellipsoid,closest-point"
+    ran = run(capsys, *METHODS, SAMPLES, "--profile", "paper", "--only", names, "--json", "-q")
+    text = (SAMPLES.parent / "docs" / "evaluation.md").read_text("utf-8")
+    table = text.partition("### Table 3")[2].partition("\n| the seven")[0]
+    for mean in json.loads(ran.out)["means"]:
+        (line,) = (one for one in table.splitlines() if f"| `{mean['optimizer']}` |" in one)
+        before, after, ratio = line.split("|")[4:7]
+        assert float(before) == pytest.approx(mean["before_mg"], abs=0.06)
+        assert float(after) == pytest.approx(mean["after_mg"], abs=0.006)
+        assert float(ratio) == pytest.approx(mean["improvement_percent"], rel=0.005)

@@ -147,6 +147,8 @@ def compare(tables: Sequence[Table], *, replace: bool) -> None:
         there = block(one.name).search(text)
         if there is None or there[2] == one.markdown():
             continue
+        if not replace and one.markdown().splitlines()[0] != there[2].splitlines()[0]:
+            continue  # other tools were installed then
         if replace:
             text = text.replace(there[0], f"{there[1]}{one.markdown()}{there[3]}")
         elif one.name not in MACHINE:
