@@ -20,7 +20,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "verbose", "help",
     ),
     "Other recordings of the device": ("registry", "borrow", "pool"),
-    "Running": ("jobs", "dry_run", "timeout", "shard", "collect", "dask", "takeover", "unlock", "prune"),
+    "Running": ("jobs", "dry_run", "timeout", "log", "shard", "collect", "dask", "takeover",
+                "unlock", "prune"),
     "Reading the file": (
         "format", "unit", "lsb_per_g", "zero", "rate_hz", "columns", "time_column", "sensor", "layout",
         "parts", "config", "gyro_columns", "gyro_unit", "lsb_per_dps", "max_damage_percent",

@@ -26,6 +26,7 @@ from accelcal_cli.cli.options import (
 )
 from accelcal_cli.cli.output import say_refused, show_row
 from accelcal_cli.cli.report import study_pages
+from accelcal_cli.cli.run_log import LOG, run_log
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.system import workers
@@ -87,6 +88,7 @@ class TerminalObserver:
 
     def note(self, text: str) -> None:
         """See `StudyObserver`."""
+        LOG.info("note: %s", text)
         if not self._values["quiet"]:
             with self._aside(fresh=False):
                 exit_codes.say(text)
@@ -152,6 +154,7 @@ class TerminalObserver:
 @click.option("--html", is_flag=True, help="Create study.html and a page for each recording that changed.")
 @click.option("--decisions", type=FILE, metavar="FILE",
               help="Table of people's decisions.  [default: decisions.csv in OUT]")  # fmt: skip
+@click.option("--log", type=FILE, metavar="FILE", help="Add lines with times about this run to FILE.")
 @click.option("--keep-older", is_flag=True,
               help="Keep results that an earlier version made with the same options.")  # fmt: skip
 @click.option("--prune", is_flag=True,
@@ -186,7 +189,6 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
     A run that was interrupted is resumed by the same command.
     """
     from accelcal_cli.studies.rounds import overlooked  # what runs a study takes longer to load than --help
-    from accelcal_cli.studies.run import run
 
     study = _study(folders, values)
     if values["unlock"]:
@@ -197,6 +199,17 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
         )
     if values["dry_run"]:
         return _preview(study, values)
+    with run_log(values["log"]) as log:
+        code = _run(study, values)
+        if log is not None:
+            log.code = code
+    return code
+
+
+def _run(study: Study, values: dict[str, Any]) -> int:
+    """Carry out a study, and make its pages if they are wanted; returns the exit code."""
+    from accelcal_cli.studies.run import run
+
     if (
         study.dask is None
         and study.jobs is not None
@@ -333,6 +346,7 @@ def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, value
     if mixed := summary.mixed_times():
         exit_codes.say(mixed)
     unfinished = study.collect and summary.waiting > 0
+    LOG.info("outcomes: %s; unchanged: %d", json.dumps(summary.outcomes()), summary.up_to_date)
     if not values["quiet"] or unfinished:
         counts = [f"{number} {name.replace('_', ' ')}" for name, number in summary.outcomes().items()]
         counts += [f"{summary.copies} copied from others"] if summary.copies else []

@@ -38,6 +38,7 @@ class InProcess:
             self.on_progress(task, part - reached)
             reached = part
 
+        moved(0.0)
         result = self.work(task, moved)
         moved(1.0)
         return result

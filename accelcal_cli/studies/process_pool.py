@@ -169,6 +169,7 @@ class ProcessPool:
         self._busy.append(worker)
         with contextlib.suppress(OSError):
             worker.pipe.send(task)
+        self.on_progress(task, 0.0)
 
     def _start(self) -> _Worker:
         """Start a worker, from a new server if the first was killed."""

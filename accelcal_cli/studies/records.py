@@ -112,7 +112,10 @@ TaskFunction = Callable[[Any, ProgressCallback], Any]
 """The work on one task: a module-level function whose argument and result can be pickled."""
 
 ProgressDelta = Callable[[Any, float], None]
-"""Called with a task and the additional part that is done, negative if the task starts again."""
+"""Called with a task and the additional part that is done, negative if the task starts again.
+
+An executor that knows when a task begins calls it with 0 then.
+"""
 
 
 @dataclass(frozen=True, slots=True)

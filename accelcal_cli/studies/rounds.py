@@ -154,6 +154,11 @@ class Plan:
         now = time.time()
         return sum(item.changed_s > now for item in self.waiting)
 
+    def counts(self) -> str:
+        """Return how many recordings there are of each kind, for the log."""
+        left = len(self.left_out) + len(self.by_name)
+        return f"{len(self.todo)} to do, {len(self.done)} done, {len(self.waiting)} waiting, {left} left out"
+
     def reasons(self, owns: Callable[[str], bool]) -> Left:
         """Return why files are left out, by name, of those that a shard owns."""
         looked_at = {one.name: Reason(**one.why) for one in self.left_out if one.why}

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import logging
 import time
 from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
@@ -17,6 +18,7 @@ from typing import Any, Protocol
 
 from accelcal_cli.core.door import is_folder, is_there, matching
 from accelcal_cli.core.errors import LockedError, OutputError, UsageError, counted, printable
+from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output.decisions import Merged
 from accelcal_cli.output.files import disk_errors, looking_at, sweep, sweep_host, sweep_of
@@ -34,6 +36,7 @@ from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, remove
 from accelcal_cli.studies.prior import LEARNING, without_prior
 from accelcal_cli.studies.process_pool import ProcessPool, sweep_folders
 from accelcal_cli.studies.records import (
+    FAILED,
     OWN,
     Entry,
     Executor,
@@ -60,6 +63,9 @@ from accelcal_cli.studies.study import REPLACING, Study
 from accelcal_cli.studies.summary import Summary
 from accelcal_cli.studies.task import BUG, NO_MEMORY, CalibrationTask, Task, TaskResult, calibrated
 from accelcal_cli.studies.upgrades import said_after, said_before
+
+LOG = logging.getLogger("accelcal")
+"""Receives what happens, for `--log` and for programs that listen."""
 
 PRELOAD = "accelcal_cli.studies.preload"
 
@@ -123,6 +129,7 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         for text in (*planned.notes, *said_before(planned.why, keep_older=study.keep_older)):
             observer.note(printable(text))
         _refuse_pruning(study, planned, _orphans(study, planned, ()) if study.prune else [])
+        LOG.info("planned: %s", planned.counts())
         _tidy(planned, lease)
         study_run = StudyRun(study, ledger, observer, planned, lease)
         study_run.run()
@@ -417,9 +424,13 @@ def results(
         return
     observer.begin([task.item for task in tasks])
     texts: dict[str, str] = {}
+    began: dict[str, float] = {}
     ordered = sorted(tasks, key=lambda task: (-task.item.size, task.item.name))
 
     def moved(task: Task, part: float) -> None:
+        if part < 1 and task.item.name not in began:
+            began[task.item.name] = time.monotonic()
+            LOG.info("begun: %s (%d bytes)", task.item.name, task.item.size)
         check()
         observer.advance(part * task.item.size)
 
@@ -427,7 +438,20 @@ def results(
     with contextlib.closing(executor.run(ordered)) as ended:
         for one in ended:
             result = _result(one)
+            _log_end(one.task.item.name, result, began)
             yield one.task.item, replace(result, entry=shared_row(result.entry, texts))
+
+
+def _log_end(name: str, result: TaskResult, began: Mapping[str, float]) -> None:
+    """Log what became of a recording or a pool, how long it took if that is known, and its problems."""
+    row = result.entry.row or {}
+    seconds = f" after {time.monotonic() - began[name]:.1f} s" if name in began else ""
+    code = "" if row.get("exit_code") is None else f", exit code {row['exit_code']}"
+    LOG.info("ended: %s: %s%s%s", name, row.get("outcome"), code, seconds)
+    if row.get("outcome") in (FAILED, Outcome.REFUSED):
+        LOG.info("why: %s: %s: %s", name, row.get("reason") or row["outcome"], row.get("message"))
+    for problem in result.problems:
+        LOG.info("problem: %s: %s", name, problem)
 
 
 def _result(ended: Finished) -> TaskResult:

@@ -70,7 +70,7 @@ def test_p10_tasks_stay_in_this_process() -> None:
     moved: list[float] = []
     ended = list(InProcess(work, lambda _task, part: moved.append(part)).run([1, 2]))
     assert [one.result for one in ended] == [(1, os.getpid()), (2, os.getpid())]
-    assert moved == [0.5, 0.5, 0.5, 0.5]
+    assert moved == [0.0, 0.5, 0.5, 0.0, 0.5, 0.5]
 
 
 @pytest.mark.parametrize("kind", [ThreadPoolExecutor, ProcessPoolExecutor])

@@ -1,0 +1,120 @@
+"""The log of a run (`--log`): plain lines with times, in which the story of a night can be read.
+
+Lines are added, never changed, each by one write, so that a killed run leaves at most half a line. A log that
+cannot be written is said once, and the run continues.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import re
+import sys
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import IO
+
+from accelcal_cli.cli import exit_codes
+from accelcal_cli.core.door import look
+from accelcal_cli.core.errors import AccelcalError, OutputError, UsageError, printable
+from accelcal_cli.core.system import host
+from accelcal_cli.core.version import __version__
+from accelcal_cli.output.files import looking_at, open_plain
+
+LOG = logging.getLogger("accelcal")
+FIRST = re.compile(rb"\s*\d{4}-\d\d-\d\dT[\d:.]+[+-]\d\d:\d\d \[\d+\] ")
+"""Beginning of a log; nothing is added to any other file."""
+HEAD_BYTES = 80
+
+
+class RunLog(logging.Handler):
+    """Adds lines with times to a file.
+
+    Attributes:
+        code: exit code of the run, once it is known.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(logging.INFO)
+        self.path = path
+        self.code: int | None = None
+        self._file: IO[str] | None = None
+        self._failed = False
+        self._write(b"" if _is_empty(path) else b"\n")
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Add a line; see `logging.Handler`."""
+        now = datetime.fromtimestamp(record.created).astimezone().isoformat(timespec="milliseconds")
+        line = f"{now} [{os.getpid()}] {printable(record.getMessage())}\n"
+        self._write((b"\n" if self._failed else b"") + line.encode())
+
+    def _write(self, data: bytes) -> None:
+        """Write all at once; the first failure is said, and later lines are tried all the same."""
+        try:
+            self._file = self._file or open_plain(self.path, "a")
+            if os.write(self._file.fileno(), data) == len(data):
+                return
+            why = "no space left"
+        except (OSError, OutputError) as error:
+            why = getattr(error, "strerror", None) or str(error)
+        if not self._failed:
+            exit_codes.say(
+                f"{printable(self.path)}: the log cannot be written ({why}), and lines are missing"
+            )
+        self._failed = True
+
+    def close(self) -> None:
+        """Close the file."""
+        with contextlib.suppress(OSError):
+            if self._file is not None:
+                self._file.close()
+        super().close()
+
+
+def _is_empty(path: Path) -> bool:
+    """Return True if there is no log yet.
+
+    Raises:
+        UsageError: there is a file that is not a log; nothing is added to it.
+        OutputError: it cannot be read.
+    """
+    with looking_at(path):
+        found = look(path)
+        if found is None or found.st_size == 0:
+            return True
+        with open_plain(path, "rb") as file:
+            if FIRST.match(file.read(HEAD_BYTES)) is None:
+                raise UsageError("is not a log of accelcal", path=path, hint="give --log another name")
+    return False
+
+
+@contextlib.contextmanager
+def run_log(path: Path | None) -> Iterator[RunLog | None]:
+    """Write a log of the block: who, what, where, and how it ended."""
+    if path is None:
+        yield None
+        return
+    handler = RunLog(path)
+    LOG.addHandler(handler)
+    LOG.setLevel(logging.INFO)
+    LOG.info("begins: accelcal %s on %s: %s", __version__, host(), " ".join(["accelcal", *sys.argv[1:]]))
+    code, why = exit_codes.BUG, ""
+    try:
+        yield handler
+        code = handler.code or exit_codes.OK
+    except (KeyboardInterrupt, exit_codes.InterruptedBySignalError):
+        code, why = exit_codes.INTERRUPTED, ": interrupted"
+        raise
+    except AccelcalError as error:
+        code, why = error.exit_code, f": {error}"
+        raise
+    except Exception as error:
+        why = f": {type(error).__name__}: {error}"
+        raise
+    finally:
+        LOG.info("ends with exit code %s%s", code, why)
+        LOG.removeHandler(handler)
+        LOG.setLevel(logging.NOTSET)
+        handler.close()
