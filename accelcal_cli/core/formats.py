@@ -6,6 +6,7 @@ Each folder `formats/NAME/` binds its reader as FORMAT in `__init__.py` and its 
 
 from __future__ import annotations
 
+import codecs
 import gzip
 import importlib
 import stat
@@ -24,11 +25,18 @@ from accelcal_cli.core.vocabulary import UNIT_CHOICES
 
 HEAD_BYTES = 65_536
 GZIP_MAGIC, ZIP_MAGIC = b"\x1f\x8b", b"PK\x03\x04"
-UTF16 = (b"\xff\xfe", b"\xfe\xff")
-"""First bytes of text in UTF-16 (byte order marks)."""
+WIDE_MARKS = (
+    *((codecs.BOM_UTF32_LE, "utf-32", 3), (codecs.BOM_UTF32_BE, "utf-32", 0)),
+    *((codecs.BOM_UTF16_LE, "utf-16", None), (codecs.BOM_UTF16_BE, "utf-16", None)),
+)
+"""First bytes of text in UTF-32 and UTF-16, and which of four bytes is 0 in every letter; a mark of UTF-32
+may begin with one of UTF-16."""
 
-UTF16_BYTES = 256
-"""Bytes by which text in UTF-16 without its mark is known: every other one is 0."""
+WIDE_LETTERS = (("utf-16-le", 2, 0), ("utf-16-be", 2, 1), ("utf-32-le", 4, 0), ("utf-32-be", 4, 3))
+"""Encodings, bytes of a letter, and which of them is not 0 in Latin text without a mark."""
+
+WIDE_BYTES = 256
+"""Bytes by which text without its mark is known: all but every second or fourth one are 0."""
 
 PRINTABLE = bytes([9, 10, 13, *range(32, 127)])
 
@@ -298,25 +306,25 @@ def _refuse_no_calendar(recording: Recording) -> None:
         raise UnreadableError(what, path=recording.path, hint=hint)
 
 
-def utf16_in(head: bytes) -> str | None:
-    """Return the encoding of text in UTF-16: by its mark, or as every other byte is 0; None for all else."""
-    if head.startswith(UTF16):
-        return "utf-16"
-    units = head[: min(len(head), UTF16_BYTES) // 2 * 2]
-    for name, letters, zeros in (
-        ("utf-16-le", units[::2], units[1::2]),
-        ("utf-16-be", units[1::2], units[::2]),
-    ):
-        latin = len(units) > len(UTF16) and not zeros.strip(b"\0")
-        if latin and not letters.translate(None, PRINTABLE):
+def wide_text(head: bytes) -> str | None:
+    """Return the encoding of text in UTF-16 or UTF-32: by its mark, or by its zeros; None for all else."""
+    for mark, name, zero in WIDE_MARKS:
+        if head.startswith(mark) and (zero is None or not head[zero:WIDE_BYTES:4].strip(b"\0")):
+            return name
+    for name, width, place in WIDE_LETTERS:
+        units = head[: min(len(head), WIDE_BYTES) // width * width]
+        zeros = b"".join(units[other::width] for other in range(width) if other != place)
+        latin = len(units) > width and not zeros.strip(b"\0")
+        if latin and not units[place::width].translate(None, PRINTABLE):
             return name
     return None
 
 
 def as_utf8(head: bytes) -> bytes:
-    """Return text in UTF-16 as UTF-8; anything else as it is."""
-    name = utf16_in(head)
-    return head if name is None else head[: len(head) // 2 * 2].decode(name, "replace").encode()
+    """Return text in UTF-16 or UTF-32 as UTF-8; anything else as it is."""
+    name = wide_text(head)
+    width = 4 if name is not None and "32" in name else 2
+    return head if name is None else head[: len(head) // width * width].decode(name, "replace").encode()
 
 
 def probe_file(path: Path, options: ReadOptions) -> Probe:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import AccelcalError, NoFormatError
-from accelcal_cli.core.formats import HEAD_BYTES, Format, Probe, ReadOptions, probe_file, utf16_in
+from accelcal_cli.core.formats import HEAD_BYTES, Format, Probe, ReadOptions, probe_file, wide_text
 from accelcal_cli.core.recording import Chunk, Reader
 from accelcal_cli.formats import all_formats, find_format, open_recording
 from tests.formats.expected import Expected
@@ -64,7 +64,7 @@ def test_its_content_is_recognised(made: tuple[Format, Expected]) -> None:
 def test_none_is_taken_for_text_in_utf_16(made: tuple[Format, Expected]) -> None:
     _, expected = made
     files = [file for file in expected.path.parent.iterdir() if file.is_file()]
-    assert [utf16_in(file.read_bytes()[:HEAD_BYTES]) for file in files] == [None] * len(files)
+    assert [wide_text(file.read_bytes()[:HEAD_BYTES]) for file in files] == [None] * len(files)
 
 
 def test_every_sample_and_time_comes_back(made: tuple[Format, Expected]) -> None:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, iso_time
 from accelcal_cli.core.door import has_file
 from accelcal_cli.core.errors import UnreadableError, UsageError, counted, printable
-from accelcal_cli.core.formats import GZIP_MAGIC, UTF16_BYTES, ReadOptions, agreed_rate, utf16_in
+from accelcal_cli.core.formats import GZIP_MAGIC, WIDE_BYTES, ReadOptions, agreed_rate, wide_text
 from accelcal_cli.core.input_files import read_text
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.written_times import ORDERS, read_date, written_start
@@ -453,8 +453,8 @@ def _first_values(table: ParsedTable) -> dict[str, int]:
 def last_timestamp(parser: TableParser) -> int | None:
     """Return the time of the last row [us]; None if the file is compressed or has no times."""
     with parser.path.open("rb") as file:
-        mark = file.read(UTF16_BYTES)
-        packed = mark.startswith(GZIP_MAGIC) or utf16_in(mark) is not None
+        mark = file.read(WIDE_BYTES)
+        packed = mark.startswith(GZIP_MAGIC) or wide_text(mark) is not None
         if parser.time is None or packed or parser.dialect.bare_returns:
             return None
         size = file.seek(0, 2)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.formats import utf16_in
+from accelcal_cli.core.formats import wide_text
 from accelcal_cli.core.recording import Closing
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats.csv.cells import BYTE_ORDER_MARK
@@ -110,7 +110,7 @@ class LineCutter:
 
 
 class InUtf8:
-    """Makes UTF-8 of text in UTF-16; any other text stays as it is."""
+    """Makes UTF-8 of text in UTF-16 and UTF-32; any other text stays as it is."""
 
     def __init__(self) -> None:
         self._decoder: codecs.IncrementalDecoder | None = None
@@ -120,7 +120,7 @@ class InUtf8:
         """Return the next bytes; the first piece decides."""
         if not self._begun and piece:
             self._begun = True
-            if (name := utf16_in(piece)) is not None:
+            if (name := wide_text(piece)) is not None:
                 self._decoder = codecs.getincrementaldecoder(name)("replace")
         return piece if self._decoder is None else self._decoder.decode(piece).encode()
 

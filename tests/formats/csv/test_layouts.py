@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.formats import open_recording
 from tests.formats.make_csv import START_US, read, stamp, written
 
 ROWS = [(0.25 * row - 2, -0.5, 1.0 + row / 64) for row in range(12)]
@@ -168,10 +171,16 @@ def test_files_without_rows_are_refused(tmp_path: Path, text: str) -> None:
         read(written(tmp_path, text))
 
 
-def test_utf16_is_read_like_utf8(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["utf-16-le", "utf-16-be", "utf-32-le", "utf-32-be"])
+@pytest.mark.parametrize("mark", ["\ufeff", ""])
+@pytest.mark.parametrize("pack", [bytes, gzip.compress])
+def test_t2_wide_text_is_read_like_utf8(tmp_path: Path, name: str, mark: str, pack: object) -> None:
     text = table(",", "time,x,y,z")
-    found = read(written(tmp_path, text.encode("utf-16")), unit="g")
-    assert found.counts.tolist() == read(written(tmp_path, text.encode()), unit="g").counts.tolist()
+    file = "a.csv" if pack is bytes else "a.csv.gz"
+    path = written(tmp_path, pack((mark + text).encode(name)), file)
+    with open_recording(path, ReadOptions(unit="g")) as reader:
+        counts = np.concatenate([chunk.counts for chunk in reader.chunks(7)])
+    assert counts.tolist() == read(written(tmp_path, text.encode()), unit="g").counts.tolist()
 
 
 def test_latin1_in_names_and_unused_cells(tmp_path: Path) -> None:
