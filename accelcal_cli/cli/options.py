@@ -341,8 +341,9 @@ def recordings_of(recordings: tuple[Path, ...], values: dict[str, Any]) -> list[
     """Return the recordings, several files with --parts as one; raises what `pattern_of` raises."""
     recordings = tuple(real(one) if one.name in ("", "..") else one for one in recordings)
     recordings = _without_results(recordings)
-    files = len(recordings) > 1 and all(is_file(one) and not may_be_archive(one) for one in recordings)
-    return [pattern_of(recordings)] if values["parts"] and files else list(recordings)
+    several = values["parts"] and len(recordings) > 1
+    files = several and all(is_file(one) and not may_be_archive(one) for one in recordings)
+    return [pattern_of(recordings)] if files else list(recordings)
 
 
 def _without_results(named: tuple[Path, ...]) -> tuple[Path, ...]:

@@ -336,15 +336,11 @@ def _stated(item: Item) -> list[str]:
 
 def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, values: dict[str, Any]) -> int:
     """Sum up on stderr and return the exit code."""
-    for pool in summary.pools.values():
-        if pool["outcome"] in (FAILED, Outcome.REFUSED):
-            device = printable(f"the {pool['recordings']} recordings of device {pool['device_serial']}")
-            exit_codes.say(f"{device} are not pooled: {pool['message']}")
+    for text in summary.news(repeat=values["all_failures"] or not values["quiet"]):
+        exit_codes.say(text)
     if summary.ahead and study.settle_s > 0:
         what = f"{counted(summary.ahead, 'recording')} that wait: modified in the future by this clock"
         exit_codes.say(f"{what}; check the clocks of the machines")
-    if mixed := summary.mixed_times():
-        exit_codes.say(mixed)
     unfinished = study.collect and summary.waiting > 0
     LOG.info("outcomes: %s; unchanged: %d", json.dumps(summary.outcomes()), summary.up_to_date)
     if not values["quiet"] or unfinished:

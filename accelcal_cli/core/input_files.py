@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.door import files_below, is_file, look, open_found, unreadable
+from accelcal_cli.core.door import files_below, has_file, is_file, look, open_found, unreadable
 from accelcal_cli.core.errors import UnreadableError, UsageError
 
 ANY = "*"
@@ -42,14 +42,18 @@ def is_no_part(path: Path) -> bool:
 
 
 def may_be_archive(path: Path) -> bool:
-    """Return True if a regular file begins as an archive may; False for one that cannot be read."""
+    """Return True if a plain file begins as an archive may.
+
+    Raises:
+        UnreadableError: the disk does not answer.
+    """
+    if not has_file(path):
+        return False
     try:
-        if not is_file(path):
-            return False
         with path.open("rb") as file:
             head = file.read(MAGIC_BYTES)
-    except (OSError, ValueError):
-        return False
+    except OSError as error:
+        raise unreadable(error, path) from error
     return head.startswith(PACKED) or head[TAR_MAGIC_AT:] == TAR_MAGIC
 
 

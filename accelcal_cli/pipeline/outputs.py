@@ -23,7 +23,7 @@ from accelcal_cli.core.settings import SIX_POSE, VARIED, PoseSettings
 from accelcal_cli.core.version import __version__, build_version
 from accelcal_cli.formats import ignored_options
 from accelcal_cli.output.files import exists, is_page, metadata_of, refuse_foreign, write_text, written_by_us
-from accelcal_cli.output.report import dumps
+from accelcal_cli.output.report import dumps, file_name
 from accelcal_cli.output.report_reading import (
     fault,
     file_place,
@@ -110,6 +110,8 @@ LACKING = "unreadable_part"
 def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -> Result | None:
     """Return the existing result if it was made of this input, with these settings and this version.
 
+    In a study it names its recording, too: one that was replaced may have the bytes of another suffix.
+
     Raises:
         OutputError: the outputs are those of another recording, or a good result of another command.
     """
@@ -129,7 +131,8 @@ def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -
         return None
     if any(problem["code"] == LACKING for problem in report["file_health"]["problems"]):
         return None
-    return existing if _is_of(report, source) else None
+    renamed = request.replaces_gone and report["recording"]["path"] != file_name(job.source)
+    return existing if not renamed and _is_of(report, source) else None
 
 
 def _lacks(job: Job, report: dict[str, Any], request: Request) -> bool:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from accelcal_cli.core.errors import AccelcalError, NoRecordingError, UnreadableError
 from accelcal_cli.core.formats import Format, Probe, ReadOptions, is_text, probe_file, without
-from accelcal_cli.core.input_files import files_of
+from accelcal_cli.core.input_files import ARCHIVES, files_of
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.formats import all_formats, archive_around, named_format, refuse_other_files, refuse_others
 from accelcal_cli.studies.records import Item
@@ -35,7 +35,8 @@ def why_left_out(item: Item, options: ReadOptions, *, asked_for: bool) -> Reason
     """Return why a file is not one of the study's recordings, by content; None for a recording.
 
     A file that no format fits is one if its suffix is that of a device's files: it is damaged, and must not
-    be ignored silently. So is a text with columns named x, y and z, whatever follows.
+    be ignored silently. So is an archive that the disk does not give, and a text with columns named x, y and
+    z, whatever follows.
 
     Args:
         asked_for: the user named its kind with `--include`.
@@ -49,8 +50,8 @@ def why_left_out(item: Item, options: ReadOptions, *, asked_for: bool) -> Reason
             return None if packed else Reason("archive_without_recordings")
         probe = probe_file(item.source, without(options, ("layout",)))
     except UnreadableError as error:
-        known = _suffix(item) in _suffixes(all_formats())
-        return None if known else Reason.of("not_looked_into", fault=error.fault)
+        named = _suffix(item) in _suffixes(all_formats()) or item.source.name.lower().endswith(ARCHIVES)
+        return None if named else Reason.of("not_looked_into", fault=error.fault)
     scores = [one.sniff(probe) for one in wanted]
     if (best := max(scores)) > 0:
         return _why_not_this(wanted[scores.index(best)], best, probe, item, options)

@@ -62,7 +62,7 @@ from accelcal_cli.studies.rounds import (
 from accelcal_cli.studies.study import REPLACING, Study
 from accelcal_cli.studies.summary import Summary
 from accelcal_cli.studies.task import BUG, NO_MEMORY, CalibrationTask, Task, TaskResult, calibrated
-from accelcal_cli.studies.upgrades import said_after, said_before
+from accelcal_cli.studies.upgrades import said_after, said_before, said_last
 
 LOG = logging.getLogger("accelcal")
 """Receives what happens, for `--log` and for programs that listen."""
@@ -223,6 +223,7 @@ def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
         kept=len({entry.name for entry in planned.kept}),
         up_to_date=len(set(states) - study_run.worked),
         pools={name: pools[name].row or {} for name in sorted(pools)},
+        before=said_last(study),
     )
 
 

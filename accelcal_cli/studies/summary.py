@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -334,6 +334,7 @@ class Summary:
         kept: number of recordings that this run does not name, whose rows are from one with other options.
         up_to_date: number of recordings for which nothing had to be done; not written.
         pools: device, number of recordings, outcome and message of each pool, by name.
+        before: what `study.json` said of the last run; not written.
     """
 
     rows: Sequence[Mapping[str, Any]]
@@ -347,6 +348,7 @@ class Summary:
     up_to_date: int = 0
     pools: dict[str, dict[str, Any]] = field(default_factory=dict)
     decisions: Merged | None = None
+    before: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def once(self) -> list[Mapping[str, Any]]:
@@ -366,6 +368,21 @@ class Summary:
         """Return the number of Parquet files with times in UTC, and in an unknown zone."""
         zones = (row.get("time_zone") for row in self.rows if row["parquet"])
         return dict(sorted(Counter(zone for zone in zones if zone).items()))
+
+    def news(self, *, repeat: bool) -> Iterator[str]:
+        """Yield what is wrong with the study as a whole, with `repeat` also what the last run said.
+
+        Of recordings whose times must not be joined it is said once, not for each that is added.
+        """
+        before = {} if repeat else self.before
+        told = before.get("pools")
+        for name, pool in self.pools.items():
+            said = isinstance(told, dict) and told.get(name) == pool
+            if pool["outcome"] in (FAILED, Outcome.REFUSED) and not said:
+                device = f"the {pool['recordings']} recordings of device {pool['device_serial']}"
+                yield f"{printable(device)} are not pooled: {pool['message']}"
+        if (mixed := self.mixed_times()) and not before.get("mixed_times"):
+            yield mixed
 
     def mixed_times(self) -> str | None:
         """Return a warning against joining the files, if `time` is not of one type in all of them."""

@@ -22,12 +22,17 @@ AXES = "xyz"
 OTHER_OPTIONS = "other options"
 
 
-def settings_before(study: Study) -> dict[str, Any]:
-    """Return the settings of the last run, by `study.json`; empty if that is not known."""
+def said_last(study: Study) -> dict[str, Any]:
+    """Return what `study.json` says of the last run; empty if that is not known."""
     try:
-        found = (load_our_json(study.out / f"{study.shard.basename}.json") or {}).get("settings")
+        return load_our_json(study.out / f"{study.shard.basename}.json") or {}
     except OutputError:
         return {}
+
+
+def settings_before(study: Study) -> dict[str, Any]:
+    """Return the settings of the last run, by `study.json`; empty if that is not known."""
+    found = said_last(study).get("settings")
     return found if isinstance(found, dict) else {}
 
 

@@ -24,7 +24,7 @@ that is to be short takes half of what it is given. As on Linux, a close that fa
 #include <sys/uio.h>
 #include <unistd.h>
 
-enum { OPEN, CREATE, READ, WRITE, FSYNC, CLOSE, RENAME, UNLINK, MKDIR, LINK, TRUNCATE, LIST, FORK, THREAD, ALL };
+enum { OPEN, CREATE, READ, WRITE, FSYNC, CLOSE, RENAME, UNLINK, MKDIR, LINK, TRUNCATE, LIST, STAT, FORK, THREAD, ALL };
 enum { ONCE = 0, FROM_THEN_ON = 1, KILLS = 2 };
 enum { SHORT = -1 };
 
@@ -217,6 +217,26 @@ int linkat(int from, const char *old, int to, const char *name, int flags)
 
 int ftruncate(int file, off_t size) { FAILS(-1, TRUNCATE, file, NULL); return NEXT(ftruncate)(file, size); }
 int ftruncate64(int file, off64_t size) { FAILS(-1, TRUNCATE, file, NULL); return NEXT(ftruncate64)(file, size); }
+
+#define ASKS(name, kind) \
+    int name(const char *path, struct kind *found) { FAILS(-1, STAT, AT_FDCWD, path); return NEXT(name)(path, found); }
+#define ASKS_OPEN(name, kind) \
+    int name(int file, struct kind *found) { FAILS(-1, STAT, file, NULL); return NEXT(name)(file, found); }
+#define ASKS_AT(name, kind) \
+    int name(int folder, const char *path, struct kind *found, int flags) \
+    { \
+        FAILS(-1, STAT, folder, path); \
+        return NEXT(name)(folder, path, found, flags); \
+    }
+ASKS(stat, stat)
+ASKS(lstat, stat)
+ASKS(stat64, stat64)
+ASKS(lstat64, stat64)
+ASKS_OPEN(fstat, stat)
+ASKS_OPEN(fstat64, stat64)
+ASKS_AT(fstatat, stat)
+ASKS_AT(fstatat64, stat64)
+
 DIR *opendir(const char *path) { FAILS(NULL, LIST, AT_FDCWD, path); return NEXT(opendir)(path); }
 DIR *fdopendir(int file) { FAILS(NULL, LIST, file, NULL); return NEXT(fdopendir)(file); }
 

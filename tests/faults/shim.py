@@ -25,7 +25,7 @@ from tests.cli.run import Ran
 HERE = Path(__file__).resolve().parent
 OPERATIONS = (
     "open", "create", "read", "write", "fsync", "close", "rename", "unlink", "mkdir", "link", "truncate",
-    "list", "fork", "thread",
+    "list", "stat", "fork", "thread",
 )  # fmt: skip
 """In the order of the numbers in `shim.c`."""
 
@@ -47,6 +47,7 @@ class Fault:
         nth: which call of the operation, counted from 1; 0: none, they are only counted.
         on: whether all later ones fail, too.
         kills: whether all processes are killed instead, before the call of that number of any operation.
+        below: a folder; only calls on what is below it fail.
     """
 
     operation: str
@@ -54,6 +55,7 @@ class Fault:
     nth: int = 0
     on: bool = False
     kills: bool = False
+    below: str = ""
 
     @property
     def number(self) -> int:
@@ -120,7 +122,7 @@ class Runner:
         mode = 2 if fault.kills else int(fault.on)
         plan = (0, OPERATIONS.index(fault.operation), mode, fault.number, fault.nth, 0)
         with (self.folder / "plan").open("r+b") as file:
-            file.write(LAYOUT.pack(*plan, b"", os.fsencode(here), b""))
+            file.write(LAYOUT.pack(*plan, b"", os.fsencode(here / fault.below), b""))
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         self.process.stdin.write(json.dumps([list(words), str(here), limit_s]).encode() + b"\n")

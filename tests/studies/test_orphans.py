@@ -137,6 +137,7 @@ def test_u4_a_recording_that_was_replaced_replaces_its_outputs(
         assert [row["path"] for row in rows(out)] == ["a.bin", "b.raw"]
         assert told(out) == {}
     held = json.loads((out / "a.calibration.json").read_text())
+    assert held["recording"]["path"] == "a.bin"
     assert held["recording"]["bytes"] == (folder / "a.bin").stat().st_size
 
 
