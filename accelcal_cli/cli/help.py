@@ -15,9 +15,9 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Which files": ("include", "exclude", "newer_than", "settle", "retry_failed", "keep_older"),
     "Output": (
         "output_dir", "out", "output", "form", "html", "as_json", "as_json_", "as_csv", "as_what", "tsv",
-        "full", "report_only", "effect", "windows", "draws", "keep_refused", "precision_mg", "integers",
-        "decisions", "all_failures", "gzip", "resample", "smooth", "measured_only", "force", "quiet",
-        "verbose", "help",
+        "full", "long", "report_only", "effect", "windows", "draws", "keep_refused", "precision_mg",
+        "integers", "decisions", "all_failures", "gzip", "resample", "smooth", "measured_only", "force",
+        "quiet", "verbose", "help",
     ),
     "Other recordings of the device": ("registry", "borrow", "pool"),
     "Running": ("jobs", "dry_run", "timeout", "log", "shard", "collect", "dask", "takeover",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,7 @@ import click
 
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.help import Command
-from accelcal_cli.cli.output import bytes_of, counted_once
+from accelcal_cli.cli.output import aligned, bytes_of, counted_once, progress_bars
 from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
@@ -20,6 +22,10 @@ from accelcal_cli.output.words import sentence
 from accelcal_cli.pipeline.inspect import Inspection, as_json, failed_json, inspect, inspection_settings
 from accelcal_cli.pipeline.jobs import STDIN, Request
 from accelcal_cli.pipeline.options import read_options
+
+HEAD = ["recording", "format", "device", "start", "hours", "Hz", "range g", "prediction"]
+WIDTH, WIDEST_CELL, SHORTEST_NAME = 100, 16, 12
+"""Columns of a terminal that the table of several recordings has, and bounds of its cells."""
 
 CLOCKS_S_PER_DAY = 86.4
 """Drift [s per day] beyond which a nominal rate is not meant as exact: no clock is a thousandth off."""
@@ -35,6 +41,7 @@ CLOCKS_S_PER_DAY = 86.4
 )
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option("--full", is_flag=True, help="Read everything, not just pieces.")
+@click.option("--long", is_flag=True, help="Show all about each recording, also if there are several.")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object per line.")
 @options.reading_options
 @options.config_option
@@ -46,7 +53,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Show what each RECORDING holds and predict the outcome of calibrating it; `-` reads standard input.
 
     Reads the headers, and all of a file of up to 8 MB; of a larger one pieces spread over it, or
-    everything with --full.
+    everything with --full. Several recordings are shown as a table, a row each; with --long as one alone is.
     """
     if recordings.count(STDIN) > 1:
         raise UsageError("standard input can be read only once", hint="give - only once")
@@ -64,10 +71,54 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         parts=parts,
         joined=parts,
     )
+    if several and not (values["long"] or values["as_json_"]):
+        return _table(named, request, values)
     return exit_codes.of_all([_one(path, request, values) for path in named])
 
 
-def _one(path: Path, request: Request, values: dict[str, Any]) -> int:
+def _table(named: Sequence[Path], request: Request, values: dict[str, Any]) -> int:
+    """Print a table of several recordings, those that failed among them."""
+    rows, codes = [], []
+    with progress_bars("inspect", quiet=False, unit="") as bars:
+        done = bars("recordings", len(named))
+        for path in named:
+            inspection, code = _inspected(path, request, values)
+            rows.append(_row(path, None if inspection is None else as_json(inspection)))
+            codes.append(code)
+            done(len(rows))
+    if sys.stdout.isatty():
+        others = sum(2 + max(map(len, cells)) for cells in list(zip(HEAD, *rows, strict=True))[1:])
+        rows = [[_shortened(row[0], max(SHORTEST_NAME, WIDTH - others)), *row[1:]] for row in rows]
+    exit_codes.show(aligned(HEAD, rows))
+    return exit_codes.of_all(codes)
+
+
+def _row(path: Path, shown: dict[str, Any] | None) -> list[str]:
+    """Return the cells of a recording, `-` for what is not known."""
+    if shown is None:
+        return [printable(path), *["-"] * (len(HEAD) - 2), "failed"]
+    about = shown["recording"]
+    device, hours = about["device"], about["duration_s"]
+    cells = [
+        about["format"],
+        device["serial"] or device["model"],
+        (about["start_time"] or "")[:16].replace("T", " "),
+        None if hours is None else f"{hours / 3600:.2f}",
+        f"{about['sample_rate_hz']:.5g}",
+        _known("{:g}", about["range_g"]),
+        shown["prediction"]["outcome"],
+    ]
+    return [printable(path), *(printable(cell)[:WIDEST_CELL] if cell else "-" for cell in cells)]
+
+
+def _shortened(name: str, width: int) -> str:
+    """Return a name that is too wide for its column without its middle."""
+    half = (width - 2) // 2
+    return name if len(name) <= width else f"{name[: width - 2 - half]}..{name[-half:]}"
+
+
+def _inspected(path: Path, request: Request, values: dict[str, Any]) -> tuple[Inspection | None, int]:
+    """Return what was found in a recording, and the exit code; a failure is printed."""
     try:
         with bytes_of(path) as source:
             inspection = inspect(source, request, full=values["full"])
@@ -75,11 +126,17 @@ def _one(path: Path, request: Request, values: dict[str, Any]) -> int:
         code = exit_codes.of_failure(error)
         if values["as_json_"]:
             exit_codes.show(json.dumps(failed_json(path, code, error.line_for((path,)))))
+        return None, code
+    return replace(inspection, recording=replace(inspection.recording, path=path)), exit_codes.OK
+
+
+def _one(path: Path, request: Request, values: dict[str, Any]) -> int:
+    inspection, code = _inspected(path, request, values)
+    if inspection is None:
         return code
-    inspection = replace(inspection, recording=replace(inspection.recording, path=path))
     shown = as_json(inspection)
     exit_codes.show(json.dumps(shown) if values["as_json_"] else text(inspection, shown))
-    return exit_codes.OK
+    return code
 
 
 def text(inspection: Inspection, shown: dict[str, Any]) -> str:

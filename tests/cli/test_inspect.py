@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -123,3 +124,53 @@ def test_the_clock_and_a_change_of_its_zone(tmp_path: Path, capsys: Capture) -> 
     assert (
         json.loads(run(capsys, "inspect", "--json", path).out)["file_health"]["clock"]["dst_change"] is None
     )
+
+
+def test_u12_several_recordings_are_a_table(tmp_path: Path, capsys: Capture) -> None:
+    good = good_csv(tmp_path, "good.csv")
+    raw = write_raw(tmp_path / "few.raw", still_counts(directions(1)))
+    (tmp_path / "bad.cwa").write_bytes(b"nothing" * 200)
+    ran = run(capsys, "inspect", good, raw, tmp_path / "bad.cwa")
+    head, line, *rows = ran.lines
+    assert (ran.code, len(rows), set(line)) == (1, 3, {"-", " "})
+    assert head.split() == [
+        "recording",
+        "format",
+        "device",
+        "start",
+        "hours",
+        "Hz",
+        "range",
+        "g",
+        "prediction",
+    ]
+    cells = [row.split() for row in rows]
+    assert [row[0] for row in cells] == [str(good), str(raw), str(tmp_path / "bad.cwa")]
+    assert [row[1] for row in cells] == ["csv", "raw", "-"]
+    assert [row[-1] for row in cells] == ["calibrated", "refused", "failed"]
+    found = [json.loads(text) for text in run(capsys, "inspect", good, raw, "--json").lines]
+    for row, one in zip(cells, found, strict=False):
+        about = one["recording"]
+        assert f"{about['duration_s'] / 3600:.2f}" in row and f"{about['sample_rate_hz']:.5g}" in row
+    assert len(ran.err.splitlines()) == 1 and "bad.cwa" in ran.err
+
+
+def test_u12_long_shows_all_about_each(tmp_path: Path, capsys: Capture) -> None:
+    good = good_csv(tmp_path, "good.csv")
+    raw = write_raw(tmp_path / "few.raw", still_counts(directions(1)))
+    alone = [run(capsys, "inspect", path).out for path in (good, raw)]
+    assert run(capsys, "inspect", good, raw, "--long").out == "".join(alone)
+    assert run(capsys, "inspect", good, "--long").out == alone[0]
+
+
+def test_u12_the_table_fits_a_terminal_of_100_columns(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Names lose their middle; where nobody looks, as in a pipe, they are whole."""
+    names = [f"{'a long name of a recording ' * 4}{number}.csv" for number in range(2)]
+    paths = [good_csv(tmp_path, name) for name in names]
+    assert str(paths[1]) in run(capsys, "inspect", *paths).out
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    lines = run(capsys, "inspect", *paths).lines
+    assert max(map(len, lines)) == 100
+    assert [line.split("  ")[0][-5:] for line in lines[2:]] == ["0.csv", "1.csv"]
