@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import shlex
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import wraps
@@ -25,6 +26,9 @@ OPTION = re.compile(r"--([a-z][a-z-]*)(?: ([A-Z]+\b|[\w./-]+))?")
 
 COMMAND = re.compile(r"\baccelcal [a-z-]+ ")
 """A command to be typed in a terminal; options of its clause stay as they are."""
+
+STUDY = re.compile(r"\baccelcal study (\S+) -d (\S+)$")
+"""The command for a folder, which is a function here."""
 
 SHORT = re.compile(r",? with -[do]\b")
 """The way to name an output at a terminal."""
@@ -93,7 +97,11 @@ def _worded(text: str) -> str:
             return f"{name}={value!r}"
         return f"{name} {value}"
 
-    clauses = text.split("; ")
+    def study(found: re.Match[str]) -> str:
+        folder, out = shlex.split(found[1])[0], found[2]
+        return f"accelcal.study({folder!r}, {out!r})"
+
+    clauses = [STUDY.sub(study, clause) for clause in text.split("; ")]
     return "; ".join(
         one if COMMAND.search(one) else OPTION.sub(keyword, SHORT.sub("", one)) for one in clauses
     )

@@ -283,6 +283,9 @@ class Report:
                 f"a {type(self).__name__} is one object: use .to_pandas() and .report of a result"
             )
 
+        def __array__(self, *_kind: Any, **_copy: Any) -> Any:
+            raise TypeError('a result is not an array: use .to_pandas()[["x", "y", "z"]].to_numpy()')
+
         def __getattr__(self, name: str) -> Any:
             raise no_such_attribute(type(self).__name__, name, type(self))
 

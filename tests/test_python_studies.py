@@ -420,6 +420,17 @@ FIRST_LINES: dict[str, str | None] = {
     "accelcal.calibrat(xyz)": "did you mean 'calibrate'",
     "result.to_csv('x.csv')": "type result.write",
     "accelcal.plot(result)": r"\.plot\(\)",
+    "accelcal.processing.calibrate_gravity(df)": r'type accelcal.calibrate\("recording.cwa"\).to_pandas\(\)',
+    "accelcal.calibrate(time=df.index, accel=xyz)": "did you mean 'source'?",
+    'accelcal.calibrate({"time": df.index.to_numpy(), "accel": xyz})': None,
+    "df.pipe(accelcal.calibrate)": None,
+    'accelcal.calibrate(xyz, rate=25, outdir="x")': r"a result writes its files: .write\(FOLDER\)",
+    "accelcal.calibrate(xyz, rate=25, n_jobs=2)": r"accelcal.study\(FOLDER, OUT, jobs=\)",
+    'accelcal.calibrate("sample_data")': r"accelcal.study\('sample_data', 'OUT'\)",
+    "accelcal.GGIR(df)": r"type accelcal.export\(RESULTS, to=...",
+    "result.get_params()": "type result.calibration.gain",
+    "result.enmo": r'type accelcal.effect\("recording.cwa", epoch=60\)',
+    "__import__('numpy').asarray(result)": r'use .to_pandas\(\)\[\["x", "y", "z"\]\].to_numpy\(\)',
 }
 """Lines that users of pandas, scikit-learn, actipy and skdh type first, and the answer to those that fail."""
 
