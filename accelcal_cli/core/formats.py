@@ -193,7 +193,8 @@ def option_name(name: str) -> str:
 def without(options: ReadOptions, names: Iterable[str]) -> ReadOptions:
     """Return options with some fields set back to their defaults."""
     default = ReadOptions()
-    return replace(options, **{name: getattr(default, name) for name in names})
+    changed = {name: before for name in names if (before := getattr(default, name)) != getattr(options, name)}
+    return replace(options, **changed) if changed else options
 
 
 def mean_nothing(names: Sequence[str]) -> str:
@@ -311,6 +312,8 @@ def wide_text(head: bytes) -> str | None:
     for mark, name, zero in WIDE_MARKS:
         if head.startswith(mark) and (zero is None or not head[zero:WIDE_BYTES:4].strip(b"\0")):
             return name
+    if 0 not in head[:2]:
+        return None
     for name, width, place in WIDE_LETTERS:
         units = head[: min(len(head), WIDE_BYTES) // width * width]
         zeros = b"".join(units[other::width] for other in range(width) if other != place)

@@ -73,7 +73,7 @@ class ExperimentStart:
 
 def belongs_to(path: Path) -> Path | None:
     """Return the recording that a file belongs to; None for a file that may be one itself."""
-    if path.suffix.lower() not in SUFFIXES:
+    if not path.name.lower().endswith(SUFFIXES):
         return None
     try:
         for find in (_of_e4, _of_logger, _of_phyphox, _of_polar):

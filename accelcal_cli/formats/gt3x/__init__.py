@@ -12,6 +12,8 @@ from __future__ import annotations
 from accelcal_cli.core.formats import ONLY_TABLES, ZIP_MAGIC, Format, Probe
 
 SUFFIXES = (".gt3x", ".agdc")
+SAMPLES = (b"log.bin", b"activity.bin")
+"""Names of the parts with samples, one of which is often the first."""
 
 
 def sniff(probe: Probe) -> int:
@@ -20,6 +22,8 @@ def sniff(probe: Probe) -> int:
     if not by_name and ZIP_MAGIC not in probe.head:
         return 0
     first = probe.head[30 : 30 + int.from_bytes(probe.head[26:28], "little")].lower()
+    if probe.head.startswith(ZIP_MAGIC) and first in SAMPLES:
+        return 100
     if probe.head.startswith(ZIP_MAGIC) and first.endswith(tuple(map(str.encode, SUFFIXES))):
         return 0  # a zip file around a recording
     # Only what may be a zip file needs zipfile.
