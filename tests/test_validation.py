@@ -95,14 +95,14 @@ def test_51_5_tables_of_the_docs_that_differ_are_named_or_replaced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     docs = tmp_path / "compared.md"
-    docs.write_text("before\n<!-- make validation: a -->\n| x | y |\n| 0 |\n<!-- end -->\nafter\n")
+    docs.write_text("before\n<!-- make validation: a -->\n\n| x | y |\n| 0 |\n\n<!-- end -->\nafter\n")
     monkeypatch.setattr(validation, "DOCS", docs)
     new = Table("a", "", ("x", "y"), [["1", "2"]])
     validation.compare([new], replace=False)
     assert "differs from what was measured: a" in capsys.readouterr().out
     validation.compare([new], replace=True)
     assert docs.read_text() == (
-        "before\n<!-- make validation: a -->\n| x | y |\n| --- | ---: |\n| 1 | 2 |\n<!-- end -->\nafter\n"
+        "before\n<!-- make validation: a -->\n\n| x | y |\n| --- | ---: |\n| 1 | 2 |\n\n<!-- end -->\nafter\n"
     )
     validation.compare([new], replace=False)
     assert capsys.readouterr().out == ""

@@ -137,7 +137,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def block(name: str) -> re.Pattern[str]:
     """Return the pattern of a table of the docs between its two comments."""
-    return re.compile(rf"(<!-- make validation: {name} -->\n)(.*?)(\n<!-- end -->)", re.DOTALL)
+    return re.compile(rf"(<!-- make validation: {name} -->\n\n)(.*?)(\n\n<!-- end -->)", re.DOTALL)
 
 
 def compare(tables: Sequence[Table], *, replace: bool) -> None:
