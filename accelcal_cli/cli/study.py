@@ -114,15 +114,15 @@ class TerminalObserver:
         elif not self._values["quiet"]:
             kept = row["outcome"] == Outcome.REFUSED
             written = None if row["parquet"] is None else item.job.uncalibrated if kept else item.job.parquet
-            show_row(row, item.source, written, self._values)
+            show_row(row, item.shown, written, self._values)
 
     def _comment(self, item: Item, row: dict[str, Any], result: TaskResult) -> None:
-        name = printable(item.source)
+        name = printable(item.shown)
         if row["outcome"] == FAILED:
             kept = result.trace and f"; please report it with {exit_codes.keep_trace(result.trace)}"
             exit_codes.say(f"{name}: {row['message']}{kept or ''}")
         elif row["outcome"] == Outcome.REFUSED:
-            say_refused(row["message"], item.source, self._values, shown=not self._values["quiet"])
+            say_refused(row["message"], item.shown, self._values, shown=not self._values["quiet"])
         if self._values["quiet"]:
             return
         for problem in result.problems if self._values["verbose"] else result.problems[:1]:
@@ -304,7 +304,7 @@ def _preview(study: Study, values: dict[str, Any]) -> int:
 
     states, left, again = preview(study, note)
     for item, state in sorted(states.items(), key=lambda pair: pair[0].name):
-        path = printable(item.source)
+        path = printable(item.shown)
         if values["as_json"]:
             stated = {one.field: {"value": json_value(one.value), "from": one.origin} for one in item.choices}
             more = {"stated": stated or None, "message": item.refusal, "why": again.get(item.name)}

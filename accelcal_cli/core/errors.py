@@ -118,6 +118,8 @@ class AccelcalError(Exception):
         byte_offset: where in the file (bytes from its start).
         line: where in a text file (1 is the first line).
         hint: what the user can do about it.
+        sensors: values of --sensor, each of which chooses one of the file's sensors; empty if those are not
+            what is wrong.
     """
 
     exit_code = 70
@@ -130,6 +132,7 @@ class AccelcalError(Exception):
         byte_offset: int | None = None,
         line: int | None = None,
         hint: str | None = None,
+        sensors: Sequence[str] = (),
     ) -> None:
         super().__init__(message)
         self.message = message
@@ -137,6 +140,7 @@ class AccelcalError(Exception):
         self.byte_offset = byte_offset
         self.line = line
         self.hint = hint
+        self.sensors = tuple(sensors)
 
     def __str__(self) -> str:
         return self.line_for(())

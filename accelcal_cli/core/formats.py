@@ -42,6 +42,9 @@ PRINTABLE = bytes([9, 10, 13, *range(32, 127)])
 
 RATE_AGREEMENT = 0.05
 
+EACH = "each"
+"""The value of --sensor by which a study makes a recording of each sensor of a file."""
+
 
 def is_text(head: bytes) -> bool:
     """Return True if all bytes are such as text has."""
@@ -59,7 +62,7 @@ class ReadOptions:
         time_format: form of times, as strptime writes it, or the unit of numbers.
         date_format: order of day, month and year in dates: dmy, mdy or ymd.
         layout: a layout file for raw dumps.
-        sensor: which sensor of a file with several.
+        sensor: which sensor of a file with several; EACH: a reader lists them when all rows were read.
         gyro_columns: like `columns`, for the gyroscope; gyro_unit: deg/s, rad/s, or none: it is not read.
     """
 
@@ -145,6 +148,13 @@ class ReadOptions:
     lsb_per_dps: float | None = setting(
         None, 1e-9, 10**9, Option("--lsb-per-dps", "Counts of the gyroscope per deg/s.", "N", above=0)
     )
+
+    @property
+    def one_sensor(self) -> str | None:
+        """The sensor that is chosen; those within it may be listed. None also where each is asked for."""
+        if self.sensor is None or self.sensor == EACH:
+            return None
+        return self.sensor.removesuffix(f",{EACH}")
 
     @property
     def times(self) -> Retiming:

@@ -491,11 +491,13 @@ class Reader(Closing):
     Attributes:
         threads: number that may work at a time; a format may leave them unused.
         files: those of a session, once all its rows were read; empty for other recordings.
+        may_hold_several: False where it is known that no later row is of another sensor.
     """
 
     recording: Recording
     threads: int = 1
     files: tuple[PlacedFile, ...] = ()
+    may_hold_several: bool = True
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, about `chunk_samples` at a time (whole pages, at least one).

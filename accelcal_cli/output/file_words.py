@@ -57,6 +57,7 @@ FILES: dict[str, FormOfValues] = {
     # results whose recording is gone
     "recording_gone": "Its recording {source} is gone.",
     "recording_renamed": "Its recording {source} is now called {now}.",
+    "sensor_gone": "The sensor {sensor} is no longer in its file {source}.",
     # what a person decided
     "decided_by_a_person": _decided,
     "decision_outdated": "The result of {recording} has changed since row {row} decided {decided}. "

@@ -210,6 +210,12 @@ def section(report: dict[str, Any], *names: str) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
+def sensor_of(report: dict[str, Any]) -> str | None:
+    """Return the sensor of its file that a report is of; None if it is of all the file."""
+    sensor = section(report, "settings", "input").get("sensor")
+    return sensor if isinstance(sensor, str) else None
+
+
 def file_place(report: dict[str, Any], name: str) -> str | None:
     """Return where a file was that a report was made of; None where its provenance does not say it."""
     files = section(report, "provenance", "files")

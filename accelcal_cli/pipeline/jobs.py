@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from accelcal_cli.core.door import is_file, is_folder, look
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable, unread
-from accelcal_cli.core.formats import IF_GIVEN, UNUSED, ReadOptions, without
+from accelcal_cli.core.formats import EACH, IF_GIVEN, UNUSED, ReadOptions, without
 from accelcal_cli.core.input_files import ANY, ARCHIVES, files_of, is_pattern
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
@@ -334,6 +334,7 @@ class Request:
         joined: so do the recordings in an archive, whatever their names.
         replaces_gone: a result of a recording that is gone gives way to that of another in its folder.
         as_given: the reading options are all that counts; what files next to the recording state does not.
+        each: the sensor that stands for `each`: in a study one of the file's, None in a file of one.
     """
 
     options: ReadOptions = field(default_factory=ReadOptions)
@@ -359,6 +360,13 @@ class Request:
     joined: bool = False
     as_given: bool = False
     replaces_gone: bool = False
+    each: str | None = EACH
+
+    def for_sensor(self, sensor: str | None) -> Request:
+        """Return the request for one of a file's sensors where each is wanted, or for a file of one."""
+        each = self.options.sensor == EACH
+        options = replace(self.options, sensor=sensor) if each else self.options
+        return replace(self, options=options, each=sensor)
 
     def options_of(self, path: Path) -> ReadOptions:
         """Return how a recording is read, by options and files next to it; raises UsageError on conflict."""
@@ -366,15 +374,22 @@ class Request:
 
     def choices_of(self, path: Path) -> dict[str, StatedOption]:
         """Return what files next to a recording state; raises UsageError if it contradicts the options."""
-        return {} if self.as_given else stated_options(path, self.rules, self.options.layout)
+        said = {} if self.as_given else stated_options(path, self.rules, self.options.layout)
+        if "sensor" in said and said["sensor"].value == EACH:
+            given = self.options.one_sensor or self.each  # one of them, if one is named
+            said["sensor"] = replace(said["sensor"], value=given)
+        return said
 
-    def for_recording(self, path: Path) -> Request:
+    def for_recording(self, path: Path, *, listing: bool = False) -> Request:
         """Return the request for one recording: with what files next to it state, and without options that
         are meant for others of several recordings.
 
+        Args:
+            listing: its sensors are to be listed.
+
         Raises:
             UnreadableError, UsageError: see `find_format` and `options_of`; or it is a folder, and parts are
-                not asked for.
+                not asked for; or each sensor is asked for, outside a study.
         """
         if not self.parts and is_folder(path) and not is_export(path):
             hint = (
@@ -384,6 +399,10 @@ class Request:
             raise UnreadableError("is a folder", path=path, hint=hint + more)
         said = self.choices_of(path)
         options = with_stated(self.options, said, path)
+        if options.sensor == EACH and not listing:
+            folder = shlex.quote(printable(path.parent))
+            hint = f"use accelcal study {folder} -d OUT --sensor each, or name one with --sensor"
+            raise UsageError("--sensor each works in a study", path=path, hint=hint)
         unused = unused_options(path, options) if self.several or said else ()
         unused = tuple(name for name in unused if self.several or name in said)
         return replace(self, options=without(options, unused), unused=unused or self.unused, as_given=True)

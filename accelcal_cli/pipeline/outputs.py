@@ -32,6 +32,7 @@ from accelcal_cli.output.report_reading import (
     report_schema,
     schema_of_version,
     section,
+    sensor_of,
     upgraded,
 )
 from accelcal_cli.output.windows import is_window_table
@@ -185,7 +186,7 @@ def refuse_replaced(path: Path, metadata: dict[str, Any]) -> None:
 def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:
     """Raise OutputError if a report stands for another recording, neither moved nor changed."""
     recorded = report["recording"]
-    if _place(report) in {real(Path(printable(path))) for path in (job.source, source)}:
+    if place_of_report(report) in {real(Path(printable(path))) for path in (job.source, source)}:
         return
     if recorded["sha256"] != sha256(source):
         raise OutputError(
@@ -197,7 +198,7 @@ def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:
 
 def _was_replaced(report: dict[str, Any], job: Job) -> bool:
     """Return True if the recording of a report is gone, and another file of its folder has its outputs."""
-    place = _place(report)
+    place = place_of_report(report)
     return place.parent == real(job.source).parent and not is_there(place)
 
 
@@ -214,11 +215,11 @@ def gone_from(report: dict[str, Any]) -> Path | None:
     place = real(Path(said))
     if said == "-" or ESCAPED.search(place.relative_to(place.anchor).as_posix()):
         return None
-    there = any(is_there(one) or files_of(one) for one in (place, _place(report)))
+    there = any(is_there(one) or files_of(one) for one in (place, place_of_report(report)))
     return None if there else place
 
 
-def _place(report: dict[str, Any]) -> Path:
+def place_of_report(report: dict[str, Any]) -> Path:
     """Return where the recording of a report was; of an earlier version's, as its path was typed."""
     return real(Path(_said_place(report)))
 
@@ -296,16 +297,19 @@ def json_round_trip(value: Any) -> Any:
     return json.loads(json.dumps(value))
 
 
-def withdraw(job: Job) -> None:
+def withdraw(job: Job, sensor: str | None = None) -> None:
     """Remove the outputs of a job whose results now have another name, if they are its recording's own.
+
+    Args:
+        sensor: that it is now of; a result that was made of one by hand stays.
 
     Raises:
         OutputError: one cannot be removed.
     """
     report = load_report(job.report) if exists(job.report) else None
-    if report is None or _made_by(report) != CALIBRATE:
+    if report is None or _made_by(report) != CALIBRATE or (sensor is not None and sensor_of(report)):
         return
-    if _place(report) == real(Path(printable(job.source))):
+    if place_of_report(report) == real(Path(printable(job.source))):
         remove_all(job)
 
 

@@ -145,7 +145,7 @@ def _set(where: Where, pattern: Path, members: list[Item]) -> Item:
     digest = int.from_bytes(hashlib.sha256(files.encode()).digest()[:7], "big")
     stamps = (jobs.file_stamp(pattern), (len(members), digest))
     aside = all(item.aside for item in members)
-    return Item(name, _job(pattern, place / jobs.stem(pattern)), stamps, aside=aside)
+    return Item(name, job_at(pattern, place / jobs.stem(pattern)), stamps, aside=aside)
 
 
 def _root(where: Where, source: Path) -> Path:
@@ -183,15 +183,15 @@ def _apart(items: list[Item]) -> Iterator[Item]:
     for item in items:
         report, source = item.job.report, item.source
         beside = is_table(item) and report in devices
-        yield replace(item, job=_job(source, report.with_name(source.name))) if beside else item
+        yield replace(item, job=job_at(source, report.with_name(source.name))) if beside else item
 
 
 def as_if_alone(item: Item) -> jobs.Job:
     """Return the job that a recording has if no other one of its folder shares its STEM."""
-    return _job(item.source, item.job.report.parent / jobs.stem(item.source))
+    return job_at(item.source, item.job.report.parent / jobs.stem(item.source))
 
 
-def _job(source: Path, target: Path) -> jobs.Job:
+def job_at(source: Path, target: Path) -> jobs.Job:
     """Return the job whose outputs have the path `target` and the usual suffixes."""
     parquet = target.with_name(target.name + jobs.PARQUET_SUFFIX)
     return jobs.Job(source, parquet, target.with_name(target.name + jobs.REPORT_SUFFIX))
@@ -300,7 +300,7 @@ def _item(where: Where, path: Path, name: str) -> Item:
     channels = bids_channels_path(path)
     beside = (named_layout(path), folder_layout(path), *(() if channels is None else (channels,)))
     stamps = tuple(map(jobs.file_stamp, (path, *beside)))
-    return Item(name, _job(path, (where.out / name).parent / jobs.stem(path)), stamps)
+    return Item(name, job_at(path, (where.out / name).parent / jobs.stem(path)), stamps)
 
 
 def _unlisted(where: Where, folder: Path, place: str, error: OSError) -> Item:

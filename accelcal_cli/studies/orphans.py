@@ -16,12 +16,14 @@ from typing import Any
 from accelcal_cli.core.door import files_below, is_there, may_be_away
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, counted, printable
 from accelcal_cli.core.reasons import Reason
-from accelcal_cli.output.report_reading import load_report
+from accelcal_cli.output.report_reading import load_report, sensor_of
 from accelcal_cli.output.words import sentence
 from accelcal_cli.pipeline import jobs
-from accelcal_cli.pipeline.outputs import gone_from, remove_all
+from accelcal_cli.pipeline.outputs import gone_from, place_of_report, remove_all
 from accelcal_cli.studies.discovery import Where, places
 from accelcal_cli.studies.pooling import PREFIX
+from accelcal_cli.studies.sensors import report_of_all
+from accelcal_cli.studies.summary import Content, content
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,25 +44,46 @@ class Orphan:
         return {"report": printable(self.name), **self.reason.as_json(), "message": sentence(self.reason)}
 
 
-def orphans(where: Where, known: Collection[Path], rows: Collection[Mapping[str, Any]]) -> list[Orphan]:
+def orphans(
+    where: Where,
+    known: Collection[Path],
+    rows: Collection[Mapping[str, Any]],
+    wholes: Mapping[Path, Path] | None = None,
+) -> list[Orphan]:
     """Return the results whose recording is gone, by name.
 
     Args:
         known: reports of all recordings that the study found, whether it works on them or not.
-        rows: rows of the study's table, whose hashes tell recordings that were renamed.
+        rows: rows of the study's table, whose content tells recordings that were renamed.
+        wholes: files whose sensors are known, by the report that each would have as one recording.
     """
-    names = {row["sha256"]: row["path"] for row in rows if row.get("sha256")}
+    names = {content(row): row["path"] for row in rows if row.get("sha256")}
     found: list[Orphan] = []
     for folder, folders, files in files_below(where.out, []):
         folders[:] = [name for name in folders if name[0] != "."]
         for file in files:
             path = folder / file
             if file.endswith(jobs.REPORT_SUFFIX) and path not in known and not file.startswith(PREFIX):
-                found += _orphan(path, where, names)
+                found += _orphan(path, where, names) or _without_sensor(path, where, wholes or {})
     return sorted(found, key=lambda one: one.name)
 
 
-def _orphan(path: Path, where: Where, names: Mapping[str, str]) -> list[Orphan]:
+def _without_sensor(path: Path, where: Where, wholes: Mapping[Path, Path]) -> list[Orphan]:
+    """Return the result of a sensor that its file no longer has, or nothing."""
+    try:
+        report = load_report(path)
+    except (OutputError, UnreadableError):
+        return []
+    sensor = None if report is None else sensor_of(report)
+    whole = None if sensor is None else report_of_all(path, sensor)
+    source = None if whole is None else wholes.get(whole)
+    if report is None or sensor is None or source is None or place_of_report(report) != jobs.real(source):
+        return []
+    reason = Reason.of("sensor_gone", source=printable(source.name), sensor=printable(sensor))
+    return [Orphan(path.relative_to(where.out).as_posix(), path, reason)]
+
+
+def _orphan(path: Path, where: Where, names: Mapping[Content, str]) -> list[Orphan]:
     """Return a result that is an orphan, or nothing."""
     try:
         report = load_report(path)
@@ -70,7 +93,7 @@ def _orphan(path: Path, where: Where, names: Mapping[str, str]) -> list[Orphan]:
     below = path.relative_to(where.out)
     if report is None or source is None or _is_elsewhere(source, below, where):
         return []
-    now = names.get(report["recording"]["sha256"])
+    now = names.get((report["recording"]["sha256"], sensor_of(report)))
     if now is None and may_be_away(source):
         return []
     reason = Reason.of("recording_gone", source=printable(source.name))

@@ -25,7 +25,15 @@ from accelcal_cli.studies.borrowing import GOOD, Row, identity, pools
 from accelcal_cli.studies.records import FAILED, Entry, Item, ProgressCallback, RecordingState
 from accelcal_cli.studies.rounds import Round, StudyState, common_of
 from accelcal_cli.studies.study import POOL, POOLED, Study
-from accelcal_cli.studies.task import Common, ReplacementTask, StageProgress, TaskResult, guarded, row_of
+from accelcal_cli.studies.task import (
+    Common,
+    ReplacementTask,
+    StageProgress,
+    TaskResult,
+    guarded,
+    request_of,
+    row_of,
+)
 
 PREFIX = "study.pool."
 
@@ -102,6 +110,7 @@ def pool_of(study: Study, known: StudyState, names: list[str]) -> PoolTask:
         report.name.removesuffix(REPORT_SUFFIX),
         Job(report, report, report),
         ((sum(one.item.size for one in states), 0),),
+        sensor=states[0].item.sensor,
     )
     members = tuple(Member(one.item.source, line["sha256"]) for one, line in zip(states, rows, strict=True))
     more = sorted(name for name, first in copies_of(known.recordings).items() if first in names)
@@ -131,7 +140,7 @@ def _name(line: Row) -> str:
 @guarded
 def make_pool(task: PoolTask, report_progress: ProgressCallback) -> TaskResult:
     """Fit a pool and write its report."""
-    request = task.common.request
+    request = request_of(task)
     if not request.force:
         refuse_foreign_report(task.item.job.report)
     report = pool(task.members, request, StageProgress(report_progress).stage, task.copies)
@@ -187,7 +196,7 @@ def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:
 @guarded
 def pooled(task: PooledTask, report_progress: ProgressCallback) -> TaskResult:
     """Apply a pool's coefficients to one of its recordings."""
-    item, request, progress = task.item, task.common.request, StageProgress(report_progress).stage
+    item, request, progress = task.item, request_of(task), StageProgress(report_progress).stage
     result = apply_pool(item.job, request, read_document(task.report), progress, item.stamps[0])
     if isinstance(result, Reason):
         return task.result(calibrate(item.job, request, progress), task.kept(sentence(result)))

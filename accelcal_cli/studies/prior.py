@@ -40,7 +40,14 @@ from accelcal_cli.studies.records import ProgressCallback, RecordingState
 from accelcal_cli.studies.rounds import Round, StudyState, common_of
 from accelcal_cli.studies.study import PRIOR, Study
 from accelcal_cli.studies.summary import PARAMETERS
-from accelcal_cli.studies.task import ReplacementTask, StageProgress, TaskResult, guarded, row_of
+from accelcal_cli.studies.task import (
+    ReplacementTask,
+    StageProgress,
+    TaskResult,
+    guarded,
+    request_of,
+    row_of,
+)
 
 MOST_DEVICES = 64
 """Largest number of devices that a prior is learnt from; more hardly change a distribution."""
@@ -92,11 +99,11 @@ class Learning:
 
     def __post_init__(self) -> None:
         """Sort good results by model and device; of copies the first by name counts."""
-        first: dict[str, _Good] = {}
+        first: dict[summary.Content, _Good] = {}
         for name in sorted(self.rows):
             row = self.rows[name]
             if _is_good(row, self.max_error_mg):
-                first.setdefault(row["sha256"], _Good(name, row))
+                first.setdefault(summary.content(row), _Good(name, row))
         # an order that has nothing to do with how devices are numbered
         for one in sorted(first.values(), key=lambda one: _sha256(one.row["device_serial"])):
             devices = self._devices.setdefault(_model(one.row), {})
@@ -137,7 +144,7 @@ class Learning:
 
 def _others(good: Sequence[_Good], row: Row) -> list[_Good]:
     """Return the recordings with other content."""
-    return [one for one in good if one.row["sha256"] != row["sha256"]]
+    return [one for one in good if summary.content(one.row) != summary.content(row)]
 
 
 def _sha256(text: str) -> str:
@@ -286,7 +293,7 @@ def without_prior(study: Study, known: StudyState) -> Iterator[str]:
 @guarded
 def calibrated_again(task: PriorTask, report_progress: ProgressCallback) -> TaskResult:
     """Calibrate a recording with a learnt prior; its own result stays if that would be lost."""
-    item, request, progress = task.item, task.common.request, StageProgress(report_progress).stage
+    item, request, progress = task.item, request_of(task), StageProgress(report_progress).stage
     good = task.own_row["outcome"] != Outcome.REFUSED
     result = calibrate_with(
         item.job, request, task.learnt, progress, must_calibrate=good, before=item.stamps[0]

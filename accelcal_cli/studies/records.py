@@ -40,6 +40,7 @@ class Item:
         refusal: reason why it cannot be worked on, found before any work.
         aside: whether `--include` leaves it out, so that it is not started now.
         choices: options that files state for it.
+        sensor: the value of --sensor that chooses it among the sensors of its file; None for all of the file.
     """
 
     name: str
@@ -48,11 +49,17 @@ class Item:
     refusal: str | None = None
     aside: bool = False
     choices: tuple[StatedOption, ...] = ()
+    sensor: str | None = None
 
     @property
     def source(self) -> Path:
         """Path of the file."""
         return self.job.source
+
+    @property
+    def shown(self) -> Path:
+        """The file as the user gave it; with the sensor, where it is one of several."""
+        return self.source if self.sensor is None else self.source.with_name(self.name.rpartition("/")[2])
 
     @property
     def size(self) -> int:

@@ -29,8 +29,9 @@ from accelcal_cli.studies import summary
 from accelcal_cli.studies.discovery import Left, below_out, files, without_collisions
 from accelcal_cli.studies.left_out import why_left_out
 from accelcal_cli.studies.records import Entry, Item, Ledger, RecordingState, TaskFunction
+from accelcal_cli.studies.sensors import SENSORS, SensorsTask, in_place_of, wants_each
 from accelcal_cli.studies.study import REPLACING, WHOLE, Study
-from accelcal_cli.studies.task import Common, Task
+from accelcal_cli.studies.task import Common, Task, TaskResult
 from accelcal_cli.studies.upgrades import options_changed, settings_before, why_again
 
 MANY = 1 << 20
@@ -133,6 +134,9 @@ class Plan:
         decisions: what people decided about recordings; None without a file of it.
         by_name: why files were left out without a look at their content, by name.
         notes: lines for the user: patterns of `study.toml` that no file fits, links that are not followed.
+        sensors: entries of the sensors of files of which each is a recording.
+        unlisted: failures of files whose sensors could not be listed, by name.
+        whole: files whose sensors are known, by the report of all of their rows.
     """
 
     done: list[tuple[Item, Entry]] = field(default_factory=list)
@@ -148,6 +152,9 @@ class Plan:
     why: dict[str, str] = field(default_factory=dict)
     before: dict[str, dict[str, Any]] = field(default_factory=dict)
     decisions: Decisions | None = None
+    sensors: list[Entry] = field(default_factory=list)
+    unlisted: dict[str, Entry] = field(default_factory=dict)
+    whole: dict[Path, Path] = field(default_factory=dict)
 
     def ahead(self) -> int:
         """Return the number of waiting recordings changed in the future, by this machine's clock."""
@@ -172,12 +179,16 @@ class Plan:
         waiting, left_out = ([one.name for one in ones] for ones in (self.waiting, self.left_out))
         return merged(self.decisions, rows, set(map(printable, (*waiting, *left_out, *self.by_name))))
 
-    def sources(self) -> list[Path]:
-        """Return the files of all recordings."""
-        return [item.source for item in (*(item for item, _ in self.done), *self.todo, *self.waiting)]
+    def items(self) -> list[Item]:
+        """Return all recordings."""
+        return [*(item for item, _ in self.done), *self.todo, *self.waiting]
 
 
-def plan(study: Study, ledger: Ledger) -> Plan:
+Lister = Callable[[Sequence[SensorsTask]], Iterable[tuple[Item, TaskResult]]]
+"""Has the sensors of files listed by workers."""
+
+
+def plan(study: Study, ledger: Ledger, lister: Lister = lambda _tasks: ()) -> Plan:
     """Look at all files and decide what there is to do; writes nothing.
 
     Raises:
@@ -194,12 +205,13 @@ def plan(study: Study, ledger: Ledger) -> Plan:
     wanted = [item for item in listed if not any(one.excludes(item.source) for one in rules)]
     by_name |= {item.name: Reason.of("excluded", by=STUDY_FILE) for item in set(listed) - set(wanted)}
     concerned, others = _concerned(study, wanted)
-    items = [planning.looked_at(item) for item in concerned]
+    items = planning.split([as_stated(item, study.request) for item in concerned], lister)
+    items = [planning.looked_at(item) for item in items]
     recordings = without_collisions(planning.recordings(items))
     try:
         _require_use(study, recordings)
     except UsageError:  # which other shards' recordings may have
-        more = planning.recordings([planning.looked_at(item) for item in others])
+        more = planning.recordings([planning.looked_at(as_stated(item, study.request)) for item in others])
         _require_use(study, [*recordings, *more])
     for item in recordings:
         planning.place(item)
@@ -274,9 +286,44 @@ class _Planning:
     plan: Plan
     changed: list[str]
 
-    def looked_at(self, item: Item) -> Item:
-        """Return an item with its stated options; one left for later has the stamps of its last result."""
-        now = as_stated(item, self.study.request)
+    def split(self, items: Sequence[Item], lister: Lister) -> list[Item]:
+        """Return the items, in place of each file whose sensors are wanted those of its sensors.
+
+        A file that is left for later has the sensors that it had.
+        """
+        asked, found, unlisted = self.asked, {}, []
+        for item in items:
+            own = self.ledger.known(item, asked)
+            left_out = own is not None and own.row is None
+            if item.refusal is not None or left_out or not wants_each(item, self.study.request):
+                continue
+            waits = item.aside or self.study.collect or _left_for_later(self.study, item)
+            known = self.ledger.known(item, asked, SENSORS)
+            last = self.ledger.latest_of(item.name, asked, (SENSORS,)) if waits else []
+            if known is not None or last:
+                found[item.name] = known or last[-1]
+            elif not waits:
+                unlisted.append(SensorsTask(item, common_of(self.study)))
+        for item, result in lister(unlisted):
+            found[item.name] = result.entry
+        return [one for item in items for one in self._in_place_of(item, found.get(item.name))]
+
+    def _in_place_of(self, item: Item, entry: Entry | None) -> list[Item]:
+        """Return the recordings of an item, by the entry of its sensors."""
+        if entry is None:
+            return [item]
+        if entry.failed:
+            self.plan.unlisted[item.name] = entry
+            return [item]
+        self.plan.sensors.append(entry)
+        if entry.stamps == item.stamps:
+            self.plan.whole[item.job.report] = item.source
+        recordings = in_place_of(item, entry.inputs)
+        self.plan.reports |= {one.job.report for one in recordings}
+        return recordings
+
+    def looked_at(self, now: Item) -> Item:
+        """Return an item; one left for later has the stamps of its last result."""
         if not (now.aside or _left_for_later(self.study, now)):
             return now
         item = self.ledger.as_it_was(now, self.asked)
@@ -293,6 +340,8 @@ class _Planning:
         """Return True for a recording; of other files, remember that they are not recordings."""
         entry, named = self.ledger.known(item, self.asked), bool(self.study.where.include)
         request = self.study.request
+        if item.sensor is not None:
+            return True
         if entry is not None and not entry.failed and (entry.row is not None or not named):
             recording, why = entry.row is not None, entry.why
         else:
@@ -306,6 +355,9 @@ class _Planning:
     def place(self, item: Item) -> None:
         """Put a recording of the shard into the list where it belongs."""
         if not self.study.shard.owns(item.name):
+            return
+        if (fault := self.plan.unlisted.get(item.name)) is not None:
+            self.plan.done.append((item, fault))
             return
         study, entry = self.study, self._valid_entry(item) or self._older(item)
         begin = not study.collect and item.name not in self.plan.late

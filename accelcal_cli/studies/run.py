@@ -59,6 +59,7 @@ from accelcal_cli.studies.rounds import (
     plan,
     workers_of,
 )
+from accelcal_cli.studies.sensors import SensorsTask, listed
 from accelcal_cli.studies.study import REPLACING, Study
 from accelcal_cli.studies.summary import Summary
 from accelcal_cli.studies.task import BUG, NO_MEMORY, CalibrationTask, Task, TaskResult, calibrated
@@ -75,8 +76,8 @@ TABLE_S, TABLE_TIMES = 5.0, 20.0
 """Shortest time between updates of the table while a study runs, [s] and as a multiple of an update's."""
 
 
-class StudyObserver(Protocol):
-    """Receives what happens while a study runs."""
+class WorkObserver(Protocol):
+    """Receives how far the work is."""
 
     def begin(self, items: Sequence[Item]) -> None:
         """Called before these recordings are worked on."""
@@ -84,11 +85,16 @@ class StudyObserver(Protocol):
     def advance(self, bytes_done: float) -> None:
         """Called with the number of further bytes that are done."""
 
+    @property
+    def note(self) -> Callable[[str], None]:
+        """Called with a line for the user."""
+
+
+class StudyObserver(WorkObserver, Protocol):
+    """Receives what happens while a study runs."""
+
     def finished(self, item: Item, result: TaskResult) -> None:
         """Called with a recording's last result: it is done, was done before, or failed."""
-
-    def note(self, text: str) -> None:
-        """Called with a line for the user."""
 
     def stopped(self, done: int) -> None:
         """Called if the run ends early, with the number of recordings that have their result."""
@@ -121,8 +127,9 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         lock.locked(study.lock, lambda: _other_locks(study), patience) as lease,
         closing(ledger_of(study)) as ledger,
     ):
-        planned = plan(study, ledger)
-        refuse_foreign(study.out, base, planned.sources(), force=study.request.force)
+        planned = plan(study, ledger, functools.partial(_sensors, study, observer, lease, ledger))
+        sources = [item.source for item in planned.items()]
+        refuse_foreign(study.out, base, sources, force=study.request.force)
         if study.collect and planned.waiting and not planned.done:
             text = f"no results of {counted(len(planned.waiting), 'recording')} were found for these options"
             raise UsageError(text, hint="run the parts first, or give --collect the options used for them")
@@ -144,15 +151,29 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         summary.write(result, study.out, base)
         lease.confirm()
         ledger.tidy(
-            [*study_run.entries(), *planned.left_out, *planned.kept, *_waiting(study, planned, ledger)]
+            [
+                *(*study_run.entries(), *planned.sensors, *planned.left_out, *planned.kept),
+                *_waiting(study, planned, ledger),
+            ]
         )
         if study.shard.whole and not (planned.waiting or study.where.include):
             remove_pools(study.out, keep=study_run.known.pools)
     return result
 
 
+def _sensors(
+    study: Study, observer: StudyObserver, lease: Lease, ledger: Ledger, tasks: Sequence[SensorsTask]
+) -> Iterator[tuple[Item, TaskResult]]:
+    """Have the sensors of files listed, and keep them."""
+    for item, result in results(study, listed, tasks, observer, lease.check):
+        if not result.entry.failed:
+            lease.confirm()
+            ledger.add(result.entry)
+        yield item, result
+
+
 def _orphans(study: Study, planned: Plan, rows: Sequence[Mapping[str, Any]]) -> list[Orphan]:
-    return orphans(study.where, planned.reports, rows) if study.shard.whole else []
+    return orphans(study.where, planned.reports, rows, planned.whole) if study.shard.whole else []
 
 
 def _told_of_orphans(study: Study, planned: Plan, result: Summary, observer: StudyObserver) -> Summary:
@@ -167,7 +188,7 @@ def _told_of_orphans(study: Study, planned: Plan, result: Summary, observer: Stu
 
 
 def _refuse_pruning(study: Study, planned: Plan, left: Sequence[Orphan]) -> None:
-    stay = {*planned.sources(), *(entry.name for entry in planned.kept)}
+    stay = {*(item.name for item in planned.items()), *(entry.name for entry in planned.kept)}
     refuse_too_many(left, len(stay), force=study.request.force)
 
 
@@ -296,7 +317,7 @@ class StudyRun:
         self.lease.confirm()
         for item in planned.todo:
             if item.job != (alone := as_if_alone(item)):
-                withdraw(alone)
+                withdraw(alone, item.sensor)
         self._calibrate(planned.todo)
         for name, first in copies_of(self.known.recordings).items():
             self._observer.note(printable(f"{name}: {copied(first)}"))
@@ -314,8 +335,8 @@ class StudyRun:
 
     def _was_reported(self, item: Item, entry: Entry) -> bool:
         """Return True if an earlier run reported the same; a refusal by place or name may be new."""
-        known = self._ledger.known(item, entry.asked)
-        return item.refusal is None or (known is not None and known.row == entry.row)
+        known, refused = self._ledger.known(item, entry.asked), item.name in self.planned.unlisted
+        return not (refused or item.refusal) or (known is not None and known.row == entry.row)
 
     def entries(self) -> list[Entry]:
         """Return the entries of all results."""
@@ -413,7 +434,7 @@ def results(
     study: Study,
     work: TaskFunction,
     tasks: Sequence[Any],
-    observer: StudyObserver,
+    observer: WorkObserver,
     check: Callable[[], None],
 ) -> Iterator[tuple[Item, TaskResult]]:
     """Have tasks done, the largest first, so that the last to end is a small one.
@@ -501,6 +522,19 @@ def tidy(task: Task, lost: str | None = None) -> None:
                 sweep_of(path, lost)
 
 
+class _Noting:
+    """Passes lines for the user on, and nothing else."""
+
+    def __init__(self, note: Callable[[str], None]) -> None:
+        self.note = note
+
+    def begin(self, items: Sequence[Item]) -> None:
+        """See `WorkObserver`."""
+
+    def advance(self, bytes_done: float) -> None:
+        """See `WorkObserver`."""
+
+
 def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str], Left, dict[str, str]]:
     """Return what a run would do with each recording: `todo`, `waiting`, or the outcome that it has.
 
@@ -519,7 +553,7 @@ def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str],
     if not is_folder(existing):
         raise OutputError("cannot be made: a file is in its place", path=existing)
     ledger = ledger_of(study)
-    planned = plan(study, ledger)
+    planned = plan(study, ledger, lambda tasks: results(study, listed, tasks, _Noting(note), lambda: None))
     for text in planned.notes:
         note(printable(text))
     known = StudyState({item.name: RecordingState(item, entry, entry) for item, entry in planned.done})

@@ -26,6 +26,7 @@ from accelcal_cli.output.advice import MILD, cautions, page_verdict
 from accelcal_cli.output.decisions import Merged
 from accelcal_cli.output.files import json_text, replacing, write_text
 from accelcal_cli.output.report_kinds import failure_code
+from accelcal_cli.output.report_reading import sensor_of
 from accelcal_cli.output.report_view import (
     ERROR_COLUMNS,
     FACTOR_COLUMNS,
@@ -46,7 +47,7 @@ DEVICE = ("model", "serial", "firmware")
 AXES = ("x", "y", "z")
 TEXT = (
     "path", "outcome", "reason", "cautions", "message", "model", "format", "device_model", "device_serial",
-    "device_firmware", "start_time", "time_zone", "sha256", "accelcal_version", "parquet", "report",
+    "device_firmware", "start_time", "time_zone", "sensor", "sha256", "accelcal_version", "parquet", "report",
     "borrowed_from", "pool", "own_outcome", "own_message", "change", "change_at", "misfits", "gyroscope",
     "prior", "copy_of", "use", "why", "decided_by", "decided_at", "note", "result",
 )  # fmt: skip
@@ -94,22 +95,30 @@ REST = (
     *(f"offset_{axis}_g" for axis in AXES),
     *(f"slope_{axis}_g_per_c" for axis in AXES), "reference_c",
     *(f"se_{name}" for name in PARAMETERS),
-    "lost_percent", "bytes", "sha256", "accelcal_version", "parquet", "report", "result",
+    "lost_percent", "bytes", "sha256", "sensor", "accelcal_version", "parquet", "report", "result",
 )  # fmt: skip
 COLUMNS = (*FIRST, *(name for name in REST if name not in FIRST))
 """Columns in the order of the table. Errors are held out; columns neither TEXT nor WHOLE are numbers."""
 
 
+Content = tuple[str | None, str | None]
+
+
+def content(row: Mapping[str, Any]) -> Content:
+    """Return the identity of a recording: the hash of its file, and the sensor that is read of it."""
+    return row.get("sha256"), row.get("sensor")
+
+
 def copies(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
-    """Return the names of copies, each with the first name of the same bytes, said to be of the same device.
+    """Return the names of copies, each with the first name of the same content, said to be of one device.
 
     Args:
         rows: rows by name; those of files that could not be read have no hash.
     """
-    first: dict[tuple[str | None, str], str] = {}
+    first: dict[tuple[str | None, Content], str] = {}
     read = {name: rows[name] for name in sorted(rows) if rows[name].get("sha256")}
     firsts = {
-        name: first.setdefault((row["device_serial"], row["sha256"]), name) for name, row in read.items()
+        name: first.setdefault((row["device_serial"], content(row)), name) for name, row in read.items()
     }
     return {name: one for name, one in firsts.items() if name != one}
 
@@ -169,6 +178,7 @@ def of_report(
         "message": view.message,
         "accelcal_version": view.accelcal_version,
         "prior": view.settings.get("prior"),
+        "sensor": sensor_of(report),
     }
     figures = _recording(view) | _errors(view) | _coverage(view.coverage) | _calibration(view.calibration)
     judged = _change(view) | _misfits(view) | _gyroscope(view) | _effect(view)

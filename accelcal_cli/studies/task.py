@@ -63,6 +63,10 @@ class Task(Protocol):
         """The recording to work on."""
 
     @property
+    def common(self) -> Common:
+        """What the tasks of the study share."""
+
+    @property
     def sources(self) -> tuple[Path, ...]:
         """Paths of the recording, which the message of a failure leaves out."""
 
@@ -114,6 +118,11 @@ class TaskResult:
     trace: str | None = None
 
 
+def request_of(task: Task) -> Request:
+    """Return the request for a task's recording, which may be one of the sensors of its file."""
+    return task.common.request.for_sensor(task.item.sensor)
+
+
 AnyTask = TypeVar("AnyTask", bound="Task")
 Work = Callable[[AnyTask, ProgressCallback], TaskResult]
 
@@ -148,7 +157,7 @@ def _failed(task: Task, error: Exception) -> TaskResult:
 @guarded
 def calibrated(task: CalibrationTask, report_progress: ProgressCallback) -> TaskResult:
     """Calibrate one recording; coefficients that were applied to it by hand stay."""
-    request, source = task.common.request, task.item.source
+    request, source = request_of(task), task.item.source
     kept = None if request.force else applied_by_hand(task.job, source)
     result = kept or calibrate(task.job, request, StageProgress(report_progress).stage, source)
     line, outputs = row_of(task.item, task.common, result), outputs_of(task.item, task.common, result)

@@ -15,7 +15,7 @@ import pytest
 from pyarrow import feather
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
-from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.formats import EACH, ReadOptions
 from accelcal_cli.formats import open_recording
 from accelcal_cli.formats._tables import reader as divided_reader
 from accelcal_cli.formats.csv import detect as csv_detect
@@ -344,3 +344,97 @@ def test_latin_letters_quotes_and_blanks_are_values_too(tmp_path: Path) -> None:
     path.write_bytes(csv_bytes(table, ";").decode().replace("Müller, A", '"Müller, A"').encode("latin-1"))
     assert "--sensor 'Müller, A'" in refusal(path)
     assert len(read(path, sensor="Müller, A")[1]) == ROWS
+
+
+def listed(path: Path, within: str | None = None, **options: Any) -> tuple[str, ...]:
+    """What `each` lists, of all rows or within those of a sensor: nothing if they are of one."""
+    try:
+        read(path, sensor=EACH if within is None else f"{within},{EACH}", **options)
+    except UnreadableError as error:
+        return error.sensors
+    return ()
+
+
+@pytest.mark.parametrize("kind", SEVERAL)
+@pytest.mark.parametrize("name", TEXTS)
+def test_t1_each_lists_the_sensors_of_a_table(tmp_path: Path, name: str, kind: str) -> None:
+    table = SEVERAL[kind]
+    path = TEXTS[name](tmp_path / name, table)
+    rate = {} if "time" in table else {"rate_hz": 25.0}
+    column = next(key for key in table if key not in ("time", *"xyz"))
+    values = sorted(set(table[column].tolist()))
+    assert sorted(listed(path, **rate)) == [f"{column}={value}" for value in values]
+    for value in values:
+        named = read(path, **rate, sensor=f"{column}={value}")
+        assert np.array_equal(named[1], read(path, **rate, sensor=value)[1])
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_t1_each_finds_a_sensor_that_comes_late_whatever_other_columns_hold(
+    tmp_path: Path, name: str
+) -> None:
+    """Behind the blocks that are looked at first; a count of rows and a label have its value as well."""
+    rows = 30_000
+    table = stacked(*(stream(value, rows, name="subject") for value in (1, 2)))
+    table = with_column(table, "packet", np.arange(2 * rows))
+    table = with_column(table, "trial", np.arange(2 * rows) // 500 % 4)
+    path = NUMBERS[name](tmp_path / name, table)
+    assert listed(path) == ("subject=1", "subject=2")
+    _, counts, _ = read(path, sensor="subject=2")
+    expected = np.stack([table[axis][rows:] for axis in "xyz"], axis=1)
+    assert counts.shape == expected.shape and np.allclose(counts, expected, atol=2e-5)
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_t1_each_of_several_people_with_several_sensors(tmp_path: Path, name: str) -> None:
+    both = by_time(LEFT_RIGHT)
+    table = stacked(*({**both, "person": np.full(2 * ROWS, person)} for person in ("P1", "P2")))
+    only = stacked(table, {**stream("left"), "person": np.full(ROWS, "P3")})
+    path = TEXTS[name](tmp_path / name, only)
+    (column,) = {one.partition("=")[0] for one in listed(path)}
+    found = {one: listed(path, within=one) for one in listed(path)}
+    if column == "person":
+        both = ("sensor=left", "sensor=right")
+        people = {f"person={one}": tuple(f"person={one},{side}" for side in both) for one in ("P1", "P2")}
+        assert found == {**people, "person=P3": ()}
+    else:
+        assert set(found) == {"sensor=left", "sensor=right"}
+        assert found["sensor=right"] == ("sensor=right,person=P1", "sensor=right,person=P2")
+        assert found["sensor=left"][2:] == ("sensor=left,person=P3",)
+    for one in (one for sensor, more in found.items() for one in more or (sensor,)):
+        assert len(read(path, sensor=one)[1]) == ROWS
+
+
+@pytest.mark.parametrize("name", TEXTS)
+@pytest.mark.parametrize("value", ["all", "each", "a, b", "x=1", "sensor=a", "ü m/s", "50%", "-", "'q'"])
+def test_t1_a_value_of_any_characters_is_chosen_by_its_column(tmp_path: Path, name: str, value: str) -> None:
+    if "," in value and TEXTS[name] in (as_csv, as_gzip, as_semicolons):
+        pytest.skip("there a comma ends a cell or is a decimal mark")
+    path = TEXTS[name](tmp_path / name, by_time(stacked(stream(value), stream("other"))))
+    assert set(listed(path)) == {f"sensor={value}", "sensor=other"}
+    assert len(read(path, sensor=f"sensor={value}")[1]) == ROWS
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_t1_each_leaves_a_table_of_one_sensor_alone(tmp_path: Path, name: str) -> None:
+    labels = with_column(without(stream("A"), "sensor"), "activity", np.repeat(["walk", "sit", "lie"], 500))
+    for number, table in enumerate((stream("A"), without(stream("A"), "sensor"), labels)):
+        path = TEXTS[name](tmp_path / f"{number}{name}", table)
+        assert listed(path) == ()
+        assert len(read(path, sensor=EACH)[1]) == ROWS
+
+
+def test_t1_rows_without_a_value_are_of_nobody(tmp_path: Path) -> None:
+    table = by_time(LEFT_RIGHT)
+    table["sensor"] = np.where(np.arange(2 * ROWS) % 100 < 2, "", table["sensor"])
+    path = as_csv(tmp_path / "a.csv", table)
+    assert listed(path) == ("sensor=left", "sensor=right")
+
+
+def test_t1_a_sensor_of_a_device_is_a_device_of_its_own(tmp_path: Path) -> None:
+    """Sensors that share the serial of their file are not pooled, and do not borrow from each other."""
+    path = as_hdf5(tmp_path / "a.h5", by_time(LEFT_RIGHT))
+    with h5py.File(path, "a") as file:
+        file.attrs["serial"] = "X7"
+    assert read(path, sensor="left")[0].device.serial == "X7 (sensor left)"
+    assert read(path, sensor="all")[0].device.serial == "X7"

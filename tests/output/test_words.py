@@ -220,6 +220,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "no_format": [{}],
     "recording_gone": [{"source": "a.cwa"}],
     "recording_renamed": [{"source": "a.cwa", "now": "b.cwa"}],
+    "sensor_gone": [{"source": "table.csv", "sensor": "sensor=A"}],
     "left_out_of_pool": [{"why": {"code": "worse_than_usual", "values": HERE | {"usual_mg": 1.0}}}],
     "misfit": [
         {"kind": kind, "size": [1.0, -2.5, 0.25], "unit": "%", "largest_mg": 12.5}

@@ -5,6 +5,7 @@ The column is one of texts or whole numbers, as long as the acceleration and not
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
@@ -17,13 +18,13 @@ from accelcal_cli.core.vocabulary import TABLES
 from accelcal_cli.formats._tables.sensors import (
     EVERY_ROW,
     CellTexts,
-    Division,
     Meaning,
+    Watch,
+    counted_texts,
     matched,
     meaning_of,
     no_such_sensor,
     note_of,
-    refuse_several,
 )
 from accelcal_cli.formats._tables.table import (
     BLOCK_ROWS,
@@ -100,23 +101,27 @@ class Divided:
 
 
 class SensorWatch:
-    """Refuses a table whose rows turn out to be of several sensors; takes rows in their order."""
+    """The watch over a table whose rows may turn out to be of several sensors: see `Watch`."""
 
     def __init__(self, table: SensorTable, divided: Divided) -> None:
-        self._path, self._divided = table.path, divided
+        self._table, self._divided = table, divided
         self._rows = [DividingRows(table, track) for track in divided.tracks]
-        self._divisions = [Division(track.name, divided.since_1970) for track in divided.tracks]
+        names = [track.name for track in divided.tracks]
+        self._watch = Watch(names, divided.since_1970, (table.path, divided.wanted), self._values)
+
+    def _values(self, number: int) -> Counter[str]:
+        """Return the values of a track, with how many rows have each."""
+        track = self._divided.tracks[number]
+        return counted_texts(blocks["it"] for blocks in _blocks(self._table, {"it": track}))
 
     def see(self, start: int, stop: int, times: NDArray[np.int64] | None) -> None:
         """Take rows start..stop-1 and their times; raise UnreadableError if they are of several sensors."""
-        for rows, division in zip(self._rows, self._divisions, strict=True):
-            division.add(rows.read(start, stop), times)
-        refuse_several(self._divisions, self._path, self._divided.wanted)
+        self._watch.see([rows.read(start, stop) for rows in self._rows], times)
 
     def worth_watching(self) -> Divided:
         """Return the tracks of which more rows may show several sensors."""
-        pairs = zip(self._divided.tracks, self._divisions, strict=True)
-        return replace(self._divided, tracks=tuple(t for t, one in pairs if one.is_worth_watching()))
+        tracks = tuple(self._divided.tracks[number] for number in self._watch.worth_watching())
+        return replace(self._divided, tracks=tracks)
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,6 +42,7 @@ from accelcal_cli.formats._tables.divided import (
     chosen_rows,
     dividing_tracks,
 )
+from accelcal_cli.formats._tables.sensors import device_of
 from accelcal_cli.formats._tables.table import (
     BLOCK_ROWS,
     REFUSE_ABOVE_BYTES,
@@ -136,11 +137,11 @@ def source_of(
         UsageError: an option names nothing.
     """
     group = _group_of(table, tracks, options)
-    if options.sensor is not None and not _is_group(options.sensor, tracks):
+    if (sensor := options.one_sensor) is not None and not _is_group(sensor, tracks):
         dividing = dividing_tracks(table, tracks, group[0], group)
         if not dividing:
-            find_accel(tracks, table, options.sensor)
-        elif (chosen := chosen_rows(table, dividing, options.sensor)) is not None:
+            find_accel(tracks, table, sensor)
+        elif (chosen := chosen_rows(table, dividing, sensor)) is not None:
             long = tuple(track for track in tracks if track.rows == group[0].rows)
             table = SensorRowsTable(table, chosen)
             tracks = table.shortened(long)
@@ -152,7 +153,7 @@ def _group_of(table: SensorTable, tracks: tuple[Track, ...], options: ReadOption
     """Return the tracks of the acceleration."""
     if options.columns is not None:
         return chosen_axes(tracks, options.columns, table)
-    sensor = options.sensor
+    sensor = options.one_sensor
     return find_accel(tracks, table, sensor if sensor is not None and _is_group(sensor, tracks) else None)
 
 
@@ -177,7 +178,11 @@ def plan_of(source: TableSource, format_name: str) -> ReadingPlan:
     about = () if chosen is None else (chosen.note,)
     recording = _recording(source, format_name, _begun(source, timeline, rate), rate, accel, channels)
     plan = ReadingPlan(
-        recording=replace(recording, notes=about + timeline.notes + scale_notes + notes + recording.notes),
+        recording=replace(
+            recording,
+            device=device_of(recording.device, None if chosen is None else chosen.note),
+            notes=about + timeline.notes + scale_notes + notes + recording.notes,
+        ),
         rows=source.accel.rows,
         accel=accel,
         stamps=timeline.stamps,
@@ -193,7 +198,7 @@ def _divided(source: TableSource, plan: ReadingPlan) -> Divided:
     """Return the tracks that separate several sensors, but not in the first rows; raise UnreadableError if
     these do."""
     wanted, stamps = source.options.sensor, plan.stamps
-    if wanted is not None and plan.chosen is None:
+    if source.options.one_sensor is not None and plan.chosen is None:
         return Divided()
     tracks = dividing_tracks(source.table, source.tracks, source.accel, plan.tracks)
     divided = Divided(tracks, stamps is not None and plan.recording.start_us is not None, wanted)
@@ -410,6 +415,7 @@ class TableReader(Reader):
 
     def __init__(self, plan: ReadingPlan) -> None:
         self.recording = plan.recording
+        self.may_hold_several = bool(plan.divided.tracks)
         self._plan = plan
 
     def table(self) -> AbstractContextManager[SensorTable]:

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import NamedTuple
@@ -22,6 +23,8 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
+from accelcal_cli.core.formats import EACH
+from accelcal_cli.core.recording import Device
 from accelcal_cli.core.vocabulary import LABELS, MEASURES, NEUTRAL, OWNERS, PLACES
 from accelcal_cli.formats._stamps import LOST
 
@@ -45,6 +48,9 @@ NEAR, NEARER = 0.5, 0.2
 
 SHOWN = 12
 """Number of values that a message names."""
+
+ONLY = "only rows of "
+"""Beginning of the note on which rows are read."""
 
 WHOLE = re.compile(r"[+-]?\d+(\.0*)?")
 
@@ -252,16 +258,18 @@ class Division:
         several = len(self._streams) > MOST_VALUES or LONGEST_TURN_ROWS * self._changes > self._rows
         return self.meaning is not Meaning.MEASURED and not several
 
-    def fault(self, path: Path, chosen: str | None) -> UnreadableError:
+    def fault(self, path: Path, chosen: str | None, sensors: Sequence[str] = ()) -> UnreadableError:
         """Return the error that asks for one of the sensors; `chosen` is what was given before."""
         texts = self.texts
-        given = "" if chosen is None else f"{chosen},"
+        given = "" if chosen is None else f"{chosen},".removesuffix(f"{EACH},")
         options = [f"--sensor {shlex.quote(printable(given + text))}" for text in texts[:2]]
         return UnreadableError(
             f"holds several sensors or people: column {printable(self.name)!r} has {_shown(texts)} "
             "and perhaps more",
             path=path,
-            hint=f"choose one: {' or '.join(options)} (--sensor {EVERY_ROW} if all are of one sensor)",
+            hint=f"choose one: {' or '.join(options)} (--sensor {EVERY_ROW} if all are of one sensor, "
+            f"--sensor {EACH} in a study for a recording of each)",
+            sensors=sensors,
         )
 
 
@@ -271,10 +279,56 @@ def most_telling(divisions: Iterable[Division]) -> Division | None:
     return max(several, key=lambda one: (one.meaning, -len(one.texts)), default=None)
 
 
-def refuse_several(divisions: Iterable[Division], path: Path, chosen: str | None) -> None:
-    """Raise UnreadableError if a column shows several sensors."""
-    if (found := most_telling(divisions)) is not None:
-        raise found.fault(path, chosen)
+class Watch:
+    """Refuses a table whose rows turn out to be of several sensors; takes rows in their order.
+
+    Args:
+        names: of the columns that may tell whose each row is, each once.
+        since_1970: see `Division`.
+        place: the table, and what --sensor has chosen of it.
+        all_values: returns the values of the rows that are read, with how many have each, of a column by its
+            number; the error then has all sensors, where these are to be listed.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        since_1970: bool,
+        place: tuple[Path, str | None],
+        all_values: Callable[[int], Counter[str]],
+    ) -> None:
+        self.divisions = [Division(name, since_1970) for name in names]
+        self._path, self._wanted = place
+        self._all_values = all_values
+
+    def see(self, values: Sequence[CellTexts], times: NDArray[np.int64] | None) -> None:
+        """Take the columns of the next rows; raise UnreadableError if they show several sensors."""
+        for division, cells in zip(self.divisions, values, strict=True):
+            division.add(cells, times)
+        if (found := most_telling(self.divisions)) is not None:
+            raise found.fault(self._path, self._wanted, self._sensors(found))
+
+    def _sensors(self, found: Division) -> list[str]:
+        """Return values of --sensor that choose each sensor, if these are to be listed."""
+        if self._wanted != EACH and not (self._wanted or "").endswith(f",{EACH}"):
+            return []
+        assert self._wanted is not None
+        rows = self._all_values(self.divisions.index(found))
+        before = self._wanted.removesuffix(EACH)
+        return [f"{before}{found.name}={text}" for text, number in rows.items() if number >= LEAST_ROWS]
+
+    def worth_watching(self) -> list[int]:
+        """Return the numbers of the columns of which more rows may show several sensors."""
+        return [number for number, one in enumerate(self.divisions) if one.is_worth_watching()]
+
+
+def counted_texts(parts: Iterable[CellTexts]) -> Counter[str]:
+    """Return how many rows have each value of a column."""
+    rows: Counter[str] = Counter()
+    for texts, codes in parts:
+        for code, number in enumerate(np.bincount(codes[codes >= 0], minlength=len(texts)).tolist()):
+            rows[texts[code]] += number
+    return rows
 
 
 def is_same(text: str, wanted: str) -> bool:
@@ -288,21 +342,25 @@ def matched(wanted: str, columns: Mapping[str, Sequence[str]]) -> dict[str, set[
     """Return which texts of which columns a value of --sensor chooses; None if it is not among them.
 
     Args:
-        wanted: a value, or several of different columns with commas between them.
+        wanted: a value, or `COLUMN=VALUE`, or several of different columns with commas between them.
         columns: the texts of each column.
     """
+    named = any(wanted.startswith(f"{name}=") for name in columns)
     for parts in ([wanted], wanted.split(",")):
-        found = [_column_with(part.strip(), columns) for part in parts]
+        found = [_column_with(part if named else part.strip(), columns, named=named) for part in parts]
         if all(found) and len({one[0] for one in found if one}) == len(parts):
             return dict(one for one in found if one)
     return None
 
 
-def _column_with(wanted: str, columns: Mapping[str, Sequence[str]]) -> tuple[str, set[str]] | None:
+def _column_with(
+    wanted: str, columns: Mapping[str, Sequence[str]], *, named: bool
+) -> tuple[str, set[str]] | None:
     having = {
         name: texts
         for name, all_texts in columns.items()
-        if (texts := {text for text in all_texts if is_same(text, wanted)})
+        if not named or wanted.startswith(f"{name}=")
+        if (texts := {one for one in all_texts if is_same(one, wanted[len(name) + 1 :] if named else wanted)})
     }
     best = max(having, key=meaning_of, default=None)
     return None if best is None else (best, having[best])
@@ -310,9 +368,14 @@ def _column_with(wanted: str, columns: Mapping[str, Sequence[str]]) -> tuple[str
 
 def note_of(chosen: Mapping[str, Iterable[str]]) -> str:
     """Return the note on which rows are read, by the texts that are wanted of each column."""
-    return "only rows of " + ", ".join(
-        f"{name} {' or '.join(sorted(texts))}" for name, texts in chosen.items()
-    )
+    return ONLY + ", ".join(f"{name} {' or '.join(sorted(texts))}" for name, texts in chosen.items())
+
+
+def device_of(device: Device, note: str | None) -> Device:
+    """Return the device of the rows that a note tells of: each sensor of a device is one of its own."""
+    if note is None or device.serial is None:
+        return device
+    return replace(device, serial=printable(f"{device.serial} ({note.removeprefix(ONLY)})"))
 
 
 def no_such_sensor(wanted: str, columns: Mapping[str, Sequence[str]], path: Path) -> UsageError:

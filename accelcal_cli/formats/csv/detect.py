@@ -189,7 +189,7 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     gyro, gyro_notes = find_gyroscope(dialect, roles, export, options, path)
     all_roles = roles if gyro is None else replace(roles, gyro=gyro.xyz)
     dividing = dividing_columns(dialect, all_roles)
-    sensor = rows_of_sensor(options.sensor, dialect, dividing, path)
+    sensor = rows_of_sensor(options.one_sensor, dialect, dividing, path)
     if sensor is not None:
         block, dialect = RepeatedHeads(above).without(sensor.block), sensor.sample_of(dialect)
     parser = _table_parser(block, dialect, roles, export, options, path)
@@ -202,7 +202,7 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     if table.time_us is not None:
         table = replace(table, time_us=RunningOn(wraps).running_on(table.time_us))
     watch = None
-    if dividing and (options.sensor is None or sensor is not None):
+    if dividing and (options.one_sensor is None or sensor is not None):
         watch = SensorWatch(parser, dividing, options.sensor)
         watch.see(watch.all_of(block, table), table.time_us)
     if table.rates is not None and (fault := why_not_read(table.values, table.rates)):

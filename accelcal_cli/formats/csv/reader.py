@@ -35,6 +35,7 @@ from accelcal_cli.core.recording import (
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
 from accelcal_cli.formats._rows import RepeatedSamples
 from accelcal_cli.formats._stamps import GAP_PERIODS, IMPOSSIBLE, Pace, SharedStamps
+from accelcal_cli.formats._tables.sensors import device_of
 from accelcal_cli.formats._wraps import WRAPPED, RunningOn, Wraps, text_of
 from accelcal_cli.formats.csv.detect import HEAD_BYTES, Detected, detect, last_timestamp
 from accelcal_cli.formats.csv.dialect import Dialect
@@ -244,6 +245,7 @@ class CsvReader(Reader):
     def __init__(self, path: Path, detected: Detected) -> None:
         self._path = path
         self._detected = detected
+        self.may_hold_several = detected.watch is not None and detected.watch.again() is not None
         self.recording = _recording(path, detected, self._first_time(), last_timestamp(detected.parser))
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
@@ -318,7 +320,7 @@ class CsvIntake(Intake):
 
 
 def _recording(path: Path, detected: Detected, first_us: int | None, last_us: int | None) -> Recording:
-    export, written = detected.export, detected.parser.time
+    export, written, watch = detected.export, detected.parser.time, detected.watch
     length = None if first_us is None or last_us is None else _length_s(path, detected, last_us - first_us)
     return Recording(
         path=path,
@@ -326,7 +328,7 @@ def _recording(path: Path, detected: Detected, first_us: int | None, last_us: in
         rate_hz=detected.pace.rate_hz,
         lsb_per_g=detected.scale.lsb_per_g,
         total_bytes=path.stat().st_size,
-        device=export.device,
+        device=device_of(export.device, watch.note if detected.parser.sensor and watch else None),
         range_g=export.range_g,
         start_us=first_us,
         timezone=detected.timezone,

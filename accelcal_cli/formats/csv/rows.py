@@ -221,7 +221,10 @@ class TableParser:
 
     def _of_sensor(self, block: Block) -> NDArray[np.bool_]:
         """Return flags of the rows of a block that are of the sensor."""
-        columns = self.values(block, [column for column, _ in self.sensor])
+        return self.wanted_rows(self.values(block, [column for column, _ in self.sensor]))
+
+    def wanted_rows(self, columns: Sequence[CellTexts]) -> NDArray[np.bool_]:
+        """Return flags of the rows of the sensor, from the columns that choose it."""
         flags = [
             np.isin(column.codes, [code for code, text in enumerate(column.texts) if text in texts])
             for column, (_, texts) in zip(columns, self.sensor, strict=True)

@@ -6,6 +6,7 @@ block of lines as a whole only where these show that a column changes: most neve
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,13 +19,13 @@ from accelcal_cli.formats._tables.sensors import (
     EVERY_ROW,
     WHOLE,
     CellTexts,
-    Division,
     Meaning,
+    Watch,
+    counted_texts,
     matched,
     meaning_of,
     no_such_sensor,
     note_of,
-    refuse_several,
 )
 from accelcal_cli.formats.csv.cells import MISSING, CellKind, decode
 from accelcal_cli.formats.csv.columns import Roles
@@ -119,14 +120,36 @@ def rows_of_sensor(
 
 def _pairs_of_blocks(dialect: Dialect, path: Path) -> Iterator[tuple[Block, bytes]]:
     """Yield each block of a file with the lines of the next one."""
-    with LineFile(path, dialect.bare_returns) as file:
-        before = None
-        for block in file.blocks(dialect.offset, dialect.skipped + 1, SEARCH_BYTES):
-            if before is not None:
-                yield before, block.data
-            before = block
+    before = None
+    for block in _blocks(dialect, path):
         if before is not None:
-            yield before, b""
+            yield before, block.data
+        before = block
+    if before is not None:
+        yield before, b""
+
+
+def _blocks(dialect: Dialect, path: Path) -> Iterator[Block]:
+    """Yield the blocks of a file."""
+    with LineFile(path, dialect.bare_returns) as file:
+        yield from file.blocks(dialect.offset, dialect.skipped + 1, SEARCH_BYTES)
+
+
+def _cells(parser: TableParser, block: Block, columns: Sequence[int]) -> tuple[CellTexts, ...]:
+    """Return columns of a block; only of its rows, where a line is not a row."""
+    try:
+        return parser.values(block, columns)
+    except pa.ArrowException:
+        lines, dialect = block.data.splitlines(keepends=True), parser.dialect
+        rows = [row for _, row in numbered_rows(lines, dialect.normaliser, 0) if len(row) == dialect.columns]
+        texts = [[row[column].strip() for row in rows] for column in columns]
+        return tuple(_coded(["" if one in MISSING else one for one in column]) for column in texts)
+
+
+def _coded(column: Sequence[str]) -> CellTexts:
+    """Return texts with the number of each among those that there are, -1 if it is empty."""
+    numbers = {text: number for number, text in enumerate(sorted({*column} - {""}))}
+    return CellTexts([*numbers], np.array([numbers.get(text, -1) for text in column], np.int32))
 
 
 def _texts(block: Block, dialect: Dialect, columns: Sequence[int], path: Path) -> tuple[CellTexts, ...]:
@@ -139,7 +162,7 @@ def _texts(block: Block, dialect: Dialect, columns: Sequence[int], path: Path) -
 
 
 class SensorWatch:
-    """Refuses a file whose rows turn out to be of several sensors.
+    """The watch over a file whose rows may turn out to be of several sensors: see `Watch`.
 
     Args:
         columns: that may tell whose each row is.
@@ -150,12 +173,23 @@ class SensorWatch:
         self._parser, self.columns, self._wanted = parser, columns, wanted
         since_1970 = parser.time is not None and parser.time.since_1970
         names = _names(parser.dialect, columns)
-        self._divisions = [Division(name, since_1970) for name in names]
+        self._watch = Watch(names, since_1970, (parser.path, wanted), self._values)
+
+    def _values(self, number: int) -> Counter[str]:
+        """Return the values of a column in the rows that are read, with how many have each."""
+        columns = (self.columns[number], *(column for column, _ in self._parser.sensor))
+        rows = counted_texts(
+            CellTexts(texts, codes[self._parser.wanted_rows(chosen)] if chosen else codes)
+            for block in _blocks(self._parser.dialect, self._parser.path)
+            for (texts, codes), *chosen in (_cells(self._parser, block, columns),)
+        )
+        for name in self._parser.dialect.names or ():  # which may stand again
+            rows.pop(name, None)
+        return rows
 
     def again(self) -> SensorWatch | None:
         """Return a watch from the beginning over the columns that are worth it; None if none is."""
-        pairs = zip(self.columns, self._divisions, strict=True)
-        columns = [column for column, division in pairs if division.is_worth_watching()]
+        columns = [self.columns[number] for number in self._watch.worth_watching()]
         return SensorWatch(self._parser, columns, self._wanted) if columns else None
 
     @property
@@ -186,9 +220,7 @@ class SensorWatch:
 
     def see(self, seen: tuple[CellTexts, ...], times: NDArray[np.int64] | None) -> None:
         """Take the columns of the next block; raise UnreadableError if they show several sensors."""
-        for division, values in zip(self._divisions, seen, strict=True):
-            division.add(values, times)
-        refuse_several(self._divisions, self._parser.path, self._wanted)
+        self._watch.see(seen, times)
 
     def _constant_cells(self, block: Block) -> dict[int, str]:
         """Return the cell of each column that is the same in all lines that are looked at."""

@@ -351,22 +351,18 @@ def _groups(header: Header, names: frozenset[str], units: Container[str]) -> dic
 
 
 def _signals_by_label(header: Header, options: ReadOptions, path: Path) -> Signals3:
-    groups = _groups(header, EDF.accelerometer, EDF.accelerations)
-    if options.sensor is not None:
-        wanted = " ".join(label_words(options.sensor))
-        groups = {name: group for name, group in groups.items() if name == wanted}
+    groups = every = _groups(header, EDF.accelerometer, EDF.accelerations)
+    sensor = options.one_sensor
+    if sensor is not None:
+        wanted = " ".join(label_words(sensor))
+        groups = {name: group for name, group in every.items() if name == wanted}
     if len(groups) == 1:
         return next(iter(groups.values()))
-    if groups or options.sensor is not None:
-        names = ", ".join(
-            name or "(no name)" for name in _groups(header, EDF.accelerometer, EDF.accelerations)
-        )
-        what = (
-            f"no sensor is called {options.sensor!r}" if options.sensor else "it has several accelerometers"
-        )
-        raise UsageError(
-            what, path=path, hint=f"give --sensor NAME ({names}), or --columns with three signals"
-        )
+    if groups or sensor is not None:
+        names = ", ".join(name or "(no name)" for name in every)
+        what = f"no sensor is called {sensor!r}" if sensor else "it has several accelerometers"
+        hint = f"give --sensor NAME ({names}), or --columns with three signals"
+        raise UsageError(what, path=path, hint=hint, sensors=() if sensor else [*every])
     raise UnreadableError(
         f"cannot tell which signals are x, y and z of an accelerometer: {_labels(header)}",
         path=path,

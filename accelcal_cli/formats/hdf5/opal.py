@@ -15,7 +15,7 @@ from typing import Any
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError, counted
-from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.formats import EACH, ReadOptions
 from accelcal_cli.core.recording import Device, Recording
 from accelcal_cli.core.vocabulary import PER_G, TABLES, normalized
 from accelcal_cli.formats._tables.channels import (
@@ -106,7 +106,7 @@ def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
         table = Hdf5Table(file, path)
         with table.explaining(), table.guard("description of the recording"):
             layout, sensors = _contents(file, path)
-            return Hdf5Reader(_plan(table, _choose(sensors, options.sensor, path), layout, options))
+            return Hdf5Reader(_plan(table, _choose(sensors, options.one_sensor, path), layout, options))
 
 
 def _contents(file: Any, path: Path) -> tuple[OpalLayout, list[OpalSensor]]:
@@ -156,9 +156,9 @@ def _choose(sensors: list[OpalSensor], wanted: str | None, path: Path) -> OpalSe
             "holds no sensor with an accelerometer", path=path, hint="record with the accelerometer enabled"
         )
     if wanted is None and len(sensors) > 1:
-        raise UnreadableError(
-            f"holds {len(sensors)} sensors: {listed}", path=path, hint="choose one with --sensor"
-        )
+        what = f"holds {len(sensors)} sensors: {listed}"
+        hint = f"choose one with --sensor, or each in a study with --sensor {EACH}"
+        raise UnreadableError(what, path=path, hint=hint, sensors=[item.serial for item in sensors])
     name = (wanted or sensors[0].serial).strip().lower()
     found = [item for item in sensors if name in (item.serial.lower(), item.label.lower())]
     if len(found) != 1:
