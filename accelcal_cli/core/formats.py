@@ -42,8 +42,8 @@ PRINTABLE = bytes([9, 10, 13, *range(32, 127)])
 
 RATE_AGREEMENT = 0.05
 
-EACH = "each"
-"""The value of --sensor by which a study makes a recording of each sensor of a file."""
+EACH, EVERY_ROW = "each", "all"
+"""Values of --sensor: a study makes a recording of each sensor of a file; all rows are of one sensor."""
 
 
 def is_text(head: bytes) -> bool:

@@ -22,6 +22,7 @@ from typing import Any
 from accelcal_cli.core.calibration import FIRST_NAMES
 from accelcal_cli.core.door import look
 from accelcal_cli.core.errors import UnreadableError, unread
+from accelcal_cli.core.formats import EVERY_ROW
 from accelcal_cli.output.files import looking_at, parsed
 from accelcal_cli.output.report_view import ReportRecording, record
 
@@ -213,7 +214,7 @@ def section(report: dict[str, Any], *names: str) -> dict[str, Any]:
 def sensor_of(report: dict[str, Any]) -> str | None:
     """Return the sensor of its file that a report is of; None if it is of all the file."""
     sensor = section(report, "settings", "input").get("sensor")
-    return sensor if isinstance(sensor, str) else None
+    return sensor if isinstance(sensor, str) and sensor != EVERY_ROW else None
 
 
 def file_place(report: dict[str, Any], name: str) -> str | None:

@@ -35,8 +35,11 @@ class Shard:
     number: int = 1
 
     def owns(self, name: str) -> bool:
-        """Return True if a recording of this name belongs to the shard; only the name decides."""
-        digest = hashlib.sha256(name.encode("utf-8", "surrogateescape")).digest()
+        """Return True if a recording of this name belongs to the shard; only the name decides.
+
+        The sensors of a file, which are called `FILE [SENSOR]`, belong to the same.
+        """
+        digest = hashlib.sha256(name.partition(" [")[0].encode("utf-8", "surrogateescape")).digest()
         return int.from_bytes(digest[:8], "big") % self.number == self.index - 1
 
     @property

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.formats import EVERY_ROW
 from accelcal_cli.core.vocabulary import TABLES
 from accelcal_cli.formats._tables.sensors import (
-    EVERY_ROW,
     CellTexts,
     Meaning,
     Watch,

@@ -23,13 +23,10 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
-from accelcal_cli.core.formats import EACH
+from accelcal_cli.core.formats import EACH, EVERY_ROW
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.vocabulary import LABELS, MEASURES, NEUTRAL, OWNERS, PLACES
 from accelcal_cli.formats._stamps import LOST
-
-EVERY_ROW = "all"
-"""The value of --sensor for a table whose rows are of one sensor, whatever its columns say."""
 
 LEAST_ROWS = 3
 """Rows of a value below which it is treated as damage."""

@@ -15,8 +15,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from accelcal_cli.core.formats import EVERY_ROW
 from accelcal_cli.formats._tables.sensors import (
-    EVERY_ROW,
     WHOLE,
     CellTexts,
     Meaning,
