@@ -470,10 +470,12 @@ def find_accel(tracks: tuple[Track, ...], table: SensorTable, sensor: str | None
         return found[0]
     if found:
         listed = ", ".join("+".join(item.path for item in group) for group in found)
+        groups = [group[0].parent.strip("/") for group in found]
         raise UnreadableError(
             f"several {table.word}s may hold the acceleration: {listed}",
             path=table.path,
             hint=f"choose one: {' or '.join(map(_choice, found[:2]))}",
+            sensors=groups if all(groups) and len({*groups}) == len(groups) else (),
         )
     if sensor is not None:
         raise UsageError(
