@@ -64,7 +64,7 @@ class Task(Protocol):
 
     @property
     def common(self) -> Common:
-        """What the tasks of the study share."""
+        """The settings of the study."""
 
     @property
     def sources(self) -> tuple[Path, ...]:

@@ -369,7 +369,7 @@ def note_of(chosen: Mapping[str, Iterable[str]]) -> str:
 
 
 def device_of(device: Device, note: str | None) -> Device:
-    """Return the device of the rows that a note tells of: each sensor of a device is one of its own."""
+    """Return the device of the rows that a note is about: each sensor of a device is one of its own."""
     if note is None or device.serial is None:
         return device
     return replace(device, serial=printable(f"{device.serial} ({note.removeprefix(ONLY)})"))
