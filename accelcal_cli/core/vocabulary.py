@@ -174,14 +174,12 @@ PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 DURATIONS: Mapping[str, Names] = {
     "s": {In.CSV | In.TABLES: ("s", "sec", "secs", "second", "seconds")},
     "ms": {
-        In.CSV | In.TABLES: ("ms", "msec", "millisecond", "milliseconds"),
-        In.CSV: ("millis", "millisec"),
+        In.CSV | In.TABLES: ("ms", "msec", "millisecond", "milliseconds", "millis", "millisec"),
     },
     "us": {
-        In.CSV | In.TABLES: ("us", "usec", "microsecond", "microseconds", "µs", "μs"),
-        In.CSV: ("micros",),
+        In.CSV | In.TABLES: ("us", "usec", "microsecond", "microseconds", "µs", "μs", "micros"),
     },
-    "ns": {In.CSV | In.TABLES: ("ns", "nsec", "nanosecond", "nanoseconds"), In.CSV: ("nanos",)},
+    "ns": {In.CSV | In.TABLES: ("ns", "nsec", "nanosecond", "nanoseconds", "nanos")},
 }
 """Names of units of time."""
 
@@ -230,6 +228,11 @@ TIMES: Names = {
     In.TABLES: ("times", "t", "epochtime"),
 }
 """Names of a column of times."""
+
+BARE_TIMES = frozenset({
+    *("t", "s", "ms", "us", "seconds", "millis", "micros", "milliseconds", "microseconds", "elapsed"),
+})  # fmt: skip
+"""Names of a column of times that consist of this word alone."""
 
 NOT_RAW = frozenset({"gravity", "linear", "lin", "free"})
 """Words of an acceleration that was computed from the measured one."""

@@ -22,10 +22,10 @@ from accelcal_cli.formats._tables.table import (
     Attributes,
     RowSource,
     SensorTable,
-    TextRows,
     Track,
     track_of_shape,
 )
+from accelcal_cli.formats._tables.texts import TextRows, WrittenRows
 
 Stream = PackedStream | PlainStream
 HIGHEST_RATIO = 1100
@@ -219,6 +219,8 @@ class ArrayTable(SensorTable):
     def rows(self, track: Track) -> RowSource:
         """Return the rows of an array."""
         rows = ArrayRows(self.arrays[track.path])
+        if track.written is not None:
+            return WrittenRows(rows, track.written)
         return TextRows(rows, self.numbers.setdefault(track.path, {})) if track.dtype == TEXT else rows
 
 

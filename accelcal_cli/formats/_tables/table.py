@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import AccelcalError, NoRecordingError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.thermometers import BARE, find_thermometer
-from accelcal_cli.core.vocabulary import AXES, TABLES, UNIT_AT_END, normalized
+from accelcal_cli.core.vocabulary import AXES, BARE_TIMES, CSV, TABLES, UNIT_AT_END, normalized
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog
 
 BLOCK_ROWS = 65_536
@@ -41,6 +41,12 @@ VALUE_NAMES = frozenset({"data", "values", "value", "samples", "xyz"})
 
 OTHER_SENSORS = ("gyr", "mag", "angular", "orient", "quat")
 """Beginnings of names that rule out acceleration."""
+
+MORE_TIMES = (CSV.times | BARE_TIMES) - TABLES.times
+"""Names of columns of times in text files, which mean times in tables that have no other name for them."""
+
+DURATION_WORDS = sorted(TABLES.durations, key=lambda word: (-len(word), word))
+"""Names of units of time, the longest first."""
 
 MOST_SHOWN = 20
 """Number of tracks, and of objects, that a message names."""
@@ -122,6 +128,7 @@ class Track:
 
     Attributes:
         clock: its numbers count from 1970 on a clock of an unknown zone.
+        written: how texts become its numbers; None for a track of numbers.
     """
 
     path: str
@@ -130,6 +137,7 @@ class Track:
     axis: int
     dtype: np.dtype[Any]
     clock: bool = False
+    written: WrittenNumbers | None = None
 
     @property
     def name(self) -> str:
@@ -140,6 +148,13 @@ class Track:
     def parent(self) -> str:
         """The group that holds it, `/` for the file itself."""
         return dirname(self.path)
+
+
+class WrittenNumbers(Protocol):
+    """How texts of a column become numbers; it can be hashed."""
+
+    def values(self, cells: Any) -> NDArray[Any]:
+        """Return texts, an array of Arrow (n,), as numbers (n,)."""
 
 
 Group = tuple[Track, ...]
@@ -190,40 +205,6 @@ class RowSource(Protocol):
 
     def chunk_offset(self, row: int) -> int | None:
         """Return the byte in the file of the part that holds a row; None if that is not known."""
-
-
-def text_codes(texts: Sequence[str], numbers: dict[str, int]) -> NDArray[np.int32]:
-    """Return the numbers of texts, given as they are met, and -1 at the end; -1 for empty ones as well."""
-    clean = [readable(text).strip("\0 ") for text in texts]
-    return np.array(
-        [*(numbers.setdefault(text, len(numbers)) if text else -1 for text in clean), -1], np.int32
-    )
-
-
-class TextRows:
-    """Rows of a track of texts, as numbers of the texts, -1 for empty ones.
-
-    Args:
-        source: gives the texts.
-        numbers: of the texts; it grows with them.
-    """
-
-    kept_bytes = 0
-
-    def __init__(self, source: RowSource, numbers: dict[str, int]) -> None:
-        self._source, self._numbers = source, numbers
-        self.path, self.row_bytes, self.chunk_offset = source.path, source.row_bytes, source.chunk_offset
-
-    def read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return rows start..stop-1 (n, 1), and flags of those that are not lost."""
-        values, good = self._source.read(start, stop)
-        column = values[:, 0]
-        if len(column) and (column == column[0]).all():
-            found, codes = column[:1], np.zeros(len(column), np.int64)
-        else:
-            found, codes = np.unique(column, return_inverse=True)
-        texts = [text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text) for text in found]
-        return text_codes(texts, self._numbers)[codes].reshape(-1, 1), good
 
 
 class SensorTable:
@@ -534,11 +515,16 @@ def find_time(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
     """Find the nearest tracks of times of the same length."""
     found = _nearest(_columns(tracks, accel, _is_time), accel)
     named = tuple(group for group in found if group[0].name != BARE)
-    return named or found
+    return named or found or _nearest(_columns(tracks, accel, _may_be_time), accel)
 
 
 def _is_time(name: str) -> bool:
     return split_time_name(name)[0] in TABLES.times
+
+
+def _may_be_time(name: str) -> bool:
+    """Return True for names that mean times in text files, and here where no other column does."""
+    return split_time_name(name)[0] in MORE_TIMES
 
 
 def split_unit(name: str) -> tuple[str, str | None]:
@@ -550,9 +536,14 @@ def split_unit(name: str) -> tuple[str, str | None]:
 def split_time_name(name: str) -> tuple[str, str | None]:
     """Return a name without its unit, and the unit: `timestamp_us` gives timestamp and us."""
     plain = normalized(name)
-    for unit in ("us", "ms", "ns", "s"):
-        if plain not in TABLES.times and plain.removesuffix(unit) in TABLES.times:
-            return plain.removesuffix(unit), unit
+    if plain in TABLES.times or plain in CSV.times:
+        return plain, None
+    if plain in BARE_TIMES:
+        return plain, TABLES.durations.get(plain)
+    for word in DURATION_WORDS:
+        stem = plain.removesuffix(word)
+        if stem != plain and (stem in TABLES.times or stem in MORE_TIMES):
+            return stem, TABLES.durations[word]
     return plain, None
 
 

@@ -34,6 +34,8 @@ from accelcal_cli.formats._stamps import (
 )
 from accelcal_cli.formats._tables.table import (
     BLOCK_ROWS,
+    TEXT,
+    Group,
     RowSelection,
     RowSource,
     SensorTable,
@@ -45,6 +47,7 @@ from accelcal_cli.formats._tables.table import (
     readable,
     split_time_name,
 )
+from accelcal_cli.formats._tables.texts import written_times
 from accelcal_cli.formats._wraps import WRAPPED, RunningOn, Wraps, find_wraps
 
 DAY_S = 86_400
@@ -69,6 +72,13 @@ RATE_NAMES = (
 START_NAMES = (
     *("start_time", "start", "start_timestamp", "start_datetime"),
     *("recording_start", "recording_start_time", "start_time_utc"),
+)
+MICROSECOND = "us"
+"""The unit of times that were written as texts."""
+
+GIVE_FORM = (
+    "give their form, as in --time-format '%d/%m/%Y %H:%M:%S.%f'; or ignore them with --time-column none and "
+    "give --rate HZ"
 )
 NO_COLUMN = "none"
 """The value of --time-column for no column."""
@@ -281,12 +291,12 @@ def find_timeline(source: TableSource) -> TableTimeline:
     track = _time_track(source)
     if track is not None:
         with source.table.guard(f"{source.table.word} of times {readable(track.path)}"):
-            return _stamped_timeline(source.table, track, rate, start, _asked_unit(source))
-    texts = () if options.time_column else find_time(source.table.text_tracks, source.accel)
+            unit = MICROSECOND if track.dtype == np.int64 and track.written else _asked_unit(source)
+            return _stamped_timeline(source.table, track, rate, start, unit)
+    texts = () if options.time_column else _near_texts(source)
     words = f"{source.table.word} {readable(texts[0][0].path)} holds texts, not times" if texts else ""
     if words and rate is None:
-        hint = "write it as timestamps, or ignore it with --time-column none and give --rate HZ"
-        raise UnreadableError(words, path=source.path, hint=hint)
+        raise UnreadableError(words, path=source.path, hint=GIVE_FORM)
     if start is not None:
         return TableTimeline(rate, *start)
     what = words or "the file does not tell when the recording began"
@@ -308,17 +318,31 @@ def _time_track(source: TableSource) -> Track | None:
             path=source.path,
             hint=f"choose one with --time-column PATH, or `--time-column {NO_COLUMN}`",
         )
-    return found[0][0] if found else None
+    if found:
+        return found[0][0]
+    texts = _near_texts(source)
+    return written_times(source.table, texts[0][0], source.options.time_format) if len(texts) == 1 else None
+
+
+def _near_texts(source: TableSource) -> tuple[Group, ...]:
+    """Return the columns of texts whose names are those of times."""
+    return find_time(source.table.text_tracks, source.accel)
 
 
 def _named_time_track(source: TableSource, name: str) -> Track:
-    track = named_track(source.tracks, name, source.table)
+    track = named_track((*source.tracks, *source.table.text_tracks), name, source.table)
     if track.width != 1 or track.rows != source.accel.rows:
         raise UsageError(
             f"{track.path} is not one column as long as the acceleration ({source.accel.rows} rows)",
             path=source.path,
         )
-    return track
+    if track.dtype != TEXT:
+        return track
+    written = written_times(source.table, track, source.options.time_format)
+    if written is None:
+        what = f"{source.table.word} {readable(track.path)} holds texts that are not times of one form"
+        raise UnreadableError(what, path=source.path, hint=GIVE_FORM)
+    return written
 
 
 def _asked_unit(source: TableSource) -> str | None:

@@ -26,8 +26,8 @@ from accelcal_cli.formats._tables.table import (
     Attributes,
     Track,
     readable,
-    text_codes,
 )
+from accelcal_cli.formats._tables.texts import text_codes
 
 ARROW_ERRORS = (pa.ArrowException, *READ_ERRORS)
 """Errors that pyarrow raises for damaged files."""
@@ -160,10 +160,12 @@ class Columns:
         numbers = self._numbers.get(track.path)
         return None if numbers is None else list(numbers)
 
-    def values_of(self, leaf: Leaf, batch: Any) -> NDArray[Any]:
-        """Return the values (n, width) of a leaf in a record batch, those of texts as their numbers."""
-        numbers = self._numbers.get(leaf.track.path)
-        array = _array_of(leaf, batch)
+    def values_of(self, track: Track, batch: Any) -> NDArray[Any]:
+        """Return the values (n, width) of a track in a record batch, those of texts as their numbers."""
+        numbers = self._numbers.get(track.path)
+        array = _array_of(self.leaves[track.path], batch)
+        if track.written is not None:
+            return track.written.values(array).reshape(-1, 1)
         return _values(array) if numbers is None else _codes(array, numbers)
 
 

@@ -339,7 +339,7 @@ class IpcTable(SensorTable):
                 batch = source.batch(number)
                 batch.validate(full=nested)  # pyarrow ends the process over lengths and places that cannot be
                 for start in range(0, len(batch), BLOCK_ROWS):
-                    yield self._columns.values_of(leaf, batch.slice(start, BLOCK_ROWS))
+                    yield self._columns.values_of(track, batch.slice(start, BLOCK_ROWS))
 
         def offset(number: int) -> int:
             return self._messages.batches[number].offset

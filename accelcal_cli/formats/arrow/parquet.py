@@ -180,7 +180,7 @@ class ParquetTable(SensorTable):
             large = any(self._metadata.row_group(group).total_byte_size > WHOLE_BYTES for group in groups)
             file = paged if large else whole
             for batch in file.iter_batches(BLOCK_ROWS, groups, names, use_threads=False):
-                yield self._columns.values_of(leaf, batch)
+                yield self._columns.values_of(track, batch)
 
         return PartRows(track, self._first_rows, batches, self._offset, self._pool)
 

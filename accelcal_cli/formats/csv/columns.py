@@ -21,7 +21,7 @@ from accelcal_cli.core.errors import NoRecordingError, UnreadableError, UsageErr
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.thermometers import BARE, HeatUnit, find_thermometer
-from accelcal_cli.core.vocabulary import ABOUT_PEOPLE, CSV, LABELS, MEASURES, NOT_RAW, OWNERS
+from accelcal_cli.core.vocabulary import ABOUT_PEOPLE, BARE_TIMES, CSV, LABELS, MEASURES, NOT_RAW, OWNERS
 from accelcal_cli.core.written_times import is_date, is_digits_of_day, stated_zone
 from accelcal_cli.formats._tables.channels import NOT_READ, CountScale, turn_scale
 from accelcal_cli.formats.csv.cells import (
@@ -36,9 +36,6 @@ from accelcal_cli.formats.csv.cells import (
 )
 from accelcal_cli.formats.csv.dialect import Dialect
 from accelcal_cli.formats.csv.vendors import ExportDescription
-
-BARE_TIME_NAMES = frozenset({"t", "s", "ms", "us", "seconds", "millis", "milliseconds", "elapsed"})
-"""Names of a column of times that consist of this word alone."""
 
 SHORT_GYRO_NAMES = frozenset({"g", "w"})
 """First letters of `gx` and `wx`, which are rotation rates if there is an `ax`."""
@@ -175,7 +172,7 @@ class Title:
     @property
     def is_time(self) -> bool:
         """True if it names a column of times."""
-        bare = len(self.words) == 1 and self.words[0] in BARE_TIME_NAMES
+        bare = len(self.words) == 1 and self.words[0] in BARE_TIMES
         return bare or bool(CSV.times & set(self.words))
 
     @property

@@ -21,10 +21,10 @@ from accelcal_cli.formats._tables.table import (
     Attributes,
     RowSource,
     SensorTable,
-    TextRows,
     Track,
     track_of_shape,
 )
+from accelcal_cli.formats._tables.texts import TextRows, WrittenRows
 from accelcal_cli.formats.hdf5.file import (
     H5PY_ERRORS,
     NodeAttributes,
@@ -109,6 +109,8 @@ class Hdf5Table(SensorTable):
         if track.dtype == TEXT:
             texts = TextDataset(self.file[track.path], track.path)
             return TextRows(texts, self._numbers.setdefault(track.path, {}))
+        if track.written is not None:
+            return WrittenRows(TextDataset(self.file[track.path], track.path), track.written)
         return TrackRows(self.file, track, self.path, self._pool, self._indexes)
 
     @contextmanager
