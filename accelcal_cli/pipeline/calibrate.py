@@ -47,6 +47,7 @@ from accelcal_cli.pipeline.activity import EPOCH_S, EffectMeter, drawn_of, versi
 from accelcal_cli.pipeline.facts import FactsObserver, Timeline, along_time, timeline_of
 from accelcal_cli.pipeline.gyroscope import Turning, gyroscope_of
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
+from accelcal_cli.pipeline.options import named_as_stated
 from accelcal_cli.pipeline.windows import WindowLog
 
 SURVEYED_AT_ONCE, CALIBRATED_AT_ONCE = 4, 2
@@ -246,11 +247,14 @@ def open_run(
     """
     path = source or job.source
     before = before or jobs.file_stamp(path)
-    request = request.for_recording(path)
+    said, request = request.choices_of(path), request.for_recording(path)
     session = isinstance(request.settings, PoseSettings)
-    with survey.open_marked(
-        path, request.options, request.threads, request.unused, session=session, joined=request.joined
-    ) as reader:
+    with (
+        named_as_stated(said),
+        survey.open_marked(
+            path, request.options, request.threads, request.unused, session=session, joined=request.joined
+        ) as reader,
+    ):
         if reader.recording.calibrated is not None:  # already calibrated: do not write a second copy
             request = replace(request, report_only=True)
         yield RecordingRun(job, request, progress, reader, path, before)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ from accelcal_cli.output.report_kinds import failure_code
 from accelcal_cli.output.words import explained
 from accelcal_cli.pipeline.facts import FactsObserver
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.pipeline.options import chosen_settings
+from accelcal_cli.pipeline.options import chosen_settings, named_as_stated
 from accelcal_cli.pipeline.procedures import fitting, make_method
 from accelcal_cli.pipeline.survey import Observer, open_marked, survey
 
@@ -137,8 +138,10 @@ def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
     Raises:
         AccelcalError: it cannot be read.
     """
-    request, settings = request.for_recording(path), request.recording_settings
-    with open_marked(path, request.options, unused=request.unused, joined=request.joined) as reader:
+    said, settings = request.choices_of(path), request.recording_settings
+    request = request.for_recording(path)
+    opened = partial(open_marked, path, request.options, unused=request.unused, joined=request.joined)
+    with named_as_stated(said), opened() as reader:
         recording = reader.recording
         full |= recording.total_bytes <= SMALL_BYTES
         method = make_method(recording, settings)

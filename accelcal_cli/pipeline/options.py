@@ -20,7 +20,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from datetime import date
 from fnmatch import fnmatchcase
@@ -31,7 +33,7 @@ from typing import Any, TypeVar, get_type_hints
 import numpy as np
 
 from accelcal_cli.core.door import has_file, is_same, is_there, look
-from accelcal_cli.core.errors import UsageError, did_you_mean, printable
+from accelcal_cli.core.errors import AccelcalError, UsageError, did_you_mean, printable
 from accelcal_cli.core.formats import COLUMNS, ReadOptions, option_name, three_names
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.input_files import read_toml
@@ -361,6 +363,23 @@ class StatedOption:
 
     def __str__(self) -> str:
         return f"{option_name(self.field)[2:]}={option_text(self.value)}"
+
+
+@contextmanager
+def named_as_stated(said: Mapping[str, StatedOption]) -> Iterator[None]:
+    """Let an error of the block name an option that a file states as it stands there, with the file.
+
+    `--timezone`, which nobody typed, becomes `timezone (study.toml)`.
+    """
+    try:
+        yield
+    except AccelcalError as error:
+        for one in said.values():
+            name = option_name(one.field)
+            shown, typed = f"{name[2:]} ({one.origin})", re.compile(rf"{re.escape(name)}(?![-\w])")
+            error.message = shown.join(typed.split(error.message))
+            error.hint = error.hint and shown.join(typed.split(error.hint))
+        raise
 
 
 def fits_pattern(below: str, patterns: Iterable[str]) -> bool:

@@ -242,7 +242,7 @@ def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
         left_out=len(planned.left_out),
         files_left_out=planned.reasons(study.shard.owns),
         kept=len({entry.name for entry in planned.kept}),
-        up_to_date=len(set(states) - study_run.worked),
+        up_to_date=sum(states[name].item.refusal is None for name in set(states) - study_run.worked),
         pools={name: pools[name].row or {} for name in sorted(pools)},
         before=said_last(study),
     )
