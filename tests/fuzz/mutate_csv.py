@@ -201,10 +201,73 @@ def activpal() -> Lines:
     return ["sep=;", "Time;Index;X;Y;Z", *body]
 
 
+def counted(form: str, unit_ms: float, bits: int) -> Lines:
+    """A counter that wraps."""
+    ticks = (round((k * 40 + 60_000) / unit_ms) % (1 << bits) for k in range(ROWS))
+    return [f"{form},x,y,z", *(f"{t},{text_of(row)}" for t, row in zip(ticks, values(), strict=True))]
+
+
+def wrapping_ms() -> Lines:
+    return counted("time_ms", 1, 16)
+
+
+def wrapping_us() -> Lines:
+    return counted("time_us", 0.001, 25)
+
+
+def staying_date() -> Lines:
+    body = (f"2024-03-04,{moment(k + 25 * 86_396, '%H:%M:%S.%f')}" for k in range(ROWS))
+    return ["date,time,x,y,z", *(f"{t},{text_of(row)}" for t, row in zip(body, values(), strict=True))]
+
+
+def half_days() -> Lines:
+    body = (moment(k + 25 * 43_196, "%Y-%m-%d,%I:%M:%S.%f") for k in range(ROWS))
+    return ["date,time,x,y,z", *(f"{t},{text_of(row)}" for t, row in zip(body, values(), strict=True))]
+
+
+def month_names() -> Lines:
+    form = "%d-%b-%Y %H:%M:%S.%f"
+    return ["time,x,y,z", *(f"{moment(k, form)},{text_of(row)}" for k, row in enumerate(values()))]
+
+
+def biobank() -> Lines:
+    form = "%Y-%m-%d %H:%M:%S.%f+0000 [Europe/London]"
+    return ["time,x,y,z", *(f"{moment(k, form)},{text_of(row)}" for k, row in enumerate(values()))]
+
+
+def basic() -> Lines:
+    form = "%Y%m%dT%H%M%S.%f"
+    return ["time,x,y,z", *(f"{moment(k, form)},{text_of(row)}" for k, row in enumerate(values()))]
+
+
+def two_sensors() -> Lines:
+    body = (f"{moment(k // 2)},{text_of(row)},{'LR'[k % 2]}" for k, row in enumerate(values()))
+    return ["time,x,y,z,sensor", *body]
+
+
+def mostly_empty() -> Lines:
+    body = (f"{moment(k)},{text_of(row) if k % 5 > 2 else 'NaN,,NA'}" for k, row in enumerate(values()))
+    return ["time,x,y,z", *body]
+
+
+def unsigned() -> Lines:
+    body = (
+        f"{moment(k)},{','.join(str(round(512 + 100 * v)) for v in row)}" for k, row in enumerate(values())
+    )
+    return ["time,x,y,z", *body]
+
+
+def warm() -> Lines:
+    body = (f"{moment(k)},{text_of(row)},{77 + k % 9 / 10}" for k, row in enumerate(values()))
+    return ["time,x,y,z,Temperature_degF", *body]
+
+
 OTHERS = (
     *(epoch_s, epoch_ms, semicolons, decimal_commas, tabs, blanks, days_first, zoned, milli_g, metres),
     *(actigraph, two_columns, mornings, mornings, afternoons),
     *(sensor_logger, phyphox, metawear, activpal),
+    *(wrapping_ms, wrapping_us, staying_date, half_days, month_names, biobank, basic, two_sensors),
+    *(mostly_empty, unsigned, warm),
 )
 
 
@@ -358,6 +421,8 @@ def encoded(text: str, random: Random) -> bytes:
         lambda: plain_bytes.rstrip(b"\n"),
         lambda: plain_bytes[:at],
         lambda: text.encode("utf-32", "surrogatepass"),
+        lambda: text.encode(random.choice(["utf-16-le", "utf-16-be", "utf-32-le"]), "surrogatepass"),
+        lambda: plain_bytes + random.choice(["End of file", "Total;400;rows", "# 400 rows,,,"]).encode(),
         lambda: plain_bytes[:at] + bytes(random.choice([1, 512, 70_000])) + plain_bytes[at:],
         lambda: plain_bytes[:at] + random.randbytes(random.choice([1, 5, 300])) + plain_bytes[at:],
         lambda: plain_bytes + bytes(random.choice([1, 4096, 100_000])),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from datetime import datetime, timedelta
 from functools import cache, partial
 from random import Random
@@ -39,13 +40,17 @@ def counts(rows: int = 640) -> np.ndarray:
 
 @cache
 def recordings() -> tuple[tuple[bytes, ...], ...]:
-    """Header and sectors: plain, packed, with gyroscope, the oldest kind."""
+    """Header and sectors: plain, packed, with gyroscope, the oldest kind, and in whole seconds."""
     head = header()
     plain = [page.to_bytes() for page in sectors(counts())]
     gyro = [page.to_bytes() for page in sectors(np.hstack([counts(400)] * 2), axes=0x62, scale=0x0C)]
     packed = [packed_sector(page) for page in plain]
     old = [set_field(page, "<B", AT_RATE, 0, 26, 100) for page in plain]
-    return tuple((head[:SECTOR], head[SECTOR:], *pages) for pages in (plain, gyro, packed, old))
+    whole = [
+        replace(page, time_us=page.time_us // 1_000_000 * 1_000_000, fractional=False).to_bytes()
+        for page in sectors(np.vstack([counts()] * 3))
+    ]
+    return tuple((head[:SECTOR], head[SECTOR:], *pages) for pages in (plain, gyro, packed, old, whole))
 
 
 def packed_sector(page: bytes) -> bytes:

@@ -47,6 +47,8 @@ def absurd(random: Random, order: str) -> list[bytes]:
             made = matrix(name, random.choice(VALUES), order)
         elif form == 2:
             made = array(random.choice([CELL, OPAQUE, 5, 200]), (1, 1), name, bytes(64), order)
+            if random.random() < 0.5:
+                made = opaque(name, order)
         elif form == 3:
             shape = random.choice([(0, 3), (-1, 3), (1 << 30, 3), (ROWS,), (2, 2, 2), (ROWS, 3, 1), ()])
             made = array(6, shape, name, element(9, (counts() / 256).tobytes("F"), order), order)
@@ -56,6 +58,13 @@ def absurd(random: Random, order: str) -> list[bytes]:
             made = matrix(name, counts() / 256, order)[: random.choice([8, 20, 60, 1000])]
         parts.insert(random.randrange(len(parts) + 1), made)
     return parts
+
+
+def opaque(name: str, order: str) -> bytes:
+    """An object as MATLAB writes it, without a shape."""
+    head = element(6, struct.pack(f"{order}II", OPAQUE, 0), order)
+    head += element(1, name.encode(), order) + element(1, b"MCOS", order) + element(1, b"timetable", order)
+    return struct.pack(f"{order}II", 14, len(head)) + head
 
 
 def tags(data: bytes, random: Random) -> bytes:

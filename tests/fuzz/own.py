@@ -22,6 +22,7 @@ from tests.fuzz.archives import archives
 from tests.fuzz.blind import blind
 from tests.fuzz.made import GAIN, OFFSET, directions, recording
 from tests.fuzz.options import options
+from tests.fuzz.rules import rules
 
 ODD: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 1, 1e308, -1e308, 1e-320, 2**31, 2**63, -(2**63), 10**30, 10**400, "", "x"),
@@ -392,4 +393,5 @@ TARGETS: dict[str, Callable[[Path], Attempt]] = {
     "remembered": study_files,
     "options": options,
     "archives": archives,
+    "rules": rules,
 }

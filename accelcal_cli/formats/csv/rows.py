@@ -28,6 +28,7 @@ from accelcal_cli.formats._tables.channels import CountScale
 from accelcal_cli.formats._tables.sensors import CellTexts
 from accelcal_cli.formats._written import Written
 from accelcal_cli.formats.csv.cells import (
+    BYTE_ORDER_MARK,
     MISSING,
     AccelScale,
     CellKind,
@@ -320,6 +321,8 @@ class TableParser:
         reading = pa_csv.ReadOptions(column_names=names, block_size=PARSER_BYTES, use_threads=False)
         parsing = pa_csv.ParseOptions(delimiter=self.dialect.normaliser.delimiter, newlines_in_values=False)
         pool = pa.system_memory_pool()
+        if data.startswith(BYTE_ORDER_MARK):  # Arrow would leave it out, wherever in the file that is
+            data = b"\n" + data
         return pa_csv.read_csv(pa.BufferReader(data), reading, parsing, converting, memory_pool=pool)
 
     def _with_moments(self, table: Any, times_as: Any) -> Any:

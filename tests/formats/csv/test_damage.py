@@ -373,3 +373,18 @@ def test_a_fraction_above_a_bad_line_is_the_error_whatever_the_chunk_size(
     text = HEADER + rows(900).replace(",0,0,1", ",0,0,256") + row(900, "0,0,2.5") + rows(9, 901) + "x\n"
     with pytest.raises(UnreadableError, match=r"line 902: 2\.5 is not a whole number of counts"):
         read(written(tmp_path, text), chunk_samples, unit="counts", lsb_per_g=256)
+
+
+@pytest.mark.parametrize("chunk_samples", [1, 7, 100_000])
+@pytest.mark.parametrize("line", ["\ufeff\n", "\ufeff" + row(400)])
+def test_t17_a_mark_in_the_middle_is_a_bad_line_whatever_the_chunk_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, chunk_samples: int
+) -> None:
+    """Found by fuzzing: Arrow leaves out a byte order mark at the beginning of whatever it reads."""
+    monkeypatch.setattr(csv_lines, "PIECE_BYTES", 200)
+    text = HEADER + rows(400) + line + rows(300, 401)
+    found = read(written(tmp_path, "\ufeff" + text), chunk_samples)
+    assert len(found.counts) == 700
+    assert [one.split(" on left")[0] for one in (problem.message for problem in found.problems)] == [
+        "1 row from line 402"
+    ]
