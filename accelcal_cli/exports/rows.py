@@ -184,6 +184,10 @@ class CalibratedRows:
             UnreadableError: the file is damaged.
         """
         while len((columns := dict(zip(self._source.names, self._source.take(number), strict=True)))["time"]):
+            for name in ("time", "validity"):  # numpy has whole numbers that are missing as floats
+                if not np.issubdtype(columns[name].dtype, np.integer):
+                    text = f"has rows without a value in its column {name}"
+                    raise UnreadableError(text, path=self.about.path, hint=NAME_ONE)
             xyz = np.stack([columns[name] for name in "xyz"], axis=1).astype(np.float32, copy=False)
             others = {name: columns[name] for name in (*self._more, "validity")}
             rows = SampleRows(columns["time"], xyz, columns.get("temperature"), others)
@@ -210,8 +214,26 @@ def open_calibrated(
     about = described_file(path)
     temperature = ("temperature",) if about.has_temperature else ()
     more = about.more if everything else ()
-    with ParquetSource(path, (*NAMES, *temperature, *more, "validity")) as source:
+    names = (*NAMES, *temperature, *more, "validity")
+    _refuse_other_types(path, names)
+    with ParquetSource(path, names) as source:
         yield CalibratedRows(source, about, more, measured_only=measured_only)
+
+
+def _refuse_other_types(path: Path, names: Sequence[str]) -> None:
+    """Raise UnreadableError for a column of another type than accelcal writes, as after a change by hand."""
+    from pyarrow import types
+
+    schema = stored_schema(path, UnreadableError)
+    assert schema is not None
+    for name, kind in ((name, schema.field(name).type) for name in names):
+        if name == "time":
+            fits = types.is_timestamp(kind) and kind.unit == "us"
+        else:
+            fits = types.is_integer(kind) or (name != "validity" and types.is_floating(kind))
+        if not fits:
+            text = f"holds {kind} in its column {printable(name)}, as no calibrated recording of accelcal"
+            raise UnreadableError(text, path=path, hint=NAME_ONE)
 
 
 def described_file(path: Path) -> CalibratedFile:

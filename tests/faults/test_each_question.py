@@ -61,7 +61,7 @@ class Asking:
         elif ran.code not in (2, 5):
             table = rows(self.folder / "out")
             known = {row["path"] for row in table}  # of a folder that cannot be listed, its own
-            missing = [name for name in NAMES if not {name, name[:1]} & known and name not in ran.err]
+            missing = [name for name in NAMES if not {name, name[:1], "."} & known and name not in ran.err]
             if missing:
                 yield told.format(f"{missing} are neither in the table nor told of")
             elif any("bug" in row["message"] for row in table):
