@@ -12,7 +12,7 @@ DEMO   := demo
 # otherwise each process that a test starts compiles the package again, and each worker all tests
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test nightly fuzz faults validation oldest oldest-ready audit lint docs firmware browser browser-ready bench bench-scale bench-peers snakemake sample-data figure clean
+.PHONY: setup demo test nightly fuzz faults validation oldest oldest-ready audit lint docs firmware browser browser-ready bench bench-scale bench-peers snakemake sample-data figure screenshots clean
 
 setup: $(READY)
 
@@ -99,9 +99,9 @@ lint: $(READY)
 	$(BIN)/mypy --platform darwin
 	$(BIN)/python tools/lint_words.py
 
-# the pages in a real Chromium; screenshots are in build/browser/screenshots
+# the pages and the documentation site in a real Chromium; screenshots are in build/browser/screenshots
 BROWSER := build/browser
-browser: browser-ready
+browser: browser-ready docs
 	ACCELCAL_CHROMIUM="$$(cat $(BROWSER)/chromium)" ACCELCAL_SCREENSHOTS=$(CURDIR)/$(BROWSER)/screenshots \
 	  ACCELCAL_AXE=$(CURDIR)/$(BROWSER)/node_modules/axe-core/axe.min.js \
 	  $(BIN)/python -m pytest -n 0 tests/browser
@@ -157,6 +157,10 @@ sample-data: $(READY)
 figure: $(READY)
 	$(BIN)/python tools/make_figure.py
 	$(BIN)/python tools/make_drawings.py
+
+# docs/recording_page.png and docs/study_page.png, in a real Chromium
+screenshots: browser-ready
+	ACCELCAL_CHROMIUM="$$(cat $(BROWSER)/chromium)" $(BIN)/python tools/make_screenshots.py
 
 clean:
 	rm -rf $(VENV) $(DEMO) .pytest_cache .mypy_cache .ruff_cache

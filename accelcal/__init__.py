@@ -1,5 +1,7 @@
 """Calibration of raw accelerometer recordings from the stillness that they contain.
 
+For example::
+
     import accelcal
 
     result = accelcal.calibrate("recording.cwa")   # or an array: accelcal.calibrate(xyz, rate=100)
@@ -7,8 +9,8 @@
     result.calibration(xyz)                        # the coefficients, on other values
 
 `read`, `inspect`, `calibrate`, `apply`, `fit`, `from_poses`, `effect`, `study`, `export`, `report` and
-`simulate` do the work of the commands of these names, with the same bits (docs/python.md). Their options are
-those of the commands, as keywords: `--lsb-per-g` is `lsb_per_g`.
+`simulate` do the work of the commands of these names, with the same bits. Their options are those of the
+commands, as keywords: `--lsb-per-g` is `lsb_per_g`.
 """
 
 from __future__ import annotations

@@ -34,6 +34,7 @@ myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist"]
 myst_heading_anchors = 4
 smartquotes = False
 suppress_warnings = ["myst.header"]
+default_role = "code"
 autodoc_typehints = "description"
 copybutton_prompt_text = "$ "
 
@@ -42,6 +43,7 @@ html_title = f"accelcal {version}"
 html_theme_options = {
     "navbar_center": [],
     "navbar_end": ["theme-switcher"],
+    "navbar_persistent": ["search-button"],
     "show_toc_level": 2,
     "footer_start": ["copyright"],
     "footer_end": [],
@@ -51,7 +53,9 @@ html_theme_options = {
 html_sidebars = {"**": ["pages.html"]}
 templates_path = ["_templates"]
 html_show_sourcelink = False
-html_static_path: list[str] = []
+html_context = {"default_mode": "auto"}
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 
 OUTSIDE = re.compile(r"\[([^\]]*)\]\((\.\./[^)#]*)(#[^)]*)?\)")
 """A link to a file of the repository that is not a page of the site."""

@@ -16,8 +16,6 @@ from accelcal_cli.cli.main import cli as accelcal
 
 ROOT = Path(__file__).resolve().parent.parent
 Node = Mapping[str, Any]
-HELP = ["-h", "--help"]
-"""Names of the option that every command has."""
 
 
 def write(folder: Path) -> None:
@@ -90,7 +88,9 @@ def _command(command: click.Command, context: click.Context) -> Iterator[str]:
     records = {
         one.name: record
         for one in command.get_params(context)
-        if isinstance(one, click.Option) and one.opts != HELP and (record := one.get_help_record(context))
+        if isinstance(one, click.Option)
+        and "--help" not in one.opts
+        and (record := one.get_help_record(context))
     }
     grouped = {name for names in GROUPS.values() for name in names}
     own = tuple(name for name in records if name not in grouped)
@@ -109,8 +109,11 @@ def _text(text: str | None) -> str:
 
 
 def _cell(text: str) -> str:
-    """Return text for a cell of a table."""
-    return re.sub(r"([|*_<\[])", r"\\\1", text)
+    """Return text for a cell of a table; in code only the bar has a meaning there."""
+    parts = text.split("`")
+    for at in range(len(parts)):
+        parts[at] = re.sub(r"(\|)" if at % 2 else r"([|*_<\[])", r"\\\1", parts[at])
+    return "`".join(parts)
 
 
 def files() -> Iterator[str]:
