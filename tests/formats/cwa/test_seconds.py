@@ -13,7 +13,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Chunk
 from accelcal_cli.formats.cwa import FORMAT
 from tests.cli.run import run
-from tests.formats.make_cwa import START_US, Sector, written
+from tests.formats.make_cwa import FULL, START_US, Sector, written
 
 ROWS, CODES = 80, {25: 0x48, 50: 0x49, 100: 0x4A}
 BEGIN_US = START_US + 370_000
@@ -136,3 +136,19 @@ def test_t11_the_command_says_so_and_calibrates(tmp_path: Path, capsys: pytest.C
     made(tmp_path / "a.cwa", 100, drifting(100))
     ran = run(capsys, "inspect", tmp_path / "a.cwa")
     assert "its stamps are whole seconds" in ran.out
+
+
+@pytest.mark.parametrize(
+    ("axes", "rate_hz", "lost"),
+    [(0x30, 25, ()), (0x62, 100, ()), (0x32, 100, (5, 60, 61, 400)), (0x32, 100, range(100, 190))],
+)
+def test_t11_other_layouts_and_lost_sectors(tmp_path: Path, axes: int, rate_hz: int, lost: range) -> None:
+    rows, number, path = FULL[axes], 600, tmp_path / "a.cwa"
+    true = BEGIN_US + np.rint(drifting(rate_hz)(np.arange(number * rows)) * 1e6).astype(np.int64)
+    whole = Sector(bytes(480), rows, 0, rate_code=CODES[rate_hz], axes=axes, fractional=False)
+    stamps = {k: int(true[k * rows]) // 1_000_000 * 1_000_000 for k in range(number) if k not in lost}
+    written(path, [replace(whole, sequence=k, time_us=stamp) for k, stamp in stamps.items()])
+    times, breaks, codes, _ = read(path)
+    kept = true.reshape(number, rows)[list(stamps)].reshape(-1)
+    assert np.abs(times - kept).max() <= 80_000
+    assert (len(breaks), set(codes)) == (len(codes), {"sequence_gap"} if lost else set())
