@@ -167,7 +167,7 @@ def _written(source: Any, extra: Channels, folder: Path) -> Path:
         return _spooled(source, folder)
     if names := getattr(getattr(source, "dtype", None), "names", None):  # records of numpy
         source = {name: source[name] for name in names}
-    if isinstance(source, Mapping):
+    if isinstance(source, Mapping) and not hasattr(source, "data_vars"):  # a dataset of xarray is one, too
         _refuse_channels(extra, "name it among the columns")
         columns: dict[str, Any] = {str(name): np.asarray(column) for name, column in source.items()}
         return _saved(folder / "columns", columns)

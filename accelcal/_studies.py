@@ -165,12 +165,18 @@ def _worked_by(wanted: Study, executor: str | Executor | DaskClient | None) -> S
     )
 
 
+def _in_notebook() -> bool:
+    """Return True in a Jupyter kernel, and not just where one could be started."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return hasattr(shell, "kernel")
+
+
 class _Bar:
     """Observer of a study that shows a bar, and counts failures in it."""
 
     def __init__(self, wanted: bool | None) -> None:
         terminal = sys.stderr is not None and sys.stderr.isatty()
-        self._shown = (terminal or "ipykernel" in sys.modules) if wanted is None else wanted
+        self._shown = (terminal or _in_notebook()) if wanted is None else wanted
         self._bar: Any = None
         self._failed = 0
 

@@ -188,16 +188,30 @@ def test_the_cookbook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
     assert len(names["quiet"]) > 100 and names["worn_hours"] >= 1
 
 
-def test_the_cookbook_runs_in_r(tmp_path: Path, capsys: Capture) -> None:
+@pytest.fixture
+def r_with_arrow() -> str:
     interpreter = tool("Rscript")
     if "TRUE" not in says(interpreter, "-e", "cat(requireNamespace('arrow', quietly = TRUE))")[1]:
         pytest.skip("R's package arrow is not installed")
-    run(capsys, "calibrate", ROOT / "sample_data/recording.bin", "-d", tmp_path / "out", "-q")
-    (text,) = re.findall(
-        r"^```r\n(.*?)^```", (ROOT / "docs/cookbook.md").read_text(), re.MULTILINE | re.DOTALL
-    )
-    code, said = says(interpreter, "-e", f"{text}; cat(enmo_mg)", cwd=tmp_path)
-    assert code == 0 and float(said.split()[-1]) > 0
+    return interpreter
+
+
+@pytest.mark.parametrize(
+    ("page", "name", "folder", "shown"),
+    [("cookbook.md", "recording", "out", "enmo_mg"), ("r.md", "night", "calibrated", "1000 * enmo")],
+)
+def test_pages_run_in_r(
+    page: str, name: str, folder: str, shown: str, r_with_arrow: str, tmp_path: Path, capsys: Capture
+) -> None:
+    """The Parquet files of a study of one recording, by the lines of the page."""
+    (tmp_path / "in").mkdir()
+    (tmp_path / f"in/{name}.bin").symlink_to(ROOT / "sample_data/recording.bin")
+    assert run(capsys, "study", tmp_path / "in", "-d", tmp_path / folder, "-j", 1, "-q").code == 0
+    text = (ROOT / "docs" / page).read_text("utf-8")
+    (program,) = re.findall(r"^```r\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    code, said = says(r_with_arrow, "-e", f"{program}\ncat('', {shown})", cwd=tmp_path)
+    assert code == 0, said
+    assert 1 < float(said.split()[-1]) < 3
 
 
 def test_outcomes_and_reasons_in_the_documents_are_those_that_there_are() -> None:
