@@ -177,6 +177,7 @@ COLUMNS = {
     "decided_at": "when that was decided",
     "note": "remark of that person",
     "result": "name of the result, by which a decision knows it",
+    "sensor": "the value of `--sensor`, if the file holds several recordings",
     "outcome": "calibrated, provisional, reduced_model, already_good, borrowed, refused or failed",
     "exit_code": "exit code that `calibrate` would have",
     "reason": "code of the reason for the outcome",

@@ -69,10 +69,10 @@ ONLY_FOR_PROGRAMS = ("raw_bias_low", "raw_bias_high")
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Show how the calibration of each RECORDING changes measures of activity; `-` reads standard input.
 
-    ENMO, MAD, minutes of moderate to vigorous activity (ENMO of 100 mg or more), PIM, ZCM and minutes of
-    sustained inactivity: of the raw values, calibrated without misalignment, and calibrated. For a simulated
-    recording with NAME.truth.json next to it, also with its true parameters. Intervals of 95 % are of the
-    uncertainty of the calibration. Filled, clipped and recovered
+    Prints ENMO, MAD, minutes of moderate to vigorous activity (ENMO of 100 mg or more), PIM, ZCM and minutes
+    of sustained inactivity. They are computed from raw values, from values calibrated without misalignment,
+    and from calibrated values; for a simulated recording with NAME.truth.json next to it, also with the true
+    parameters. The 95 % intervals show the uncertainty of the calibration. Filled, clipped and recovered
     samples are left out. Nothing is written except the table of --epochs.
     """
     refuse_both(as_json=values["as_json"], as_csv=values["as_csv"])

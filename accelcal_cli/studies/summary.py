@@ -382,7 +382,7 @@ class Summary:
     def news(self, *, repeat: bool) -> Iterator[str]:
         """Yield what is wrong with the study as a whole, with `repeat` also what the last run said.
 
-        Of recordings whose times must not be joined it is said once, not for each that is added.
+        Recordings whose times must not be joined are named once, not with each that is added.
         """
         before = {} if repeat else self.before
         told = before.get("pools")
