@@ -273,7 +273,7 @@ class StudyRun:
         self.study = study
         self.lease = lease
         self.known = StudyState()
-        self.worked: set[str] = set()
+        self.worked = {*planned.unlisted}
         self.decided: Merged | None = None
         self.planned = planned
         self._table = _InterimTable(self, ledger)

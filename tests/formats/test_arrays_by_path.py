@@ -116,6 +116,10 @@ def test_t18_a_path_of_groups_is_a_sensor(make: Make) -> None:
         assert (read(path, sensor=sensor).g[:, 0] == np.rint(values()[:, 0] * 1.005 * 2**24) / 2**24).all()
     assert (read(path, sensor="Trial2").g == read(path, columns=("Test5/Trial2/accel",) * 3).g).all()
     assert "several" in rejected(path, sensor="Trial1")
+    with pytest.raises(UnreadableError) as error:
+        read(path, sensor="each")  # as a study does to list them
+    assert error.value.sensors == ("Test5/Trial1", "Test5/Trial2", "Test6/Trial1")
+    assert (read(path, sensor="Test6/Trial1,each").g == read(path, sensor="Test6/Trial1").g).all()
     assert "several" in rejected(path, sensor="est5/Trial1")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -406,7 +407,7 @@ def test_t1_each_of_several_people_with_several_sensors(tmp_path: Path, name: st
 
 
 @pytest.mark.parametrize("name", TEXTS)
-@pytest.mark.parametrize("value", ["all", "each", "a, b", "x=1", "sensor=a", "ü m/s", "50%", "-", "'q'"])
+@pytest.mark.parametrize("value", ["all", "each", "a, b", "x=1", "sensor=a", "ü m/s", "50%", "*", "'q'"])
 def test_t1_a_value_of_any_characters_is_chosen_by_its_column(tmp_path: Path, name: str, value: str) -> None:
     if "," in value and TEXTS[name] in (as_csv, as_gzip, as_semicolons):
         pytest.skip("there a comma ends a cell or is a decimal mark")
@@ -438,3 +439,22 @@ def test_t1_a_sensor_of_a_device_is_a_device_of_its_own(tmp_path: Path) -> None:
         file.attrs["serial"] = "X7"
     assert read(path, sensor="left")[0].device.serial == "X7 (sensor left)"
     assert read(path, sensor="all")[0].device.serial == "X7"
+
+
+def test_t1_a_table_of_several_sensors_in_an_archive_is_a_recording(tmp_path: Path) -> None:
+    """Its sensors are listed; it is not set aside where another table is beside it."""
+    names = {
+        "table.csv": csv_bytes(by_time(LEFT_RIGHT)),
+        "one.csv": csv_bytes(without(stream("A"), "sensor")),
+    }
+    for number in (1, 2):
+        path = tmp_path / f"{number}.zip"
+        with zipfile.ZipFile(path, "w") as archive:
+            for name in [*names][:number]:
+                archive.writestr(name, names[name])
+        with pytest.raises(UnreadableError) as error:
+            open_recording(path, ReadOptions(unit="g", sensor=EACH), joined=False)
+        if number == 1:
+            assert error.value.sensors == ("sensor=left", "sensor=right")
+        else:
+            assert "holds 2 recordings" in error.value.message

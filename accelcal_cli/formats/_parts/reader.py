@@ -304,7 +304,8 @@ class PartsReader(FilesReader):
         suffixes = {part.path.suffix.lower() for part in parts}
         tables = {part.recording.format for part in parts} == {"csv"}
         for file, error in failures:
-            if file.stat().st_size == 0 or (tables and not self._part_files.joined):
+            no_recording = tables and not self._part_files.joined and not error.sensors
+            if file.stat().st_size == 0 or no_recording:
                 self._part_files.aside.append(file.name)
             elif file.suffix.lower() in suffixes or self._part_files.joined:
                 text = f"part {self._part_files.name(file)} cannot be read: {printable(error.message)}"

@@ -284,7 +284,7 @@ class Watch:
         since_1970: see `Division`.
         place: the table, and what --sensor has chosen of it.
         all_values: returns the values of the rows that are read, with how many have each, of a column by its
-            number; the error then has all sensors, where these are to be listed.
+            number. The error has all of them if sensors are to be listed, else those that were seen.
     """
 
     def __init__(
@@ -306,13 +306,14 @@ class Watch:
             raise found.fault(self._path, self._wanted, self._sensors(found))
 
     def _sensors(self, found: Division) -> list[str]:
-        """Return values of --sensor that choose each sensor, if these are to be listed."""
-        if self._wanted != EACH and not (self._wanted or "").endswith(f",{EACH}"):
-            return []
-        assert self._wanted is not None
-        rows = self._all_values(self.divisions.index(found))
-        before = self._wanted.removesuffix(EACH)
-        return [f"{before}{found.name}={text}" for text, number in rows.items() if number >= LEAST_ROWS]
+        """Return values of --sensor that choose each sensor."""
+        *chosen, last = (self._wanted or EACH).rsplit(",", 1)
+        texts = found.texts
+        if self._wanted is not None and last == EACH:
+            rows = self._all_values(self.divisions.index(found))
+            texts = [text for text, number in rows.items() if number >= LEAST_ROWS]
+        before = chosen if last == EACH else [self._wanted or ""]
+        return [",".join([*before, f"{found.name}={text}"]) for text in texts]
 
     def worth_watching(self) -> list[int]:
         """Return the numbers of the columns of which more rows may show several sensors."""

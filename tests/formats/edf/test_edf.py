@@ -168,6 +168,18 @@ def test_sensor_columns_unit_and_scale_of_the_user(tmp_path: Path) -> None:
         read(tmp_path, data, sensor="wrist", rate_hz=50.0)
 
 
+def test_t1_each_lists_the_accelerometers(tmp_path: Path) -> None:
+    signals = [
+        signal for place in ("wrist", "ankle") for signal in xyz(COUNTS, SAMPLES, names=f"{place} acc {{}}")
+    ]
+    with pytest.raises(UsageError) as error:
+        read(tmp_path, written(signals), sensor="each")
+    assert error.value.sensors == ("wrist", "ankle")
+    for sensor in error.value.sensors:
+        assert np.array_equal(read(tmp_path, written(signals), sensor=f"{sensor},each").counts, COUNTS)
+    assert np.array_equal(read(tmp_path, written([*AXES]), sensor="each").counts, COUNTS)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -66,6 +66,9 @@ def test_temperature_and_rates_of_turn_follow_their_rows(path: Path) -> None:
 def test_several_sensors_and_none_chosen_is_refused_with_their_list(path: Path) -> None:
     with pytest.raises(UnreadableError, match=r"XI-000001 \(Lumbar\), XI-000002 \(Left Wrist\).*--sensor"):
         read(path)
+    with pytest.raises(UnreadableError) as error:
+        read(path, sensor="each")  # as a study does to list them
+    assert error.value.sensors == ("XI-000001", "XI-000002")
     with pytest.raises(UsageError, match=r"no sensor named 'Head'.*Lumbar"):
         read(path, sensor="Head")
 
