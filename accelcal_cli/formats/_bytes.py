@@ -30,6 +30,12 @@ with suppress(ImportError):
 STEP_BYTES = 1 << 18
 """Packed bytes that are taken from a file at a time."""
 
+FIRST_BYTES = 1 << 14
+"""Those at the beginning of a gzip member, twice as many each time: there may be millions of short ones."""
+
+LONGEST_TEXT = 1 << 16
+"""Most bytes in the name or the comment of a gzip member, whose length nothing says."""
+
 MOST_BYTES = 1 << 20
 """Most unpacked bytes at once: damaged or empty stretches unpack to a thousand times their size."""
 
@@ -240,19 +246,28 @@ def _pass_header(file: BinaryIO) -> bool:
     if flags & EXTRA:
         _exactly(file, int.from_bytes(_exactly(file, 2), "little"))
     for flag in (NAME, COMMENT):
-        while flags & flag and file.read(1) not in (b"", b"\0"):
-            pass
+        if flags & flag:
+            _pass_text(file)
     if flags & HEADER_CHECKSUM:
         _exactly(file, 2)
     return True
 
 
+def _pass_text(file: BinaryIO) -> None:
+    """Read past a name or comment; raise _FaultError for one that is too long."""
+    for _ in range(LONGEST_TEXT):
+        if file.read(1) in (b"", b"\0"):
+            return
+    raise _FaultError(GzipFault.DAMAGED)
+
+
 def _unpack_member(file: BinaryIO) -> Iterator[Piece]:
     """Yield the data of a member; raise _FaultError unless its checksum and length fit."""
-    inflater, crc, size = Inflater(), 0, 0
+    inflater, crc, size, step = Inflater(), 0, 0, FIRST_BYTES
     while not (inflater.complete or inflater.damaged):
         if inflater.needs_input:
-            inflater.put(file.read(STEP_BYTES) or _exactly(file, 1))
+            inflater.put(file.read(step) or _exactly(file, 1))
+            step = min(2 * step, STEP_BYTES)
         data = inflater.take()
         crc, size = crc32(data, crc), size + len(data)
         if inflater.rest:

@@ -61,12 +61,18 @@ class Unpacked:
 
 
 def is_archive(path: Path) -> bool:
-    """Return True for a tar or zip file, by its first bytes; False for a file that cannot be read."""
+    """Return True for a tar or zip file, by its first bytes; False for a damaged one.
+
+    Raises:
+        UnreadableError: the disk fails.
+    """
     try:
         with unpacking(path) as file:
             head = file.read(TAR_MAGIC_AT + len(TAR_MAGIC))
         return bool(head.startswith(ZIP_MAGIC) or head[TAR_MAGIC_AT:] == TAR_MAGIC)
-    except (*BROKEN, UnreadableError):
+    except BROKEN as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise unread(error, path) from error
         return False
 
 

@@ -37,6 +37,10 @@ LZMA_MEMORY = 1 << 27
 """Most memory for a dictionary of xz; `xz -9` takes half of it."""
 
 
+XZ_BYTES = 1 << 12
+"""Packed bytes that are taken at a time: what follows a stream is copied, and there may be millions."""
+
+
 class Xz:
     """The unpacked bytes of an xz file, with bounded memory."""
 
@@ -55,12 +59,12 @@ class Xz:
     def _step(self, count: int) -> bytes:
         while True:
             if self._unpacker.eof:
-                rest = self._unpacker.unused_data.lstrip(b"\0") or self._file.read(STEP_BYTES).lstrip(b"\0")
+                rest = self._unpacker.unused_data.lstrip(b"\0") or self._file.read(XZ_BYTES).lstrip(b"\0")
                 if not rest:
                     return b""
                 self._unpacker = lzma.LZMADecompressor(memlimit=LZMA_MEMORY)
             elif self._unpacker.needs_input:
-                rest = self._file.read(STEP_BYTES)
+                rest = self._file.read(XZ_BYTES)
                 if not rest:
                     raise EOFError("the archive ends early")
             else:
