@@ -407,7 +407,9 @@ def test_t1_each_of_several_people_with_several_sensors(tmp_path: Path, name: st
 
 
 @pytest.mark.parametrize("name", TEXTS)
-@pytest.mark.parametrize("value", ["all", "each", "a, b", "x=1", "sensor=a", "ü m/s", "50%", "*", "'q'"])
+@pytest.mark.parametrize(
+    "value", ["all", "each", "a, b", "x=1", "sensor=a", "ü m/s", "50%", "#2 (left)", "'q'"]
+)
 def test_t1_a_value_of_any_characters_is_chosen_by_its_column(tmp_path: Path, name: str, value: str) -> None:
     if "," in value and TEXTS[name] in (as_csv, as_gzip, as_semicolons):
         pytest.skip("there a comma ends a cell or is a decimal mark")
