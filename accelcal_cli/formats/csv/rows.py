@@ -320,6 +320,10 @@ class TableParser:
         names = [str(column) for column in range(self.dialect.columns)]
         reading = pa_csv.ReadOptions(column_names=names, block_size=PARSER_BYTES, use_threads=False)
         parsing = pa_csv.ParseOptions(delimiter=self.dialect.normaliser.delimiter, newlines_in_values=False)
+        if data.startswith(
+            BYTE_ORDER_MARK
+        ):  # else pyarrow would drop it from a line that a block begins with
+            data = b"\n" + data
         pool = pa.system_memory_pool()
         if data.startswith(BYTE_ORDER_MARK):  # Arrow would leave it out, wherever in the file that is
             data = b"\n" + data

@@ -338,6 +338,7 @@ BAD_LINES = {
     "a date in another order": "04.03.2024 00:00:11,0,0,1\n",
     "a number too long for a float": "2024-03-04T00:00:11,0,0,1e\n",
     "a digit that the parser does not know": "2024-03-04T00:00:11,0,0,\u0661\n",
+    "a byte order mark": "\ufeff2024-03-04T00:00:09.52,0,0,1\n",
 }
 
 
