@@ -88,6 +88,9 @@ BROKEN = (
 
 COPIED_BYTES = 1 << 20
 
+SHOWN = 100
+"""Most characters of a member's name in a message."""
+
 MOST_MEMBERS = 100_000
 """Most members of any kind."""
 
@@ -128,6 +131,11 @@ class Allowance:
 
 def _too_much(path: Path, what: str) -> UnreadableError:
     return UnreadableError(f"{what}, as no recording does", path=path, hint="unpack it, and give its files")
+
+
+def _shown(name: str) -> str:
+    """Return the end of a member's name, which may be a megabyte long."""
+    return name if len(name) <= SHOWN else f"...{name[-SHOWN:]}"
 
 
 class Stream(Protocol):
@@ -183,7 +191,7 @@ def _tar_members(path: Path, allowance: Allowance) -> Iterator[Member]:
             if header.type == tarfile.GNUTYPE_SPARSE or b"sparse" in about:
                 hint = "pack it again without --sparse"
                 raise UnreadableError(
-                    f"{name} in it is a sparse file, which is not unpacked", path=path, hint=hint
+                    f"{_shown(name)} in it is a sparse file, which is not unpacked", path=path, hint=hint
                 )
             size = int(about.get(b"size", header.size))
             about = {}
@@ -362,13 +370,15 @@ class ZipMember:
         """Go to the data; raises UnreadableError if they are packed in a way that is not unpacked."""
         self._begun, hint = True, "pack it again as an ordinary zip file, or give what is in it"
         if self.flags & _ENCRYPTED:
-            hint = f"unpack it with its password, and give {self.name.rpartition('/')[2]}"
+            hint = f"unpack it with its password, and give {_shown(self.name.rpartition('/')[2])}"
             raise UnreadableError("is encrypted", path=self.path, hint=hint)
         if self.method not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             names = {9: "Deflate64", 12: "bzip2", 14: "LZMA", 93: "zstd", 95: "xz"}
             how = names.get(self.method, f"method {self.method}")
             raise UnreadableError(
-                f"{self.name} in it is packed with {how}, which is not unpacked", path=self.path, hint=hint
+                f"{_shown(self.name)} in it is packed with {how}, which is not unpacked",
+                path=self.path,
+                hint=hint,
             )
         if self.size == 0:
             self._ended = True

@@ -207,3 +207,14 @@ def test_an_archive_that_the_disk_does_not_give_is_not_damaged(
     monkeypatch.setattr(members.ZipMember, "read", fails)
     with pytest.raises(UnreadableError, match=r"cannot be read .Input/output error"):
         unpack(path, tmp_path, lambda _name: True)
+
+
+def test_h2_a_name_without_end_is_not_shown_whole(tmp_path: Path) -> None:
+    path = tmp_path / "a.tar"
+    with tarfile.open(path, "w", format=tarfile.GNU_FORMAT) as made:
+        header = tarfile.TarInfo("x" * 900_000 + ".csv")
+        header.type = tarfile.GNUTYPE_SPARSE
+        made.addfile(header)
+    with pytest.raises(UnreadableError, match=r"xxx\.csv in it is a sparse file") as refusal:
+        unpack(path, tmp_path, lambda _name: True)
+    assert len(refusal.value.message) < 300
