@@ -16,6 +16,10 @@ SITE = Path(os.environ.get("ACCELCAL_SITE") or Path(__file__).resolve().parents[
 PAGES = ("index", "first-recording", "reference/commands", "reference/python", "reference/files")
 """The home page, a tutorial, and the generated pages: commands, functions, and keys of the schemas."""
 
+CUT_OFF = """[...document.querySelectorAll(".bd-article :is(h1, h2, h3) *")]
+  .filter(one => one.getBoundingClientRect().right > innerWidth).map(one => one.textContent)"""
+"""Finds parts of headings that end beyond the window."""
+
 pytestmark = pytest.mark.skipif(not (SITE / "index.html").exists(), reason="needs the site: make docs")
 
 
@@ -33,6 +37,7 @@ def test_a_page_of_the_site_can_be_read(
     assert page.evaluate("document.documentElement.dataset.theme") == scheme
     wide, seen = page.evaluate("[document.documentElement.scrollWidth, document.documentElement.clientWidth]")
     assert wide <= seen, "the page has to be moved sideways"
+    assert page.evaluate(CUT_OFF) == []
     page.evaluate(axe)
     found = page.evaluate("axe.run(document, {resultTypes: ['violations'], preload: false})")["violations"]
     assert [(one["id"], [node["target"] for node in one["nodes"]][:5]) for one in found] == []
