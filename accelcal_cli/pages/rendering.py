@@ -12,13 +12,15 @@ import re
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.version import __version__
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 Rows = list[list[str]]
 
@@ -81,6 +83,8 @@ def _hash(text: str) -> str:
 
 @cache
 def _environment() -> Environment:
+    from jinja2 import Environment, FunctionLoader, StrictUndefined  # slow, and help never renders
+
     return Environment(
         loader=FunctionLoader(lambda name: resource(f"templates/{name}")),
         autoescape=True,

@@ -25,6 +25,7 @@ SHARED = {
     "_rows",
     "_stamps",
     "_tables",
+    "_unsigned",
     "_wraps",
     "_written",
 }
