@@ -31,7 +31,7 @@ STEP_BYTES = 1 << 18
 """Packed bytes that are taken from a file at a time."""
 
 FIRST_BYTES = 1 << 14
-"""Those at the beginning of a gzip member, twice as many each time: there may be millions of short ones."""
+"""Packed bytes at the beginning of a gzip member, doubled each time: there may be millions of short ones."""
 
 LONGEST_TEXT = 1 << 16
 """Most bytes in the name or the comment of a gzip member, whose length nothing says."""
