@@ -198,7 +198,7 @@ COLUMNS = {
     "after_mg": "the same after calibration [mg]",
     "ci95_low_mg": "lower end of the 95 % interval of after_mg",
     "ci95_high_mg": "upper end of the 95 % interval of after_mg",
-    "improvement_percent": "by how much the error became smaller, in percent of the error after",
+    "improvement_percent": "error before in percent of the error after, so that 100 means no change",
     "improvement_factor": "how many times smaller the held-out error became",
     "improvement_factor_low": "lower end of its 95 % interval",
     "improvement_factor_high": "upper end of its 95 % interval",
