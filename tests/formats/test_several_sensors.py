@@ -460,3 +460,11 @@ def test_t1_a_table_of_several_sensors_in_an_archive_is_a_recording(tmp_path: Pa
             assert error.value.sensors == ("sensor=left", "sensor=right")
         else:
             assert "holds 2 recordings" in error.value.message
+
+
+def test_a_column_of_half_floats_divides_nothing(tmp_path: Path) -> None:
+    """Found by fuzzing: they end below the largest number that is compared."""
+    table = with_column(stream("L"), "label", np.zeros(ROWS, np.float16))
+    pq.write_table(pa.table(without(table, "sensor")), tmp_path / "a.parquet")
+    with open_recording(tmp_path / "a.parquet", ReadOptions(unit="g")) as reader:
+        assert sum(map(len, reader.chunks(1000))) == ROWS

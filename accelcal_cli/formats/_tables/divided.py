@@ -76,7 +76,7 @@ class DividingRows:
         column = values[:, 0]
         if (read := self._table.texts_of(self._track)) is not None:
             return CellTexts(read, np.where(good, column, -1).astype(np.int32))
-        known = good & np.isfinite(column) & (np.abs(column) < 1 << 53)
+        known = good & np.isfinite(column) & (np.abs(column.astype(np.float64)) < 1 << 53)
         numbers, codes = np.unique(np.where(known, column, 0), return_inverse=True)
         texts = [f"{value:.0f}" if value == np.rint(value) else repr(float(value)) for value in numbers]
         return CellTexts(texts, np.where(known, codes, -1).astype(np.int32))
