@@ -87,6 +87,19 @@ def test_rows_do_not_depend_on_the_pieces(recordings: dict[str, Path], name: str
     assert same(grown(path, path.read_bytes(), Random(1)), whole(path))
 
 
+@pytest.mark.parametrize("lost", [0, 8])
+def test_a_last_row_without_an_end_is_told_alike(
+    recordings: dict[str, Path], lost: int, tmp_path: Path
+) -> None:
+    """The row is complete without its line end, and cut off without its last digits."""
+    path = tmp_path / "csv.csv"
+    data = recordings["csv"].read_bytes().rstrip()
+    path.write_bytes(data := data[: len(data) - lost])
+    found = whole(path)
+    assert [problem.code for problem in found.problems] == (["no_line_end"] if lost else [])
+    assert same(grown(path, data, Random(1)), found)
+
+
 @pytest.mark.parametrize("name", STREAMED)
 @pytest.mark.parametrize("seed", [1, 2, *(pytest.param(n, marks=pytest.mark.nightly) for n in range(3, 40))])
 def test_damage_is_told_alike(recordings: dict[str, Path], name: str, seed: int, tmp_path: Path) -> None:

@@ -315,8 +315,8 @@ class CsvIntake(Intake):
             return
         for rows, passed in self._stream.rows([block], 1):
             yield from self._assembler.chunks(rows, passed, max(1, len(rows)))
-        if last:
-            yield self._assembler.end(block, self._stream.heads.lines)
+            if last:
+                yield self._assembler.end(passed, self._stream.heads.lines)
 
 
 def _recording(path: Path, detected: Detected, first_us: int | None, last_us: int | None) -> Recording:
