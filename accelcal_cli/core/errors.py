@@ -228,9 +228,9 @@ def unread(error: OSError, path: Path | str) -> UnreadableError:
 
 def output_error(error: OSError, path: Path) -> OutputError:
     """Return the error to show for a failed write."""
-    hint = "check the folder and its permissions, or choose another with -d"
+    hint = "check the folder and its permissions, or write to another folder"
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        hint = "free some space or choose another disk with -d"
+        hint = "free some space, or write to another disk"
     if error.errno == errno.ENAMETOOLONG:
         hint = "rename the recording"
     return OutputError(f"cannot be written ({error.strerror or error})", path=path, hint=hint)
