@@ -178,7 +178,7 @@ def _convergence(steps: Real) -> list[Sketch]:
             body.append(area.line(enumerate(column), "after"))
             body.append(svg.label(svg.WIDTH - 24, area.y(column[-1]) + 4, label, "soft"))
         ends = (f"{label} {number(one[-1])}" for label, one in zip(_NAMES[name], away.T, strict=True))
-        text = f"After 50 steps {unit}: {', '.join(ends)}."
+        text = f"Distance from the ideal sensor after 50 steps {unit}: {', '.join(ends)}."
         found.append(Sketch(f"steps-{name}", f"Convergence of the {name}", text, 190, body))
     return found
 

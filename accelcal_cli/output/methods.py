@@ -54,7 +54,8 @@ WORKS = {
         """@misc{bragge,
   title = {Calibration of triaxial accelerometer by determining sensitivity matrix and offsets
     simultaneously},
-  author = {Bragge, T. and others}
+  author = {Bragge, Timo and Hakkarainen, Marko and Tarvainen, Mika P. and Liikavainio, Tuomas and
+    Arokoski, Jari and Karjalainen, Pasi A.}
 }
 """,
     ),
@@ -104,8 +105,23 @@ def _windows(report: ReportView) -> str:
             f"from {still} of {seconds:g} s in {counted(report.known_orientations.orientations, 'position')}"
         )
     return (
-        f"from the gravity measured in {still} (periods of {seconds:g} s without movement; {VAN_HEES}), "
+        f"from the gravity measured in {still} ({_rule(report, seconds)}; after {VAN_HEES}), "
         f"averaged by orientation to {points}"
+    )
+
+
+def _rule(report: ReportView, seconds: float) -> str:
+    """Say which periods count as still, with the limits of the default rule."""
+    periods = f"periods of {seconds:g} s"
+    if report.settings.get("stillness") != "both":
+        return f"{periods} without movement"
+    spread, deviation = (
+        report.setting("stillness_threshold_g", 0.12),
+        report.setting("stillness_deviation_g", 0.013),
+    )
+    return (
+        f"{periods} in which each axis varies by less than {spread:g} g, "
+        f"with a standard deviation below {1000 * deviation:g} mg"
     )
 
 
@@ -116,7 +132,7 @@ def _model(report: ReportView, calibration: CalibrationView) -> str:
     if calibration.temperature is not None:
         equation = "a = K (v + o + s (T − Tref))"
         symbols = "K a 3 × 3 matrix, o the offsets at temperature Tref, and s their slopes with temperature T"
-        source += ", with offsets that change with temperature"
+        source += f"; the change of the offsets with temperature as in {VAN_HEES}"
     return (
         f"The model {equation} corrects {corrections_of(calibration.model)} ({source}), where v is the raw "
         f"acceleration, a the calibrated one, {symbols}."
@@ -132,11 +148,11 @@ def _fit(report: ReportView, calibration: CalibrationView) -> str:
     if prior == "population":
         text += (
             f", with a weakly informative prior (Student's t with {POPULATION.freedom:g} degrees of freedom; "
-            f"scale parameters {_widths(calibration)})"
+            f"scale parameter of the distribution {_widths(calibration)})"
         )
     elif prior not in (None, "none"):
         text += ", with a prior learnt from other recordings of the study"
-    return f"{text}, by the optimizer {calibration.optimizer['name']}."
+    return f"{text}, by accelcal's optimizer {calibration.optimizer['name']}."
 
 
 def _widths(calibration: CalibrationView) -> str:
@@ -160,9 +176,8 @@ def _errors(report: ReportView, known: KnownOrientationsView | None) -> list[str
     if everywhere is not None:
         low, high = everywhere.ci95
         sentences.append(
-            "The expected calibration error over all orientations, the mean of ||a| − 1 g| that the fit "
-            f"leaves uncertain, is {number(everywhere.mean)} mg "
-            f"(95 % interval {number(low)} to {number(high)} mg)."
+            "The expected calibration error, the mean of ||a| − 1 g| over all directions of gravity, is "
+            f"{number(everywhere.mean)} mg (95 % credible interval {number(low)} to {number(high)} mg)."
         )
     if holdout is not None:
         sentences.append(held_out_sentence(holdout))

@@ -54,7 +54,9 @@ def held_out(pieces: Iterable[Piece], using: Sequence[Method]) -> Table:
         "Mean | |a| - 1 g | [mg] of rests of 10 s in orientations that took no part: every method gets the "
         "rests of four fifths of a recording's orientations (15 degrees wide) and is judged on the others, "
         "five times. Each orientation counts the same. In brackets: in how many of the five the method "
-        "accepts a calibration; raw values count where it does not. Filled and clipped samples are left out."
+        "accepts a calibration; raw values count where it does not. Filled and clipped samples are left out. "
+        "six parameters: the method of van Hees et al. 2014, written for this page. skdh may calibrate from "
+        "12 h on, where its default is 72 h."
     )
     return Table("held-out-orientations", text, head, rows)
 
@@ -178,9 +180,10 @@ def known_truth(recordings: Iterable[Simulated], using: Sequence[Method], length
         row = [f"{hours:g}", str(len(raw)), _mg(float(np.mean([error for _, error in raw]))), *cells]
         rows.append([*row, f"{100 * _holding(judged[hours, 'accelcal']):.0f} %"])
     text = (
-        "Mean true error over all orientations [mg] of simulated sensors, calibrated by stretches of these "
-        "lengths. In brackets: share that the method accepts; raw values count where it does not. Last "
-        "column: how often the 95 % interval of accelcal holds the true error."
+        "Mean true error over all orientations [mg] of sensors simulated by accelcal, which follow the model "
+        "that it fits, calibrated by stretches of these lengths. In brackets: share that the method accepts; "
+        "raw values count where it does not. Last column: how often the 95 % interval of accelcal holds the "
+        "true error."
     )
     head = ("hours", "stretches", "raw", *(one.name for one in using), "intervals that hold")
     return Table("known-truth", text, head, rows)
