@@ -28,7 +28,7 @@ class ReadingOptions(TypedDict, total=False):
     """Counts per g (above 0, at most 1e+09)."""
 
     zero: int | None
-    """Count of a table that stands for 0 g, such as 512 of a converter of 10 bits (-1.07374e+09 to
+    """Count that means 0 g in a table, such as 512 for a 10-bit converter (-1.07374e+09 to
     1.07374e+09)."""
 
     columns: Columns | None
@@ -41,7 +41,7 @@ class ReadingOptions(TypedDict, total=False):
     """Order of day, month and year in dates such as 04/03/2024."""
 
     time_format: str | None
-    """Form of a table's times, as strptime writes it: '%d/%m/%Y %H:%M:%S.%f'. Numbers: s, ms, us, ns."""
+    """Form of a table's times, in strptime codes: '%d/%m/%Y %H:%M:%S.%f'. Numbers: s, ms, us or ns."""
 
     timezone: str | None
     """Time zone of the device's clock, if the file does not state one. Example: Europe/Berlin."""
@@ -114,8 +114,8 @@ class MethodOptions(ReadingOptions, total=False):
     profile paper: 0)."""
 
     max_error: float | None
-    """[mg] Largest calibration error over all orientations of a calibrated recording (above 0, at most
-    1e+06; default: 10.0)."""
+    """[mg] Limit of the calibration error over all orientations. A calibrated recording is below (above
+    0, at most 1e+06; default: 10.0)."""
 
     strict: bool | None
     """Refuse recordings that would only be provisional (better than raw, error over max_error)."""
@@ -180,8 +180,8 @@ class FitOptions(TypedDict, total=False):
     """[m] Altitude above sea level (-500 to 9000; default: 0)."""
 
     max_error: float | None
-    """[mg] Largest calibration error over all orientations of a calibrated recording (above 0, at most
-    1e+06; default: 10.0)."""
+    """[mg] Limit of the calibration error over all orientations. A calibrated recording is below (above
+    0, at most 1e+06; default: 10.0)."""
 
     strict: bool | None
     """Refuse recordings that would only be provisional (better than raw, error over max_error)."""
@@ -215,8 +215,8 @@ class PoseOptions(ReadingOptions, total=False):
     """[%] Refuse a recording if more of it is damaged (0 to 100; default: 50.0)."""
 
     max_error: float | None
-    """[mg] Largest calibration error over all orientations of a calibrated recording (above 0, at most
-    1e+06; default: 10.0)."""
+    """[mg] Limit of the calibration error over all orientations. A calibrated recording is below (above
+    0, at most 1e+06; default: 10.0)."""
 
     latitude: float | None
     """[degrees] Latitude of the place where the recording was made, for local gravity (-90 to 90)."""

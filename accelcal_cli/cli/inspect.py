@@ -41,7 +41,7 @@ CLOCKS_S_PER_DAY = 86.4
 )
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option("--full", is_flag=True, help="Read everything, not just pieces.")
-@click.option("--long", is_flag=True, help="Show all about each recording, also if there are several.")
+@click.option("--long", is_flag=True, help="Show everything about each recording, even if there are several.")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object per line.")
 @options.reading_options
 @options.config_option
@@ -52,8 +52,8 @@ CLOCKS_S_PER_DAY = 86.4
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Show what each RECORDING holds and predict the outcome of calibrating it; `-` reads standard input.
 
-    Reads the headers, and all of a file of up to 8 MB; of a larger one pieces spread over it, or
-    everything with --full. Several recordings are shown as a table, a row each; with --long as one alone is.
+    Files of up to 8 MB are read completely. In larger files only the headers and pieces spread over the file
+    are read, unless --full is given. Several recordings are shown as a table with a row for each.
     """
     if recordings.count(STDIN) > 1:
         raise UsageError("standard input can be read only once", hint="give - only once")

@@ -151,18 +151,18 @@ def _sentence(row: dict[str, Any], source: Path, written: Path | None) -> str:
 def _errors(row: dict[str, Any]) -> list[str]:
     """Say the errors before and after [mg], and the interval of the one to quote."""
     before, after, everywhere = row["before_mg"], row.get("after_mg"), row.get("calibration_error_mg")
-    held_out = "on its own still windows" if row["outcome"] == Outcome.BORROWED else "held out"
+    where = "its own still windows" if row["outcome"] == Outcome.BORROWED else "held-out data"
     change = f"{mg(after)} mg" if after == before else f"{mg(before)} -> {mg(after)} mg"
     interval = row.get("improvement_factor_low"), row.get("improvement_factor_high")
     smaller = "" if after == before else times_smaller(row.get("improvement_factor"), interval)
     if everywhere is None:
         low, high = mg(row["ci95_low_mg"]), mg(row["ci95_high_mg"])
-        return [f"|r - 1| {change} {held_out} (95 % interval {low} to {high}){smaller}"]
+        return [f"error |r - 1| on {where} {change} (95 % interval {low} to {high}){smaller}"]
     low, high = mg(row["calibration_error_low_mg"]), mg(row["calibration_error_high_mg"])
     raw = row.get("calibration_error_before_mg")
     return [
         f"error over all orientations {mg(raw)} -> {mg(everywhere)} mg (95 % interval {low} to {high})",
-        f"|r - 1| {change} {held_out}{smaller}",
+        f"Error |r - 1| on {where} {change}{smaller}",
     ]
 
 

@@ -153,10 +153,10 @@ class TerminalObserver:
               help="With -q, also report failures and refusals from earlier runs.")  # fmt: skip
 @click.option("--html", is_flag=True, help="Create study.html and a page for each recording that changed.")
 @click.option("--decisions", type=FILE, metavar="FILE",
-              help="Table of people's decisions.  [default: decisions.csv in OUT]")  # fmt: skip
-@click.option("--log", type=FILE, metavar="FILE", help="Add lines with times about this run to FILE.")
+              help="Table of decisions on recordings.  [default: decisions.csv in OUT]")  # fmt: skip
+@click.option("--log", type=FILE, metavar="FILE", help="Add a log of this run to FILE.")
 @click.option("--keep-older", is_flag=True,
-              help="Keep results that an earlier version made with the same options.")  # fmt: skip
+              help="Keep results of earlier versions of accelcal with the same options.")  # fmt: skip
 @click.option("--prune", is_flag=True,
               help="Remove results whose recording is gone (with --dry-run, only show them).")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Show what would be done without doing it.")

@@ -77,7 +77,7 @@ class ReadOptions:
         None,
         -(2**30),
         2**30,
-        Option("--zero", "Count of a table that stands for 0 g, such as 512 of a converter of 10 bits.", "N"),
+        Option("--zero", "Count that means 0 g in a table, such as 512 for a 10-bit converter.", "N"),
     )
     columns: tuple[str, str, str] | None = setting(
         None,
@@ -95,7 +95,7 @@ class ReadOptions:
         None,
         option=Option(
             "--time-format",
-            "Form of a table's times, as strptime writes it: '%d/%m/%Y %H:%M:%S.%f'. Numbers: s, ms, us, ns.",
+            "Form of a table's times, in strptime codes: '%d/%m/%Y %H:%M:%S.%f'. Numbers: s, ms, us or ns.",
             "FORM",
         ),
     )

@@ -84,7 +84,7 @@ def find_format(path: Path, options: ReadOptions) -> Format:
         raise NoFormatError(
             "format not recognised",
             path=path,
-            hint="name it with --format, or describe a raw dump in a layout file (--layout)",
+            hint="copy it from its device again, or name its format with --format or in a --layout file",
         )
     return item
 

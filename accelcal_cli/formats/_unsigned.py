@@ -163,7 +163,7 @@ def _off_zero(sphere: Sphere, path: Path, lsb_per_g: float | None = None) -> Unr
     scale = radius if lsb_per_g is None else f"{lsb_per_g:.10g}"
     zero = sphere.middle() or sphere.zero
     return UnreadableError(
-        f"its values are counts above 0: rest lies on a sphere of radius {radius} around {about}",
+        f"its values are counts above 0: at rest they lie {radius} counts from the middle {about}",
         path=path,
-        hint=f"give --zero {zero} --lsb-per-g {scale}, or the data sheet's counts of 0 g and of one g",
+        hint=f"give --zero {zero} --lsb-per-g {scale}, or the counts of 0 g and of 1 g in the data sheet",
     )

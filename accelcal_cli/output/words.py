@@ -186,7 +186,7 @@ def _changed(values: Values) -> str:
         "drift": "its offsets drift",
         "step": f"its offsets jump at {when}",
         "gain": f"its scales jump at {when}",
-        "device": f"all its errors jump at {when}, as if another device went on",
+        "device": f"all its errors jump at {when}, as if another device had taken over",
         "walk": "its offsets wander",
     }.get(values["kind"], values["kind"])
     text = f"The sensor changed during the recording: {what}, by up to {values['size_mg']:.1f} mg."
@@ -226,16 +226,16 @@ def _to_second(time: str | None) -> str:
 SENTENCES: dict[str, str | Callable[[Values], str]] = {
     # outcomes
     "calibrated": "Calibration error over all orientations: {raw_mg:mg} mg before, {error_mg:mg} mg after "
-    "(95 % interval {low_mg:mg} to {high_mg:mg} mg). |r - 1| of held-out {held_out}: {before_mg:mg} mg "
-    "before, {after_mg:mg} mg after{times_smaller}.",
+    "(95 % interval {low_mg:mg} to {high_mg:mg} mg). Error |r - 1| on held-out {held_out}: {before_mg:mg} "
+    "mg before, {after_mg:mg} mg after{times_smaller}.",
     "provisional": "Calibration error over all orientations: {raw_mg:mg} mg before, {error_mg:mg} mg after "
     "(95 % interval {low_mg:mg} to {high_mg:mg} mg, the limit is {limit_mg:g} mg). The data are better "
     "than raw with a probability of {percent:.0f} % or more, in {orientations:n recorded orientation} and "
     "over all orientations.",
-    "calibrated_held_out": "{model_asked_for}: |r - 1| of held-out {held_out} is {before_mg:mg} mg before "
-    "and {after_mg:mg} mg after{times_smaller}.",
-    "calibrated_in_part": "{model_asked_for}: |r - 1| of held-out {held_out} is {before_mg:mg} mg before and "
-    "{after_mg:mg} mg after{times_smaller}.{left_out_because}",
+    "calibrated_held_out": "{model_asked_for}: the error |r - 1| on held-out {held_out} is {before_mg:mg} mg "
+    "before and {after_mg:mg} mg after{times_smaller}.",
+    "calibrated_in_part": "{model_asked_for}: the error |r - 1| on held-out {held_out} is {before_mg:mg} mg "
+    "before and {after_mg:mg} mg after{times_smaller}.{left_out_because}",
     "not_clearly_better": "The fit is not clearly better than the raw data: {after_mg:mg} against "
     "{before_mg:mg} mg on held-out {held_out} ({orientations:n orientation}).",
     "raw_no_worse": "No model is clearly better than the raw data, which are {before_mg:mg} mg off on "
@@ -255,7 +255,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "held-out orientations: {after_mg:mg} mg.",
     # refusals
     "nothing_still": lambda values: f"No still window was found{_quietest(values)}.",
-    "nothing_measured": "No still window was found: nowhere were {seconds:g} s measured without a gap.",
+    "nothing_measured": "No still window was found: there are no {seconds:g} s without a gap.",
     "still_far_from_1_g": lambda values: (
         "The still windows are far from 1 g"
         + (f" (typically {values['median_g']:.3g} g)." if "median_g" in values else ".")
@@ -392,8 +392,8 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "filled_share": "{filled_percent:.1f} % of the samples are filled: the device did not measure then (idle "
     "sleep, or rows of zeros). They take no part in the calibration or in means.",
     "rows_without_values": "{empty_percent:.1f} % of the rows hold no values ({empty_rows:n row}), as where "
-    "the device was not worn. They are gaps.",
-    "unlikely_year": "The recording begins in {start:time}, as where a clock was never set or overflowed. "
+    "the device was not worn. They count as gaps.",
+    "unlikely_year": "The recording begins in {start:time}, as if its clock was never set or overflowed. "
     "Correct its times with --shift. The calibration does not need them.",
     "clock_reset": "The clock was reset: it jumps from {before:time} to {after:time} at sample {sample} "
     "({resets:n reset} in all). Times on one side of that are wrong. The calibration does not need them.",
@@ -416,12 +416,12 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "poses, or roll the device with one axis level (six-pose --roll).",
     "roll_alone_checks_poses": "Nothing was held out: only the roll speaks for this calibration.",
     "worse_here": "The error is larger with these coefficients than without.",
-    "much_left": "{limit_mg:g} mg or more are left.",
+    "much_left": "With these coefficients the error is still {limit_mg:g} mg or more.",
     # advice
     "record_longer": "Record longer, with more turns of the wrist.",
     "more_orientations": "The device was still in only {orientations:n orientation}: turn it more often.",
     "rest_on_sides": "The device never rested with {sides:list} pointing up. Take it off and leave it in "
-    "{that} for a minute.",
+    "{each} for a minute.",
     "orientations_disagree": "{orientations:n orientation} disagree by {by_mg:mg} mg: slow movement may "
     "have passed as stillness (--stillness), or the sensor may be faulty.",
     "check_unit": "Check the unit: use --unit, or --lsb-per-g if the values are counts.",
@@ -498,6 +498,9 @@ def _phrases(values: Values) -> Values:
         phrases["of_what"] = "Gravity measures" if values["of"] == "rest" else "The median of |a| is"
     if "sides" in values:
         phrases["that"] = "that orientation" if len(values["sides"]) == 1 else "those orientations"
+        phrases["each"] = ("" if len(values["sides"]) == 1 else "each of ") + phrases["that"]
+    if "parameters" in values:
+        phrases["parameters"] = [PARAMETERS.get(one, one).partition(" [")[0] for one in values["parameters"]]
     left_out, why = values.get("left_out"), phrases.get("why", "the held-out error is no lower with it.")
     phrases["left_out_because"] = f" It leaves {left_out} out: {why}" if left_out else ""
     if values.get("unusual"):

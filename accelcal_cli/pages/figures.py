@@ -90,7 +90,7 @@ def length_along_time(data: TimeSeries) -> Figure | None:
     body.append(_legend(list(data.off)))
     title = "Measured gravity at rest, over time"
     sentences = [
-        f"{WORDS[when]} the median by the hour is {_range(known)} mg"
+        f"{WORDS[when]} the hourly median is {_range(known)} mg"
         for when, table in data.off.items()
         if (known := [one for one in table["p50"] if one is not None])
     ]
@@ -121,9 +121,9 @@ def histogram(data: TimeSeries) -> Figure | None:
     height = 22 + 150 * len(drawn)
     body.append(label((LEFT + WIDTH) / 2, height - 14, "|a| − 1 g [mg]", "soft", "middle"))
     inner = {when: _percentiles(data.points[when], weights, (5, 95)) for when in drawn}
-    ranges = [f"{WORDS[one]} from {number(low)} to {number(high)} mg" for one, (low, high) in inner.items()]
+    ranges = [f"from {number(low)} to {number(high)} mg {WORDS[one]}" for one, (low, high) in inner.items()]
     title = "Distance from 1 g, before and after"
-    scales = "; both rows have the same scale of mg" if len(drawn) > 1 else ""
+    scales = "; both rows have the same scale" if len(drawn) > 1 else ""
     text = f"90 % of the still windows lie {listed(ranges)}. "
     text += f"The outermost bars include all values beyond them{scales}."
     return Figure("histogram", title, svg.figure("histogram", title, text, height, body), text)
@@ -178,7 +178,7 @@ def error_by_hour(data: TimeSeries, change: ChangeView | None) -> Figure | None:
     sentences = []
     for when, table in data.errors.items():
         known = [one for one in table["mean"] if one is not None]
-        sentences.append(f"{WORDS[when]} the mean by the hour is {_range(known)} mg")
+        sentences.append(f"{WORDS[when]} the hourly mean is {_range(known)} mg")
     title = "Error by the hour"
     text = (
         f"{_sentence(sentences)} Lines are means, areas reach up to the 95th percentile; "
@@ -220,10 +220,10 @@ def residual_by_temperature(data: TimeSeries) -> Figure | None:
     title = f"Remaining error by temperature, {WORDS[when]}"
     per_c = _slope(heat, values, data.points["windows"])
     text = (
-        f"Each of {counted(len(heat), 'dot')} is a point of the fit, "
+        f"Each dot is a point ({len(heat)} in all), "
         f"at {number(min(heat))} to {number(max(heat))} °C. "
         f"On average the error changes by {number(per_c, 2)} mg per °C. "
-        "Dots at the upper and lower edge may lie beyond."
+        "Dots at the upper and lower edge may lie beyond it."
     )
     return Figure("temperature", title, svg.figure("temperature", title, text, 270, body), text)
 
@@ -328,7 +328,7 @@ def _timeline_sentence(data: TimeSeries, recording: ReportRecording) -> str:
             sentences.append(f"{counted(int(total), 'sample')} {word.lower()}")
     if lost := sum(rows["lost_bytes"]):
         sentences.append(f"{counted(int(lost), 'byte')} lost to damage")
-    return f"{_sentence(sentences)} Bars are as high as the share of the row."
+    return f"{_sentence(sentences)} The height of a bar is its share of that time."
 
 
 def convergence(data: TimeSeries) -> Figure | None:
@@ -365,7 +365,7 @@ def sphere(data: TimeSeries, report: ReportView) -> Figure | None:
     body.append(label(WIDTH / 2, 350, SHADES, "soft", "middle"))
     number_of = 2 * len(svg.all_cells())
     missing = empty_subsets(report.coverage.subsets)
-    named = f"Empty subsets: {listed(missing)}." if missing else "None of the nine subsets is empty."
+    named = f"Missing: {listed(missing)}." if missing else "It was still near −1, 0 and +1 g on each axis."
     title = "Orientations in which the device was still"
     text = f"The device was still in {len(filled)} of {number_of} equal areas of the sphere. {named}"
     if report.error_everywhere is not None:
@@ -443,11 +443,11 @@ def _least_certain(halves: Sequence[svg.Hemisphere], direction: Sequence[float])
 
 
 def empty_subsets(subsets: Sequence[Sequence[int]]) -> list[str]:
-    """Name those of the nine subsets of F that have no point, such as `xn (x near −1 g)`."""
+    """Name those of the nine subsets of F that have no point, such as `x near −1 g`."""
     return [
-        f"{axis}{level} ({axis} near {NEAR[row]})"
+        f"{axis} near {NEAR[row]}"
         for place, axis in enumerate("xyz")
-        for row, level in enumerate("n0p")
+        for row in range(3)
         if not subsets[row][place]
     ]
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from accelcal_cli.core.errors import counted
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.output.advice import cautions, page_verdict
 from accelcal_cli.output.methods import bibtex, methods_paragraph, references
 from accelcal_cli.output.numbers import millionths, number
@@ -22,9 +23,10 @@ from accelcal_cli.output.report_view import (
     PoseView,
     ReportView,
     RollView,
+    TrialView,
     report_view,
 )
-from accelcal_cli.output.words import PARAMETERS, corrections_of, sentence
+from accelcal_cli.output.words import PARAMETERS, clause, corrections_of, sentence
 from accelcal_cli.pages.figures import NEAR, figures_of
 from accelcal_cli.pages.rendering import PageTable, Rows, rendered, rendered_fragment
 from accelcal_cli.pages.time_series import UnfitError, hourly_table, time_series
@@ -47,7 +49,7 @@ WINDOWS = {
     "repeated": "repeats of earlier ones",
     "implausible": "not near 1 g",
     "constant_left_out": "left out: never changed",
-    "temperature_left_out": "left out: temperature that cannot be",
+    "temperature_left_out": "left out: impossible temperature",
     "saturated_left_out": "left out: near where an axis saturates",
 }
 """Fates of windows, by their keys in the report."""
@@ -203,11 +205,16 @@ def _models(report: ReportView) -> PageTable | None:
     for at, trial in enumerate(report.models_tried):
         prior = f"with the {trial.prior} prior" if trial.prior else ""
         chosen_with = f"chosen ({prior})" if prior else "chosen"
-        why = "; ".join(filter(None, (chosen_with if at == chosen else prior, trial.reason)))
+        why = "; ".join(filter(None, (chosen_with if at == chosen else prior, _why(trial))))
         rows.append([trial.model, corrections_of(trial.model), number(trial.after_mg), why])
     head = ["Model", "Corrects", "Held-out error [mg]", "Remark"]
     caption = "Models compared, by error on held-out orientations"
     return PageTable(caption, head, rows, (0, 1, 3)) if rows else None
+
+
+def _why(trial: TrialView) -> str:
+    """Return why a model was not taken, in words; empty if it could be."""
+    return clause(Reason(trial.reason, trial.values)) if trial.reason else ""
 
 
 def _misfits(report: ReportView) -> PageTable | None:
@@ -270,7 +277,7 @@ def _problems(report: ReportView) -> PageTable | None:
         for one in problems[:MOST_PROBLEMS]
     ]
     caption = f"Problems{_more(len(problems), MOST_PROBLEMS)}"
-    return PageTable(caption, ["Code", "What", "Byte", "Times"], rows, (0, 1)) if rows else None
+    return PageTable(caption, ["Code", "Problem", "Byte", "Number"], rows, (0, 1)) if rows else None
 
 
 def _more(number_of: int, shown: int) -> str:

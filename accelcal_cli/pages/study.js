@@ -280,14 +280,14 @@
       link.click();
       setTimeout(() => URL.revokeObjectURL(link.href), 60000);
       this.unsaved = false;
-      this.say("saved as a download: put it in the place of decisions.csv in the folder of the results, and run the study again");
+      this.say("saved as a download: move it into the folder of the results (over an older decisions.csv), and run the study again");
     }
 
     say(what) {
       const count = this.rows().length;
       $("decided-count").textContent = count || what
         ? [`${grouped(count)} decision${count === 1 ? "" : "s"}`, what].filter((text) => text).join(", ")
-        : "Choose in the columns decision and note of the table.";
+        : "To decide on a recording, use the columns decision and note of the table.";
     }
 
     // Marks outlive a reload where the browser allows it; those that decisions.csv has overtaken are dropped.

@@ -148,7 +148,7 @@ KINDS = (
                 "The message says what is missing. Record longer, or use the coefficients of another "
                 "recording of the device (accelcal study --borrow)."),
     ProblemKind("uncertain", "uncertain", "Calibrated, but uncertain",
-                "The true error may be beyond the limit in directions that were not measured. "
+                "The true error may be beyond the limit in orientations that were not recorded. "
                 "A longer recording with more turns of the wrist helps."),
     ProblemKind("damaged", "file damaged", "Parts of the file are lost",
                 "Copy the file again from the device; if the damage stays, have the device checked."),

@@ -219,12 +219,12 @@ def hourly_table(data: TimeSeries) -> tuple[str, list[str], list[list[str]]]:
         columns[f"|a| − 1 g {when}, {middle} [mg]"] = rows.merged(table["p50"], _worst)
     columns["°C"] = rows.means(data.temperature, 4)
     columns |= {title: rows.sums(data.rows[name]) for name, title in TOTALS.items() if any(data.rows[name])}
-    caption = "Hour by hour: all that the figures along time show"
+    caption = "Hour by hour: the numbers of the figures over time"
     if together > 1:
         each = (
             f"{together} rows of NAME.quality.json in each row, which has their sums, mean and worst values"
         )
-        caption = f"All that the figures along time show, {each}"
+        caption = f"The numbers of the figures over time, {each}"
     return caption, list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
 
 

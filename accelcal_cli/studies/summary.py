@@ -325,7 +325,7 @@ def _standard_errors(calibration: CalibrationView) -> dict[str, float]:
 TOGETHER = 1 << 14
 """Number of rows of a row group of `study.parquet`."""
 
-WAY_OUT = "give the zone of the latter with --timezone, in a separate study if other files state their own"
+WAY_OUT = "give the unknown zone with --timezone, in a separate study if other files state their own"
 
 
 @dataclass(frozen=True, slots=True)
@@ -400,8 +400,8 @@ class Summary:
         if len(zones) < 2:
             return None
         return (
-            f"`time` is in UTC in {counted(zones[UTC], 'Parquet file')} and in local time of an unknown zone "
-            f"in {zones[UNKNOWN]} (see time_zone in the table): do not join them; {WAY_OUT}"
+            f"times are in UTC in {counted(zones[UTC], 'Parquet file')}, and in local time of an unknown "
+            f"zone in {zones[UNKNOWN]} (see time_zone in the table): do not join them; {WAY_OUT}"
         )
 
     def counts(self) -> dict[str, Any]:

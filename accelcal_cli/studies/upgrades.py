@@ -86,7 +86,7 @@ def said_before(why: Mapping[str, str], *, keep_older: bool) -> list[str]:
 
 def _way_out(why: str) -> str:
     """Return how results are kept that were made with the same options."""
-    return "; --keep-older leaves them" if why.startswith("made by") and ", " not in why else ""
+    return "; --keep-older keeps them" if why.startswith("made by") and ", " not in why else ""
 
 
 def said_after(before: Mapping[str, Mapping[str, Any]], after: Mapping[str, Mapping[str, Any]]) -> str | None:

@@ -59,7 +59,7 @@ def shown(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> Shown:
 def test_an_interval_that_holds_the_raw_error_is_said(shown: Shown) -> None:
     """And one that reaches the limit of 10 mg."""
     sentence, *cautions = shown(ROW, Path("a.parquet")).splitlines()
-    start = "a.cwa: calibrated with nine parameters: |r - 1| 13.5 -> 9.8 mg held out "
+    start = "a.cwa: calibrated with nine parameters: error |r - 1| on held-out data 13.5 -> 9.8 mg "
     assert sentence == f"{start}(95 % interval 5.4 to 14.3), 1.38 times smaller. Written to a.parquet"
     assert cautions == [f"  {REACH.format(14.3, 'on average')}", f"  {UNCERTAIN}"]
     assert UNCERTAIN not in shown(ROW | {"ci95_high_mg": 13.4})
@@ -91,7 +91,7 @@ def test_models_are_said_in_words(shown: Shown) -> None:
     assert " with twelve parameters: " in shown(fine | {"model": "12"})
     assert " with six parameters and temperature: " in shown(fine | {"model": "6T"})
     borrowed = shown(fine | {"outcome": "borrowed"})
-    assert "coefficients (nine parameters): |r - 1| 13.5 -> 9.8 mg on its own still windows" in borrowed
+    assert "coefficients (nine parameters): error |r - 1| on its own still windows 13.5 -> 9.8 mg" in borrowed
 
 
 def test_fields_at_a_terminal_are_an_option(shown: Shown) -> None:
@@ -108,7 +108,8 @@ def test_verdicts_10_a_sentence_has_the_error_everywhere_and_the_factor(shown: S
     interval = {"improvement_factor_low": 1.1, "improvement_factor_high": 1.75}
     assert shown(ROW | ERRORS | interval) == (
         "a.cwa: calibrated with nine parameters: error over all orientations 20 -> 4.1 mg (95 % interval "
-        "1.5 to 9.9). |r - 1| 13.5 -> 9.8 mg held out, 1.38 times smaller (95 % interval 1.1 to 1.75)\n"
+        "1.5 to 9.9). Error |r - 1| on held-out data 13.5 -> 9.8 mg, 1.38 times smaller (95 % "
+        "interval 1.1 to 1.75)\n"
     )
 
 

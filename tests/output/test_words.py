@@ -427,8 +427,8 @@ def test_a_sentence_shows_its_values() -> None:
     missing = sentence(Reason("subsets_not_full", EXAMPLES["subsets_not_full"][0]))
     assert missing.endswith("at least 0.2 g apart. Missing in the fit set: x -1 g and z 0 g.")
     assert sentence(Reason("calibrated", EXAMPLES["calibrated"][0])).endswith(
-        " |r - 1| of held-out orientations: 31.5 mg before, 2.04 mg after, 15.4 times smaller (95 % interval "
-        "11.8 to 20.2)."
+        " Error |r - 1| on held-out orientations: 31.5 mg before, 2.04 mg after, 15.4 times smaller (95 % "
+        "interval 11.8 to 20.2)."
     )
     part = sentence(Reason("calibrated_in_part", EXAMPLES["calibrated_in_part"][1]))
     assert part.endswith(" It leaves misalignment out: no still window has -z pointing up (0.3 g or more).")

@@ -182,7 +182,7 @@ def test_bars_of_the_histogram_are_shares_of_the_windows(made: Files) -> None:
             high = np.inf if place == len(bars) - 1 else first + step * right - 1e-3
             share = np.mean((each >= low) & (each < high))
             assert height / whole == pytest.approx(share, abs=0.004), (when, place)
-    low, high = drawn.one("desc").text.split("before calibration from ")[1].split(" mg")[0].split(" to ")
+    low, high = drawn.one("desc").text.split("windows lie from ")[1].split(" mg")[0].split(" to ")
     each = np.sort(np.repeat(points["before"], points["windows"])) / 100
     exact = [np.percentile(each, percent, method="inverted_cdf") for percent in (5, 95)]
     assert [float(one.replace("−", "-")) for one in (low, high)] == pytest.approx(exact, rel=0.01)
@@ -257,7 +257,7 @@ def test_empty_subsets_are_named(made: Files) -> None:
     report["coverage"]["subsets"][0][1] = 0
     root = check(page(report, quality))
     drawn = figure(root, "sphere")
-    assert "Empty subsets: yn (y near −1 g)." in drawn.one("desc").text
+    assert "Missing: y near −1 g." in drawn.one("desc").text
     assert [one.text for one in drawn.all("text") if one.attributes.get("class") == "bad"] == ["−y empty"] * 2
     assert [one.text for one in root.all("td") if one.attributes.get("class") == "missing"] == ["empty"]
 

@@ -47,7 +47,7 @@ def test_u7_an_upgrade_says_what_is_made_again_and_how_it_changed(tmp_path: Path
     objects = [json.loads(line) for line in study(capsys, folder, "--dry-run", "--json").lines]
     assert [one["why"] for one in objects if one["state"] == "todo"] == ["made by 0.0.9"] * 2
     ran = study(capsys, folder)
-    assert "2 results to be made again (made by 0.0.9); --keep-older leaves them" in ran.err
+    assert "2 results to be made again (made by 0.0.9); --keep-older keeps them" in ran.err
     found = re.search(
         rf"2 results made again by {re.escape(__version__)}, 0 with another outcome; (.*)", ran.err
     )
