@@ -211,7 +211,7 @@ FIGURES = {
     help="Lengths of wear; those of more than half a recording are left out.",
 )
 @click.option("--number", type=click.IntRange(1, 10_000), metavar="N", default=12, show_default=True,
-              help="Segments of each length and recording at most.")  # fmt: skip
+              help="Largest number of segments of each length in a recording.")  # fmt: skip
 @table_hours_option
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
@@ -221,11 +221,11 @@ FIGURES = {
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Show the calibration error over all orientations by hours of wear, for RECORDINGs or folders of them.
 
-    Segments of each length are calibrated as if they were all there is: the share with a calibration, and
-    with a provisional one, the mean and the 90th percentile of their error over all orientations against the
-    calibration of the rest of the recording, the error that their reports claim, and that of raw data. Kinds
-    of devices are apart, by model and by the wear site if the name of the file or folder has it. For
-    a refused recording, shows what it lacks, and how many more hours usually bring it.
+    Calibrates segments of each length as if each were a whole recording. Shows the share with a calibration,
+    and with a provisional one, the mean and the 90th percentile of their error over all orientations, the
+    error that their reports claim, and that of raw data. The calibration of the rest of the recording counts
+    as the truth. Each model of device has rows of its own, and each wear site that the name of a file or
+    folder shows. For a refused recording, shows what it lacks, and how many more hours usually bring it.
     """
     refuse_both(as_json=values["as_json_"], as_csv=values["as_csv"])
     reading, settings = read_options(values), chosen_settings(values)

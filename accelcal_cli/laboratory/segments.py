@@ -383,7 +383,7 @@ table_hours_option = click.option(
     metavar="N",
     default=24,
     show_default=True,
-    help="Segments of each length at most.",
+    help="Largest number of segments of each length.",
 )
 @table_hours_option
 @click.option(
@@ -406,10 +406,11 @@ table_hours_option = click.option(
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate segments of each RECORDING, and compare their error estimates with the rest of it.
 
-    For each length: how many segments there are, how many have two orientations and more, a calibration, and
-    a provisional one; then, for those with one, the mean error on the rest of the recording without and with
-    it, the mean that their reports claim, how many are above the limit or worse than raw data, and the share
-    of the 95 % intervals that hold the error (with the scatter of rests, which the error on the rest has).
+    For each length: how many segments there are, and how many have at least two orientations, a calibration,
+    and a provisional one. Then, for segments with a calibration: the mean error on the rest of the recording
+    without and with it, the mean that their reports claim, how many are above the limit or worse than raw
+    data, and the share whose error is below the upper end of the 95 % interval plus the scatter of rests,
+    which the error on the rest includes.
 
     With --sensors, what the sensor measured in its still windows is replaced by what simulated ones would
     have measured, each in one of the segments. The errors are then the true ones over all directions, without
