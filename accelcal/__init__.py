@@ -1,16 +1,16 @@
-"""Calibration of raw accelerometer recordings from the stillness that they contain.
+"""Autocalibration of raw accelerometer recordings, from the periods without movement in them.
 
 For example::
 
     import accelcal
 
     result = accelcal.calibrate("recording.cwa")   # or an array: accelcal.calibrate(xyz, rate=100)
-    result.to_pandas()                             # calibrated values
-    result.calibration(xyz)                        # the coefficients, on other values
+    result.to_pandas()                             # calibrated values, as a data frame
+    result.calibration(xyz)                        # applies the coefficients to other raw values
 
 `read`, `inspect`, `calibrate`, `apply`, `fit`, `from_poses`, `effect`, `study`, `export`, `report` and
-`simulate` do the work of the commands of these names, with the same bits. Their options are those of the
-commands, as keywords: `--lsb-per-g` is `lsb_per_g`.
+`simulate` do the same as the commands of these names, with identical results. Options of the commands are
+keywords: `--lsb-per-g` is `lsb_per_g`.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ class Samples:
     """n consecutive rows of a recording.
 
     Attributes:
-        first_sample: number of the first of them within the recording.
+        first_sample: number of the first row within the recording.
         time: (n,) datetime64[us], UTC if `Reading.recording.timezone` is known, else the device's clock.
         xyz: (n, 3) raw acceleration [g].
         temperature: (n,) [degrees C], or None.
@@ -72,7 +72,7 @@ class Samples:
 
 
 class Reading:
-    """An open recording: iterate over it for its samples, as often as wanted; close it, or use `with`.
+    """An open recording: iterate over it to get its `Samples`, as often as you like; close it, or use `with`.
 
     Attributes:
         recording: facts from its header: format, device, rate, range, time zone.
@@ -103,7 +103,7 @@ class Reading:
                 yield _samples(chunk, self.recording, time_us - MICROSECONDS * offset_s)
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return all of it, raw, as a data frame with `time` as index and the columns of the Parquet file."""
+        """Return all raw values as a data frame, with `time` as index and the columns of the Parquet file."""
         import pandas as pd
 
         return pd.concat([_frame_of(one) for one in self]).set_index("time")
@@ -165,7 +165,7 @@ def read(
         source: a path, bytes, an open file, an (n, 3) array or a table.
         parts: see `calibrate`.
         chunk_samples: approximate number of rows in a piece.
-        options: how it is read.
+        options: options for reading, as in `calibrate`.
 
     Raises:
         AccelcalError: it cannot be read.
@@ -192,18 +192,18 @@ def calibrate(
     report_only: bool = False,
     **options: Unpack[CalibrationOptions],
 ) -> Result:
-    """Calibrate a recording from its own stillness.
+    """Calibrate a recording from its own periods without movement.
 
     Args:
         source: a path; the content of a file as bytes, or an open file; an (n, 3) array of x, y, z, which
             needs `rate` or `time`; or a table (pandas, polars, pyarrow, xarray, a dictionary of columns)
             with columns x, y, z and time. Anything but a path is written to a temporary file (in TMPDIR).
-        temperature: of an array, (n,) [degrees C].
-        gyroscope: of an array, (n, 3) [degrees/s], or in `gyro_unit`.
-        time: of an array, (n,) datetime64.
+        temperature: (n,) [degrees C], if `source` is an array.
+        gyroscope: (n, 3) [degrees/s], or in `gyro_unit`, if `source` is an array.
+        time: (n,) datetime64, if `source` is an array.
         parts: read the files in a folder, a pattern (`S01/*.csv`) or an archive as parts of one recording.
-        report_only: skip the second pass, which alone counts `clipped_samples_after`.
-        options: how it is read and calibrated: `rate` [Hz], `start`, `unit`, `timezone`, `prior`, ...
+        report_only: skip the second pass over the file; `clipped_samples_after` is then None.
+        options: for reading and calibrating: `rate` [Hz], `start`, `unit`, `timezone`, `prior`, ...
 
     Raises:
         AccelcalError: it cannot be read, or the options do not go together. A refusal is a result.
@@ -283,7 +283,7 @@ def fit(points: Source, **options: Unpack[FitOptions]) -> Report:
     Args:
         points: a path; or a table with columns x, y, z [g] and optionally temperature_c, weight and
             posture, or those of `Result.windows`; or an array (n, 3) [g].
-        options: how they are fitted.
+        options: for the fit.
 
     Raises:
         AccelcalError: it is not a table of points but, for example, raw samples, or the options do not go
@@ -330,7 +330,7 @@ def from_poses(
         recordings: the session: a recording, or the folder or the paths of several of one device.
         poses: list of poses; None: the six faces are found.
         roll: where the device was rolled with one axis level, such as `z,80,95`.
-        options: how it is read and fitted.
+        options: for reading and for the fit.
 
     Raises:
         AccelcalError: it cannot be read, the poses do not determine the parameters, or the options do not go
@@ -374,11 +374,11 @@ def apply(
     Args:
         report: a result or report with a calibration, or the path of one.
         xyz: (n, 3) or (3,) raw acceleration [g].
-        temperature: (n,) or one for all [degrees C]; see `Calibration.__call__`.
-        first_sample: number of the first row in its recording, where the calibration follows a change.
+        temperature: (n,), or one number for all rows [degrees C]; see `Calibration.__call__`.
+        first_sample: number of the first row in its recording, for a calibration that follows a change.
 
     Returns:
-        of the shape of `xyz` [g], the same bits as in the Parquet file.
+        calibrated values [g], in the shape of `xyz`, identical to those in the Parquet file.
 
     Raises:
         UsageError: there is no calibration, or it needs temperatures.

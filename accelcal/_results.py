@@ -177,12 +177,12 @@ class Report:
 
     @property
     def usable(self) -> bool:
-        """True if there is a calibration."""
+        """True if the result can be used: there is a calibration."""
         return self.report["calibration"] is not None
 
     @property
     def reason(self) -> str:
-        """Code of why the outcome is what it is (docs/reasons.md)."""
+        """Code of the reason for the outcome (docs/reasons.md)."""
         return str(self.report["reason"])
 
     @property
@@ -192,7 +192,7 @@ class Report:
 
     @property
     def message(self) -> str:
-        """Reason of the outcome, in sentences for people."""
+        """The reason for the outcome, in sentences."""
         return str(self.report["message"])
 
     @property
@@ -222,7 +222,7 @@ class Report:
         return report_view(self.report)
 
     def summary(self) -> dict[str, Any]:
-        """Return the row that a study's table has for it (docs/study.md)."""
+        """Return the recording's row in a study's table (docs/study.md)."""
         from accelcal_cli.studies import summary
         from accelcal_cli.studies.records import Item
 
@@ -231,7 +231,7 @@ class Report:
         return {name: value for name, value in row.items() if name != "exit_code"}
 
     def quality(self) -> dict[str, Any] | None:
-        """Return the recording along time (docs/quality.md); None where it is not known."""
+        """Return the recording's error and state hour by hour (docs/quality.md); None if not known."""
         return None
 
     @public
@@ -242,7 +242,7 @@ class Report:
             force: replace a file that accelcal did not write.
 
         Raises:
-            OutputError: the file cannot be written, or another program's is in its place.
+            OutputError: the file cannot be written, or a file of another program has its name.
         """
         from accelcal_cli.pages.recording import page
         from accelcal_cli.pages.write import refuse_foreign_page
@@ -312,16 +312,16 @@ class Result(Report):
 
     @property
     def source(self) -> Path:
-        """Path of the recording; one that was in memory has a name alone."""
+        """Path of the recording; a name alone if the recording was in memory."""
         return self._given.job.source
 
     _more_uses = ", .to_pandas(), .plot(), .windows(), .write(folder)"
 
     def batches(self) -> Iterator[pa.RecordBatch]:
-        """Yield the calibrated recording in pieces with the columns of the Parquet file; reads it once more.
+        """Yield the calibrated recording in pieces with the Parquet file's columns; reads the file again.
 
         Raises:
-            AccelcalError: the recording was refused, changed while it was read, or cannot be read on.
+            AccelcalError: the recording was refused, changed while it was read, or cannot be read to its end.
         """
         with speaking_python():
             yield from self._batches()
@@ -346,17 +346,17 @@ class Result(Report):
                 yield pa.record_batch(arrays, schema=schema)
 
     def to_arrow(self) -> pa.Table:
-        """Return all of it, in memory (a week of 100 Hz: 1.3 GB); raises what `batches` raises."""
+        """Return all calibrated values in memory (a week at 100 Hz: 1.3 GB); raises as `batches` does."""
         import pyarrow as pa
 
         return pa.Table.from_batches(self.batches())
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return all of it as a data frame, with `time` as index; raises what `batches` raises."""
+        """Return all calibrated values as a data frame, with `time` as index; raises as `batches` does."""
         return self.to_arrow().to_pandas().set_index("time")
 
     def to_polars(self) -> pl.DataFrame:
-        """Return all of it as a data frame of polars; raises what `batches` raises."""
+        """Return all calibrated values as a polars data frame; raises as `batches` does."""
         import polars as pl
 
         frame = pl.from_arrow(self.to_arrow())
@@ -364,7 +364,7 @@ class Result(Report):
         return frame
 
     def to_xarray(self) -> xr.Dataset:
-        """Return all of it as a dataset along `time`, in UTC where the zone is known; needs xarray."""
+        """Return all calibrated values as a dataset along `time` (UTC if the zone is known); needs xarray."""
         import xarray as xr
 
         table = self.to_arrow()
@@ -381,7 +381,7 @@ class Result(Report):
         return {name: unit.decode() for name, unit in known.items() if unit}
 
     def windows(self) -> pd.DataFrame:
-        """Return all still windows and what became of them, with the columns of `calibrate --windows`."""
+        """Return all still windows and how each was used, with the columns of `calibrate --windows`."""
         from accelcal_cli.output.windows import arrow
 
         first = self._first_pass
@@ -390,7 +390,7 @@ class Result(Report):
         return table
 
     def quality(self) -> dict[str, Any] | None:
-        """Return the recording along time (docs/quality.md); None with profile `paper`."""
+        """Return the error and state hour by hour (docs/quality.md); None with profile `paper`."""
         from accelcal_cli.output.quality import dumps_quality, quality_json
 
         made = self._first_pass.quality()
@@ -404,7 +404,7 @@ class Result(Report):
             the Parquet file (None without calibrated values) and the report.
 
         Raises:
-            OutputError: a file cannot be written, or another program's is in its place.
+            OutputError: a file cannot be written, or a file of another program has its name.
             UsageError: the recording was in memory, and no folder is given.
         """
         if folder is None and self._given.folder is not None:
@@ -415,7 +415,7 @@ class Result(Report):
         return result.parquet, job.report
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Plot `|a|` of still windows along time, before and after; needs matplotlib.
+        """Plot `|a|` of still windows over time, before and after calibration; needs matplotlib.
 
         Args:
             axes: axes of matplotlib; None for new ones.

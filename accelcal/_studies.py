@@ -83,25 +83,25 @@ def study(
     Args:
         folder: the folder of the recordings, or several.
         output: folder into which the outputs are written.
-        include, exclude: patterns of the files that are worked on and left out, such as `*.cwa`.
+        include, exclude: patterns of files to process and to leave out, such as `*.cwa`.
         jobs: workers; None for as many as CPUs and memory allow, 1 for this process alone.
-        executor: who works instead: an executor of concurrent.futures, a client of Dask, or the address of
-            its scheduler.
+        executor: what does the work instead: an executor of concurrent.futures, a client of Dask, or the
+            address of its scheduler.
         timeout: longest time for a recording [minutes].
         borrow: use the coefficients of the device's recording nearest in time where a recording cannot be
             calibrated well.
         pool: calibrate all recordings of a device together.
         report_only: write reports but no Parquet.
-        retry_failed: try recordings again that failed and have not changed.
-        newer_than: work only on files that were modified since then.
-        decisions: table of what people decided about recordings; None: decisions.csv in `output`.
+        retry_failed: try again recordings that failed and have not changed since.
+        newer_than: process only files that were modified since then.
+        decisions: table of your decisions about recordings; None: decisions.csv in `output`.
         html: also write the pages of the study and of its recordings.
         force: redo what is up to date, and replace files that accelcal did not write.
         progress: show a bar; None: at a terminal and in a notebook.
         options: those of `calibrate`, for all recordings; `prior` may also be `study` or `device`.
 
     Returns:
-        the table of the study, one row a recording (docs/study.md).
+        the table of the study, with a row for each recording (docs/study.md).
 
     Raises:
         AccelcalError: the options do not go together, or the folder cannot be used.
@@ -238,18 +238,18 @@ def export(
         results: results, or paths of reports, of calibrated Parquet files or of output folders of studies.
         to: `ggir`, `biobank`, `omconvert` or `json`: coefficients, unless a folder is given; `actipy`,
             `skdh`, `csv`, `npz`, `mhealth`, `bids` or `parquet`: data.
-        output: the new file; coefficients need none. What it costs that other tools know no misalignment is
-            in each report (`without_misalignment`).
-        folder: where the data of all results go, with a script for the tool.
-        gzip: compress tables in the folder; jobs: recordings at a time, None for one a CPU.
-        resample: of data, the rate that they get [Hz].
-        smooth: of data, samples of a rolling mean; `auto`: by the rate.
-        measured_only: of data, leave out rows that were not measured.
+        output: the new file; not needed for coefficients. How much accuracy other tools lose without
+            misalignment is in each report (`without_misalignment`).
+        folder: a folder for the data of all results, with a script for the tool.
+        gzip: compress tables in the folder; jobs: recordings at a time, None for as many as CPUs.
+        resample: new rate of the data [Hz].
+        smooth: number of samples of a rolling mean over the data; `auto`: by the rate.
+        measured_only: leave out rows of the data that were not measured.
         force: replace a file that is there.
 
     Returns:
-        coefficients as text; else the path of the file or the folder. Warnings name each recording of
-        several that was refused and is skipped, and temperatures that the tool cannot use.
+        coefficients as text, or else the path of the file or the folder. Warnings name each recording that
+        is skipped because it was refused, and temperatures that the tool cannot use.
 
     Raises:
         AccelcalError: there are no coefficients or no data, or a file cannot be written.
@@ -381,11 +381,11 @@ def _data(form: str, path: Path, wanted: ExportOptions, *, force: bool) -> str:
 
 @public
 def report(what: Report | AnyPath, output: AnyPath | None = None, *, force: bool = False) -> Path:
-    """Write a page for people, as `accelcal report` does.
+    """Write an HTML page of a report or of a study, as `accelcal report` does.
 
     Args:
-        what: a result, the path of a report, or the output folder of a study: then all pages that changed.
-        output: the page; None: next to the report. A result needs one.
+        what: a result, the path of a report, or the output folder of a study (all changed pages are written).
+        output: path of the page; None: next to the report. Needed if `what` is a result.
         force: replace a file that accelcal did not write.
 
     Returns:
@@ -433,9 +433,9 @@ def simulate(
     Args:
         output: the recording; the format's suffix is added if it is missing.
         format: flash, raw, csv, hdf5, cwa, geneactiv or gt3x.
-        days: its length; rate: samples per second [Hz].
-        seed: of movement and noise; truth: of the sensor's errors, None for that of `seed`.
-        errors, misalignment: factors on the sensor's errors; 0 for a perfect sensor.
+        days: length of the recording; rate: samples per second [Hz].
+        seed: random seed of movement and noise; truth: seed of the sensor's errors, None for `seed`.
+        errors, misalignment: factors by which the sensor's errors are multiplied; 0 for a perfect sensor.
         temp_slope: change of the offsets of x, y, z [mg per degree C].
         noise_mg: standard deviation of the noise of each axis [mg].
         lsb_per_g: counts per g; range_g: range of the sensor [g].
