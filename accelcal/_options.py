@@ -114,8 +114,8 @@ class MethodOptions(ReadingOptions, total=False):
     profile paper: 0)."""
 
     max_error: float | None
-    """[mg] Limit of the calibration error over all orientations. A calibrated recording is below (above
-    0, at most 1e+06; default: 10.0)."""
+    """[mg] Limit of the calibration error over all orientations of a calibrated recording (above 0, at
+    most 1e+06; default: 10.0)."""
 
     strict: bool | None
     """Refuse recordings that would only be provisional (better than raw, error over max_error)."""
@@ -180,8 +180,8 @@ class FitOptions(TypedDict, total=False):
     """[m] Altitude above sea level (-500 to 9000; default: 0)."""
 
     max_error: float | None
-    """[mg] Limit of the calibration error over all orientations. A calibrated recording is below (above
-    0, at most 1e+06; default: 10.0)."""
+    """[mg] Limit of the calibration error over all orientations of a calibrated recording (above 0, at
+    most 1e+06; default: 10.0)."""
 
     strict: bool | None
     """Refuse recordings that would only be provisional (better than raw, error over max_error)."""
@@ -215,8 +215,8 @@ class PoseOptions(ReadingOptions, total=False):
     """[%] Refuse a recording if more of it is damaged (0 to 100; default: 50.0)."""
 
     max_error: float | None
-    """[mg] Limit of the calibration error over all orientations. A calibrated recording is below (above
-    0, at most 1e+06; default: 10.0)."""
+    """[mg] Limit of the calibration error over all orientations of a calibrated recording (above 0, at
+    most 1e+06; default: 10.0)."""
 
     latitude: float | None
     """[degrees] Latitude of the place where the recording was made, for local gravity (-90 to 90)."""

@@ -355,7 +355,7 @@ def probe_file(path: Path, options: ReadOptions) -> Probe:
             what, hint = "is a pipe or a device, and a recording is read twice", "write it to a file first"
             raise UnreadableError(what, path=path, hint=hint)
         if size == 0:
-            raise UnreadableError("is empty", path=path, byte_offset=0, hint=COPY_AGAIN)
+            raise UnreadableError("the file is empty", path=path, byte_offset=0, hint=COPY_AGAIN)
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)
         compressed = head.startswith(GZIP_MAGIC)

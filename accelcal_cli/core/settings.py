@@ -289,7 +289,7 @@ class Settings:
         1e6,
         Option(
             "--max-error",
-            "Limit of the calibration error over all orientations. A calibrated recording is below.",
+            "Limit of the calibration error over all orientations of a calibrated recording.",
             "MG",
             above=0,
         ),

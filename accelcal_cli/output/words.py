@@ -381,11 +381,10 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "never_fits": "Its error is {error_mg:mg} mg in {orientations:n orientation}, over the limit of "
     "{limit_mg:g} mg. Find new coefficients.",
     "fits_held_out": "Its error is {error_mg:mg} mg in {orientations:n orientation} (95 % interval up to "
-    "{high_mg:mg} mg). It was not checked along time.",
+    "{high_mg:mg} mg). It was not checked over time.",
     # no change was looked for
     "too_short": "The recording is too short to show a change of the sensor.",
-    "too_many_cells": "The recording holds too many orientations and temperatures to compare them along "
-    "time.",
+    "too_many_cells": "The recording holds too many orientations and temperatures to compare them over time.",
     "few_still_stretches": "The device was still in too few stretches of time to show a change.",
     # cautions
     "cut_short": _cut_short,

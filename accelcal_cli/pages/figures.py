@@ -123,9 +123,8 @@ def histogram(data: TimeSeries) -> Figure | None:
     inner = {when: _percentiles(data.points[when], weights, (5, 95)) for when in drawn}
     ranges = [f"from {number(low)} to {number(high)} mg {WORDS[one]}" for one, (low, high) in inner.items()]
     title = "Distance from 1 g, before and after"
-    scales = "; both rows have the same scale" if len(drawn) > 1 else ""
     text = f"90 % of the still windows lie {listed(ranges)}. "
-    text += f"The outermost bars include all values beyond them{scales}."
+    text += "The outermost bars include all values beyond them."
     return Figure("histogram", title, svg.figure("histogram", title, text, height, body), text)
 
 
@@ -182,7 +181,7 @@ def error_by_hour(data: TimeSeries, change: ChangeView | None) -> Figure | None:
     title = "Error by the hour"
     text = (
         f"{_sentence(sentences)} Lines are means, areas reach up to the 95th percentile; "
-        f"each step up the scale is ten times as much.{changed_at}"
+        f"the scale is logarithmic.{changed_at}"
     )
     return Figure("error", title, svg.figure("error", title, text, 290, body), text)
 
@@ -328,7 +327,7 @@ def _timeline_sentence(data: TimeSeries, recording: ReportRecording) -> str:
             sentences.append(f"{counted(int(total), 'sample')} {word.lower()}")
     if lost := sum(rows["lost_bytes"]):
         sentences.append(f"{counted(int(lost), 'byte')} lost to damage")
-    return f"{_sentence(sentences)} The height of a bar is its share of that time."
+    return f"{_sentence(sentences)} Heights of bars are shares of time."
 
 
 def convergence(data: TimeSeries) -> Figure | None:

@@ -220,7 +220,7 @@ def _why(trial: TrialView) -> str:
 def _misfits(report: ReportView) -> PageTable | None:
     rows = [
         [
-            one.kind,
+            one.kind.replace("posture", "orientation"),
             "found" if one.found else "not found",
             f"{', '.join(number(size, 2) for size in one.size)} {one.unit}",
             number(one.before_mg),

@@ -400,7 +400,7 @@ class Summary:
         if len(zones) < 2:
             return None
         return (
-            f"times are in UTC in {counted(zones[UTC], 'Parquet file')}, and in local time of an unknown "
+            f"Times are in UTC in {counted(zones[UTC], 'Parquet file')}, and in local time of an unknown "
             f"zone in {zones[UNKNOWN]} (see time_zone in the table): do not join them; {WAY_OUT}"
         )
 

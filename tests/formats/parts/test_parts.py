@@ -258,7 +258,7 @@ def test_an_error_names_the_member_and_not_where_it_was_unpacked(name: str, tmp_
         archive.writestr(name, b"")
     with pytest.raises(UnreadableError) as caught:
         accelcal.calibrate(path, report_only=True)
-    assert str(caught.value).startswith(f"{path / name.lstrip('/')}, byte 0: is empty")
+    assert str(caught.value).startswith(f"{path / name.lstrip('/')}, byte 0: the file is empty")
     report_of_one = damaged_part(tmp_path / "S02.zip", name)
     (problem,) = [one for one in report_of_one["file_health"]["problems"] if one["code"] == "unreadable_part"]
     assert f"part {name} cannot be read: " in problem["message"]
