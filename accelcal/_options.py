@@ -32,7 +32,7 @@ class ReadingOptions(TypedDict, total=False):
     1.07374e+09)."""
 
     columns: Columns | None
-    """Columns of x, y and z: names, or numbers from 0. One name: an array of all three."""
+    """Columns of x, y and z: names, or numbers from 0. One name, if it holds all three."""
 
     time_column: str | None
     """Column of the times."""

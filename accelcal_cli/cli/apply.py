@@ -26,14 +26,14 @@ from accelcal_cli.pipeline.registry import apply as apply_best
     cls=Command,
     examples=(
         "apply --coefficients good.calibration.json night.cwa # a recording of the same device",
-        "apply --coefficients good.calibration.json nights/*.gt3x -d calibrated",
+        "apply --coefficients good.calibration.json nights/*.gt3x -d calibrated # several recordings",
     ),
 )
 @options.place_options
 @click.option("--coefficients", type=options.FILE, metavar="NAME.calibration.json",
               help="Report with the coefficients.")  # fmt: skip
 @click.option("--registry", type=options.FILE, metavar="FILE.json",
-              help="Registry (`accelcal devices`) whose best calibration is applied.")  # fmt: skip
+              help="Registry from `accelcal devices`, whose best calibration is applied.")  # fmt: skip
 @click.option("--any-device", is_flag=True, help="Accept recordings of any device.")
 @click.option("--no-temperature", is_flag=True, help="Use the coefficients at their reference temperature.")
 @options.printing_options
@@ -44,8 +44,8 @@ from accelcal_cli.pipeline.registry import apply as apply_best
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Apply known coefficients to each RECORDING; `-` reads standard input.
 
-    The coefficients come from a report of this recording, or of another one of the same device, or are the
-    best ones of the device in a registry: nearest in time and temperature, weighed by their intervals.
+    The coefficients come from a report of this recording or of another one of the same device. With
+    --registry they are those with the smallest expected error among the device's calibrations in FILE.json.
     Writes NAME.calibrated.parquet and NAME.calibration.json, and prints the same line as `calibrate`. The
     errors are measured on the recording's own still windows.
     """

@@ -136,7 +136,7 @@ LIMITS = {
     "slope_mg_per_c": "Limit for the temperature slope of an offset.",
     "drift_mg": "Limit for the drift of an offset per month, or of a slope over 10 C.",
     "drift_percent": "Limit for the drift of scale or misalignment per month.",
-    "certain_mg": "Limit for the upper end of a recording's calibration error; beyond it, it does not judge.",
+    "certain_mg": "Limit for the upper end of the calibration error of a recording that shows a good device.",
     "outlying": "Limit for the held-out error above that of similar devices, in robust standard deviations.",
     "refused_percent": "Limit for the share of recordings refused or borrowed.",
     "damaged_percent": "Limit for the share of recordings that lost bytes to damage.",
@@ -161,7 +161,7 @@ def limits(command: Callable[..., Any]) -> Callable[..., Any]:
     cls=Command,
     examples=(
         "devices calibrated # calibrated: the output folder of a study",
-        "devices calibrated --device 12345",
+        "devices calibrated --device 12345 # one device, with all parameters and recordings",
     ),
 )
 @click.argument("out", type=FILE)
@@ -171,7 +171,7 @@ def limits(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing on stderr.")
 @limits
 @click.option("--registry", type=FILE, metavar="FILE.json",
-              help="Add the good calibrations to a registry, or make one.")  # fmt: skip
+              help="Add the good calibrations to this registry, which is made if it is missing.")  # fmt: skip
 @click.option(
     "--reference-c", type=Within(-100, 200), metavar="C",
     help="Temperature at which offsets are compared.  [default: the median of each device's recordings]",
@@ -185,7 +185,7 @@ def command(out: Path, **values: Any) -> int:
 
     With --registry, the good calibrations of the study (or of another registry, if OUT is one) are added to
     FILE.json, from which `calibrate`, `apply` and `study` take the best one for a recording that cannot be
-    calibrated by itself. Registries merge in any order to the same file.
+    calibrated by itself. Registries can be merged in any order, with the same result.
     """
     refuse_both(as_json=values["as_json_"], as_csv=values["as_csv"])
     if values["registry"] is not None:

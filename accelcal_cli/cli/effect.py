@@ -47,7 +47,7 @@ ONLY_FOR_PROGRAMS = ("raw_bias_low", "raw_bias_high")
     cls=Command,
     examples=(
         "effect recording.cwa # ENMO, MAD and others, raw and calibrated",
-        "effect recording.cwa --epochs epochs.csv",
+        "effect recording.cwa --epochs epochs.csv # also a table with a row for each epoch",
     ),
 )
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)

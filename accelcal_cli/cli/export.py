@@ -63,9 +63,9 @@ class Width(options.AnyType):
 @click.option("-o", "--output", type=options.FILE, help="The new file. Without it, coefficients are printed.")
 @click.option("-d", "--output-dir", type=options.FILE,
               help="Folder for the calibrated data of all recordings, with a script.")  # fmt: skip
-@click.option("--gzip", is_flag=True, help="With -d, compress tables (.csv.gz).")
+@click.option("--gzip", is_flag=True, help="With -d, compress the tables (.csv.gz).")
 @click.option("-j", "--jobs", type=click.IntRange(1, 64), metavar="N",
-              help="With -d, recordings at a time.  [default: as many as there are CPUs]")  # fmt: skip
+              help="With -d, number of recordings at a time.  [default: one for each CPU]")  # fmt: skip
 @click.option("--resample", type=options.Positive(100_000), metavar="HZ",
               help="Resample to HZ within each gap-free stretch.")  # fmt: skip
 @click.option("--smooth", type=Width(), metavar="auto|N",
@@ -82,8 +82,8 @@ def command(files: tuple[Path, ...], **values: Any) -> int:
 
     With -d DIR, exports the calibrated data of all recordings given by FILES: output folders of
     `study`, study.json, reports (NAME.calibration.json), calibrated Parquet files, or patterns in quotes.
-    DIR is then ready for the tool: ggir, biobank, actipy or skdh have a script there. What was refused is
-    skipped, and one line is printed for each.
+    For ggir, biobank, actipy and skdh, DIR also gets a script that runs the tool. Prints one line for each
+    file. Recordings that were refused are skipped, and named on stderr.
 
     Without -d, exports coefficients from reports: ggir, biobank, omconvert or json. These tools
     cannot use misalignment, so a fit without it is exported, and a message gives the loss of accuracy. From

@@ -47,7 +47,7 @@ KINDS = ("arrow", "csv")
 @click.option("-o", "--output", type=options.FILE, metavar="FILE",
               help="Write calibrated rows from the first fit on; `-` is standard output.")  # fmt: skip
 @click.option("--to", "kind", type=options.OneOf(KINDS),
-              help="Rows as an Arrow IPC stream or as CSV.  [default: csv for .csv and `-`]")  # fmt: skip
+              help="Form of the rows: Arrow IPC stream or CSV.  [default: csv for .csv and `-`]")  # fmt: skip
 @options.recalibrate_option
 @options.method_options
 @options.limit_options

@@ -82,7 +82,7 @@ class ReadOptions:
     columns: tuple[str, str, str] | None = setting(
         None,
         option=Option(
-            "--columns", "Columns of x, y and z: names, or numbers from 0. One name: an array of all three."
+            "--columns", "Columns of x, y and z: names, or numbers from 0. One name, if it holds all three."
         ),
     )
     time_column: str | None = setting(None, option=Option("--time-column", "Column of the times.", "NAME"))
