@@ -36,7 +36,7 @@ from accelcal_cli.pipeline.survey import open_marked, survey
 from accelcal_cli.studies.discovery import recordings_in
 
 TABLE_3_OF_F = (
-    ("our method", 25.1, 3.06, 820),
+    ("the authors' method", 25.1, 3.06, 820),
     ("non-iterative (Gietzelt et al.)", 25.1, 4.08, 615),
     ("MATLAB fminunc", 25.1, 3.16, 794),
     ("LabVIEW global", 25.1, 3.27, 768),
