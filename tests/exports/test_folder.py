@@ -145,6 +145,12 @@ def test_groups_are_what_one_call_of_ggir_can_take(study: Path, tmp_path: Path, 
     assert "rate = 12, range = 8" in group.in_r() and "uneven = TRUE" in group.in_r()
 
 
+def test_ggir_does_not_leave_out_small_tables(study: Path, tmp_path: Path, capsys: Capture) -> None:
+    """By default it skips files below 2 MB, and stops at a folder that has no larger one."""
+    exported(capsys, study, tmp_path)
+    assert "minimumFileSizeMB = 0," in (tmp_path / "to/run_ggir.R").read_text()
+
+
 @pytest.mark.parametrize(
     ("stated", "zone", "ahead_h"),
     [
