@@ -114,11 +114,12 @@ class MethodOptions(ReadingOptions, total=False):
     profile paper: 0)."""
 
     max_error: float | None
-    """[mg] Limit of the calibration error over all orientations of a calibrated recording (above 0, at
-    most 1e+06; default: 10.0)."""
+    """[mg] Limit: a calibrated recording has a smaller calibration error over all orientations (above 0,
+    at most 1e+06; default: 10.0)."""
 
     strict: bool | None
-    """Refuse recordings that would only be provisional (better than raw, error over max_error)."""
+    """Refuse recordings that would only be provisional: probably better than the raw data, but not surely
+    below max_error."""
 
     precision: float | None
     """[mg] Round values to steps of at most MG, for smaller files (0.001 to 1000; default: exact)."""
@@ -180,11 +181,12 @@ class FitOptions(TypedDict, total=False):
     """[m] Altitude above sea level (-500 to 9000; default: 0)."""
 
     max_error: float | None
-    """[mg] Limit of the calibration error over all orientations of a calibrated recording (above 0, at
-    most 1e+06; default: 10.0)."""
+    """[mg] Limit: a calibrated recording has a smaller calibration error over all orientations (above 0,
+    at most 1e+06; default: 10.0)."""
 
     strict: bool | None
-    """Refuse recordings that would only be provisional (better than raw, error over max_error)."""
+    """Refuse recordings that would only be provisional: probably better than the raw data, but not surely
+    below max_error."""
 
     prior: Literal["population", "none"] | None
     """Prior knowledge used in the fit. population: typical sensors. none: no prior; fit only as many
@@ -215,8 +217,8 @@ class PoseOptions(ReadingOptions, total=False):
     """[%] Refuse a recording if more of it is damaged (0 to 100; default: 50.0)."""
 
     max_error: float | None
-    """[mg] Limit of the calibration error over all orientations of a calibrated recording (above 0, at
-    most 1e+06; default: 10.0)."""
+    """[mg] Limit: a calibrated recording has a smaller calibration error over all orientations (above 0,
+    at most 1e+06; default: 10.0)."""
 
     latitude: float | None
     """[degrees] Latitude of the place where the recording was made, for local gravity (-90 to 90)."""

@@ -36,7 +36,7 @@ CLOCKS_S_PER_DAY = 86.4
     cls=Command,
     examples=(
         "inspect recording.cwa # header, rate, range, gaps and the predicted outcome",
-        "inspect table.csv --unit mg --json",
+        "inspect table.csv --unit mg --json # the same of a table in mg, for programs",
     ),
 )
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)

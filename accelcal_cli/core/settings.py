@@ -289,7 +289,7 @@ class Settings:
         1e6,
         Option(
             "--max-error",
-            "Limit of the calibration error over all orientations of a calibrated recording.",
+            "Limit: a calibrated recording has a smaller calibration error over all orientations.",
             "MG",
             above=0,
         ),
@@ -298,7 +298,8 @@ class Settings:
         False,
         option=Option(
             "--strict",
-            "Refuse recordings that would only be provisional (better than raw, error over --max-error).",
+            "Refuse recordings that would only be provisional: probably better than the raw data, "
+            "but not surely below --max-error.",
         ),
     )
     min_temperature_range_c: float = setting(2.0, 0, 1e3)

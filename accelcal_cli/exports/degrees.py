@@ -59,4 +59,4 @@ def why_none(tool: str, recording: ReportRecording) -> str:
     """Return why a recording's temperature cannot be exported to a tool."""
     if recording.format == AXIVITY:
         return "the report does not say how it was read: calibrate the recording again with --force"
-    return f"{NAMES[tool]} reads none, or another thermometer's, from {recording.format} files"
+    return f"{NAMES[tool]} reads no temperature from {recording.format} files, or that of another thermometer"

@@ -213,7 +213,7 @@ def _fits(values: Values) -> str:
     error, new = f"error is {mg(values['error_mg'])} mg", values["new_mg"]
     better = "" if new is None else f" A new calibration would leave {mg(new)} mg."
     if "stretches" in values:
-        return f"Its {error} (held out, {values['stretches']} stretches of time).{better}"
+        return f"Its {error} (on held-out data, in {values['stretches']} stretches of time).{better}"
     since, until = (_to_second(values[name]) for name in ("since", "until"))
     span = f"From {since}" if since else "From the beginning"
     return f"{span} {f'to {until}' if until else 'on'} its {error}.{better} Find new coefficients."

@@ -219,10 +219,10 @@ def residual_by_temperature(data: TimeSeries) -> Figure | None:
     title = f"Remaining error by temperature, {WORDS[when]}"
     per_c = _slope(heat, values, data.points["windows"])
     text = (
-        f"Each dot is a point ({len(heat)} in all), "
-        f"at {number(min(heat))} to {number(max(heat))} °C. "
+        "Each dot is the mean of one orientation at rest "
+        f"({len(heat)} in all, {number(min(heat))} to {number(max(heat))} °C). "
         f"On average the error changes by {number(per_c, 2)} mg per °C. "
-        "Dots at the upper and lower edge may lie beyond it."
+        "Dots at an edge may lie beyond."
     )
     return Figure("temperature", title, svg.figure("temperature", title, text, 270, body), text)
 

@@ -283,10 +283,11 @@ def without_prior(study: Study, known: StudyState) -> Iterator[str]:
         return
     for model, number in _learning(study, known.recordings).models_without():
         if not model:
-            yield "recordings that do not say their device's model learn nothing from other devices"
+            yield "recordings whose device model is unknown learn nothing from other devices"
         else:
             devices = counted(number, "device")
-            text = f"{model}: {devices} with good recordings, {FEWEST_DEVICES} others are needed"
+            text = f"{model}: {devices} with good recordings, "
+            text += f"a recording needs {FEWEST_DEVICES} others to learn from"
             yield printable(f"{text}; until then these recordings use the population prior")
 
 

@@ -136,7 +136,8 @@ def test_p1_a_tool_gets_slopes_only_of_temperatures_that_it_reads(name: str) -> 
         assert axes.scale == one.axes("ggir").scale and axes.offset_g == one.axes("ggir").offset_g
     if name == "gt3x":
         assert temperature_note(one, "biobank") == (
-            "temperature is left out: accProcess reads none, or another thermometer's, from gt3x files"
+            "temperature is left out: accProcess reads no temperature from gt3x files, "
+            "or that of another thermometer"
         )
         k, o = (np.array(values) for values in (one.axes("biobank").scale, one.axes("biobank").offset_g))
         words = biobank(one).split()

@@ -166,7 +166,7 @@ def test_when_one_goes_the_others_learn_anew(base: Path, here: Path) -> None:
     states = dict(line.split("\t") for line in study(here, "device", "--dry-run").lines)
     assert {name for name, state in states.items() if state == "todo"} == set()
     told = study(here, "device").err
-    assert "M1: 4 devices with good recordings, 5 others are needed" in told
+    assert "M1: 4 devices with good recordings, a recording needs 5 others to learn from" in told
     assert {name: row["prior"] for name, row in of(here / "out").items() if name in ("few1", "few2")} == {
         "few1": "device",
         "few2": "population",
