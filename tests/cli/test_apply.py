@@ -210,4 +210,7 @@ def test_json_standard_input_and_several_recordings(tmp_path: Path, capsys: Capt
     words = ("apply", "--coefficients", coefficients, "-d", tmp_path / "many", "--json")
     ran = run(capsys, *words, tmp_path / "absent.csv", tmp_path / "good.csv")
     assert ran.code == 1
-    assert json.loads(ran.out) == report_of(tmp_path / "many" / "good.calibration.json")
+    absent, good = map(json.loads, ran.lines)
+    assert good == report_of(tmp_path / "many" / "good.calibration.json")
+    assert (absent["outcome"], absent["recording"]["path"]) == ("failed", "absent.csv")
+    assert absent["calibration"] is None

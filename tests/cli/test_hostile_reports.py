@@ -13,6 +13,7 @@ import pytest
 
 from tests.cli.run import assert_one_line, run
 from tests.device_recordings import donor, edit
+from tests.recordings import good_csv
 
 Capture = pytest.CaptureFixture[str]
 HUGE = 10**400
@@ -72,8 +73,11 @@ def test_a_report_that_is_no_json(tmp_path: Path, capsys: Capture, text: bytes) 
 
 def test_columns_that_are_no_names_in_the_report_in_the_way(tmp_path: Path, capsys: Capture) -> None:
     columns = {"columns": [None, 1, "x"]}
-    report = edit(donor(tmp_path), lambda held: held["settings"]["input"].update(columns))
-    ran = run(capsys, "calibrate", "--report-only", tmp_path / "donor.raw")
+    words = ("calibrate", "--report-only", good_csv(tmp_path))
+    assert run(capsys, *words).code == 0
+    good = tmp_path / "good.calibration.json"
+    report = edit(good, lambda held: held["settings"]["input"].update(columns))
+    ran = run(capsys, *words)
     assert ran.code == 5
     assert_one_line(ran, str(report), "a run with --columns None,1,x")
 
