@@ -409,8 +409,8 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "no_better_than_raw": "The calibrated data may be no better than the raw data: the interval includes "
     "the error before calibration ({before_mg:mg} mg).",
     "not_converged": "The fit stopped after {iterations:n iteration}, before it had reached its minimum.",
-    "sides_unchecked": "The device never rested with {sides:list} pointing up, so the calibration is not "
-    "validated in {that}.",
+    "sides_unchecked": "Orientations missing at rest, by the axis that points up: {sides:list}. The "
+    "calibration is not validated in {that}.",
     "nothing_checks_poses": "Nothing was held out: no error is known, and a wrong pose would not show. Add "
     "poses, or roll the device with one axis level (six-pose --roll).",
     "roll_alone_checks_poses": "Nothing was held out: only the roll speaks for this calibration.",
@@ -419,8 +419,8 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     # advice
     "record_longer": "Record longer, with more turns of the wrist.",
     "more_orientations": "The device was still in only {orientations:n orientation}: turn it more often.",
-    "rest_on_sides": "The device never rested with {sides:list} pointing up. Take it off and leave it in "
-    "{each} for a minute.",
+    "rest_on_sides": "Orientations missing at rest, by the axis that points up: {sides:list}. Take the "
+    "device off and leave it in {each} for a minute.",
     "orientations_disagree": "{orientations:n orientation} disagree by {by_mg:mg} mg: slow movement may "
     "have passed as stillness (--stillness), or the sensor may be faulty.",
     "check_unit": "Check the unit: use --unit, or --lsb-per-g if the values are counts.",

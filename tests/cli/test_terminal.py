@@ -162,7 +162,7 @@ def test_a_refusal_is_said_once_with_a_way_on(tmp_path: Path, terminal: Seen, ca
     expected = ["omit_strict", "more_orientations", "rest_on_sides", "other_coefficients"]
     assert codes(report["advice"]) == expected
     assert ways == [f"  What to do: {told(report, code)}" for code in codes(report["advice"])]
-    assert "with -x, +y and +z pointing up" in told(report, "rest_on_sides")
+    assert "points up: -x, +y and +z. Take" in told(report, "rest_on_sides")
     piped = run(capsys, "calibrate", path, "--strict", "--force")
     assert piped.err.count("\n") == 1 and "What to do" not in piped.err
 
@@ -208,7 +208,7 @@ def test_points_of_another_tool_cannot_be_borrowed_for(tmp_path: Path, terminal:
     assert len(terminal("fit", path)) == 1  # it says that x, y and z must be in g
     path.write_text("x,y,z\n0,0,1\n")
     _, *ways = terminal("fit", path)
-    assert len(ways) == 2 and "with -x, +x, -y, +y and -z pointing up" in ways[1]
+    assert len(ways) == 2 and "points up: -x, +x, -y, +y and -z. Take" in ways[1]
 
 
 def test_u1_several_recordings_are_summed_up_with_their_pages(tmp_path: Path, terminal: Seen) -> None:
