@@ -168,6 +168,8 @@ class CellProcedure(Procedure):
             return FAR_FROM_1_G
         if counts.constant:
             return Reason("constant_values")
+        if counts.saturated:
+            return Reason("nothing_but_saturated")
         return NOTHING_STILL
 
     def window_use(self, counts: WindowCounts) -> WindowUse:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.cli.run import run, told
@@ -59,3 +60,16 @@ def test_inspect_says_two_rates_instead_of_a_drift_and_no_counts_for_decimals(
     shown = run(capsys, "inspect", "--full", path, "--rate", 25).out
     assert "24.4 Hz measured, 25 Hz nominal" in shown and "s/day" not in shown
     assert "decimal values, in steps of 2^-24 g" in shown
+
+
+def test_still_windows_that_all_stand_where_an_axis_may_saturate(tmp_path: Path, capsys: Capture) -> None:
+    """A quiet device that never turns: its windows were still, and the limit of stillness is not named."""
+    moves = np.random.default_rng(1).integers(20, 22, 6000)
+    rows = [f"{number / 20:.2f},{x},100,990" for number, x in enumerate(moves)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time,x,y,z", *rows, ""]))
+    ran = run(capsys, "calibrate", path)
+    report = json.loads((tmp_path / "a.calibration.json").read_text())
+    assert (ran.code, report["reason"]) == (4, "nothing_but_saturated")
+    assert report["fit"]["windows"]["saturated_left_out"] == 60
+    assert "refused: in every still window an axis stands at one value" in ran.err

@@ -156,6 +156,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "check_sensor": [{}],
     "check_unit": [{}],
     "constant_values": [{}],
+    "nothing_but_saturated": [{}],
     "copy_again": [{}],
     "cut_short": [
         {"missing_bytes": None, "missing_percent": None},
