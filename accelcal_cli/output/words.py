@@ -264,7 +264,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "such as rows of zeros. The device did not measure then.",
     "nothing_near_quietest": "No other window comes near the quietest one of the recording.",
     "constant_values": "Every still window holds one constant value: the sensor was off or asleep.",
-    "nothing_but_saturated": "In every still window an axis stands at one value, beyond which it seems to "
+    "nothing_but_saturated": "In every still window an axis stays at one value, beyond which it seems to "
     "measure nothing.",
     "too_few_orientations": "The device was still in only {orientations:n orientation}, and at least "
     "{needed} are needed.",

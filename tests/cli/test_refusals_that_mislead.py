@@ -72,4 +72,4 @@ def test_still_windows_that_all_stand_where_an_axis_may_saturate(tmp_path: Path,
     report = json.loads((tmp_path / "a.calibration.json").read_text())
     assert (ran.code, report["reason"]) == (4, "nothing_but_saturated")
     assert report["fit"]["windows"]["saturated_left_out"] == 60
-    assert "refused: in every still window an axis stands at one value" in ran.err
+    assert "refused: in every still window an axis stays at one value" in ran.err
