@@ -17,7 +17,7 @@ from accelcal_cli.core.formats import IF_GIVEN, UNUSED, ReadOptions
 from accelcal_cli.core.settings import POSES_IF_ASKED, SIX_POSE, STILLNESS, PoseSettings, Settings, setting_of
 from accelcal_cli.formats import ignored_options, named_format
 from accelcal_cli.optimize import named_optimizer
-from accelcal_cli.output.report_reading import Document, damaged
+from accelcal_cli.output.report_reading import Document, damaged, section
 
 T = TypeVar("T")
 
@@ -147,7 +147,7 @@ class ReportSettings:
     poses: NamedFile | None
     missing: tuple[str, ...]
     unknown: tuple[str, ...]
-    unused: tuple[str, ...]
+    unused: tuple[str, ...] = ()
     effect: bool = False
 
 
@@ -161,7 +161,7 @@ def settings_from_report(document: Document) -> ReportSettings:
     if not isinstance(values, dict) or not isinstance(values.get("input"), dict):
         raise damaged(document, "it does not say how the recording was read")
     try:
-        return _from_values(values, document.recording.format)
+        return _from_values(values, str(section(document.report, "recording").get("format")))
     except ValueError as error:
         raise damaged(document, f"settings: {error}") from error
     except AccelcalError as error:

@@ -26,7 +26,7 @@ def test_mixed_times_are_told_with_the_way_out() -> None:
     content = Summary(rows("UTC", "unknown", "UTC"), {}).counts()
     assert content["time_zones"] == {"UTC": 2, "unknown": 1}
     assert content["mixed_times"].startswith(
-        "`time` is in UTC in 2 Parquet files and in local time of an unknown zone in 1 "
+        "Times are in UTC in 2 Parquet files, and in local time of an unknown zone in 1 "
     )
     assert "--timezone" in content["mixed_times"]
 
