@@ -47,7 +47,14 @@ def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(lines)
 
 
-def show_result(report: ReportView, source: Path, written: Path | None, values: dict[str, Any]) -> None:
+def show_result(
+    report: ReportView,
+    source: Path,
+    written: Path | None,
+    values: dict[str, Any],
+    *,
+    up_to_date: bool = False,
+) -> None:
     """Print the line of one recording's report, see `show_row`; at a terminal also what to be aware of."""
     holdout, calibrated = report.holdout, report.calibration is not None
     row: dict[str, Any] = {
@@ -62,7 +69,8 @@ def show_result(report: ReportView, source: Path, written: Path | None, values: 
         row |= {"after_mg": holdout.after_mg.mean, "ci95_low_mg": low, "ci95_high_mg": high}
         row |= {"improvement_percent": holdout.improvement_percent} | factor_columns(holdout)
     row |= error_columns(report.error_everywhere if calibrated else None)
-    show_row(row, source, written, values, () if values.get("quiet", False) else _remarks(report))
+    remarks = () if values.get("quiet", False) else _remarks(report)
+    show_row(row, source, written, values, remarks, up_to_date=up_to_date)
 
 
 def _remarks(report: ReportView) -> tuple[str, ...]:
@@ -78,6 +86,8 @@ def show_row(
     written: Path | None,
     values: dict[str, Any],
     remarks: Sequence[str] | None = None,
+    *,
+    up_to_date: bool = False,
 ) -> None:
     """Print one recording's row of a study's summary: a sentence at a terminal, else fields.
 
@@ -85,11 +95,13 @@ def show_row(
         written: path of its output, if it has one.
         values: the option `tsv`: fields at a terminal, too; and `verbose`: the remarks on stderr then.
         remarks: sentences to follow; None: the doubts that the row itself raises.
+        up_to_date: whether an earlier run wrote the output.
     """
     if remarks is None:
         remarks = [f"Caution: {words.sentence(one)}" for one in _doubts(row, values.get("max_error_mg"))]
     if _in_words(values):
-        exit_codes.show("\n".join([_sentence(row, source, written), *(f"  {one}" for one in remarks)]))
+        where = None if written is None else f"{'Unchanged:' if up_to_date else 'Written to'} {written}"
+        exit_codes.show("\n".join([_sentence(row, source, where), *(f"  {one}" for one in remarks)]))
         return
     exit_codes.show(_fields(row, source, written))
     for one in remarks if values.get("verbose") else ():
@@ -129,8 +141,8 @@ def _fields(row: dict[str, Any], source: Path, written: Path | None) -> str:
     return "\t".join(map(printable, fields))
 
 
-def _sentence(row: dict[str, Any], source: Path, written: Path | None) -> str:
-    """Say what became of a recording, and how certain the remaining error is."""
+def _sentence(row: dict[str, Any], source: Path, where: str | None) -> str:
+    """Say what became of a recording, how certain the remaining error is, and where the output is."""
     outcome, before, after = row["outcome"], row["before_mg"], row.get("after_mg")
     start = f"{source}: {outcome_words(outcome).result}"
     parts = []
@@ -143,9 +155,7 @@ def _sentence(row: dict[str, Any], source: Path, written: Path | None) -> str:
         parts += _errors(row)
     elif before is not None:
         parts.append(f"the raw data are off by {mg(before)} mg")
-    if written is not None:
-        parts.append(f"Written to {written}")
-    return printable(": ".join(filter(None, (start, ". ".join(parts)))))
+    return printable(": ".join(filter(None, (start, ". ".join([*parts, *filter(None, [where])])))))
 
 
 def _errors(row: dict[str, Any]) -> list[str]:
@@ -268,7 +278,8 @@ def run_jobs(
         if values["as_json"]:
             exit_codes.show(json.dumps(result.report))
         else:
-            show_result(result.view, result.job.source, written(result), values)
+            path, known = written(result), result.up_to_date
+            show_result(result.view, result.job.source, path, values, up_to_date=known)
         _comment(result, values)
         codes.append(exit_codes.REFUSED if result.outcome is Outcome.REFUSED else exit_codes.OK)
         outcomes.append(result.outcome)

@@ -83,7 +83,7 @@ class TerminalObserver:
             return
         self._failed += row["outcome"] == FAILED
         with self._aside(fresh=not result.up_to_date):
-            self._print(item, row)
+            self._print(item, row, up_to_date=result.up_to_date)
             self._comment(item, row, result)
 
     def note(self, text: str) -> None:
@@ -108,13 +108,13 @@ class TerminalObserver:
         self._done += fresh
         self._bar.set_description(f"{self._done}/{self._todo} recordings, {self._failed} failed")
 
-    def _print(self, item: Item, row: dict[str, Any]) -> None:
+    def _print(self, item: Item, row: dict[str, Any], *, up_to_date: bool) -> None:
         if self._values["as_json"]:
             exit_codes.show(json.dumps(_document(item, row)))
         elif not self._values["quiet"]:
             kept = row["outcome"] == Outcome.REFUSED
             written = None if row["parquet"] is None else item.job.uncalibrated if kept else item.job.parquet
-            show_row(row, item.shown, written, self._values)
+            show_row(row, item.shown, written, self._values, up_to_date=up_to_date)
 
     def _comment(self, item: Item, row: dict[str, Any], result: TaskResult) -> None:
         name = printable(item.shown)
@@ -237,7 +237,9 @@ def _document(item: Item, row: dict[str, Any]) -> Any:
         return json.loads(item.job.report.read_text("utf-8"))
     from accelcal_cli.output.report_kinds import failed_document
 
-    return failed_document(item.source, row["exit_code"], row["message"])
+    found = failed_document(item.source, row["exit_code"], row["message"])
+    found["values"]["path"] = printable(item.shown)
+    return found
 
 
 def _unlock(study: Study) -> int:
@@ -346,15 +348,23 @@ def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, value
     if not values["quiet"] or unfinished:
         counts = [f"{number} {name.replace('_', ' ')}" for name, number in summary.outcomes().items()]
         counts += [f"{summary.copies} copied from others"] if summary.copies else []
-        decided = 0 if summary.decisions is None else len(summary.decisions.changes)
-        more = {"unchanged": summary.up_to_date, "not started": summary.waiting, "decided by people": decided}
-        counts += [f"{number} {name}" for name, number in more.items() if number]
-        counts += [f"{summary.kept} kept, made with other options"] if summary.kept else []
+        counts += [f"{summary.waiting} not started"] if summary.waiting else []
         if values["verbose"]:
             for name, why in summary.files_left_out.items():
                 exit_codes.say(f"{printable(name)}: left out: {clause(why)}")
         table = printable(study.out / f"{study.shard.basename}.csv")
-        total = ": ".join(filter(None, [counted(len(summary.rows), "recording"), ", ".join(counts)]))
+        total = ": ".join(filter(None, [_number(summary), ", ".join(counts)]))
         others = f". {counted(summary.left_out, 'other file')} skipped" if summary.left_out else ""
         exit_codes.say(f"{total}{others}. Results: {table}")
     return exit_codes.SOME_FAILED if unfinished else exit_codes.of_all(observer.codes)
+
+
+def _number(summary: Summary) -> str:
+    """Say how many recordings there are, and how many of them an earlier run or a person settled."""
+    more = {
+        "unchanged": summary.up_to_date,
+        "made with other options": summary.kept,
+        "decided by people": 0 if summary.decisions is None else len(summary.decisions.changes),
+    }
+    parts = ", ".join(f"{number} {name}" for name, number in more.items() if number)
+    return counted(len(summary.rows), "recording") + (f" ({parts})" if parts else "")

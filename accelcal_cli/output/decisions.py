@@ -223,7 +223,7 @@ def _decide(found: Merged, path: str, row: Mapping[str, Any], decisions: Sequenc
     if len(uses) > 1:
         rows = [one.row for one in decisions]
         found.findings.append(Reason.of("decisions_contradict", recording=path, rows=rows, use=taken.use))
-    own = next((use for use in CAUTIOUS if use == row.get("use")), "no")
+    own = row["use"] if row.get("use") in CAUTIOUS else "no"
     use = taken.use
     if taken.result and row.get("result") and taken.result != row["result"]:
         use = min(taken.use, own, key=CAUTIOUS.index)

@@ -23,14 +23,7 @@ from accelcal_cli.studies import summary
 from accelcal_cli.studies.records import Entry, ProgressCallback
 from accelcal_cli.studies.rounds import Round, StudyState, common_of
 from accelcal_cli.studies.study import BORROW, Study
-from accelcal_cli.studies.task import (
-    ReplacementTask,
-    StageProgress,
-    TaskResult,
-    guarded,
-    request_of,
-    row_of,
-)
+from accelcal_cli.studies.task import ReplacementTask, StageProgress, TaskResult, guarded, row_of
 
 Row = Mapping[str, Any]
 
@@ -193,7 +186,8 @@ def tasks(study: Study, known: StudyState) -> list[BorrowTask]:
 @guarded
 def borrowed(task: BorrowTask, report_progress: ProgressCallback) -> TaskResult:
     """Try one donor after another."""
-    item, request, progress = task.item, request_of(task), StageProgress(report_progress).stage
+    item, progress = task.item, StageProgress(report_progress).stage
+    request = task.common.request_for(item)
     poorer = task.own_row["outcome"] not in OPEN
     reports = [report for _, report in task.donors]
     loan = borrow(item.job, request, reports, progress, must_be_better=poorer, before=item.stamps[0])

@@ -48,7 +48,7 @@ def orphans(
     where: Where,
     known: Collection[Path],
     rows: Collection[Mapping[str, Any]],
-    wholes: Mapping[Path, Path] | None = None,
+    wholes: Mapping[Path, Path],
 ) -> list[Orphan]:
     """Return the results whose recording is gone, by name.
 
@@ -63,43 +63,40 @@ def orphans(
         folders[:] = [name for name in folders if name[0] != "."]
         for file in files:
             path = folder / file
-            if file.endswith(jobs.REPORT_SUFFIX) and path not in known and not file.startswith(PREFIX):
-                found += _orphan(path, where, names) or _without_sensor(path, where, wholes or {})
+            if not file.endswith(jobs.REPORT_SUFFIX) or path in known or file.startswith(PREFIX):
+                continue
+            if (reason := _why(path, where, names, wholes)) is not None:
+                found.append(Orphan(path.relative_to(where.out).as_posix(), path, reason))
     return sorted(found, key=lambda one: one.name)
 
 
-def _without_sensor(path: Path, where: Where, wholes: Mapping[Path, Path]) -> list[Orphan]:
-    """Return the result of a sensor that its file no longer has, or nothing."""
-    try:
-        report = load_report(path)
-    except (OutputError, UnreadableError):
-        return []
-    sensor = None if report is None else sensor_of(report)
-    whole = None if sensor is None else report_of_all(path, sensor)
-    source = None if whole is None else wholes.get(whole)
-    if report is None or sensor is None or source is None or place_of_report(report) != jobs.real(source):
-        return []
-    reason = Reason.of("sensor_gone", source=printable(source.name), sensor=printable(sensor))
-    return [Orphan(path.relative_to(where.out).as_posix(), path, reason)]
-
-
-def _orphan(path: Path, where: Where, names: Mapping[Content, str]) -> list[Orphan]:
-    """Return a result that is an orphan, or nothing."""
+def _why(
+    path: Path, where: Where, names: Mapping[Content, str], wholes: Mapping[Path, Path]
+) -> Reason | None:
+    """Return why nothing belongs to a report any more; None if something does, or nobody can tell."""
     try:
         report = load_report(path)
         source = None if report is None else gone_from(report)
     except (OutputError, UnreadableError):
-        return []
-    below = path.relative_to(where.out)
-    if report is None or source is None or _is_elsewhere(source, below, where):
-        return []
+        return None
+    if report is None or source is None:
+        return None if report is None else _sensor_gone(path, report, wholes)
     now = names.get((report["recording"]["sha256"], sensor_of(report)))
-    if now is None and may_be_away(source):
-        return []
-    reason = Reason.of("recording_gone", source=printable(source.name))
-    if now is not None:
-        reason = Reason.of("recording_renamed", source=printable(source.name), now=now)
-    return [Orphan(below.as_posix(), path, reason)]
+    if _is_elsewhere(source, path.relative_to(where.out), where) or (now is None and may_be_away(source)):
+        return None
+    if now is None:
+        return Reason.of("recording_gone", source=printable(source.name))
+    return Reason.of("recording_renamed", source=printable(source.name), now=now)
+
+
+def _sensor_gone(path: Path, report: dict[str, Any], wholes: Mapping[Path, Path]) -> Reason | None:
+    """Return the reason if a report is of a sensor that its file no longer has; else None."""
+    sensor = sensor_of(report)
+    whole = None if sensor is None else report_of_all(path, sensor)
+    source = None if whole is None else wholes.get(whole)
+    if sensor is None or source is None or place_of_report(report) != jobs.real(source):
+        return None
+    return Reason.of("sensor_gone", source=printable(source.name), sensor=printable(sensor))
 
 
 def _is_elsewhere(source: Path, below: Path, where: Where) -> bool:

@@ -25,15 +25,7 @@ from accelcal_cli.studies.borrowing import GOOD, Row, identity, pools
 from accelcal_cli.studies.records import FAILED, Entry, Item, ProgressCallback, RecordingState
 from accelcal_cli.studies.rounds import Round, StudyState, common_of
 from accelcal_cli.studies.study import POOL, POOLED, Study
-from accelcal_cli.studies.task import (
-    Common,
-    ReplacementTask,
-    StageProgress,
-    TaskResult,
-    guarded,
-    request_of,
-    row_of,
-)
+from accelcal_cli.studies.task import Common, ReplacementTask, StageProgress, TaskResult, guarded, row_of
 
 PREFIX = "study.pool."
 
@@ -140,7 +132,7 @@ def _name(line: Row) -> str:
 @guarded
 def make_pool(task: PoolTask, report_progress: ProgressCallback) -> TaskResult:
     """Fit a pool and write its report."""
-    request = request_of(task)
+    request = task.common.request_for(task.item)
     if not request.force:
         refuse_foreign_report(task.item.job.report)
     report = pool(task.members, request, StageProgress(report_progress).stage, task.copies)
@@ -196,7 +188,8 @@ def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:
 @guarded
 def pooled(task: PooledTask, report_progress: ProgressCallback) -> TaskResult:
     """Apply a pool's coefficients to one of its recordings."""
-    item, request, progress = task.item, request_of(task), StageProgress(report_progress).stage
+    item, progress = task.item, StageProgress(report_progress).stage
+    request = task.common.request_for(item)
     result = apply_pool(item.job, request, read_document(task.report), progress, item.stamps[0])
     if isinstance(result, Reason):
         return task.result(calibrate(item.job, request, progress), task.kept(sentence(result)))

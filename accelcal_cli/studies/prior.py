@@ -40,14 +40,7 @@ from accelcal_cli.studies.records import ProgressCallback, RecordingState
 from accelcal_cli.studies.rounds import Round, StudyState, common_of
 from accelcal_cli.studies.study import PRIOR, Study
 from accelcal_cli.studies.summary import PARAMETERS
-from accelcal_cli.studies.task import (
-    ReplacementTask,
-    StageProgress,
-    TaskResult,
-    guarded,
-    request_of,
-    row_of,
-)
+from accelcal_cli.studies.task import ReplacementTask, StageProgress, TaskResult, guarded, row_of
 
 MOST_DEVICES = 64
 """Largest number of devices that a prior is learnt from; more hardly change a distribution."""
@@ -294,7 +287,8 @@ def without_prior(study: Study, known: StudyState) -> Iterator[str]:
 @guarded
 def calibrated_again(task: PriorTask, report_progress: ProgressCallback) -> TaskResult:
     """Calibrate a recording with a learnt prior; its own result stays if that would be lost."""
-    item, request, progress = task.item, request_of(task), StageProgress(report_progress).stage
+    item, progress = task.item, StageProgress(report_progress).stage
+    request = task.common.request_for(item)
     good = task.own_row["outcome"] != Outcome.REFUSED
     result = calibrate_with(
         item.job, request, task.learnt, progress, must_calibrate=good, before=item.stamps[0]

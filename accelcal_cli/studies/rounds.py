@@ -32,7 +32,7 @@ from accelcal_cli.studies.records import Entry, Item, Ledger, RecordingState, Ta
 from accelcal_cli.studies.sensors import SENSORS, SensorsTask, in_place_of, wants_each
 from accelcal_cli.studies.study import REPLACING, WHOLE, Study
 from accelcal_cli.studies.task import Common, Task, TaskResult
-from accelcal_cli.studies.upgrades import options_changed, settings_before, why_again
+from accelcal_cli.studies.upgrades import options_changed, said_last, why_again
 
 MANY = 1 << 20
 """A number of recordings that keeps all workers busy."""
@@ -121,6 +121,7 @@ class Plan:
     """The recordings of a study by what is to be done with them, and other files that it found.
 
     Attributes:
+        last: what `study.json` says of the last run.
         done: recordings whose earlier result is valid, each with its entry.
         todo: recordings to work on.
         waiting: recordings that are not started.
@@ -139,6 +140,7 @@ class Plan:
         whole: files whose sensors are known, by the report of all of their rows.
     """
 
+    last: Mapping[str, Any] = field(default_factory=dict)
     done: list[tuple[Item, Entry]] = field(default_factory=list)
     todo: list[Item] = field(default_factory=list)
     waiting: list[Item] = field(default_factory=list)
@@ -196,7 +198,8 @@ def plan(study: Study, ledger: Ledger, lister: Lister = lambda _tasks: ()) -> Pl
             means anything; or there is no file of decisions of the name that was given.
         UnreadableError: decisions cannot be read; exclusions must not be lost in silence.
     """
-    planning = _Planning(study, ledger, study.asked(), Plan(), options_changed(study, settings_before(study)))
+    last = said_last(study)
+    planning = _Planning(study, ledger, study.asked(), Plan(last), options_changed(study, last))
     planning.plan.decisions = _decisions(study)
     by_name = planning.plan.by_name
     listed, rules = files(study.where, planning.plan.notes, by_name), study.request.rules
@@ -293,9 +296,10 @@ class _Planning:
         """
         asked, found, unlisted = self.asked, {}, []
         for item in items:
+            if item.refusal is not None or not wants_each(item, self.study.request):
+                continue
             own = self.ledger.known(item, asked)
-            left_out = own is not None and own.row is None
-            if item.refusal is not None or left_out or not wants_each(item, self.study.request):
+            if own is not None and own.row is None:  # not a recording
                 continue
             waits = item.aside or self.study.collect or _left_for_later(self.study, item)
             known = self.ledger.known(item, asked, SENSORS)
@@ -338,10 +342,10 @@ class _Planning:
 
     def keeps(self, item: Item) -> bool:
         """Return True for a recording; of other files, remember that they are not recordings."""
-        entry, named = self.ledger.known(item, self.asked), bool(self.study.where.include)
-        request = self.study.request
         if item.sensor is not None:
             return True
+        entry, named = self.ledger.known(item, self.asked), bool(self.study.where.include)
+        request = self.study.request
         if entry is not None and not entry.failed and (entry.row is not None or not named):
             recording, why = entry.row is not None, entry.why
         else:

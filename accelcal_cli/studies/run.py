@@ -63,7 +63,7 @@ from accelcal_cli.studies.sensors import SensorsTask, listed
 from accelcal_cli.studies.study import REPLACING, Study
 from accelcal_cli.studies.summary import Summary
 from accelcal_cli.studies.task import BUG, NO_MEMORY, CalibrationTask, Task, TaskResult, calibrated
-from accelcal_cli.studies.upgrades import said_after, said_before, said_last
+from accelcal_cli.studies.upgrades import said_after, said_before
 
 LOG = logging.getLogger("accelcal")
 """Receives what happens, for `--log` and for programs that listen."""
@@ -233,9 +233,10 @@ def _other_locks(study: Study) -> tuple[Path, ...]:
 
 def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
     states, pools = study_run.known.recordings, study_run.known.pools
+    rows, decisions = study_run.table(planned.kept)
     return Summary(
-        rows=study_run.rows(planned.kept),
-        decisions=study_run.decided,
+        rows=rows,
+        decisions=decisions,
         settings=_settings(study),
         waiting=len(planned.waiting),
         ahead=planned.ahead(),
@@ -244,7 +245,7 @@ def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
         kept=len({entry.name for entry in planned.kept}),
         up_to_date=sum(states[name].item.refusal is None for name in set(states) - study_run.worked),
         pools={name: pools[name].row or {} for name in sorted(pools)},
-        before=said_last(study),
+        before=planned.last,
     )
 
 
@@ -264,7 +265,6 @@ class StudyRun:
         planned: the plan at its beginning.
         lease: the lock that allows it to write in OUT, confirmed before each write that two runs must not do.
         worked: names of the recordings that were given to a worker.
-        decided: what people decided, put to the rows that were returned last.
     """
 
     def __init__(
@@ -274,7 +274,6 @@ class StudyRun:
         self.lease = lease
         self.known = StudyState()
         self.worked = {*planned.unlisted}
-        self.decided: Merged | None = None
         self.planned = planned
         self._table = _InterimTable(self, ledger)
         self._ledger = ledger
@@ -292,23 +291,24 @@ class StudyRun:
             self._observer.stopped(len(self.known.recordings))
             raise
 
-    def rows(self, kept: Sequence[Entry]) -> list[Mapping[str, Any]]:
-        """Return the rows of the table by name, those of `kept` where there is no newer result.
+    def table(self, kept: Sequence[Entry]) -> tuple[list[Mapping[str, Any]], Merged | None]:
+        """Return the rows of the table by name, and what people decided about them; None if nobody did.
 
-        Rows of copies name the recording that counts, and what a person decided is in its place.
+        Those of `kept` stand where there is no newer result. Rows of copies name the recording that counts,
+        and what a person decided is in its place.
         """
         last = {entry.name: entry.row for entry in kept}
         last |= {name: one.last.row for name, one in self.known.recordings.items()}
         rows = {name: row for name, row in sorted(last.items()) if row is not None}
         more: dict[str, dict[str, Any]]
         more = {name: {"copy_of": printable(one)} for name, one in summary.copies(rows).items()}
-        self.decided = self.planned.merged(rows.values())
-        changes = {} if self.decided is None else self.decided.changes
-        for name in rows.keys() if changes else ():
-            if (change := changes.get(printable(name))) is not None:
+        decided = self.planned.merged(rows.values())
+        changes = {} if decided is None else decided.changes
+        for name, row in rows.items():
+            if (change := changes.get(row["path"])) is not None:
                 more[name] = {**more.get(name, {}), **change}
         # a row of a hundred columns is not copied for some of them
-        return [ChainMap(more[name], row) if name in more else row for name, row in rows.items()]
+        return [ChainMap(more[name], row) if name in more else row for name, row in rows.items()], decided
 
     def _run(self, planned: Plan) -> None:
         self._planner.untouched |= planned.changing
@@ -414,7 +414,7 @@ class _InterimTable:
 
     def write(self) -> None:
         """Update the table; a failure is reported at the end of the study only."""
-        study, rows = self._run.study, self._run.rows(self._before)
+        study, (rows, _) = self._run.study, self._run.table(self._before)
         with contextlib.suppress(OutputError, LockedError):
             if rows:
                 self._run.lease.confirm()
@@ -469,7 +469,7 @@ def _log_end(name: str, result: TaskResult, began: Mapping[str, float]) -> None:
     row = result.entry.row or {}
     seconds = f" after {time.monotonic() - began[name]:.1f} s" if name in began else ""
     code = "" if row.get("exit_code") is None else f", exit code {row['exit_code']}"
-    LOG.info("ended: %s: %s%s%s", name, row.get("outcome"), code, seconds)
+    LOG.info("ended: %s: %s%s%s", name, row.get("outcome", "sensors listed"), code, seconds)
     if row.get("outcome") in (FAILED, Outcome.REFUSED):
         LOG.info("why: %s: %s: %s", name, row.get("reason") or row["outcome"], row.get("message"))
     for problem in result.problems:

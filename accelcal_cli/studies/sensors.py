@@ -108,15 +108,15 @@ def _of_one() -> set[str]:
 def in_place_of(item: Item, sensors: Sequence[str]) -> list[Item]:
     """Return the recordings of a file's sensors; of a file of one, the item itself."""
     report = item.job.report
-    taken: set[str] = set()
+    names: set[str] = set()
+    files: set[str] = set()
     found = []
     for sensor in sorted(sensors):  # so that the same one gives way where two names are alike
         shown, file_name, digest = _names(sensor)
-        shown, file_name = (
-            f"{one}-{digest}" if one_of in taken else one
-            for one, one_of in ((shown, f"[{shown}]"), (file_name, file_name.casefold()))
-        )
-        taken |= {f"[{shown}]", file_name.casefold()}
+        shown = f"{shown}-{digest}" if shown in names else shown
+        file_name = f"{file_name}-{digest}" if file_name.casefold() in files else file_name
+        names.add(shown)
+        files.add(file_name.casefold())
         job = job_at(item.source, report.with_name(f"{stem_of(report)}.{file_name}"))
         found.append(replace(item, name=f"{item.name} [{shown}]", job=job, sensor=sensor))
     return found or [item]

@@ -39,7 +39,9 @@ class Shard:
 
         The sensors of a file, which are called `FILE [SENSOR]`, belong to the same.
         """
-        digest = hashlib.sha256(name.partition(" [")[0].encode("utf-8", "surrogateescape")).digest()
+        folder, slash, file = name.rpartition("/")
+        of_file = f"{folder}{slash}{file.partition(' [')[0]}"
+        digest = hashlib.sha256(of_file.encode("utf-8", "surrogateescape")).digest()
         return int.from_bytes(digest[:8], "big") % self.number == self.index - 1
 
     @property

@@ -152,7 +152,7 @@ def failed(item: Item, code: int, message: str) -> dict[str, Any]:
     """Return the row of a recording that has no report."""
     failure = {"outcome": FAILED, "reason": failure_code(code), "message": message}
     failure |= {"use": USES["bad"], "why": message}
-    file = {"path": printable(item.name), "exit_code": code, "bytes": item.size}
+    file = {"path": printable(item.name), "exit_code": code, "bytes": item.size, "sensor": item.sensor}
     return with_result(dict.fromkeys(COLUMNS) | file | failure | {"accelcal_version": __version__})
 
 

@@ -54,6 +54,10 @@ class Common:
     request: Request
     asked: str
 
+    def request_for(self, item: Item) -> Request:
+        """Return the request for a recording, which may be one of the sensors of its file."""
+        return self.request.for_sensor(item.sensor)
+
 
 class Task(Protocol):
     """The work on one recording in one round; it can be pickled."""
@@ -61,10 +65,6 @@ class Task(Protocol):
     @property
     def item(self) -> Item:
         """The recording to work on."""
-
-    @property
-    def common(self) -> Common:
-        """The settings of the study."""
 
     @property
     def sources(self) -> tuple[Path, ...]:
@@ -118,11 +118,6 @@ class TaskResult:
     trace: str | None = None
 
 
-def request_of(task: Task) -> Request:
-    """Return the request for a task's recording, which may be one of the sensors of its file."""
-    return task.common.request.for_sensor(task.item.sensor)
-
-
 AnyTask = TypeVar("AnyTask", bound="Task")
 Work = Callable[[AnyTask, ProgressCallback], TaskResult]
 
@@ -157,7 +152,7 @@ def _failed(task: Task, error: Exception) -> TaskResult:
 @guarded
 def calibrated(task: CalibrationTask, report_progress: ProgressCallback) -> TaskResult:
     """Calibrate one recording; coefficients that were applied to it by hand stay."""
-    request, source = request_of(task), task.item.source
+    request, source = task.common.request_for(task.item), task.item.source
     kept = None if request.force else applied_by_hand(task.job, source)
     result = kept or calibrate(task.job, request, StageProgress(report_progress).stage, source)
     line, outputs = row_of(task.item, task.common, result), outputs_of(task.item, task.common, result)

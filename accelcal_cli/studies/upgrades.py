@@ -30,15 +30,14 @@ def said_last(study: Study) -> dict[str, Any]:
         return {}
 
 
-def settings_before(study: Study) -> dict[str, Any]:
-    """Return the settings of the last run, by `study.json`; empty if that is not known."""
-    found = said_last(study).get("settings")
-    return found if isinstance(found, dict) else {}
+def options_changed(study: Study, last: Mapping[str, Any]) -> list[str]:
+    """Return the options whose values differ between the last run and this one, as far as both know them.
 
-
-def options_changed(study: Study, before: Mapping[str, Any]) -> list[str]:
-    """Return the options whose values differ between the last run and this one, as far as both know them."""
-    if not before:
+    Args:
+        last: what `said_last` found.
+    """
+    before = last.get("settings")
+    if not isinstance(before, dict) or not before:
         return [OTHER_OPTIONS]
     now = json.loads(json.dumps(study.settings(), default=str))
     names = [name for name in now.keys() & before.keys() if name != "prior" and now[name] != before[name]]

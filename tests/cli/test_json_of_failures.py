@@ -53,9 +53,14 @@ def test_u6_calibrate_prints_an_object_for_what_failed(
         assert str(path) not in found["message"] and f"{path}: {found['message']}" in ran.err.replace(
             "accelcal: ", ""
         )
-    assert set(report_schema()["$defs"]["failure"]["properties"]["reason"]["enum"]) == {
-        *FAILURES.values(), "failed",
-    }  # fmt: skip
+
+
+def test_u6_the_schema_of_a_failure_needs_the_keys_of_a_report_and_has_all_reasons() -> None:
+    whole, failed = report_schema(), report_schema()["$defs"]["failure"]
+    assert failed["required"] == whole["required"]
+    recordings = [one["properties"]["recording"]["required"] for one in (whole, failed)]
+    assert recordings[0] == recordings[1]
+    assert set(failed["properties"]["reason"]["enum"]) == {*FAILURES.values(), "failed"}
 
 
 def test_u6_a_study_prints_an_object_for_what_failed(

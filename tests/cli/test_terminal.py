@@ -48,9 +48,11 @@ ERRORS = {
 def shown(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> Shown:
     """What is printed of a row at a terminal."""
 
-    def show(row: dict[str, object], written: Path | None = None, *, tsv: bool = False) -> str:
+    def show(
+        row: dict[str, object], written: Path | None = None, *, tsv: bool = False, up_to_date: bool = False
+    ) -> str:
         monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-        show_row(row, Path("a.cwa"), written, {"tsv": tsv})
+        show_row(row, Path("a.cwa"), written, {"tsv": tsv}, up_to_date=up_to_date)
         return capsys.readouterr().out
 
     return show
@@ -62,6 +64,8 @@ def test_an_interval_that_holds_the_raw_error_is_said(shown: Shown) -> None:
     start = "a.cwa: calibrated with nine parameters: error |r - 1| on held-out data 13.5 -> 9.8 mg "
     assert sentence == f"{start}(95 % interval 5.4 to 14.3), 1.38 times smaller. Written to a.parquet"
     assert cautions == [f"  {REACH.format(14.3, 'on average')}", f"  {UNCERTAIN}"]
+    again = shown(ROW, Path("a.parquet"), up_to_date=True).splitlines()[0]
+    assert again == sentence.replace("Written to", "Unchanged:"), "what an earlier run wrote"
     assert UNCERTAIN not in shown(ROW | {"ci95_high_mg": 13.4})
     assert shown(ROW | {"ci95_high_mg": 9.9}).count("\n") == 1
 

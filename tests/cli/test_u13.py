@@ -61,4 +61,4 @@ def test_u13_nothing_is_unchanged_in_a_first_run(tmp_path: Path, capsys: Capture
         shutil.copy(tmp_path / "in" / "a.layout.toml", tmp_path / "in" / "b.layout.toml")
     words = ("study", tmp_path / "in", "-d", tmp_path / "out", "-j", 1, "--report-only")
     assert "3 recordings: 1 calibrated, 2 failed. Results" in run(capsys, *words).err
-    assert "3 recordings: 1 calibrated, 2 failed, 1 unchanged. Results" in run(capsys, *words).err
+    assert "3 recordings (1 unchanged): 1 calibrated, 2 failed. Results" in run(capsys, *words).err

@@ -57,7 +57,7 @@ def test_u50_a_decision_changes_use_and_nothing_else(folder: Path, capsys: Captu
     held = decisions.read_bytes()
     ran = study(capsys, folder, "--report-only")
     after = table(folder)
-    assert "3 unchanged" in ran.err and "1 decided by people" in ran.err
+    assert "3 recordings (3 unchanged, 1 decided by people): " in ran.err
     assert before["a.raw"]["use"] == "yes"
     differs = {name for name in before["a.raw"] if before["a.raw"][name] != after["a.raw"][name]}
     assert differs == {"use", "why", "decided_by", "decided_at", "note"}

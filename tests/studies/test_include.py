@@ -40,7 +40,7 @@ def test_others_keep_their_rows_and_are_remembered(here: Path, capsys: Capture) 
     ran = study(capsys, here / "in", "--include", "a.raw")
     assert (ran.code, [line.split("\t")[0] for line in ran.lines]) == (0, [str(here / "in/north/a.raw")])
     assert ran.err.startswith(
-        "accelcal: 4 recordings: 3 calibrated, 1 failed, 4 unchanged. 1 other file skipped. Results: "
+        "accelcal: 4 recordings (4 unchanged): 3 calibrated, 1 failed. 1 other file skipped. Results: "
     )
     assert results(here / "out") == before
     assert "4 unchanged" in study(capsys, here / "in").err
@@ -78,7 +78,7 @@ def test_what_is_excluded_or_gone_has_no_row(here: Path, capsys: Capture) -> Non
 
 def test_what_was_done_with_other_options_keeps_its_row(here: Path, capsys: Capture) -> None:
     again = study(capsys, here / "in", "--include", "a.raw", "--model", 6)
-    assert "3 kept, made with other options" in again.err
+    assert "4 recordings (3 made with other options): " in again.err
     assert paths(here) == [*NAMES, "zeros.cwa"]
     assert [row["model"] for row in rows(here / "out")] == ["6", "9", "9", ""]
     study(capsys, here / "in", "--include", "a.raw")

@@ -144,7 +144,11 @@ def test_t1_a_table_that_cannot_be_read_keeps_what_was_made_of_its_sensors(
     assert ran.code == 1 and paths(here) == ["alone.csv", "table.csv"]
     assert report(here / "out/study.json")["orphans"] == []
     again = study(capsys, here)  # it is looked into again
-    assert again.code == 1 and "1 failed, 1 unchanged" in again.err and study(capsys, here, "-q").err == ""
+    assert (
+        again.code == 1
+        and "2 recordings (1 unchanged): 1 calibrated, 1 failed" in again.err
+        and study(capsys, here, "-q").err == ""
+    )
     (here / "in/table.csv").write_text(text)
     assert study(capsys, here).code == 0 and paths(here) == ["alone.csv", "table.csv [A]", "table.csv [B]"]
 
@@ -154,6 +158,16 @@ def test_t1_a_copy_of_a_table_is_a_copy_of_the_same_sensor(here: Path, capsys: C
     assert study(capsys, here).code == 0
     copies = {row["path"]: row["copy_of"] for row in rows(here / "out") if row["copy_of"]}
     assert copies == {"zcopy.csv [A]": "table.csv [A]", "zcopy.csv [B]": "table.csv [B]"}
+
+
+def test_t1_a_sensor_that_fails_is_named(here: Path, capsys: Capture) -> None:
+    for name in ("A", "B"):
+        (here / f"out/table.{name}.calibration.json").write_text("not ours")
+    ran = study(capsys, here, "--json")
+    failed = [one["values"]["path"] for one in map(json.loads, ran.lines) if one["outcome"] == "failed"]
+    assert (ran.code, sorted(failed)) == (1, ["in/table.csv [A]", "in/table.csv [B]"])
+    sensors = {row["path"]: row["sensor"] for row in rows(here / "out") if row["outcome"] == "failed"}
+    assert sensors == {"table.csv [A]": "sensor=A", "table.csv [B]": "sensor=B"}
 
 
 def test_t1_what_is_left_for_later_keeps_the_sensors_that_it_had(here: Path, capsys: Capture) -> None:

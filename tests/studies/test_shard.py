@@ -35,6 +35,15 @@ def test_the_name_alone_decides() -> None:
     assert [index for index in range(1, 9) if Shard(index, 8).owns("a/b.cwa")] == [first]
 
 
+def test_sensors_belong_to_the_shard_of_their_file_whatever_their_folder_is_called() -> None:
+    files = [f"cohort [left]/p{number}.csv" for number in range(40)]
+    owned = [name for name in files if Shard(1, 2).owns(name)]
+    assert 0 < len(owned) < len(files)
+    for name in (*files, "a [1].csv"):
+        for sensor in ("A", "left [1]", "a_b"):
+            assert Shard(1, 2).owns(f"{name} [{sensor}]") == Shard(1, 2).owns(name)
+
+
 def test_names() -> None:
     assert shard(None) == Shard() and shard(None).basename == "study"
     assert shard("2/8") == Shard(2, 8)
