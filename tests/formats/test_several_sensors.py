@@ -18,6 +18,7 @@ from pyarrow import feather
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import EACH, ReadOptions
 from accelcal_cli.formats import open_recording
+from accelcal_cli.formats._tables import divided
 from accelcal_cli.formats._tables import reader as divided_reader
 from accelcal_cli.formats.csv import detect as csv_detect
 from accelcal_cli.formats.csv import reader as csv_reader
@@ -460,6 +461,30 @@ def test_t1_a_table_of_several_sensors_in_an_archive_is_a_recording(tmp_path: Pa
             assert error.value.sensors == ("sensor=left", "sensor=right")
         else:
             assert "holds 2 recordings" in error.value.message
+
+
+@pytest.mark.parametrize("line", ["oops,1", "2024-03-04 00:00:04,0,0,1,L,7", '2024-03-04 00:00:04,0,0,"1,L'])
+def test_t17_a_line_that_is_not_a_row_hides_no_sensor(tmp_path: Path, line: str) -> None:
+    """The written times of the other lines are texts as well, and these lines were taken for bad ones."""
+    body = [f"2024-03-04 00:00:{k // 25:02}.{k % 25 * 40:03},0.1,0.{k % 7},0.9" for k in range(200)]
+    lines = ["time,x,y,z,sensor", *(f"{row},{one}" for row in body for one in "LR")]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([*lines[:101], line, *lines[101:]]) + "\n")
+    with pytest.raises(UnreadableError, match="--sensor L or --sensor R"):
+        read(path)
+    for one in "LR":
+        assert len(read(path, sensor=one)[1]) == 200
+    assert sorted(listed(path)) == ["sensor=L", "sensor=R"]
+
+
+def test_of_very_many_columns_the_most_telling_are_watched(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(divided, "MOST_TRACKS", 1)
+    table = by_time(stacked(stream(1), stream(2)))
+    table = with_column(table, "a", np.arange(len(table["x"])))
+    with pytest.raises(UnreadableError, match="column 'sensor'"):
+        read(as_npz(tmp_path / "a.npz", table))
 
 
 def test_a_column_of_half_floats_divides_nothing(tmp_path: Path) -> None:

@@ -38,6 +38,7 @@ from accelcal_cli.formats._tables.table import (
     find_heat,
     good_rows,
     readable,
+    shown,
     split_unit,
 )
 
@@ -382,7 +383,7 @@ def find_channels(
             notes += [NOT_READ] * bool(groups)
             continue
         if len(groups) > 1:
-            paths = ", ".join(readable(group[0].path) for group in groups)
+            paths = shown([group[0].path for group in groups])
             notes.append(f"no {rule.noun} is used: several {table.word}s fit ({paths})")
         if len(groups) != 1:
             continue
@@ -397,7 +398,7 @@ def find_channels(
             channels[name] = channel
             if isinstance(channel, ValueColumn) and channel.unit not in (CELSIUS, MILLI):
                 notes.append(f"{readable(groups[0][0].path)} is in {channel.unit.name}")
-    like = ", ".join(readable(track.path) for track in find_heat(tracks, accel)[1])
+    like = shown([track.path for track in find_heat(tracks, accel)[1]])
     return channels, (*notes, *([f"not read, though it looks like a temperature: {like}"] if like else []))
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -38,21 +38,29 @@ from accelcal_cli.formats._tables.table import (
 MOST_TEXTS = 1 << 14
 """A column with more values counts rows, or measures something."""
 
+MOST_TRACKS = 1000
+"""Most columns that are watched."""
+
 
 def dividing_tracks(
     table: SensorTable, tracks: tuple[Track, ...], accel: Track, used: tuple[Track, ...] = ()
 ) -> tuple[Track, ...]:
-    """Return the tracks that may tell whose each row is, but those that are used otherwise."""
+    """Return the tracks that may tell whose each row is, but those that are used otherwise.
+
+    Where there are more than MOST_TRACKS, those with the most telling names.
+    """
     paths = {track.path for track in used}
-    return tuple(
+    named = [
         track
         for track in (*table.text_tracks, *tracks)
         if track.rows == accel.rows and track.width == 1 and track.path not in paths
         if f"{accel.parent}/".startswith(track.parent.rstrip("/") + "/")
         if meaning_of(track.name) is not Meaning.MEASURED
         if split_time_name(track.name)[0] not in TABLES.times and not track.clock
-        if track.dtype.kind != "f" or _is_whole(table, track)
-    )
+    ]
+    if len(named) > MOST_TRACKS:
+        named = sorted(named, key=lambda track: meaning_of(track.name), reverse=True)[:MOST_TRACKS]
+    return tuple(track for track in named if track.dtype.kind != "f" or _is_whole(table, track))
 
 
 def _is_whole(table: SensorTable, track: Track) -> bool:
@@ -226,9 +234,11 @@ class SensorRowsTable(SensorTable):
         """See `SensorTable`."""
         return self._table.guard(what)
 
-    def explaining(self, damaged: int = 0) -> AbstractContextManager[None]:
+    @contextmanager
+    def explaining(self, damaged: int = 0) -> Iterator[None]:
         """See `SensorTable`."""
-        return self._table.explaining(damaged)
+        with self._table.explaining(damaged):
+            yield
 
 
 def chosen_rows(table: SensorTable, tracks: tuple[Track, ...], wanted: str) -> ChosenRows | None:

@@ -177,10 +177,14 @@ def track_of_shape(path: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> T
     return None
 
 
+def shown(names: Sequence[str]) -> str:
+    """Return names with commas between them; of many, the first ones."""
+    return ", ".join(map(readable, names[:MOST_SHOWN])) + ", ..." * (len(names) > MOST_SHOWN)
+
+
 def described(tracks: Iterable[Track]) -> str:
     """Return tracks as people read them: `/a (100 x 3), /b (100)`."""
-    shown = [f"{item.path} ({item.rows}{' x 3' if item.width == 3 else ''})" for item in tracks]
-    return ", ".join(shown[:MOST_SHOWN] + ["..."] * (len(shown) > MOST_SHOWN)) or "none"
+    return shown([f"{item.path} ({item.rows}{' x 3' * (item.width == 3)})" for item in tracks]) or "none"
 
 
 class RowSource(Protocol):
@@ -224,10 +228,7 @@ class SensorTable:
     @property
     def unread(self) -> str:
         """Names what of the file cannot be read, and says how to save it; empty if there is nothing."""
-        shown = ", ".join(map(readable, sorted(self.objects)[:MOST_SHOWN])) + ", ..." * (
-            len(self.objects) > MOST_SHOWN
-        )
-        return shown and f"{shown} cannot be read {OBJECTS}"
+        return f"{shown(sorted(self.objects))} cannot be read {OBJECTS}" if self.objects else ""
 
     def described(self, tracks: Iterable[Track]) -> str:
         """Return these tracks, and what cannot be read of the file, for people."""
@@ -257,12 +258,9 @@ class SensorTable:
         """Turn errors of a library into an UnreadableError that names the part concerned."""
         return nullcontext()
 
-    def explaining(self, damaged: int = 0) -> AbstractContextManager[None]:
-        """Add to any error of ours that the file is cut short or damaged, if it is."""
-        return self._explaining(damaged)
-
     @contextmanager
-    def _explaining(self, damaged: int) -> Iterator[None]:
+    def explaining(self, damaged: int = 0) -> Iterator[None]:
+        """Add to any error of ours that the file is cut short or damaged, if it is."""
         missing, size = self.missing_bytes(), None
         try:
             yield
@@ -275,9 +273,8 @@ class SensorTable:
                 hint = "; or ".join(filter(None, (hint, "copy the whole file again from its source")))
             elif damaged:
                 what = f"is damaged in {damaged} places, so that {what}"
-            else:
-                raise
-            raise type(error)(what, path=self.path, byte_offset=size, hint=hint) from error
+            error.message, error.byte_offset, error.hint = what, size, hint
+            raise
 
 
 @dataclass(frozen=True, slots=True)
@@ -450,7 +447,7 @@ def find_accel(tracks: tuple[Track, ...], table: SensorTable, sensor: str | None
     if len(found) == 1:
         return found[0]
     if found:
-        listed = ", ".join("+".join(item.path for item in group) for group in found)
+        listed = shown(["+".join(item.path for item in group) for group in found])
         groups = [group[0].parent.strip("/") for group in found]
         raise UnreadableError(
             f"several {table.word}s may hold the acceleration: {listed}",
@@ -487,8 +484,9 @@ def _choice(group: Group) -> str:
 def find_gyro(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
     """Find the nearest gyroscope tracks of the same length."""
     groups = _groups(tracks, TABLES.gyroscope, sorted(AXES.gyroscope))
+    by_parent = _by_parent(tracks)
     own = sorted({item.parent for item in tracks if normalized(basename(item.parent)) in TABLES.gyroscope})
-    groups += [triple for parent in own if (triple := _triple(tracks, parent, ""))]
+    groups += [triple for parent in own if (triple := _triple(by_parent.get(parent, {}), ""))]
     groups = [group for group in groups if group[0].rows == accel.rows]
     places = (accel.parent, dirname(accel.parent))
     return _nearest(groups, accel) or tuple(
@@ -555,10 +553,22 @@ def _columns(tracks: tuple[Track, ...], accel: Track, fits: Callable[[str], bool
 def _groups(tracks: tuple[Track, ...], names: frozenset[str], prefixes: list[str]) -> list[Group]:
     """Return tracks of three columns, and triples of one column each, whose names fit."""
     wide: list[Group] = [(item,) for item in tracks if item.width == 3 and _has_name(item, names)]
-    parents = sorted({item.parent for item in tracks})
+    by_parent = _by_parent(tracks)
     return wide + [
-        triple for parent in parents for prefix in prefixes if (triple := _triple(tracks, parent, prefix))
+        triple
+        for parent in sorted(by_parent)
+        for prefix in prefixes
+        if (triple := _triple(by_parent[parent], prefix))
     ]
+
+
+def _by_parent(tracks: Iterable[Track]) -> dict[str, dict[str, list[Track]]]:
+    """Return the tracks of one number a row, by the group that holds them and their name without a unit."""
+    found: dict[str, dict[str, list[Track]]] = {}
+    for item in tracks:
+        if item.width == 1:
+            found.setdefault(item.parent, {}).setdefault(split_unit(item.name)[0], []).append(item)
+    return found
 
 
 def _has_name(track: Track, names: frozenset[str]) -> bool:
@@ -566,13 +576,10 @@ def _has_name(track: Track, names: frozenset[str]) -> bool:
     return own in names or (own in VALUE_NAMES and normalized(basename(track.parent)) in names)
 
 
-def _triple(tracks: tuple[Track, ...], parent: str, prefix: str) -> Group | None:
+def _triple(by_name: Mapping[str, list[Track]], prefix: str) -> Group | None:
     """Return x, y and z of one length in a group, such as acc_x or x_acc; None unless all are there once."""
-    here = [item for item in tracks if item.parent == parent and item.width == 1]
-    names = [split_unit(item.name)[0] for item in here]
     axes = [
-        [item for item, name in zip(here, names, strict=True) if name in (prefix + axis, axis + prefix)]
-        for axis in "xyz"
+        [item for name in {prefix + axis, axis + prefix} for item in by_name.get(name, ())] for axis in "xyz"
     ]
     if any(len(items) != 1 for items in axes) or len({items[0].rows for items in axes}) != 1:
         return None

@@ -45,6 +45,7 @@ from accelcal_cli.formats._tables.table import (
     good_rows,
     named_track,
     readable,
+    shown,
     split_time_name,
 )
 from accelcal_cli.formats._tables.texts import written_times
@@ -312,9 +313,8 @@ def _time_track(source: TableSource) -> Track | None:
         return None if name.lower() == NO_COLUMN else _named_time_track(source, name)
     found = find_time(source.tracks, source.accel)
     if len(found) > 1:
-        listed = ", ".join(group[0].path for group in found)
         raise UnreadableError(
-            f"several {source.table.word}s may hold the times: {listed}",
+            f"several {source.table.word}s may hold the times: {shown([group[0].path for group in found])}",
             path=source.path,
             hint=f"choose one with --time-column PATH, or `--time-column {NO_COLUMN}`",
         )

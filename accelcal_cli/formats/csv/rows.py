@@ -5,7 +5,8 @@ Single lines are looked at only where a block cannot be parsed: those that are n
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import cached_property
@@ -213,12 +214,22 @@ class TableParser:
         return tuple(_text_values(table[str(column)]) for column in columns)
 
     def _read_repaired(self, block: Block, converting: Any) -> Any:
-        thorough = replace(self.dialect.normaliser, thorough=True)
-        try:
-            return self._read(thorough(block.data), converting)
-        except pa.ArrowException:
-            repaired = _without(block, self._bad_lines(block), self._empty_line)
-            return self._read(thorough(repaired.data), converting)
+        """Return columns of a block, empty in the lines that cannot be read as these."""
+        thorough = replace(self.dialect.normaliser, thorough=True)(block.data)
+        with suppress(pa.ArrowException):
+            return self._read(thorough, converting)
+
+        def is_sound(data: bytes) -> bool:
+            try:
+                self._read(data, converting)
+            except pa.ArrowException:
+                return False
+            return True
+
+        lines = thorough.splitlines(keepends=True)
+        for place in list(_unsound(lines, is_sound, 0, len(lines))):
+            lines[place] = self._empty_line
+        return self._read(b"".join(lines), converting)
 
     def _of_sensor(self, block: Block) -> NDArray[np.bool_]:
         """Return flags of the rows of a block that are of the sensor."""
@@ -271,20 +282,8 @@ class TableParser:
         """Return what is wrong with lines of a block that cannot be parsed, by their numbers."""
         lines = replace(self.dialect.normaliser, thorough=True)(block.data).splitlines(keepends=True)
         check = LineCheck(self.dialect, tuple(self.used), self.roles.time, self.time, self.date)
-        return {
-            block.line + place: check.fault(lines[place]) for place in self._unsound(lines, 0, len(lines))
-        }
-
-    def _unsound(self, lines: list[bytes], first: int, end: int) -> Iterator[int]:
-        """Yield the places of lines that cannot be parsed, by halving stretches with one."""
-        if self._is_sound(b"".join(lines[first:end])):
-            return
-        if end - first == 1:
-            yield first
-            return
-        middle = (first + end) // 2
-        yield from self._unsound(lines, first, middle)
-        yield from self._unsound(lines, middle, end)
+        unsound = _unsound(lines, self._is_sound, 0, len(lines))
+        return {block.line + place: check.fault(lines[place]) for place in unsound}
 
     def _is_sound(self, data: bytes) -> bool:
         try:
@@ -320,10 +319,6 @@ class TableParser:
         names = [str(column) for column in range(self.dialect.columns)]
         reading = pa_csv.ReadOptions(column_names=names, block_size=PARSER_BYTES, use_threads=False)
         parsing = pa_csv.ParseOptions(delimiter=self.dialect.normaliser.delimiter, newlines_in_values=False)
-        if data.startswith(
-            BYTE_ORDER_MARK
-        ):  # else pyarrow would drop it from a line that a block begins with
-            data = b"\n" + data
         pool = pa.system_memory_pool()
         if data.startswith(BYTE_ORDER_MARK):  # Arrow would leave it out, wherever in the file that is
             data = b"\n" + data
@@ -336,6 +331,18 @@ class TableParser:
         moments = self.date.moments(table[str(self.date.column)], table[name])
         column = moments.cast(times_as or self.time.arrow_type)
         return table.set_column(table.schema.get_field_index(name), name, column)
+
+
+def _unsound(lines: list[bytes], is_sound: Callable[[bytes], bool], first: int, end: int) -> Iterator[int]:
+    """Yield the places of lines that are not sound, by halving stretches with one."""
+    if is_sound(b"".join(lines[first:end])):
+        return
+    if end - first == 1:
+        yield first
+        return
+    middle = (first + end) // 2
+    yield from _unsound(lines, is_sound, first, middle)
+    yield from _unsound(lines, is_sound, middle, end)
 
 
 def _without(block: Block, bad: Iterable[int], empty: bytes) -> Block:

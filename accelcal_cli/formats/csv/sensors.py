@@ -106,8 +106,9 @@ def rows_of_sensor(
         return None
     names = _names(dialect, columns)
     texts: dict[str, list[str]] = {name: [] for name in names}
+    parser = TableParser(path, dialect, Roles((0, 0, 0), None, {}), None)
     for first, second in _pairs_of_blocks(dialect, path):
-        for name, values in zip(names, _texts(first, dialect, columns, path), strict=True):
+        for name, values in zip(names, _cells(parser, first, columns), strict=True):
             texts[name] += [text for text in values.texts if text not in texts[name]]
         if (found := matched(wanted, texts)) is not None:
             number_of = dict(zip(names, columns, strict=True))
@@ -138,7 +139,7 @@ def _blocks(dialect: Dialect, path: Path) -> Iterator[Block]:
 def _cells(parser: TableParser, block: Block, columns: Sequence[int]) -> tuple[CellTexts, ...]:
     """Return columns of a block; only of its rows, where a line is not a row."""
     try:
-        return parser.values(block, columns)
+        return parser.values(block, columns) if columns else ()
     except pa.ArrowException:
         lines, dialect = block.data.splitlines(keepends=True), parser.dialect
         rows = [row for _, row in numbered_rows(lines, dialect.normaliser, 0) if len(row) == dialect.columns]
@@ -150,15 +151,6 @@ def _coded(column: Sequence[str]) -> CellTexts:
     """Return texts with the number of each among those that there are, -1 if it is empty."""
     numbers = {text: number for number, text in enumerate(sorted({*column} - {""}))}
     return CellTexts([*numbers], np.array([numbers.get(text, -1) for text in column], np.int32))
-
-
-def _texts(block: Block, dialect: Dialect, columns: Sequence[int], path: Path) -> tuple[CellTexts, ...]:
-    """Return columns of a block; no values where a line is not a row, which the parser reports."""
-    parser = TableParser(path, dialect, Roles((0, 0, 0), None, {}), None)
-    try:
-        return parser.values(block, columns) if columns else ()
-    except pa.ArrowException:
-        return (CellTexts((), np.empty(0, np.int32)),) * len(columns)
 
 
 class SensorWatch:

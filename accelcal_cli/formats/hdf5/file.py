@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -177,22 +177,29 @@ def brief(error: Exception) -> str:
     return (" ".join(str(error).split()) or type(error).__name__)[:200]
 
 
-def members(group: Any) -> tuple[list[tuple[str, Any]], int]:
-    """Return groups and datasets directly in a group, without links elsewhere, and how many are damaged."""
-    found, damaged = [], 0
+def members(group: Any, names: Iterable[str] | None = None) -> Iterator[tuple[str, Any]]:
+    """Yield groups and datasets directly in a group, all or some, with their names; None for a damaged one.
+
+    Links elsewhere are left out. One member is open at a time, since each takes some 16 KB.
+    """
     try:
-        names = list(group)
+        names = _member_names(group) if names is None else names
     except H5PY_ERRORS:
-        return [], 1
+        yield "", None
+        return
     for name in names:
-        if name.startswith("#"):  # MATLAB keeps there what cells and objects refer to
-            continue
         try:
-            if isinstance(group.get(name, getlink=True), h5py.HardLink):
-                found.append((name, group[name]))
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                continue
+            node = group[name]
         except H5PY_ERRORS:
-            damaged += 1
-    return found, damaged
+            node = None
+        yield name, node
+
+
+def _member_names(group: Any) -> list[str]:
+    """Return the names in a group, without those that MATLAB gives to what cells and objects refer to."""
+    return [name for name in group if not name.startswith("#")]
 
 
 def text_list(value: object) -> list[str]:
@@ -219,7 +226,7 @@ class NodeAttributes(Attributes):
         super().__init__()
         self._nodes = [*nodes]
         self._layers = [self._names(node) for node in self._nodes]
-        self._scalars = [_scalars(node) for node in self._nodes]
+        self._members = [_members_by_name(node) for node in self._nodes]
 
     def _names(self, node: Any) -> dict[str, object]:
         try:
@@ -233,8 +240,10 @@ class NodeAttributes(Attributes):
         found = None
         if (known := self._layers[depth].get(name)) is not None:
             found = self._attribute(self._nodes[depth], str(known))
-        if found is None and (dataset := self._scalars[depth].get(name)) is not None:
-            found = _scalar(dataset)
+        if found is None:
+            named = members(self._nodes[depth], self._members[depth].get(name, ()))
+            scalars = [dataset for _, dataset in named if is_scalar(dataset)]
+            found = _scalar(scalars[-1]) if scalars else None
         return found
 
     def _attribute(self, node: Any, name: str) -> str | float | None:
@@ -246,11 +255,13 @@ class NodeAttributes(Attributes):
             return None
 
 
-def _scalars(node: Any) -> dict[str, Any]:
-    """Return datasets in a group that may hold one number or text, by their names."""
-    if not isinstance(node, h5py.Group):
-        return {}
-    return {normalized(name): item for name, item in members(node)[0] if is_scalar(item)}
+def _members_by_name(node: Any) -> dict[str, list[str]]:
+    """Return the names in a group, by their normalized form; none in a dataset."""
+    found: dict[str, list[str]] = {}
+    with suppress(*H5PY_ERRORS):
+        for name in _member_names(node) if isinstance(node, h5py.Group) else ():
+            found.setdefault(normalized(name), []).append(name)
+    return found
 
 
 def is_scalar(node: Any) -> bool:

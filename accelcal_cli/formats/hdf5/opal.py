@@ -131,8 +131,8 @@ def _version(file: Any) -> int | None:
 
 def _new_sensors(file: Any) -> list[OpalSensor]:
     sensors = []
-    for serial, group in members(file["Sensors"])[0]:
-        if LAYOUTS[NEW].accel in group:
+    for serial, group in members(file["Sensors"]):
+        if group is not None and LAYOUTS[NEW].accel in group:
             path = f"Sensors/{serial}"
             label = attributes_of(file, f"{path}/{LAYOUTS[NEW].settings}").text("Label 0", "Label 1")
             sensors.append(OpalSensor(serial, label or "", path))

@@ -129,6 +129,9 @@ class Hdf5Table(SensorTable):
 DEEPEST = 64
 """Groups within groups that are entered; each costs as many steps again as it lies deep."""
 
+MOST_NODES = 100_000
+"""Most datasets and groups in a file."""
+
 
 def as_track(path: str, dataset: Any) -> Track | None:
     """Return a dataset as a track of rows of 1 or 3 numbers; None if it cannot be read so."""
@@ -137,30 +140,42 @@ def as_track(path: str, dataset: Any) -> Track | None:
     return track_of_shape(path, dataset.shape, dataset.dtype)
 
 
-def all_tracks(file: Any) -> tuple[tuple[Track, ...], int, list[str]]:
+def all_tracks(table: Hdf5Table) -> tuple[tuple[Track, ...], int, list[str]]:
     """Return every dataset of rows of 1 or 3 numbers, or of a text, by path, how many are damaged, and those
     that hold neither numbers nor texts."""
     found: list[Track] = []
     objects: list[str] = []
     damaged = 0
-    seen: set[int] = set()
-    groups = [("", file["/"])]
-    while groups:
-        parent, group = groups.pop()
-        nodes, lost = members(group)
-        damaged += lost
-        for name, node in nodes:
-            address = hash(node.id)
-            if address in seen:
-                continue
-            seen.add(address)
-            if isinstance(node, h5py.Group) and parent.count("/") < DEEPEST:
-                groups.append((f"{parent}/{name}", node))
-            elif isinstance(node, h5py.Dataset) and (track := _track(f"{parent}/{name}", node)):
-                found.append(track)
-            elif isinstance(node, h5py.Dataset) and _holds_objects(node):
-                objects.append(f"{parent}/{name}")
+    for path, node in all_nodes(table):
+        if node is None:
+            damaged += 1
+        elif isinstance(node, h5py.Dataset) and (track := _track(path, node)):
+            found.append(track)
+        elif isinstance(node, h5py.Dataset) and _holds_objects(node):
+            objects.append(path)
     return tuple(sorted(found, key=lambda track: track.path)), damaged, sorted(objects)
+
+
+def all_nodes(table: Hdf5Table) -> Iterator[tuple[str, Any]]:
+    """Yield each group and dataset once, with its path; None for a damaged one."""
+    seen: set[int] = set()
+    groups = [""]
+    while groups:
+        parent = groups.pop()
+        for name, node in members(table.file[parent or "/"]):
+            if node is not None:
+                if (address := hash(node.id)) in seen:
+                    continue
+                seen.add(address)
+                if isinstance(node, h5py.Group) and parent.count("/") < DEEPEST:
+                    groups.append(f"{parent}/{name}")
+            if len(seen) > MOST_NODES:
+                raise UnreadableError(
+                    f"has more than {MOST_NODES} datasets and groups, as no recording does",
+                    path=table.path,
+                    hint="copy the recording to a file of its own, as with h5copy",
+                )
+            yield f"{parent}/{name}", node
 
 
 def _holds_objects(dataset: Any) -> bool:
@@ -193,7 +208,7 @@ def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
     with open_hdf5(path) as file:
         table = Hdf5Table(file, path)
         with table.guard("list of datasets"):
-            tracks, damaged, table.objects = all_tracks(file)
+            tracks, damaged, table.objects = all_tracks(table)
             table.text_tracks = tuple(track for track in tracks if track.dtype == TEXT)
             tracks = tuple(track for track in tracks if track.dtype != TEXT)
         with table.explaining(damaged), table.guard("description of the recording"):

@@ -18,8 +18,10 @@ from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import find_format
 from accelcal_cli.formats._tables.table import readable
 from accelcal_cli.formats.hdf5 import HDF5
+from accelcal_cli.formats.hdf5 import reader as hdf5_reader
 from accelcal_cli.formats.hdf5 import rows as _hdf5_rows
-from accelcal_cli.formats.hdf5.file import heaps_are_sound
+from accelcal_cli.formats.hdf5.file import heaps_are_sound, open_hdf5
+from accelcal_cli.formats.hdf5.reader import Hdf5Table
 from accelcal_cli.formats.hdf5.rows import TrackRows
 from tests.cli.run import run
 from tests.formats.cuts import cuts, every_byte
@@ -95,6 +97,30 @@ def test_several_candidates_are_refused_with_their_list(path: Path) -> None:
     with pytest.raises(UnreadableError, match=r"/left/accel, /right/accel.*--columns"):
         read(path)
     assert (read(path, sensor="RIGHT", lsb_per_g=1.0, rate_hz=10.0).counts == counts(seed=4)).all()
+
+
+def test_of_many_datasets_a_message_lists_the_first_ones(path: Path) -> None:
+    write(path, {f"g{number:03}/accel": counts(4) for number in range(200)}, about())
+    with pytest.raises(UnreadableError, match=r"/g000/accel, .*/g019/accel, \.\.\.; ") as caught:
+        read(path)
+    assert (len(caught.value.sensors), str(caught.value).count("/accel")) == (200, 20 + 2)
+
+
+def test_a_file_of_too_many_datasets_is_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(path, {f"g/d{number}": counts(4) for number in range(20)}, about())
+    monkeypatch.setattr(hdf5_reader, "MOST_NODES", 20)
+    with pytest.raises(UnreadableError, match="more than 20 datasets and groups"):
+        read(path)
+
+
+def test_datasets_are_looked_at_one_at_a_time(path: Path) -> None:
+    write(path, {f"g{number // 9}/d{number}": counts(4) for number in range(90)}, about())
+    with open_hdf5(path) as file:
+        table = Hdf5Table(file, path)
+        kinds = h5py.h5f.OBJ_DATASET | h5py.h5f.OBJ_GROUP
+        opened = [h5py.h5f.get_obj_count(file.id, kinds) for _ in hdf5_reader.all_nodes(table)]
+        opened += [h5py.h5f.get_obj_count(file.id, kinds) for _ in [table.stated("/g0/d0")]]
+    assert (len(opened), max(opened) < 5) == (90 + 10 + 1, True)
 
 
 def test_no_candidate_is_refused_with_the_list_of_datasets(path: Path) -> None:
@@ -701,6 +727,14 @@ def test_a_file_cut_short_before_its_description_is_refused(path: Path) -> None:
         UnreadableError, match=r"byte 4000: is cut short to 4000 of \d+ bytes, so that .* copy the whole"
     ):
         read(path)
+
+
+def test_a_file_cut_short_still_tells_its_sensors(path: Path) -> None:
+    write(path, {"left/accel": counts(), "right/accel": counts(seed=4)}, about())
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(UnreadableError, match=r"is cut short to .*, so that several") as caught:
+        read(path)
+    assert caught.value.sensors == ("left", "right")
 
 
 def tiny(path: Path, rows: int, **layout: Any) -> bytes:
