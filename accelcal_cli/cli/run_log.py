@@ -10,6 +10,7 @@ import contextlib
 import logging
 import os
 import re
+import shlex
 import sys
 from collections.abc import Iterator
 from datetime import datetime
@@ -99,7 +100,7 @@ def run_log(path: Path | None) -> Iterator[RunLog | None]:
     handler = RunLog(path)
     LOG.addHandler(handler)
     LOG.setLevel(logging.INFO)
-    LOG.info("begins: accelcal %s on %s: %s", __version__, host(), " ".join(["accelcal", *sys.argv[1:]]))
+    LOG.info("begins: accelcal %s on %s: %s", __version__, host(), shlex.join(["accelcal", *sys.argv[1:]]))
     code, why = exit_codes.BUG, ""
     try:
         yield handler

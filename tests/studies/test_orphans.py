@@ -109,6 +109,16 @@ def test_a_recording_is_looked_for_from_where_its_path_was_typed(
     assert (out / "mine.calibration.json").exists() and told(out) == {}
 
 
+def test_a_recording_whose_name_the_report_cannot_show_is_not_taken_for_gone(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    folder, out = study_folder(tmp_path / "in", NAMES), tmp_path / "out"
+    odd = good_csv(tmp_path).rename(folder / "odd\x1b.csv")
+    assert run(capsys, "calibrate", odd, "-o", out / "mine.calibrated.parquet").code == 0
+    assert study(capsys, folder, "--exclude", "odd*", "--prune").code == 0
+    assert (out / "mine.calibration.json").exists() and told(out) == {}
+
+
 def test_too_much_to_prune_is_refused_before_the_work_begins(tmp_path: Path, capsys: Capture) -> None:
     folder, out = study_folder(tmp_path / "in", NAMES), tmp_path / "out"
     assert study(capsys, folder).code == 0

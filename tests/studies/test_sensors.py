@@ -12,6 +12,12 @@ import numpy as np
 import pytest
 
 import accelcal
+from accelcal_cli.core.formats import EACH as EVERY
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.pipeline.jobs import Request
+from accelcal_cli.studies.discovery import job_at
+from accelcal_cli.studies.records import Item
+from accelcal_cli.studies.sensors import wants_each
 from tests.cli.run import Ran, run
 from tests.cli.studies import results, rows
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts, write_csv
@@ -223,6 +229,13 @@ def test_t1_forty_people_in_one_table(tmp_path: Path, capsys: Capture) -> None:
     run(capsys, *words)
     assert [row["sensor"] for row in rows(tmp_path / "out")] == [f"sensor=P{n:02d}" for n in range(40)]
     assert "40 unchanged" in run(capsys, *words).err
+
+
+@pytest.mark.parametrize(("name", "read"), [("a.csv.gz", True), ("a.h5", True), ("a.cwa", False)])
+def test_t1_no_sensors_are_looked_for_where_a_format_has_one(name: str, read: bool) -> None:
+    item = Item(name, job_at(Path(name), Path("out/a")), ((1, 1),))
+    assert wants_each(item, Request(ReadOptions(sensor=EVERY))) == read
+    assert not wants_each(item, Request())
 
 
 def test_t1_shards_and_the_whole_have_the_same_recordings(here: Path, capsys: Capture) -> None:

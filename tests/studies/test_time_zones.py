@@ -34,3 +34,11 @@ def test_mixed_times_are_told_with_the_way_out() -> None:
 def test_what_wrote_no_parquet_is_not_counted() -> None:
     refused = {"outcome": "refused", "model": None, "parquet": None, "time_zone": "unknown"}
     assert Summary([*rows("UTC"), refused], {}).mixed_times() is None
+
+
+def test_a_quiet_run_tells_of_mixed_times_once() -> None:
+    first = Summary(rows("UTC", "unknown"), {})
+    (said,) = first.news(repeat=False)
+    later = Summary(rows("UTC", "unknown", "UTC"), {}, before=first.counts())
+    assert (list(later.news(repeat=False)), list(later.news(repeat=True))) == ([], [later.mixed_times()])
+    assert said == first.mixed_times()
