@@ -169,8 +169,9 @@ class Plot:
         way = ""
         for (begin, end), low, high in zip(spans, lows, highs, strict=True):
             if low is not None and high is not None:
-                y0, y1 = coordinate(self.y(low)), coordinate(self.y(high))
-                way += f"M{coordinate(self.x(begin))} {y0}V{y1}H{coordinate(self.x(end))}V{y0}z"
+                x0, y0, y1 = coordinate(self.x(begin)), coordinate(self.y(low)), coordinate(self.y(high))
+                wide = coordinate(float(coordinate(self.x(end))) - float(x0))  # fewer bytes than the place
+                way += f"M{x0} {y0}V{y1}h{wide}V{y0}z"
         return path(way, kind)
 
     def bars(self, spans: Sequence[Pair], values: Sequence[float | None], kind: str) -> str:
