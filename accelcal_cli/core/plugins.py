@@ -27,7 +27,7 @@ def find_plugins(package: str, folder: Iterable[str], attribute: str) -> list[An
     """
     names = [name for name in _modules(tuple(folder)) if not name.startswith("_")]
     found = [
-        item for name in names for item in _items(importlib.import_module(f"{package}.{name}"), attribute)
+        item for name in names for item in items_of(importlib.import_module(f"{package}.{name}"), attribute)
     ]
     return sorted(found, key=lambda item: str(item.name))
 
@@ -38,7 +38,8 @@ def _modules(folder: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(info.name for info in pkgutil.iter_modules(folder))
 
 
-def _items(module: ModuleType, attribute: str) -> tuple[Any, ...]:
+def items_of(module: ModuleType, attribute: str) -> tuple[Any, ...]:
+    """Return what a module binds: one item, or a tuple of them."""
     bound_here = getattr(module, attribute)
     return bound_here if isinstance(bound_here, tuple) else (bound_here,)
 
@@ -48,7 +49,7 @@ def find_plugin(package: str, folder: Iterable[str], attribute: str, name: str) 
     module = name.replace("-", "_")
     if module.startswith("_") or module not in _modules(tuple(folder)):
         return None
-    items = _items(importlib.import_module(f"{package}.{module}"), attribute)
+    items = items_of(importlib.import_module(f"{package}.{module}"), attribute)
     return next((item for item in items if item.name == name), None)
 
 

@@ -234,6 +234,7 @@ class Problem:
         missing_bytes: number of bytes that are known to be missing from the file, since its header or its
             parts announce them. A file that breaks off in any other way has 0 and the code CUT_SHORT.
         empty_rows: number of rows without values, which are missing time and no damage.
+        place: where in a table, for people: `from line 12 on`; empty in other files.
     """
 
     code: str
@@ -244,6 +245,15 @@ class Problem:
     lost_bytes: int = 0
     missing_bytes: int = 0
     empty_rows: int = 0
+    place: str = ""
+
+    def __str__(self) -> str:
+        return self.message
+
+    @property
+    def told(self) -> str:
+        """The message with the place, for people."""
+        return f"{self.message}, {self.place}" if self.place else self.message
 
 
 @dataclass(frozen=True, slots=True, eq=False)

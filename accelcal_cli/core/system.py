@@ -18,7 +18,7 @@ from functools import cache
 from math import ceil
 from pathlib import Path
 from types import FrameType
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from multiprocessing import connection  # takes long to load
@@ -265,12 +265,6 @@ def interruptions_blocked() -> Iterator[None]:
 
 
 # --- files and temporary folders
-
-
-def open_file_name(file: IO[bytes]) -> str | None:
-    """Return a name in ASCII by which an open file can be opened again; None if the system has none."""
-    name = f"/proc/self/fd/{file.fileno()}"
-    return name if Path(name).exists() else None
 
 
 def flush_data(file: int) -> None:

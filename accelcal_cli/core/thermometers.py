@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.vocabulary import TEMPERATURES, In, normalized
+from accelcal_cli.core.vocabulary import TEMPERATURES, normalized
 
 NEAR = "(?:device|die|chip|sensor|board|imu|mcu|cpu|internal|case|accelerometer|accel|acc)*"
 HEAT = re.compile(rf"{NEAR}(temperatur(?:e|es|a)?|temperatuur|temps?|tmp|温度|온도|температура){NEAR}")
@@ -45,11 +45,9 @@ UNITS: dict[str, HeatUnit] = {
     **{
         normalized(name): CELSIUS if size == 1 else MILLI
         for size, names in TEMPERATURES.items()
-        for files, some in names.items()
-        if files & In.TABLES
-        for name in some
+        for name in names
     },
-    **dict.fromkeys(("deg", "gradc", "gradcelsius", "ºc"), CELSIUS),
+    "deg": CELSIUS,
     **dict.fromkeys(("f", "degf", "fahrenheit", "degreesfahrenheit", "degreesf", "ºf"), FAHRENHEIT),
     **dict.fromkeys(("k", "degk", "kelvin"), KELVIN),
 }

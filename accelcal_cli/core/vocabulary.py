@@ -1,44 +1,19 @@
 """The units, and the names of sensors and times, that recordings use: one home for all formats.
 
-Each name stands with the kinds of files in which it is understood (`In`). They differ, because a name that is
-new to a kind of file could change what such a file means. A reader takes the `Vocabulary` of its files. A
-unit of acceleration is one entry of `ACCELERATION_UNITS`: --unit, all formats, lists of poses and the advice
-in messages follow from it.
+A unit is known by any of its names, however it is punctuated (`find_unit`). A unit of acceleration is one
+entry of `ACCELERATION_UNITS`: --unit, all formats, lists of poses and the advice in messages follow from it.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Flag, auto
+from enum import Enum
 from fractions import Fraction
 from functools import lru_cache
-from typing import TypeVar
 
 from accelcal_cli.core.gravity import STANDARD_GRAVITY
-
-Unit = TypeVar("Unit", str, float)
-
-
-class In(Flag):
-    """The kinds of files that understand a name."""
-
-    CSV = auto()
-    TABLES = auto()
-    """HDF5, Parquet, Feather, NumPy and MATLAB files; names are compared as `normalized` gives them."""
-
-    AXES = auto()
-    """Columns of one axis in these files: the name stands before or behind x, y or z."""
-
-    EDF = auto()
-    UNISENS = auto()
-    ALL = CSV | TABLES | AXES | EDF | UNISENS
-
-
-Names = Mapping[In, tuple[str, ...]]
-"""Names in lower case, by the kinds of files that understand them."""
 
 
 @lru_cache(maxsize=4096)
@@ -53,63 +28,50 @@ class AccelerationUnit:
 
     Attributes:
         per_g: how much of it is one standard g, exactly.
-        rest: between these the median length of acceleration at rest lies, in the unit.
-        ending: a pattern of the unit at the end of a column's name in a table, such as `acc_x_mg`.
+        rest: between these the median length of acceleration at rest lies, in the unit; None if no length
+            tells it, since the unit is always stated.
+        names: in lower case.
         pose_ending: the end of the names of columns in a list of poses; None if it is not used there.
     """
 
     per_g: Fraction
-    rest: tuple[float, float]
-    names: Names
-    ending: str
+    rest: tuple[float, float] | None
+    names: tuple[str, ...]
     pose_ending: str | None = None
 
 
+GRAVITY = Fraction(str(STANDARD_GRAVITY))
 ACCELERATION_UNITS = {
     "g": AccelerationUnit(
         per_g=Fraction(1),
         rest=(0.7, 1.4),
-        names={
-            In.ALL: ("g",),
-            In.CSV | In.TABLES | In.EDF: ("gravity",),
-            In.CSV | In.TABLES: ("gs",),
-            In.CSV | In.EDF: ("gn", "g0"),
-            In.TABLES: ("gee", "grav", "gravities", "gforce", "standardgravity"),
-        },
-        ending="g",
+        names=(
+            *("g", "gravity", "gs", "gn", "g0", "gee", "grav", "gravities", "gforce"),
+            "standardgravity",
+        ),
         pose_ending="_g",
     ),
     "mg": AccelerationUnit(
         per_g=Fraction(1000),
         rest=(700.0, 1400.0),
-        names={
-            In.ALL: ("mg",),
-            In.CSV | In.TABLES | In.EDF: ("millig", "milli-g"),
-            In.EDF: ("mgn",),
-            In.TABLES: ("milligs", "milligee", "mgravity"),
-        },
-        ending="mg",
+        names=("mg", "millig", "milli-g", "mgn", "milligs", "milligee", "mgravity"),
     ),
     "m/s2": AccelerationUnit(
-        per_g=Fraction(str(STANDARD_GRAVITY)),
+        per_g=GRAVITY,
         rest=(7.0, 13.0),
-        names={
-            In.ALL: ("m/s2", "m/s^2", "m/s²"),
-            In.CSV | In.TABLES | In.EDF: ("m/s/s", "ms-2"),
-            In.CSV | In.TABLES: (
-                *("m/s**2", "m/(s^2)", "m/(s^2", "mps2", "ms2", "ms^-2", "m.s-2", "m s-2", "m s^-2"),
-            ),
-            In.EDF: ("m/ss", "m/sec2", "m/sec^2"),
-            In.TABLES: (
-                "mpss",
-                "mpers2",
-                "meterpersecondsquared",
-                "meterspersecondsquared",
-                "meterspersecond2",
-            ),
-        },
-        ending=r"m[/_ ]?s(?:ec)?(?:\^|\*\*)?-?[2²]|m/s/s",
+        names=(
+            *("m/s2", "m/s^2", "m/s²", "m/s/s", "ms-2", "m/ss", "m/sec2", "m/(s^2", "mps2", "mpss"),
+            *("mpers2", "m/secs2", "meterpersecondsquared", "meterspersecondsquared"),
+            *("meterspersecond2", "meterpersecond2", "metrespersecondsquared"),
+        ),
         pose_ending="_ms2",
+    ),
+    "cm/s2": AccelerationUnit(
+        per_g=100 * GRAVITY, rest=None, names=("cm/s2", "cm/s²", "cm/s/s", "gal", "gals", "cm/sec2")
+    ),
+    "mm/s2": AccelerationUnit(per_g=1000 * GRAVITY, rest=None, names=("mm/s2", "mm/s²", "mm/s/s", "mm/sec2")),
+    "ft/s2": AccelerationUnit(
+        per_g=GRAVITY / Fraction("0.3048"), rest=None, names=("ft/s2", "ft/s²", "ft/s/s", "ft/sec2")
     ),
 }
 """The units of acceleration by their names on the command line and in reports."""
@@ -120,114 +82,170 @@ PER_G = {name: float(unit.per_g) for name, unit in ACCELERATION_UNITS.items()}
 COUNTS = "counts"
 """The name of raw counts of a sensor in place of a unit."""
 
-UNIT_CHOICES = (*ACCELERATION_UNITS, COUNTS)
+USUAL_UNITS = tuple(name for name, unit in ACCELERATION_UNITS.items() if unit.rest is not None)
+"""The units that people name, and that the length of gravity can tell."""
+
+UNIT_CHOICES = (*USUAL_UNITS, COUNTS)
 """The choices of --unit."""
 
-PHYSICAL_UNITS = f"{', '.join([*ACCELERATION_UNITS][:-1])} or {[*ACCELERATION_UNITS][-1]}"
+PHYSICAL_UNITS = f"{', '.join(USUAL_UNITS[:-1])} or {USUAL_UNITS[-1]}"
 """The units in words, for advice."""
 
 GIVE_UNIT = f"give --unit {PHYSICAL_UNITS}, or --unit counts with --lsb-per-g"
 """Advice where the unit of a file is not known."""
 
-ACCELERATIONS: Mapping[str, Names] = {
-    **{name: unit.names for name, unit in ACCELERATION_UNITS.items()},
-    COUNTS: {
-        In.CSV | In.TABLES: ("counts", "count", "lsb", "raw", "adc", "digits"),
-        In.TABLES: ("lsbs", "adccounts", "adu", "digit", "bits", "rawcounts"),
-    },
-}
-"""Names of units of acceleration, and of counts."""
+COUNT_NAMES = (
+    *("counts", "count", "lsb", "lsbs", "raw", "adc", "adccounts", "adu", "digit", "digits", "bits"),
+    "rawcounts",
+)
+"""Names of counts in place of a unit."""
 
-ROTATIONS: Mapping[float, Names] = {
-    1.0: {
-        In.ALL: ("deg/s", "dps", "°/s"),
-        In.CSV | In.TABLES | In.EDF: ("deg/sec",),
-        In.EDF: ("degree/s",),
-        In.TABLES: ("degps", "degpersec", "degreespersecond", "degreess", "degs1", "degpersecond"),
-    },
-    1000.0: {In.TABLES: ("mdps", "mdegs", "mdegsec", "millidegs")},
-    math.pi / 180: {
-        In.CSV | In.TABLES: ("rad/s",),
-        In.TABLES: ("radsec", "rps", "radps", "radianspersecond", "radianss", "rads1", "radpersec"),
-    },
+ROTATIONS: Mapping[float, tuple[str, ...]] = {
+    1.0: (
+        *("deg/s", "dps", "°/s", "deg/sec", "degree/s", "degrees/s", "degps", "degpersec", "deg/s1"),
+        *("degreespersecond", "degpersecond"),
+    ),
+    1000.0: ("mdps", "mdeg/s", "mdeg/sec", "millideg/s"),
+    math.pi / 180: (
+        *("rad/s", "rad/sec", "rps", "radps", "radianspersecond", "radians/s", "rad/s1", "radpersec"),
+    ),
 }
 """Names of units of rotation rate, by how much of them is 1 deg/s."""
 
-TEMPERATURES: Mapping[float, Names] = {
-    1.0: {
-        In.CSV | In.TABLES | In.EDF: ("c", "degc", "°c", "celsius"),
-        In.TABLES | In.EDF: ("deg c",),
-        In.TABLES: ("degreescelsius", "degreesc", "degreec", "degreecelsius"),
-    },
-    1000.0: {
-        In.TABLES: (
-            *("mc", "mdegc", "millidegc", "millicelsius"),
-            *("millidegreescelsius", "millidegreecelsius"),
-        )
-    },
+TEMPERATURES: Mapping[float, tuple[str, ...]] = {
+    1.0: (
+        *("c", "degc", "°c", "celsius", "degreescelsius", "degreesc", "degreec", "degreecelsius"),
+        *("gradc", "gradcelsius", "ºc"),
+    ),
+    1000.0: (*("mc", "mdegc", "millidegc", "millicelsius", "millidegreescelsius", "millidegreecelsius"),),
 }
 """Names of units of temperature, by how much of them is 1 degree Celsius."""
+
+OTHER_TEMPERATURES = ("f", "degf", "°f", "fahrenheit", "degreesfahrenheit", "k", "degk", "kelvin")
+"""Names of units of temperature with another zero (`core/thermometers.py`)."""
 
 PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 """How many of each unit of time are one second."""
 
-DURATIONS: Mapping[str, Names] = {
-    "s": {In.CSV | In.TABLES: ("s", "sec", "secs", "second", "seconds")},
-    "ms": {
-        In.CSV | In.TABLES: ("ms", "msec", "millisecond", "milliseconds", "millis", "millisec"),
-    },
-    "us": {
-        In.CSV | In.TABLES: ("us", "usec", "microsecond", "microseconds", "µs", "μs", "micros"),
-    },
-    "ns": {In.CSV | In.TABLES: ("ns", "nsec", "nanosecond", "nanoseconds", "nanos")},
+DURATIONS: Mapping[str, tuple[str, ...]] = {
+    "s": ("s", "sec", "secs", "second", "seconds"),
+    "ms": ("ms", "msec", "millisecond", "milliseconds", "millis", "millisec"),
+    "us": ("us", "usec", "microsecond", "microseconds", "µs", "μs", "micros"),
+    "ns": ("ns", "nsec", "nanosecond", "nanoseconds", "nanos"),
 }
 """Names of units of time."""
 
-UNIT_AT_END = re.compile(
-    r"(.*[a-z0-9\])]?)[\s_\[(./:-]+("
-    + "|".join(unit.ending for unit in ACCELERATION_UNITS.values())
-    + r"|counts?|lsb|dps|deg[/_]?s(?:ec)?|°/s|rad[/_]?s(?:ec)?)[\])]?",
-    re.IGNORECASE,
+OTHER_UNITS = (
+    *("gauss", "mgauss", "ut", "µt", "μt", "nt", "mt", "tesla", "microtesla"),
+    *("deg", "°", "rad", "degrees", "radians", "rad/s2", "rad/s^2", "deg/s2", "m/s", "km/h", "m/s3", "m"),
+    *("mm", "cm", "km", "hz", "v", "mv", "volt", "volts", "a", "ma", "pa", "hpa", "kpa", "mbar", "bar"),
+    *("lux", "lx", "db", "dbm", "bpm", "%", "percent", "ohm", "kohm", "us/cm", "cal", "kcal", "rpm"),
+    *("local_flux",),
 )
-"""The name of a column in a table, and the unit at its end."""
+"""Names of units of other quantities: what has one is not acceleration."""
 
-ACCELEROMETER: Names = {
-    In.ALL: ("acc",),
-    In.CSV | In.TABLES | In.AXES | In.EDF: ("accel", "acceleration", "accelerometer"),
-    In.CSV | In.TABLES: ("accelerations",),
-    In.CSV | In.AXES: ("a",),
-    In.AXES: ("",),
-    In.EDF: ("accelero",),
-    In.TABLES: (
-        *("accels", "accelerometers", "accelerometerdata", "acceldata", "accdata", "accelraw", "rawaccel"),
-        *("rawacc", "accelxyz", "accxyz", "accelerationxyz", "xyz", "raw"),
-    ),
-}
-"""Names of an accelerometer's columns."""
 
-GYROSCOPE: Names = {
-    In.ALL: ("gyro",),
-    In.CSV | In.TABLES | In.AXES | In.EDF: ("gyr", "gyroscope"),
-    In.CSV | In.TABLES: ("gyros", "gyroscopes"),
-    In.CSV: ("omega",),
-    In.AXES: ("g",),
-    In.TABLES: ("gyrodata", "gyroraw", "gyroxyz", "gyroscopexyz", "angularvelocity"),
-    In.UNISENS: ("angularrate",),
-}
-"""Names of a gyroscope's columns."""
+class Quantity(Enum):
+    """The quantity that a unit is of."""
 
-THERMOMETER: Names = {
-    In.ALL: ("temp", "temperature"),
-    In.TABLES: ("temperaturec", "tempc", "temperaturedegc"),
-}
-"""Names of a column of temperatures."""
+    ACCELERATION = "acceleration"
+    COUNTS = "counts"
+    ROTATION = "rotation"
+    TIME = "time"
+    TEMPERATURE = "temperature"
+    OTHER = "other"
 
-TIMES: Names = {
-    In.CSV | In.TABLES: ("time", "timestamp", "timestamps", "datetime", "epoch", "unixtime"),
-    In.CSV: ("unix", "utc", "ts", "date"),
-    In.TABLES: ("times", "t", "epochtime"),
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit by its quantity.
+
+    Attributes:
+        name: as in options and reports: g, mg, m/s2, counts, s, ms, us, ns; of other quantities as written.
+        per: how much of it is 1 g, 1 deg/s, 1 s or 1 degree Celsius.
+    """
+
+    quantity: Quantity
+    name: str
+    per: float = 1.0
+
+
+def _units() -> dict[str, Unit]:
+    """Return all units by their names in lower case; the first of two of one name counts."""
+    units = [
+        *(
+            (name, unit.names, Quantity.ACCELERATION, PER_G[name])
+            for name, unit in ACCELERATION_UNITS.items()
+        ),
+        (COUNTS, COUNT_NAMES, Quantity.COUNTS, 1.0),
+        *(("deg/s", names, Quantity.ROTATION, per) for per, names in ROTATIONS.items()),
+        *((name, names, Quantity.TIME, PER_SECOND[name]) for name, names in DURATIONS.items()),
+        *(("C", names, Quantity.TEMPERATURE, per) for per, names in TEMPERATURES.items()),
+        *((name, (name,), Quantity.TEMPERATURE, 1.0) for name in OTHER_TEMPERATURES),
+        *((name, (name,), Quantity.OTHER, 1.0) for name in OTHER_UNITS),
+    ]
+    found: dict[str, Unit] = {}
+    for name, names, quantity, per in units:
+        for one in names:
+            found.setdefault(one, Unit(quantity, name, per))
+    return found
+
+
+UNITS = _units()
+"""All units by their names as they are written, in lower case."""
+
+UNITS_WITHOUT_MARKS = {
+    normalized(name): unit
+    for name, unit in reversed(UNITS.items())
+    if normalized(name) and not (unit.quantity is Quantity.OTHER and not name.isalpha())
 }
-"""Names of a column of times."""
+"""The same by names without punctuation: `m/(s^2)` and `ms2` are one; of two the first counts."""
+
+
+@lru_cache(maxsize=4096)
+def find_unit(text: str) -> Unit | None:
+    """Return the unit of a text such as `m/s^2`, `[mg]` or `Meters per Second squared`; None without one."""
+    plain = text.strip().strip("[](){}").strip().lower()
+    return UNITS.get(plain) or UNITS_WITHOUT_MARKS.get(normalized(plain))
+
+
+def unit_of(text: str, quantity: Quantity) -> Unit | None:
+    """Return the unit of a text if it is one of a quantity, else None."""
+    unit = find_unit(text)
+    return unit if unit is not None and unit.quantity is quantity else None
+
+
+def acceleration_unit(text: str) -> str | None:
+    """Return g, mg, m/s2, ... or counts for a text such as `m/s^2`; None for any other text."""
+    unit = find_unit(text)
+    known = unit is not None and unit.quantity in (Quantity.ACCELERATION, Quantity.COUNTS)
+    return unit.name if unit is not None and known else None
+
+
+ACCELEROMETER = frozenset({
+    *("acc", "accel", "acceleration", "accelerometer", "accelerations", "accelero", "accels"),
+    *("accelerometers", "accelerometerdata", "acceldata", "accdata", "accelraw", "rawaccel", "rawacc"),
+    *("accelxyz", "accxyz", "accelerationxyz"),
+})  # fmt: skip
+"""Words of an accelerometer's columns."""
+
+BARE_ACCELEROMETER = frozenset({"raw", "xyz"})
+"""Words that name an accelerometer where nothing else is said."""
+
+GYROSCOPE = frozenset({
+    *("gyro", "gyr", "gyroscope", "gyros", "gyroscopes", "omega", "gyrodata", "gyroraw", "gyroxyz"),
+    *("gyroscopexyz", "angularvelocity", "angularrate", "rotationrate"),
+})  # fmt: skip
+"""Words of a gyroscope's columns."""
+
+THERMOMETER = ("temp", "temperature")
+"""Words of a column of temperatures."""
+
+TIMES = frozenset({
+    *("time", "timestamp", "timestamps", "datetime", "epoch", "unixtime", "unix", "utc", "ts", "date"),
+    *("times", "epochtime", "epoc"),
+})  # fmt: skip
+"""Words of a column of times."""
 
 BARE_TIMES = frozenset({
     *("t", "s", "ms", "us", "seconds", "millis", "micros", "milliseconds", "microseconds", "elapsed"),
@@ -236,65 +254,6 @@ BARE_TIMES = frozenset({
 
 NOT_RAW = frozenset({"gravity", "linear", "lin", "free"})
 """Words of an acceleration that was computed from the measured one."""
-
-
-@dataclass(frozen=True, slots=True)
-class Vocabulary:
-    """The names that one kind of files understands, in lower case; in TABLES, normalized.
-
-    Attributes:
-        accelerometer, gyroscope, thermometer, times: names of their columns.
-        accelerations: unit of acceleration, or `counts`, by its names.
-        rotations, temperatures: how much of a unit is 1 deg/s or 1 degree Celsius, by the unit's names.
-        durations: unit of time by its names.
-    """
-
-    accelerometer: frozenset[str]
-    gyroscope: frozenset[str]
-    thermometer: frozenset[str]
-    times: frozenset[str]
-    accelerations: Mapping[str, str]
-    rotations: Mapping[str, float]
-    temperatures: Mapping[str, float]
-    durations: Mapping[str, str]
-
-
-def _vocabulary(files: In) -> Vocabulary:
-    return Vocabulary(
-        accelerometer=frozenset(_names(ACCELEROMETER, files)),
-        gyroscope=frozenset(_names(GYROSCOPE, files)),
-        thermometer=frozenset(_names(THERMOMETER, files)),
-        times=frozenset(_names(TIMES, files)),
-        accelerations=_by_name(ACCELERATIONS, files),
-        rotations=_by_name(ROTATIONS, files),
-        temperatures=_by_name(TEMPERATURES, files),
-        durations=_by_name(DURATIONS, files),
-    )
-
-
-def _names(names: Names, files: In) -> list[str]:
-    return [name for known, some in names.items() if known & files for name in some]
-
-
-def _by_name(units: Mapping[Unit, Names], files: In) -> dict[str, Unit]:
-    found = {name: unit for unit, names in units.items() for name in _names(names, files)}
-    return {normalized(name): unit for name, unit in found.items()} if files is In.TABLES else found
-
-
-CSV = _vocabulary(In.CSV)
-"""Text files understand these names."""
-
-TABLES = _vocabulary(In.TABLES)
-"""HDF5, Parquet, Feather, NumPy and MATLAB files understand these names."""
-
-AXES = _vocabulary(In.AXES)
-"""Columns of one axis in tables have these names before or behind x, y or z."""
-
-EDF = _vocabulary(In.EDF)
-"""EDF files understand these names."""
-
-UNISENS = _vocabulary(In.UNISENS)
-"""Descriptions of Unisens recordings understand these names."""
 
 OWNERS = frozenset({
     *("sensor", "device", "imu", "accelerometer", "node", "serial", "mac", "watch", "subject", "subj"),

@@ -36,7 +36,7 @@ from accelcal_cli.core.input_files import (
     files_of,
     may_be_archive,
 )
-from accelcal_cli.core.plugins import find_plugin, find_plugins, named_plugin
+from accelcal_cli.core.plugins import find_plugin, find_plugins, items_of, named_plugin
 from accelcal_cli.core.recording import Reader
 from accelcal_cli.formats._not_recordings import refuse_not_recordings
 
@@ -279,8 +279,12 @@ def _open_file(path: Path, options: ReadOptions, unused: tuple[str, ...]) -> Rea
 @cache
 def all_encoders() -> tuple[Encoder, ...]:
     """Return every writer, by name."""
-    writers = (f"{__name__}.{item.name}.writer" for item in pkgutil.iter_modules(__path__) if item.ispkg)
-    return tuple(importlib.import_module(name).ENCODER for name in writers if importlib.util.find_spec(name))
+    found: list[Encoder] = []
+    for item in pkgutil.iter_modules(__path__):
+        name = f"{__name__}.{item.name}.writer"
+        if item.ispkg and importlib.util.find_spec(name):
+            found += items_of(importlib.import_module(name), "ENCODER")
+    return tuple(sorted(found, key=lambda one: one.name))
 
 
 def named_encoder(name: str) -> Encoder:

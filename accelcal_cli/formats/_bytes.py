@@ -291,14 +291,6 @@ def crc32(data: bytes, before: int = 0) -> int:
     return int(deflate.crc32(data, before))
 
 
-def unpacked(packed: bytes, size: int) -> bytes | None:
-    """Unpack a whole zlib stream (RFC 1950) of about `size` bytes; return None if it is damaged."""
-    try:
-        return bytes(deflate.decompress(packed, bufsize=size))
-    except deflate.error:
-        return None
-
-
 class Inflater:
     """Unpacks a bare deflate stream; where a damaged one breaks off does not depend on how it is cut.
 
@@ -369,21 +361,19 @@ class PackedStream:
 
     Args:
         offset, size: of the packed bytes.
-        bare: deflate without the header and checksum of zlib, as in zip files.
     """
 
-    def __init__(self, path: Path, offset: int, size: int, *, bare: bool = False) -> None:
+    def __init__(self, path: Path, offset: int, size: int) -> None:
         self._path = path
-        self._bare = bare
         self._offset = offset
         self._end = offset + size
-        self._unpacker = zlib.decompressobj(-zlib.MAX_WBITS if bare else zlib.MAX_WBITS)
+        self._unpacker = zlib.decompressobj()
         self._pending = b""
         self.damaged = False
 
     def copy(self) -> PackedStream:
         """Return another stream that continues from the same place."""
-        twin = PackedStream(self._path, self._offset, self._end - self._offset, bare=self._bare)
+        twin = PackedStream(self._path, self._offset, self._end - self._offset)
         twin._unpacker = self._unpacker.copy()
         twin._pending = self._pending
         return twin
@@ -415,30 +405,6 @@ class PackedStream:
             packed = file.read(min(PIECE_BYTES, self._end - self._offset))
         self._offset += len(packed)
         return packed
-
-
-class PlainStream:
-    """A stretch of a file that is not packed, with the methods of PackedStream."""
-
-    def __init__(self, path: Path, offset: int, size: int) -> None:
-        self._path, self._offset, self._end = path, offset, offset + size
-
-    def copy(self) -> PlainStream:
-        """Return another stream that continues from the same place."""
-        return PlainStream(self._path, self._offset, self._end - self._offset)
-
-    def pieces(self, count: int) -> Iterator[bytes]:
-        """Yield the next `count` bytes in one piece; fewer where the file ends."""
-        with self._path.open("rb") as file:
-            file.seek(self._offset)
-            piece = file.read(max(0, min(count, self._end - self._offset)))
-        self._offset += len(piece)
-        if piece:
-            yield piece
-
-    def skip(self, count: int) -> None:
-        """Pass over `count` bytes."""
-        self._offset = min(self._offset + count, self._end)
 
 
 class ShortReads:

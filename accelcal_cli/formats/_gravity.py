@@ -27,7 +27,7 @@ def guess_unit(values: NDArray[np.float64], path: Path) -> str:
     """
     median = usual_length(values)
     for name, unit in ACCELERATION_UNITS.items():
-        if unit.rest[0] <= median <= unit.rest[1]:
+        if unit.rest is not None and unit.rest[0] <= median <= unit.rest[1]:
             return name
     raise UnreadableError(
         f"cannot tell the unit: the median length of the acceleration is {median:.4g}",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from accelcal_cli.core.errors import NoRecordingError, UnreadableError, printable
@@ -191,14 +192,33 @@ def _by_names(head: bytes, signed: NotRecording | None) -> NotRecording | None:
     A table with columns of x, y and z may be raw whatever its beginning says.
     """
     for line in head[: 4 * LOOKED_AT].decode("utf-8", "replace").lower().splitlines()[:HEADER_LINES]:
-        names = {cell.strip(' "\ufeff#') for cell in SEPARATORS.split(line)}
-        plain = {re.sub(r"\s*[\[(].*", "", name) for name in names}
-        if any(means <= plain for means in MEAN_COLUMNS) and WINDOW_COLUMNS & plain:
-            return WINDOWS
-        axes = [name for name in plain if AXIS.fullmatch(name) and not NOT_AXES.fullmatch(name)]
-        if len(axes) >= len("xyz"):
-            return None
-        known = EPOCH_NAMES & names or any(map(OF_OTHER_TOOLS.fullmatch, plain | names))
-        if len(names) > 1 and known and not axes:
-            return signed or TABLE
+        found = by_names([cell.strip(' "\ufeff#') for cell in SEPARATORS.split(line)])
+        if found is not None:
+            return signed or TABLE if found.table is TABLE else found.table
     return signed
+
+
+@dataclass(frozen=True, slots=True)
+class NamedTable:
+    """The names of columns show this: a table that is not a recording, or None for one that may be raw."""
+
+    table: NotRecording | None
+
+
+def by_names(columns: Iterable[str]) -> NamedTable | None:
+    """Return what the names of columns in lower case show of a table; None if they show nothing."""
+    names = set(columns)
+    plain = {re.sub(r"\s*[\[(].*", "", name) for name in names}
+    if any(means <= plain for means in MEAN_COLUMNS) and WINDOW_COLUMNS & plain:
+        return NamedTable(WINDOWS)
+    axes = [name for name in plain if AXIS.fullmatch(name) and not NOT_AXES.fullmatch(name)]
+    if len(axes) >= len("xyz"):
+        return NamedTable(None)
+    known = EPOCH_NAMES & names or any(map(OF_OTHER_TOOLS.fullmatch, plain | names))
+    return NamedTable(TABLE) if len(names) > 1 and known and not axes else None
+
+
+def epochs_by_names(columns: Iterable[str]) -> NotRecording | None:
+    """Return what a table is by the names of its columns, if it is not a recording; None for any other."""
+    found = by_names(name.lower() for name in columns)
+    return None if found is None else found.table

@@ -28,7 +28,7 @@ class Event:
         count: number of units concerned.
         amount_us: time to sum up, 0 for nothing.
         lost_bytes: as in a Problem.
-        line: of a text file; 0 in others.
+        line: of a text file, or number of the row in a table, from 1; 0 in other files.
         scattered: it stands for several places, not for one.
         empty_rows: as in a Problem.
     """
@@ -92,6 +92,7 @@ class ProblemLog:
         single: runs of a kind that become problems of their own; one more problem counts all others.
         by_end: problems come in the order of their ends, by code and text where they end together; the
             problem of all others comes last and has no place. Else all come in the order of their beginnings.
+        place: says where a run is, for people.
     """
 
     def __init__(
@@ -100,9 +101,10 @@ class ProblemLog:
         describe: Callable[[Run], str] = text_with_count,
         single: int = SINGLE,
         by_end: bool = False,
+        place: Callable[[Run], str] = lambda _run: "",
     ) -> None:
         self._ready = list(first)
-        self._describe = describe
+        self._describe, self._place = describe, place
         self._single = single
         self._by_end = by_end
         self._queue: deque[Run] = deque()
@@ -174,6 +176,13 @@ class ProblemLog:
 
     def _problem(self, run: Run) -> Problem:
         event = run.event
-        text = self._describe(run)
-        amounts = run.count, run.lost_bytes
-        return Problem(event.code, text, event.byte_offset, event.sample, *amounts, empty_rows=run.empty_rows)
+        return Problem(
+            event.code,
+            self._describe(run),
+            event.byte_offset,
+            event.sample,
+            run.count,
+            run.lost_bytes,
+            empty_rows=run.empty_rows,
+            place=self._place(run),
+        )

@@ -6,7 +6,7 @@ gives every row a time of its own, wherever the pieces end in which the rows are
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,18 @@ LONGEST_GROUP = 4
 
 DEVICE_RATES = (1.5625, 3.125, 6.25, 12.5, 25.6, 31.25, 100 / 3, 51.2, 62.5, 200 / 3, 102.4, 204.8)
 """Fractional rates [Hz] of devices in common use."""
+
+NEAR = 0.0005
+"""Share by which crystals miss the rate that a device was set to."""
+
+SLOW_HZ = 9.5
+"""Slower rates are not taken to be whole numbers."""
+
+STAMP_STEPS_US = (MICROSECONDS, MICROSECONDS // 10, MICROSECONDS // 100, 1000, 100, 10)
+"""Steps [us] in which stamps are written."""
+
+JITTER_ERROR = 0.005
+"""Share by which a rate may be wrong that jittered stamps show."""
 
 JITTERED = 0.001
 """Share of steps back from which stamps count as jittered; steps then do not show the rate."""
@@ -72,6 +84,11 @@ class Pace:
         return max(1, round(self.rate_hz * self.stamp_period_us / MICROSECONDS))
 
     @property
+    def reach(self) -> int:
+        """Rows next to a row on which its time depends: the longest group; 0 where none shares its stamp."""
+        return LONGEST_GROUP * self.rows_per_stamp if self.stamp_period_us else 0
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Notes for people on changed times."""
         return (SPREAD,) if self.stamp_period_us else ()
@@ -104,26 +121,13 @@ def shared_pace(stamps: NDArray[np.int64]) -> Pace | None:
     if period <= 0 or not usual.any():
         return None
     rate = float(sizes[usual].sum()) * MICROSECONDS / float(steps[usual].sum())
-    return Pace(nice_rate(rate), period)
+    return Pace(nice_rate(rate, 1 / float(sizes[usual].sum())), period)
 
 
 def only_stamp_period(stamps: NDArray[np.int64]) -> int:
     """Return one second [us] if all rows share one or two whole-second stamps, else 0."""
     shared = len(stamps) > 2 * len(_groups(stamps)[0]) and not (stamps % MICROSECONDS).any()
     return MICROSECONDS if shared else 0
-
-
-def stamp_pace(stamps: NDArray[np.int64], stated_hz: float | None, rate_hz: float) -> Pace:
-    """Return the pace of rows whose rate is known.
-
-    Args:
-        stated_hz: a rate that takes precedence over the stamps, unless they contradict it.
-        rate_hz: the rate if they show none.
-    """
-    shown = shared_pace(stamps) if shares_stamps(stamps) else None
-    if shown is None:
-        return Pace(rate_hz, only_stamp_period(stamps))
-    return shown if stated_hz is None or not shown.agrees(stated_hz) else replace(shown, rate_hz=stated_hz)
 
 
 def jittered_step(stamps: NDArray[np.int64]) -> float | None:
@@ -145,18 +149,26 @@ def jittered_step(stamps: NDArray[np.int64]) -> float | None:
     return usual / SPAN_ROWS
 
 
-def nice_rate(measured: float) -> float:
+def stamp_error(stamps: NDArray[np.int64]) -> float:
+    """Return the share by which a rate may be wrong that times (n,) show, by how finely they are written."""
+    span_us = int(np.ptp(stamps)) if len(stamps) else 0
+    step_us = next((step for step in STAMP_STEPS_US if not (stamps % step).any()), 1)
+    return step_us / span_us if span_us else 0.0
+
+
+def nice_rate(measured: float, error: float = 0.0) -> float:
     """Return the rate to which a device was probably set, or the measured one if that is not clear.
 
-    Crystals and stamps in milliseconds miss a nominal rate by a few thousandths.
+    Args:
+        error: the share by which the measured rate may be wrong; crystals are wrong by NEAR.
     """
-    for rate in DEVICE_RATES:
-        if abs(measured - rate) < 0.0005 * rate:
-            return rate
-    for grid, tolerance in ((5.0, 0.005), (1.0, 0.0005)):
-        rate = grid * round(measured / grid)
-        if measured > 9.5 and abs(measured - rate) < tolerance * rate:
-            return rate
+    for rates, share in (
+        (DEVICE_RATES, NEAR),
+        ([grid * round(measured / grid) for grid in (5.0, 1.0) if measured > SLOW_HZ], max(NEAR, error)),
+    ):
+        for rate in rates:
+            if abs(measured - rate) < share * rate:
+                return rate
     return float(f"{measured:.6g}")
 
 

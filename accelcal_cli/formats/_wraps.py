@@ -30,10 +30,10 @@ DAY_US = 24 * HOUR_US
 LONG_US = 60 * MICROSECONDS
 """Length of a cycle from which on a second may be missing where it ends."""
 
-READ_ON = "the times start again{jump} before line {line}{repeated}: read as those of a clock that runs on"
+READ_ON = "the times start again{jump}{repeated}: read as those of a clock that runs on"
 TWELVE_HOURS = (
-    "the hours before line {line}{repeated} are those of a 12-hour clock without AM or PM, read as those of "
-    "a clock that runs on; add --shift 43200 if its first time is in the afternoon"
+    "the hours are those of a 12-hour clock without AM or PM{repeated}: read as those of a clock that runs on"
+    "; add --shift 43200 if its first time is in the afternoon"
 )
 HALF_DAYS_US = (DAY_US // 2, -DAY_US)
 
@@ -85,7 +85,7 @@ def _longest(cycle_us: int, near_us: int, back: NDArray[np.int64]) -> int:
 
 
 def text_of(jump_us: int) -> str:
-    """Return the text of the problem that times were read on by a jump, for a line of a text file."""
+    """Return the text of the problem that times were read on by a jump."""
     return TWELVE_HOURS if jump_us in HALF_DAYS_US else READ_ON
 
 

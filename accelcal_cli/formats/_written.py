@@ -29,8 +29,8 @@ from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME
 
 EPOCH_DAY = date(1970, 1, 1).toordinal()
 DAY_S = 86_400
-NO_DAY = -(1 << 40)
-"""Stands for a day that does not exist."""
+NO_DAY, OTHER_DAY = -(1 << 40), -(1 << 41)
+"""Stand for a day that does not exist, and for one that is written in another form."""
 
 DIRECTIVES = {
     **{"H": r"(?P<h>\d{1,2})", "I": r"(?P<h>\d{1,2})", "M": r"(?P<m>\d{1,2})", "S": r"(?P<s>\d{1,2})"},
@@ -62,39 +62,40 @@ class Written:
     offsets: bool = False
     vague: bool = False
 
-    def times(self, cells: Any) -> NDArray[np.int64]:
-        """Return texts (n,), an array of Arrow, as times (n,) [us]; NO_TIME where empty.
+    def read(self, cells: Any) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return texts (n,), an array of Arrow, as times (n,) [us], and the rows of those not written so.
 
         Returns:
-            IMPOSSIBLE for times that do not exist.
-
-        Raises:
-            ArrowInvalid: a text is not written so.
+            NO_TIME where a text is empty or not written so, IMPOSSIBLE for times that do not exist.
         """
         import pyarrow.compute as pc  # takes a tenth of a second, and most files need none of it
 
-        cells = pc.utf8_trim_whitespace(cells)
-        if cells.null_count:
-            times = np.full(len(cells), NO_TIME, np.int64)
-            times[np.from_dlpack(cells.is_valid().cast(pa.uint8())) > 0] = self.times(cells.drop_null())
-            return times
-        found = pc.extract_regex(cells, self.pattern)
-        if found.null_count:
-            raise pa.ArrowInvalid("a time is written in another form")
+        found = pc.extract_regex(pc.utf8_trim_whitespace(cells), self.pattern)
+        rows = np.flatnonzero(np.from_dlpack(found.is_valid().cast(pa.uint8())))
+        others = np.from_dlpack(cells.is_valid().cast(pa.uint8())) > 0
+        times = np.full(len(cells), NO_TIME, np.int64)
+        if len(rows):
+            read, known = self._times_of(pc, found.drop_null())
+            times[rows] = np.where(known, read, NO_TIME)
+            others[rows] = ~known
+        return times, np.flatnonzero(others)
+
+    def _times_of(self, pc: Any, found: Any) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return the times of what the pattern found (n,), and flags of those whose day is understood."""
         names = [field.name for field in found.type]
         parts = {name: pc.fill_null(pc.struct_field(found, name), "") for name in names}
-        h, m, s = (_whole(pc, parts.get(name), len(cells)) for name in "hms")
-        ns = _whole(pc, _padded(pc, parts.get("f")), len(cells))
+        h, m, s = (_whole(pc, parts.get(name), len(found)) for name in "hms")
+        ns = _whole(pc, _padded(pc, parts.get("f")), len(found))
         around = [parts[name] for name in names if name not in ("h", "m", "s", "f")]
-        days, shift, late = self._days(pc, around, len(cells))
+        days, shift, late = self._days(pc, around, len(found))
         halves = late >= 0
         hours = np.where(halves, h % 12 + 12 * late, h)
         wrong = (hours > 24) | ((h == 24) & ((m > 0) | (s > 0) | (ns > 0))) | (m > 59) | (s > 60)
-        wrong |= (halves & ((h > 12) | (h == 0))) | (days == NO_DAY)
+        wrong |= (halves & ((h > 12) | (h == 0))) | (days <= NO_DAY)
         seconds = (np.where(wrong, 0, days) * 24 + hours) * 3600 + m * 60 + s - shift
         times = seconds * 1_000_000 + (ns + 500) // 1000
         wrong |= (times < FIRST_US) | (times > LAST_US)
-        return np.where(wrong, IMPOSSIBLE, times)
+        return np.where(wrong, IMPOSSIBLE, times), days != OTHER_DAY
 
     def _days(self, pc: Any, around: Sequence[Any], rows: int) -> tuple[NDArray[np.int64], ...]:
         """Return the days since 1970, the seconds ahead of UTC, and 1 for PM, 0 for AM, -1 without; (n,)."""
@@ -108,10 +109,8 @@ class Written:
 
     def _read(self, text: str) -> tuple[int, int, int]:
         found = self.around(text.split("\x1f"))
-        if found is None:
-            raise pa.ArrowInvalid("a date is written in another form")
-        if not self.fits(found):
-            raise pa.ArrowInvalid("a time has no zone, or one that the others have not")
+        if found is None or not self.fits(found):
+            return OTHER_DAY, 0, -1
         day = 0 if not found.dated else NO_DAY if found.day is None else found.day.toordinal() - EPOCH_DAY
         late = -1 if found.afternoon is None else int(found.afternoon)
         return day, (found.offset_s or 0) if self.offsets else 0, late

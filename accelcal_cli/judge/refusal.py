@@ -13,7 +13,7 @@ from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Recording
 from accelcal_cli.core.results import NEAR_ONE_G, Coverage, Facts, Judgement, Outcome, Rest
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.core.vocabulary import PER_G
+from accelcal_cli.core.vocabulary import PER_G, USUAL_UNITS
 
 LONGER = Reason("record_longer")
 NOTHING_STILL = Reason("nothing_still")
@@ -25,8 +25,8 @@ WIDEST_G = 0.5
 STUCK_G, TURNED_G = 0.02, 0.5
 """Range [g] within which an axis is stuck, if another axis turns at rest by more than the second [g]."""
 
-UNITS = {per_g: (unit, "g") for unit, per_g in PER_G.items() if unit != "g"} | {
-    1 / per_g: ("g", unit) for unit, per_g in PER_G.items() if unit != "g"
+UNITS = {PER_G[unit]: (unit, "g") for unit in USUAL_UNITS if unit != "g"} | {
+    1 / PER_G[unit]: ("g", unit) for unit in USUAL_UNITS if unit != "g"
 }
 """Unit of the values and the unit that they were read as, by what rest then measures [g]."""
 

@@ -263,7 +263,8 @@ def rest_json(rest: results.Rest) -> dict[str, Any] | None:
 
 def problem_json(problem: Problem) -> dict[str, Any]:
     """Return one entry of `file_health.problems`."""
-    return {name: getattr(problem, name) for name in ("code", "message", "byte_offset", "sample", "count")}
+    kept = {name: getattr(problem, name) for name in ("byte_offset", "sample", "count")}
+    return {"code": problem.code, "message": problem.told, **kept}
 
 
 def damage_json(facts: Facts) -> dict[str, Any]:

@@ -20,8 +20,8 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.input_files import ANY, files_of, is_no_part, pattern_of_siblings
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.formats import belongs_to
-from accelcal_cli.formats.csv import bids_channels_path
 from accelcal_cli.formats.raw import folder_layout, named_layout
+from accelcal_cli.formats.tables import bids_channels_path
 from accelcal_cli.output import decisions
 from accelcal_cli.output.files import is_page, looking_at, stored_schema
 from accelcal_cli.output.report_reading import load_our_json

@@ -18,7 +18,7 @@ from accelcal_cli.output.report_reading import report_schema
 from accelcal_cli.pipeline.outputs import provenance
 
 load_all()
-pa.enable_signal_handlers(False)  # as in `formats/csv/rows.py`
+pa.enable_signal_handlers(False)  # as in `formats/tables/text/parse.py`
 READY = (
     np.random,
     zoneinfo,

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Container
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from fractions import Fraction
@@ -27,7 +26,16 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, LARGEST_LSB_PER_G, Counts, Device
-from accelcal_cli.core.vocabulary import ACCELERATION_UNITS, EDF, GIVE_UNIT, NOT_RAW
+from accelcal_cli.core.vocabulary import (
+    ACCELERATION_UNITS,
+    ACCELEROMETER,
+    GIVE_UNIT,
+    GYROSCOPE,
+    NOT_RAW,
+    THERMOMETER,
+    Quantity,
+    unit_of,
+)
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats.edf import BDF_MAGIC
 
@@ -56,7 +64,7 @@ SIGNAL_FIELDS = (
 )
 """Names and widths [bytes] of the fields; in the second part each field has the texts of all signals."""
 
-GLUED = re.compile(rf"({'|'.join(sorted(EDF.accelerometer | EDF.gyroscope))})([xyz])")
+GLUED = re.compile(rf"({'|'.join(sorted(ACCELEROMETER | GYROSCOPE))})([xyz])")
 MOST_COUNTS = (1 << 31) - 1
 
 
@@ -331,14 +339,14 @@ def _labels(header: Header) -> str:
     return ", ".join(shown) + ", ..." * (len(header.signals) > len(shown))
 
 
-def _groups(header: Header, names: frozenset[str], units: Container[str]) -> dict[str, Signals3]:
+def _groups(header: Header, names: frozenset[str], quantity: Quantity) -> dict[str, Signals3]:
     """Return the sensors of a kind that have one signal for each axis, by the other words of their labels."""
     found: dict[str, dict[str, list[Signal]]] = {}
     for signal in header.signals:
         parts = label_words(signal.label)
         axes = [part for part in parts if part in ("x", "y", "z")]
-        known = names & set(parts) or signal.dimension.lower() in units
-        other = ((EDF.accelerometer | EDF.gyroscope) - names) & set(parts)
+        known = names & set(parts) or unit_of(signal.dimension, quantity)
+        other = ((ACCELEROMETER | GYROSCOPE) - names) & set(parts)
         if len(axes) == 1 and known and not other and not NOT_RAW & set(parts):
             rest = " ".join(part for part in parts if part not in (*axes, *names, "axis"))
             found.setdefault(rest, {}).setdefault(axes[0], []).append(signal)
@@ -351,7 +359,7 @@ def _groups(header: Header, names: frozenset[str], units: Container[str]) -> dic
 
 
 def _signals_by_label(header: Header, options: ReadOptions, path: Path) -> Signals3:
-    groups = every = _groups(header, EDF.accelerometer, EDF.accelerations)
+    groups = every = _groups(header, ACCELEROMETER, Quantity.ACCELERATION)
     sensor = options.one_sensor
     if sensor is not None:
         wanted = " ".join(label_words(sensor))
@@ -403,7 +411,7 @@ def _acceleration_axes(signals: Signals3, options: ReadOptions, path: Path) -> A
             )
         step = 1 / Fraction(options.lsb_per_g)
         return Axes(signals, (1, 1, 1), (0, 0, 0), step, ())
-    units = {options.unit or EDF.accelerations.get(signal.dimension.lower()) for signal in signals}
+    units = {options.unit or _acceleration_unit(signal) for signal in signals}
     unit = units.pop()
     if units or unit is None:
         written = ", ".join(repr(signal.dimension) for signal in signals)
@@ -421,6 +429,17 @@ def _acceleration_axes(signals: Signals3, options: ReadOptions, path: Path) -> A
             hint="give --unit, or --unit counts with --lsb-per-g",
         )
     return axes
+
+
+def _acceleration_unit(signal: Signal) -> str | None:
+    unit = unit_of(signal.dimension, Quantity.ACCELERATION)
+    return None if unit is None else unit.name
+
+
+def _is_plain(signal: Signal, quantity: Quantity) -> bool:
+    """Return True for a signal in deg/s, or in degrees Celsius."""
+    unit = unit_of(signal.dimension, quantity)
+    return unit is not None and unit.per == 1.0 and unit.name in ("deg/s", "C")
 
 
 def _axes(signals: Signals3, per_unit: Fraction, path: Path) -> Axes:
@@ -444,11 +463,11 @@ def _axes(signals: Signals3, per_unit: Fraction, path: Path) -> Axes:
 
 def _gyro(header: Header, accel: Signals3, path: Path) -> Axes | None:
     """Return the one gyroscope of the same rate in deg/s; None if there is none with a usable scale."""
-    groups = _groups(header, EDF.gyroscope, EDF.rotations)
+    groups = _groups(header, GYROSCOPE, Quantity.ROTATION)
     fitting = [
         group
         for group in groups.values()
-        if all(one.dimension.lower() in EDF.rotations and one.samples == accel[0].samples for one in group)
+        if all(_is_plain(one, Quantity.ROTATION) and one.samples == accel[0].samples for one in group)
     ]
     if len(fitting) != 1:
         return None
@@ -463,8 +482,8 @@ def _temperature(header: Header, path: Path) -> tuple[Signal, float, float] | No
     found = [
         signal
         for signal in header.signals
-        if EDF.thermometer & set(label_words(signal.label))
-        and signal.dimension.lower() in EDF.temperatures
+        if {*THERMOMETER} & set(label_words(signal.label))
+        and _is_plain(signal, Quantity.TEMPERATURE)
         and signal.samples
     ]
     if len(found) != 1:

@@ -320,7 +320,7 @@ def _rate_of(packets: Sequence[Packet]) -> Fraction:
 def _nominal(rate: Fraction) -> float:
     """Return the rate to which a device was probably set."""
     nearest = min(RATES_HZ, key=lambda nominal: abs(float(rate) / nominal - 1))
-    return nearest if abs(float(rate) / nearest - 1) <= NEAR else nice_rate(float(rate))
+    return nearest if abs(float(rate) / nearest - 1) <= NEAR else nice_rate(float(rate), 0.005)
 
 
 def temperatures_mc(packet: Packet) -> NDArray[np.int32]:

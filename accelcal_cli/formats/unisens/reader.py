@@ -33,7 +33,14 @@ from accelcal_cli.core.recording import (
     Recording,
     first_row,
 )
-from accelcal_cli.core.vocabulary import ACCELERATION_UNITS, PER_G, UNISENS
+from accelcal_cli.core.vocabulary import (
+    ACCELERATION_UNITS,
+    PER_G,
+    THERMOMETER,
+    Quantity,
+    acceleration_unit,
+    unit_of,
+)
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._frames import FrameFile, FrameReader, Frames
 from accelcal_cli.formats._gravity import usual_length
@@ -41,6 +48,9 @@ from accelcal_cli.formats._rows import MISSING, first_values
 from accelcal_cli.formats.unisens import DESCRIPTION, MOST_BYTES
 
 AXES = "xyz"
+ACCELEROMETERS, GYROSCOPES = ("acc",), ("gyro", "angularrate")
+"""Classes of signals of the two sensors."""
+
 LARGEST_G = 100.0
 WARMEST_MC = 200_000
 WIDE = np.iinfo(np.int32)
@@ -321,7 +331,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         axes_of(signal, xml),
         FLOAT_LSB_PER_G / scale if is_float else None,
         gyro,
-        sibling_signal(description.of_kind(*UNISENS.thermometer), signal, data),
+        sibling_signal(description.of_kind(*THERMOMETER), signal, data),
     )
     start_us = description.start_us
     first = first_values(decoder.channels(0, min(rows, MOST_FIRST_ROWS)))
@@ -360,7 +370,7 @@ def with_baseline(signal: Signal, data: Path, rows: int, scale: float) -> tuple[
     with ByteSource(data) as source:
         table = np.frombuffer(source.read_exact(count * frame_bytes(signal)), np.uint8)
     values = numbers_of(table.reshape(count, -1), signal)[:, -3:].astype(np.float64)
-    low, high = ACCELERATION_UNITS["g"].rest
+    low, high = ACCELERATION_UNITS["g"].rest or (0.0, 0.0)
     plain_g, less_g = (usual_length(values - zero) / scale for zero in (0.0, baseline))
     if low <= less_g <= high or not low <= plain_g <= high:
         return signal, ()
@@ -374,9 +384,7 @@ def signal_of(description: Description, xml: Path, name: str | None) -> Signal:
     Raises:
         UnreadableError: there are none in a binary file, this is not there, or their rate is impossible.
     """
-    found = [
-        one for one in description.signals if one.kind in UNISENS.accelerometer and name in (None, one.name)
-    ]
+    found = [one for one in description.signals if one.kind in ACCELEROMETERS and name in (None, one.name)]
     signal = next((one for one in found if one.number is not None), None)
     if signal is None and found:
         hint = f"if it is a table, read it alone: --format csv --rate {found[0].rate_hz:g} --unit g"
@@ -437,8 +445,8 @@ def lsb_per_g_of(signal: Signal, options: ReadOptions, xml: Path) -> float:
     """
     if options.lsb_per_g is not None:
         return options.lsb_per_g
-    unit = UNISENS.accelerations.get((options.unit or signal.unit).lower())
-    if unit is None:
+    unit = acceleration_unit(options.unit or signal.unit)
+    if unit is None or unit not in PER_G:
         what = f"gives {signal.name} the unit {signal.unit!r}, which is not a unit of acceleration"
         raise UnreadableError(what, path=xml, hint="give --unit or --lsb-per-g")
     found = PER_G[unit] / signal.lsb if signal.lsb > 0 else 0.0
@@ -466,7 +474,7 @@ def gyroscope_of(
     description: Description, signal: Signal, data: Path, rows: int
 ) -> tuple[SiblingSignal | None, tuple[str, ...]]:
     """Return rotation rates with the rows of the accelerations, or None; and a note on others."""
-    gyro = sibling_signal(description.of_kind(*UNISENS.gyroscope), signal, data)
+    gyro = sibling_signal(description.of_kind(*GYROSCOPES), signal, data)
     if gyro is None or (gyro.ratio == 1 and gyro.frames >= rows and is_rotation(gyro.signal)):
         return gyro, ()
     return None, (OTHER_GYRO.format(name=gyro.signal.name, acc=signal.name),)
@@ -478,6 +486,7 @@ def is_rotation(signal: Signal) -> bool:
     return (
         whole
         and len(signal.channels) == len(AXES)
-        and signal.unit.lower() in UNISENS.rotations
+        and (unit := unit_of(signal.unit, Quantity.ROTATION)) is not None
+        and unit.per == 1.0
         and 0 < signal.lsb <= LARGEST_DPS
     )

@@ -1,0 +1,337 @@
+"""Rows of a table as chunks: bad rows are left out, and what is wrong becomes problems with their places."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core import recording
+from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformClock, rate_fraction
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.local_time import FOLLOWED
+from accelcal_cli.core.recording import Chunk, Problem, Validity
+from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
+from accelcal_cli.formats._stamps import GAP_PERIODS
+from accelcal_cli.formats._wraps import WRAPPED, text_of
+from accelcal_cli.formats.tables.header import Piece, Source
+from accelcal_cli.formats.tables.rows import Layout, Rows, RowStream, joined_rows, not_rows
+from accelcal_cli.formats.tables.units import Fault
+
+MOST_JOINED = 1 << 18
+"""Rows that are joined however many are wanted: more of them are made no faster, and take memory."""
+
+SINGLE = 50
+"""Problems of one kind that are given one by one; more are summed up."""
+
+MISSING = ("missing_value", "{rows} left out: a value is missing")
+OUT_OF_RANGE = ("out_of_range", "{rows} left out: a value is beyond any sensor's range")
+BAD_LINE = ("bad_line", "{rows} left out: {why}")
+FRACTION = ("bad_row", "{rows} left out: a count is not a whole number")
+IMPOSSIBLE_TIME = ("impossible_time", "{rows} left out: an impossible time")
+LOST = ("bad_page", "{{rows}} lost in damaged or missing parts of {column}")
+ASLEEP = ("idle_sleep", "{rows} not measured: the device slept, and repeated a value")
+COLD = ("missing_value", "{rows} without a temperature: the last one before holds")
+AHEAD = ("clock_gap", "the time jumps ahead{jump}{repeated}")
+BACK = ("clock_back", "the time goes back{jump}{repeated}")
+WITH_ITS_ZONE = (FOLLOWED, "the times follow a change of the clocks in {zone}")
+CODES = [
+    *(MISSING[0], OUT_OF_RANGE[0], IMPOSSIBLE_TIME[0], BAD_LINE[0], FRACTION[0], LOST[0], ASLEEP[0]),
+    *(AHEAD[0], BACK[0], FOLLOWED, WRAPPED),
+]
+"""The order of problems that only the end of the file completes."""
+
+JUMPS = (AHEAD[0], BACK[0], FOLLOWED, WRAPPED)
+"""Codes of what lies before a row."""
+
+NO_DATE = "the file has no date; times count from 1970-01-01"
+
+
+def joined(parts: Iterable[tuple[Rows, Piece]], samples: int) -> Iterator[tuple[Rows, Piece]]:
+    """Yield rows of pieces, joined up to `samples` rows, each with its last piece."""
+    samples = min(samples, MOST_JOINED)
+    stretches: list[Rows] = []
+    number, last = 0, None
+    for rows, piece in parts:
+        if last is not None and number + len(rows) > samples:
+            yield _emptied(stretches), last
+            number = 0
+        if len(rows) or not stretches:
+            stretches.append(rows)
+        number, last = number + len(rows), piece
+    if last is not None:
+        yield _emptied(stretches), last
+
+
+def between(parts: Iterable[tuple[Rows, Piece]], start: int, stop: int) -> Iterator[tuple[Rows, Piece]]:
+    """Yield those of the rows of pieces whose numbers are start..stop-1."""
+    for rows, piece in parts:
+        first, last = (min(max(row - rows.first_row, 0), len(rows)) for row in (start, stop))
+        if first < last:
+            yield rows.part(first, last), piece
+
+
+def _emptied(stretches: list[Rows]) -> Rows:
+    """Join stretches of rows, and empty the list so that it does not keep their memory."""
+    rows = joined_rows(stretches)
+    stretches.clear()
+    return rows
+
+
+@dataclass(frozen=True, slots=True)
+class _GoodRows:
+    """The good rows of a stretch: their numbers, lines and times (times None for a uniform clock)."""
+
+    keep: NDArray[np.bool_] | None
+    row: NDArray[np.int64]
+    line: NDArray[np.int64]
+    time_us: NDArray[np.int64] | None
+
+    def of(self, values: Any) -> Any:
+        """Return the entries of these rows in a column of the stretch."""
+        return values if self.keep is None else values[self.keep]
+
+
+class Assembler:
+    """Makes chunks of the rows of a table, in order.
+
+    Args:
+        stream: of the rows, which knows before which of them the times were changed.
+        zone: of the times, for the note that they follow it.
+        first_row: number of the first row that is wanted; the stream may begin before it.
+
+    Attributes:
+        samples, rows, empty: good rows, all rows and those without values so far.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        layout: Layout,
+        stream: RowStream,
+        zone: str | None = None,
+        first_row: int = 0,
+    ) -> None:
+        self._source, self._layout, self._stream = source, layout, stream
+        first = () if layout.has_dates else (Problem("no_start_time", NO_DATE, None, 0),)
+        self._row_bytes = max(1, round(source.row_bytes))
+        self._start_us, self._stride, self._base = layout.start_us or 0, layout.stride, stream.first_row
+        self._rate = rate_fraction(layout.pace.rate_hz)
+        problems = (*first, *source.problems) if not first_row else ()
+        self._log = ProblemLog(problems, self._message, SINGLE, by_end=True, place=self._place)
+        self._bad = dict[int, str]()
+        self._with_its_zone = (FOLLOWED, WITH_ITS_ZONE[1].format(zone=zone))
+        self._last_row, self._last_us = first_row - 1, 0
+        self._begun = False
+        self._last_jump: Kind | None = None
+        self.samples = self.rows = first_row
+        self.empty = self._lost = self._lost_bytes = 0
+
+    def chunks(self, rows: Rows, piece: Piece, chunk_samples: int) -> Iterator[Chunk]:
+        """Yield the good rows of the next ones, which end with a piece, at most `chunk_samples` a chunk."""
+        kept = self._kept(rows)
+        counts = kept.of(rows.counts)
+        channels = {name: kept.of(values) for name, values in rows.channels.items()}
+        if rows.filled is not None and rows.filled.any():
+            validity = np.where(rows.filled, np.uint8(Validity.FILLED), np.uint8(Validity.MEASURED))
+            channels["validity"] = kept.of(validity)
+        events = list(self._row_events(rows))
+        breaks, clock_jumps = self._breaks(kept, events, rows.first_row + len(rows))
+        for event in events:
+            self._log.add(event)
+            self._lost_bytes += event.lost_bytes
+        for line in rows.bad if len(self._bad) <= SINGLE else ():
+            self._bad[line] = rows.bad[line]
+        self.rows += len(rows)
+        self.empty += int(np.count_nonzero(rows.fault == Fault.EMPTY))
+        self._lost += int(np.count_nonzero(rows.fault == Fault.LOST))
+        problems = self._log.take(self.rows)
+        pieces = max(1, -(-len(counts) // chunk_samples))
+        borders = [len(counts) * part // pieces for part in range(pieces + 1)]
+        for start, stop in pairwise(borders):
+            part = slice(start, stop)
+            yield Chunk(
+                self.samples,
+                counts[part],
+                self._clock(kept, start, stop),
+                piece.end_byte,
+                breaks=breaks[(breaks >= start) & (breaks < stop)] - start,
+                clock_jumps=clock_jumps[(clock_jumps >= start) & (clock_jumps < stop)] - start,
+                problems=problems if start == 0 else (),
+                used_bytes=(stop - start) * self._row_bytes,
+                **recording.cut_channels(channels, part),
+            )
+            self.samples += stop - start
+
+    def end(self, piece: Piece) -> Chunk:
+        """Return an empty chunk with what the end of the file completes: runs that reach it, sums of many.
+
+        Raises:
+            UnreadableError: most rows cannot be used.
+        """
+        if 2 * self.samples < self.rows - self.empty - self._lost or not self.samples:
+            if self._bad:
+                raise not_rows(self._source, *next(iter(self._bad.items())))
+            raise unusable(self._source, f"only {self.samples} of {self.rows} rows hold usable values")
+        left = sorted(self._log.take(None), key=lambda problem: CODES.index(problem.code))
+        return Chunk(
+            self.samples,
+            np.empty((0, 3), np.int32),
+            StampClock(np.empty(0, np.int64)),
+            piece.end_byte,
+            problems=(*left, *self._source.end_problems(piece, self.samples, self._lost_bytes)),
+            used_bytes=0,
+            **self._layout.no_channels,
+        )
+
+    def _row_events(self, rows: Rows) -> Iterator[Event]:
+        """Yield what concerns single rows: those left out, those not measured, changes of the clocks."""
+        yield from self._wrap_events(rows)
+        good = rows.fault == Fault.NONE
+        flags: list[tuple[Kind, NDArray[np.bool_], int]] = []
+        if not good.all():
+            missing = rows.fault == Fault.MISSING
+            missing |= (rows.fault == Fault.EMPTY) & (self._stride == 1)
+            flags.append((MISSING, missing, self._row_bytes))
+            for kind, fault in (
+                (OUT_OF_RANGE, Fault.OUT_OF_RANGE),
+                (IMPOSSIBLE_TIME, Fault.TIME),
+                (BAD_LINE, Fault.LINE),
+                (FRACTION, Fault.FRACTION),
+            ):
+                flags.append((kind, rows.fault == fault, self._row_bytes))
+        if rows.filled is not None and rows.filled.any():
+            flags.append((ASLEEP, rows.filled, 0))
+        followed = self._stream.followed
+        here = [row - rows.first_row for row in followed if 0 <= row - rows.first_row < len(rows)]
+        if here:
+            flags.append((self._with_its_zone, np.isin(np.arange(len(rows)), here), 0))
+        before = np.cumsum(good) - good if flags or rows.where is not None else good
+        for kind, flag, row_bytes in flags:
+            yield from self._runs(rows, kind, flag, (before, row_bytes, None))
+        for column in np.unique(rows.where).tolist() if rows.where is not None else ():
+            if column >= 0:
+                name = self._source.columns[column].described.replace("{", "{{").replace("}", "}}")
+                kind = (LOST[0], LOST[1].format(column=name))
+                yield from self._runs(rows, kind, rows.where == column, (before, self._row_bytes, column))
+        if rows.cold is not None and (count := int(np.count_nonzero(rows.cold))):
+            first = int(np.argmax(rows.cold))
+            sample = self.samples + int(np.count_nonzero(good[:first]))
+            place = rows.first_row + first, 1
+            yield Event(*place, *COLD, None, sample, count, line=int(rows.line[first]), scattered=True)
+
+    def _runs(
+        self, rows: Rows, kind: Kind, flag: NDArray[np.bool_], about: tuple[NDArray[Any], int, int | None]
+    ) -> Iterator[Event]:
+        """Yield runs of rows with a flag (n,).
+
+        Args:
+            about: how many good rows are before each row (n,), bytes of a row, and the column that lost it.
+        """
+        before, row_bytes, column = about
+        places = np.flatnonzero(flag)
+        for index, count, scattered in self._log.runs(kind, places):
+            place = int(places[index])
+            row, line, sample = rows.first_row + place, int(rows.line[place]), int(before[place])
+            empty = int(np.count_nonzero(rows.fault[places[index : index + count]] == Fault.EMPTY))
+            amounts = (self.samples + sample, count, 0, (count - empty) * row_bytes)
+            offset = None if column is None else self._source.offset_of(column, line - 1)
+            yield Event(row, count, *kind, offset, *amounts, line, scattered, empty)
+
+    def _message(self, run: Run) -> str:
+        """Return what is wrong with a run of rows."""
+        size, count = run.event.amount_us, run.count
+        text = run.event.text.format(
+            rows="1 row" if count == 1 else f"{count} rows",
+            why=self._bad.get(run.event.line, "lines that are not rows of this table"),
+            jump=f" by {abs(size) / MICROSECONDS:g} s" if size and not run.scattered else "",
+            repeated=f", and so on for {count} rows" if count > 1 else "",
+        )
+        return f"and more of the same: {text}" if run.scattered and run.event.kind != COLD else text
+
+    def _place(self, run: Run) -> str:
+        """Return where a run is."""
+        where = self._source.place(run.event.line)
+        return f"before {where}" if run.event.code in JUMPS else f"from {where} on"
+
+    def _wrap_events(self, rows: Rows) -> Iterator[Event]:
+        for row, jump_us in self._stream.clock.taken(rows.first_row + len(rows) - self._base):
+            place = row + self._base - rows.first_row
+            if place < 0:
+                continue
+            sample = self.samples + int(np.count_nonzero(rows.fault[:place] == Fault.NONE))
+            kind = WRAPPED, text_of(jump_us)
+            yield Event(row + self._base, 1, *kind, None, sample, 1, jump_us, 0, int(rows.line[place]))
+
+    def _kept(self, rows: Rows) -> _GoodRows:
+        if not rows.fault.any():
+            return _GoodRows(None, rows.row, rows.line, rows.time_us)
+        keep = rows.fault == Fault.NONE
+        stamps = rows.time_us
+        if stamps is None:
+            stamps = UniformClock(self._start_us, rows.first_row, self._rate).times(0, len(rows))
+        return _GoodRows(keep, rows.row[keep], rows.line[keep], stamps[keep])
+
+    def _clock(self, kept: _GoodRows, start: int, stop: int) -> Clock:
+        if kept.time_us is not None:
+            return StampClock(kept.time_us[start:stop])
+        first = int(kept.row[start]) if len(kept.row) else 0
+        return UniformClock(self._start_us, first, self._rate)
+
+    def _breaks(
+        self, kept: _GoodRows, events: list[Event], stop: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return rows before which the recording is not continuous, and those where only the clock jumps.
+
+        Jumps of the clock are added to the events. A jump reaches up to the next good row, or to `stop`, the
+        row after the stretch, until more is known.
+        """
+        if self._last_jump is not None:
+            length = (int(kept.row[0]) if len(kept.row) else stop) - self.rows
+            events.append(Event(self.rows, length, *self._last_jump, None, self.samples, 0))
+        if not len(kept.row):
+            return recording.NO_BREAKS, recording.NO_BREAKS
+        first, self._begun = not self._begun, True
+        rows = self._strides(kept, first)
+        broken = rows > 1
+        self._last_row = int(kept.row[-1])
+        if kept.time_us is None or self._layout.clock is None:
+            return np.flatnonzero(broken), recording.NO_BREAKS
+        steps = np.diff(kept.time_us, prepend=kept.time_us[0] if first else self._last_us)
+        self._last_us = int(kept.time_us[-1])
+        ahead = steps > (rows + GAP_PERIODS - 1) * self._layout.pace.period_us
+        back = steps < 0
+        for kind, jumps in ((AHEAD, ahead), (BACK, back)):
+            if jumps.any():
+                events += self._jumps(kind, np.flatnonzero(jumps), kept, steps, stop)
+        self._last_jump = AHEAD if ahead[-1] else BACK if back[-1] else None
+        jumps = ahead | back
+        return np.flatnonzero(broken | jumps), np.flatnonzero(jumps & ~broken)
+
+    def _strides(self, kept: _GoodRows, first: bool) -> NDArray[np.int64]:
+        """Return distances [rows] from the good row before: (n,), or (1,) where all are alike."""
+        before = int(kept.row[0]) - 1 if first else self._last_row
+        if kept.keep is None and kept.row[0] == before + 1:
+            return np.ones(1, np.int64)
+        return -(-np.diff(kept.row, prepend=before) // self._stride)
+
+    def _jumps(
+        self, kind: Kind, places: NDArray[np.int64], kept: _GoodRows, steps: NDArray[np.int64], stop: int
+    ) -> Iterator[Event]:
+        """Yield jumps before the good rows `places`; `steps` are the times since the good row before [us]."""
+        ends = np.append(kept.row[1:], stop)
+        for index, count, scattered in self._log.runs(kind, places):
+            place = int(places[index])
+            row = int(kept.row[place])
+            length = int(ends[places[index + count - 1]]) - row
+            line, size = int(kept.line[place]), int(steps[place])
+            yield Event(row, length, *kind, None, self.samples + place, count, size, 0, line, scattered)
+
+
+def unusable(source: Source, what: str) -> UnreadableError:
+    """Return the error of a table whose rows hold no usable values."""
+    return UnreadableError(what, path=source.path, line=source.first_line, hint="check --columns and --unit")

@@ -1,0 +1,515 @@
+"""Several sensors or people in one table: the column that tells their rows apart, and which are wanted.
+
+A column of texts or whole numbers can say whose each row is, or what its wearer did. `Division` sees its
+values with the times of the rows, and takes them for sensors by one of these: the times repeat or go back as
+the value changes, and are in order for each value alone; each value alone has a steady rate, and all together
+have none; or the column has the name of a device, a person or a place, and the values take turns, or the
+times jump as they change. A label that changes while the times continue divides nothing.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.errors import UnreadableError, UsageError, printable
+from accelcal_cli.core.formats import EACH, EVERY_ROW
+from accelcal_cli.core.vocabulary import LABELS, MEASURES, NEUTRAL, OWNERS, PLACES
+from accelcal_cli.formats._stamps import LOST
+from accelcal_cli.formats.tables.header import As, Block, CellTexts, Column, Piece, Source
+
+LEAST_ROWS = 3
+"""Rows of a value below which it is treated as damage."""
+
+MOST_VALUES, ROWS_A_VALUE = 64, 8
+"""Most sensors in one table, and fewest rows that each has on average; people may be more."""
+
+LONGEST_TURN_S, LONGEST_TURN_ROWS = 2.0, 64
+"""Longest mean turn [s, rows] of sensors that take turns; activities last longer."""
+
+GAP_STEPS = 5
+"""Number of usual steps above which a step is a jump of the times."""
+
+NEAR, NEARER = 0.5, 0.2
+"""Steps whose length is within these shares of the usual one are near it, and nearer."""
+
+SHOWN = 12
+"""Number of values that a message names."""
+
+MOST_TEXTS = 1 << 14
+"""Values of a column that are compared with --sensor; one with more counts rows, or measures something."""
+
+SEARCH_ROWS = 1 << 16
+"""Rows that are read at a time to find the first ones of a sensor."""
+
+ONLY = "only rows of "
+"""Beginning of the note on which rows are read."""
+
+WHOLE = re.compile(r"[+-]?\d+(\.0*)?")
+
+
+class Meaning(IntEnum):
+    """Meaning of a column's values, by its name."""
+
+    MEASURED = 0
+    LABEL = 1
+    UNKNOWN = 2
+    PLACE = 3
+    OWNER = 4
+
+
+def meaning_of(name: str) -> Meaning:
+    """Return the meaning of a name: `sensorID`, `device_id` and `Subject No` are owners."""
+    words = {word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)}
+    words |= {word.removesuffix(end) for word in words for end in ("id", "name", "no", "s") if word != end}
+    words = words - NEUTRAL or words
+    for known, meaning in (
+        (MEASURES, Meaning.MEASURED),
+        (LABELS, Meaning.LABEL),
+        (OWNERS, Meaning.OWNER),
+        (PLACES, Meaning.PLACE),
+    ):
+        if known & words:
+            return meaning
+    return Meaning.UNKNOWN
+
+
+class _Steps:
+    """Counts steps between times: those ahead, those near the usual one, and those that are not ahead."""
+
+    def __init__(self) -> None:
+        self.ahead = self.near = self.nearer = self.others = 0
+
+    def add(self, steps: NDArray[np.int64]) -> None:
+        """Take some steps [us]."""
+        ahead = steps[steps > 0]
+        self.ahead += len(ahead)
+        self.others += len(steps) - len(ahead)
+        if len(ahead):
+            off = np.abs(ahead / float(np.median(ahead)) - 1)
+            self.near += int(np.count_nonzero(off <= NEAR))
+            self.nearer += int(np.count_nonzero(off <= NEARER))
+
+
+@dataclass(slots=True)
+class _OneValue:
+    """The rows of one value: how many were seen, and the time of the last [us]."""
+
+    rows: int = 0
+    last_us: int | None = None
+
+
+class Division:
+    """Sees the values of one column in the order of the rows, and tells whether they are several sensors.
+
+    Args:
+        name: of the column, or its number.
+        since_1970: the times are moments; else they count from some start, and may do so more than once.
+    """
+
+    def __init__(self, name: str, since_1970: bool) -> None:
+        self.name, self.meaning = name, meaning_of(name)
+        self._since_1970 = since_1970
+        self._streams: dict[str, _OneValue] = {}
+        self._whole, self._each = _Steps(), _Steps()
+        self._rows = self._changes = self._not_ahead = self._jumps = self._again = 0
+        self._last: tuple[str, int | None] | None = None
+        self._first_us = self._begin_us = 0
+        self._usual_us = 0.0
+
+    @property
+    def texts(self) -> list[str]:
+        """The values that have been seen, but those of a few rows."""
+        return [text for text, stream in self._streams.items() if stream.rows >= LEAST_ROWS]
+
+    def add(self, values: CellTexts, times: NDArray[np.int64] | None) -> None:
+        """Take the next rows with their times (n,) [us], None where they have none."""
+        codes = values.codes
+        known = codes >= 0 if times is None else (codes >= 0) & (times > LOST)
+        if not known.all():
+            codes, times = codes[known], None if times is None else times[known]
+        if not len(codes):
+            return
+        self._rows += len(codes)
+        if self._goes_on(values.texts[codes[0]], codes, times):
+            return
+        present = np.unique(codes)
+        if times is not None:
+            self._add_times(values.texts, codes, times, present)
+        else:
+            before = None if self._last is None else self._last[0]
+            self._changes += int(np.count_nonzero(np.diff(codes)))
+            self._changes += before not in (None, values.texts[codes[0]])
+        for code in present.tolist():
+            stream = self._streams.setdefault(values.texts[code], _OneValue())
+            stream.rows += int(np.count_nonzero(codes == code))
+        self._last = (values.texts[codes[-1]], None if times is None else int(times[-1]))
+
+    def _goes_on(self, text: str, codes: NDArray[np.int32], times: NDArray[np.int64] | None) -> bool:
+        """Take rows that all have the last value, without a jump of the times, which tell nothing new."""
+        if self._last is None or self._last[0] != text or (codes != codes[0]).any():
+            return False
+        if times is not None:
+            steps = np.diff(times, prepend=times[0] if self._last[1] is None else self._last[1])
+            if steps.min() < 0 or steps.max() > GAP_STEPS * self._usual_us:
+                return False
+        stream = self._streams[text]
+        stream.rows += len(codes)
+        stream.last_us = None if times is None else int(times[-1])
+        self._last = (text, stream.last_us)
+        return True
+
+    def _add_times(
+        self,
+        texts: Sequence[str],
+        codes: NDArray[np.int32],
+        times: NDArray[np.int64],
+        present: NDArray[np.int32],
+    ) -> None:
+        if self._last is None or self._last[1] is None:
+            self._first_us = self._begin_us = int(times[0])
+            before, changed = int(times[0]) - 1, False  # a first step that goes ahead
+        else:
+            before, changed = self._last[1], self._last[0] != texts[codes[0]]
+        steps = np.diff(times, prepend=before)
+        changes = np.diff(codes, prepend=codes[:1]) != 0
+        changes[0] = changed
+        self._usual_us = self._usual_us or (float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0)
+        jumps = (steps <= 0) | (steps > GAP_STEPS * self._usual_us)
+        self._changes += int(np.count_nonzero(changes))
+        self._not_ahead += int(np.count_nonzero(changes & (steps <= 0)))
+        self._jumps += int(np.count_nonzero(changes & jumps))
+        self._whole.add(steps)
+        self._see_times_again(times, steps, jumps, changes)
+        for code in present.tolist():
+            own = times[codes == code]
+            stream = self._streams.setdefault(texts[code], _OneValue())
+            self._each.add(np.diff(own) if stream.last_us is None else np.diff(own, prepend=stream.last_us))
+            stream.last_us = int(own[-1])
+
+    def _see_times_again(
+        self,
+        times: NDArray[np.int64],
+        steps: NDArray[np.int64],
+        jumps: NDArray[np.bool_],
+        changes: NDArray[np.bool_],
+    ) -> None:
+        """Count the changes at which the times go back into the stretch without jumps before them."""
+        for row in np.flatnonzero(jumps & (steps != 0)).tolist():
+            self._again += bool(changes[row] and steps[row] < 0 and times[row] >= self._begin_us)
+            self._begin_us = int(times[row])
+
+    def is_several(self) -> bool:
+        """Return True if the values are those of several sensors or people."""
+        texts, most = self.texts, max(MOST_VALUES, self._rows if self.meaning is Meaning.OWNER else 0)
+        if self.meaning is Meaning.MEASURED or len(texts) < 2 or len(self._streams) > most:
+            return False
+        if len(self._streams) * ROWS_A_VALUE > max(self._rows, 2 * ROWS_A_VALUE):
+            return False
+        if self._last is None or self._last[1] is None:
+            return self.meaning >= Meaning.PLACE
+        in_turn = LONGEST_TURN_ROWS * self._changes >= self._rows
+        if self.meaning is Meaning.LABEL:
+            return self._contradict and (in_turn or (self._since_1970 and 2 * self._again >= self._changes))
+        found = self.meaning is Meaning.OWNER or self._contradict or self._steady_apart
+        return found or (self.meaning is Meaning.PLACE and (self._take_turns or self._is_cut))
+
+    @property
+    def _contradict(self) -> bool:
+        """True if times do not go ahead where the value changes, and do for each value alone."""
+        return (
+            5 * self._not_ahead >= 2 * max(self._changes, 1)
+            and 10 * self._each.others <= self._whole.others
+            and 10 * self._each.near >= 6 * self._each.ahead
+        )
+
+    @property
+    def _steady_apart(self) -> bool:
+        """True if values that take turns have a steady rate each, and none together."""
+        steady = 10 * self._each.nearer >= 9 * self._each.ahead > 0
+        return steady and 4 * self._changes >= self._rows and 10 * self._whole.nearer <= 6 * self._whole.ahead
+
+    @property
+    def _take_turns(self) -> bool:
+        assert self._last is not None and self._last[1] is not None
+        return abs(self._last[1] - self._first_us) <= LONGEST_TURN_S * MICROSECONDS * self._changes
+
+    @property
+    def _is_cut(self) -> bool:
+        """True if the times jump at most changes of the value."""
+        return self._changes > 0 and 2 * self._jumps >= self._changes
+
+    def is_worth_watching(self) -> bool:
+        """Return True if more rows may show several sensors; a column that always changes did already."""
+        several = len(self._streams) > MOST_VALUES or LONGEST_TURN_ROWS * self._changes > self._rows
+        return self.meaning is not Meaning.MEASURED and not several
+
+    def fault(self, path: Path, chosen: str | None, sensors: Sequence[str] = ()) -> UnreadableError:
+        """Return the error that asks for one of the sensors; `chosen` is what was given before."""
+        texts = self.texts
+        given = "" if chosen is None else f"{chosen},".removesuffix(f"{EACH},")
+        options = [f"--sensor {shlex.quote(printable(given + text))}" for text in texts[:2]]
+        return UnreadableError(
+            f"holds several sensors or people: column {printable(self.name)!r} has {_shown(texts)} "
+            "and perhaps more",
+            path=path,
+            hint=f"choose one: {' or '.join(options)} (--sensor {EVERY_ROW} if all are of one sensor, "
+            f"--sensor {EACH} in a study for a recording of each)",
+            sensors=sensors,
+        )
+
+
+def most_telling(divisions: Iterable[Division]) -> Division | None:
+    """Return the column that divides the rows best: by its name, then with the fewest values."""
+    several = [one for one in divisions if one.is_several()]
+    return max(several, key=lambda one: (one.meaning, -len(one.texts)), default=None)
+
+
+class Watch:
+    """Refuses a table whose rows turn out to be of several sensors; takes rows in their order.
+
+    Args:
+        names: of the columns that may tell whose each row is, each once.
+        since_1970: see `Division`.
+        place: the table, and what --sensor has chosen of it.
+        all_values: returns the values of the rows that are read, with how many have each, of a column by its
+            number. The error has all of them if sensors are to be listed, else those that were seen.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        since_1970: bool,
+        place: tuple[Path, str | None],
+        all_values: Callable[[int], Counter[str]],
+    ) -> None:
+        self.divisions = [Division(name, since_1970) for name in names]
+        self._path, self._wanted = place
+        self._all_values = all_values
+
+    def see(self, values: Sequence[CellTexts], times: NDArray[np.int64] | None) -> None:
+        """Take the columns of the next rows; raise UnreadableError if they show several sensors."""
+        for division, cells in zip(self.divisions, values, strict=True):
+            division.add(cells, times)
+        if (found := most_telling(self.divisions)) is not None:
+            raise found.fault(self._path, self._wanted, self._sensors(found))
+
+    def _sensors(self, found: Division) -> list[str]:
+        """Return values of --sensor that choose each sensor."""
+        *chosen, last = (self._wanted or EACH).rsplit(",", 1)
+        texts = found.texts
+        if self._wanted is not None and last == EACH:
+            rows = self._all_values(self.divisions.index(found))
+            texts = [text for text, number in rows.items() if number >= LEAST_ROWS]
+        before = chosen if last == EACH else [self._wanted or ""]
+        return [",".join([*before, f"{found.name}={text}"]) for text in texts]
+
+    def worth_watching(self) -> list[int]:
+        """Return the numbers of the columns of which more rows may show several sensors."""
+        return [number for number, one in enumerate(self.divisions) if one.is_worth_watching()]
+
+
+def counted_texts(parts: Iterable[CellTexts]) -> Counter[str]:
+    """Return how many rows have each value of a column."""
+    rows: Counter[str] = Counter()
+    for texts, codes in parts:
+        for code, number in enumerate(np.bincount(codes[codes >= 0], minlength=len(texts)).tolist()):
+            rows[texts[code]] += number
+    return rows
+
+
+def is_same(text: str, wanted: str) -> bool:
+    """Return True if a cell has the wanted value; 1 is 1.0."""
+    if text == wanted:
+        return True
+    return bool(WHOLE.fullmatch(text) and WHOLE.fullmatch(wanted)) and float(text) == float(wanted)
+
+
+def matched(wanted: str, columns: Mapping[str, Sequence[str]]) -> dict[str, set[str]] | None:
+    """Return which texts of which columns a value of --sensor chooses; None if it is not among them.
+
+    Args:
+        wanted: a value, or `COLUMN=VALUE`, or several of different columns with commas between them.
+        columns: the texts of each column.
+    """
+    named = any(wanted.startswith(f"{name}=") for name in columns)
+    for parts in ([wanted], wanted.split(",")):
+        found = [_column_with(part if named else part.strip(), columns, named=named) for part in parts]
+        if all(found) and len({one[0] for one in found if one}) == len(parts):
+            return dict(one for one in found if one)
+    return None
+
+
+def _column_with(
+    wanted: str, columns: Mapping[str, Sequence[str]], *, named: bool
+) -> tuple[str, set[str]] | None:
+    having = {
+        name: texts
+        for name, all_texts in columns.items()
+        if not named or wanted.startswith(f"{name}=")
+        if (texts := {one for one in all_texts if is_same(one, wanted[len(name) + 1 :] if named else wanted)})
+    }
+    best = max(having, key=meaning_of, default=None)
+    return None if best is None else (best, having[best])
+
+
+def note_of(chosen: Mapping[str, Iterable[str]]) -> str:
+    """Return the note on which rows are read, by the texts that are wanted of each column."""
+    return ONLY + ", ".join(f"{name} {' or '.join(sorted(texts))}" for name, texts in chosen.items())
+
+
+def no_such_sensor(wanted: str, columns: Mapping[str, Sequence[str]], path: Path) -> UsageError:
+    """Return the error for a value that no column has."""
+    known = "; ".join(_described(columns))
+    return UsageError(
+        f"no row is of the sensor {wanted!r}",
+        path=path,
+        hint=f"give --sensor a value of a column: {known}" if known else "omit --sensor",
+    )
+
+
+def _described(columns: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    for name in sorted(columns, key=lambda name: (-meaning_of(name), name)):
+        yield f"{printable(name)} has {_shown(columns[name])}"
+
+
+def _shown(texts: Sequence[str]) -> str:
+    return ", ".join(map(printable, texts[:SHOWN])) + ", ..." * (len(texts) > SHOWN)
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """The rows of a table that --sensor chooses.
+
+    Attributes:
+        texts: of columns, by their numbers; the rows have one of each.
+        piece: the first rows of the table among which they are.
+        note: says which rows these are.
+    """
+
+    texts: tuple[tuple[int, frozenset[str]], ...]
+    piece: Piece
+    note: str
+
+    def rows(self, block: Block) -> NDArray[np.bool_]:
+        """Return flags (n,) of the rows of a block that are chosen."""
+        flags = [_has(block.values[number], texts) for number, texts in self.texts]
+        wanted: NDArray[np.bool_] = np.logical_and.reduce(flags)
+        return wanted
+
+
+def _has(values: CellTexts, texts: frozenset[str]) -> NDArray[np.bool_]:
+    """Return flags (n,) of the rows that have one of the texts."""
+    return np.isin(values.codes, [code for code, text in enumerate(values.texts) if text in texts])
+
+
+def _names(source: Source, columns: Sequence[Column]) -> list[str]:
+    """Return the names of columns, each once; numbers where the table has none."""
+    own = [column.name.text if source.has_names else "" for column in source.columns]
+    return [
+        own[column.number]
+        if own[column.number] and own.count(own[column.number]) == 1
+        else str(column.number)
+        for column in columns
+    ]
+
+
+def codes_of(columns: Iterable[Column | int]) -> dict[int, As]:
+    """Return how the texts of columns are asked for."""
+    return {one if isinstance(one, int) else one.number: As.CODES for one in columns}
+
+
+def find_chosen(source: Source, wanted: str | None, columns: Sequence[Column]) -> Chosen | None:
+    """Find the rows of a sensor, however far from the beginning; None if all rows are wanted.
+
+    Args:
+        columns: that may tell whose each row is.
+
+    Raises:
+        UsageError: no row is of that sensor.
+    """
+    if wanted is None or (wanted == EVERY_ROW and not columns):
+        return None
+    names, asked = _names(source, columns), codes_of(columns)
+    texts: dict[str, list[str]] = {name: [] for name in names}
+    pieces = source.pieces(asked, SEARCH_ROWS) if columns else iter(())
+    for piece in pieces:
+        block = source.parse(piece, asked)
+        for name, column in zip(names, columns, strict=True):
+            if len(texts[name]) < MOST_TEXTS:
+                texts[name] += [one for one in block.values[column.number].texts if one not in texts[name]]
+        if (found := matched(wanted, texts)) is not None:
+            numbers = dict(zip(names, (column.number for column in columns), strict=True))
+            chosen = tuple((numbers[name], frozenset(some)) for name, some in found.items())
+            following = next(pieces, None)
+            first = piece if following is None else source.joined([piece, following])
+            return Chosen(chosen, first, note_of(found))
+        if wanted == EVERY_ROW:
+            return None
+    raise no_such_sensor(wanted, texts, source.path)
+
+
+class SensorWatch:
+    """The watch over a table whose rows may turn out to be of several sensors: see `Watch`.
+
+    Args:
+        columns: that may tell whose each row is.
+        wanted: what --sensor has chosen, and the rows that it chooses.
+        since_1970: see `Division`.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        columns: Sequence[Column],
+        wanted: tuple[str | None, Chosen | None],
+        since_1970: bool,
+    ) -> None:
+        self._source, self.columns, self._wanted, self._since_1970 = source, columns, wanted, since_1970
+        names = _names(source, columns)
+        self._watch = Watch(names, since_1970, (source.path, wanted[0]), self._values)
+
+    def _values(self, number: int) -> Counter[str]:
+        """Return the values of a column in the rows that are read, with how many have each."""
+        column, chosen = self.columns[number].number, self._wanted[1]
+        asked = codes_of([column, *(one for one, _ in chosen.texts)] if chosen is not None else [column])
+
+        def parts() -> Iterator[CellTexts]:
+            for piece in self._source.pieces(asked, SEARCH_ROWS):
+                block = self._source.parse(piece, asked)
+                texts, codes = block.values[column]
+                yield CellTexts(texts, codes if chosen is None else codes[chosen.rows(block)])
+
+        return counted_texts(parts())
+
+    def again(self) -> SensorWatch | None:
+        """Return a watch from the beginning over the columns that are worth it; None if none is."""
+        columns = [self.columns[number] for number in self._watch.worth_watching()]
+        return SensorWatch(self._source, columns, self._wanted, self._since_1970) if columns else None
+
+    def constant(self, piece: Piece) -> dict[int, str]:
+        """Return the texts of columns that, as far as a short look shows, are the same in all rows."""
+        if self._wanted[1] is not None:
+            return {}
+        return self._source.constant_cells(piece, [column.number for column in self.columns])
+
+    def look(self, block: Block, constant: Mapping[int, str]) -> tuple[CellTexts, ...]:
+        """Return the columns of a block, all of whose rows have the constant texts."""
+        rows = np.zeros(len(block), np.int32)
+        alike = {number: CellTexts((text,), rows - (not text)) for number, text in constant.items()}
+        return tuple(
+            alike[one.number] if one.number in alike else block.values[one.number] for one in self.columns
+        )
+
+    def see(self, seen: tuple[CellTexts, ...], times: NDArray[np.int64] | None) -> None:
+        """Take the columns of the next block; raise UnreadableError if they show several sensors."""
+        self._watch.see(seen, times)

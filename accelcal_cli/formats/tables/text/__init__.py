@@ -1,0 +1,1 @@
+"""Text files as sources of named columns: encoding, layout, lines, and the parsing of these."""

@@ -1,0 +1,528 @@
+"""The layout of a text file of numbers: delimiter, decimals, the first row, the names of the columns.
+
+`Normaliser` rewrites blocks of lines so that pyarrow's parser understands them. Lines stay lines.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+
+from accelcal_cli.core.formats import HEAD_BYTES, is_text
+from accelcal_cli.formats.tables.cells import (
+    BYTE_ORDER_MARK,
+    COMMA_NUMBER,
+    POINT_NUMBER,
+    cell_kind,
+    column_kind,
+    decode,
+    is_unit_cell,
+    least_of,
+    split_line,
+    year_first,
+)
+from accelcal_cli.formats.tables.header import Kind
+from accelcal_cli.formats.tables.text.quotes import Quotes
+
+DELIMITERS = (",", ";", "\t", "|", " ")
+COMMENT = re.compile(r"^\s*(#+|%+|//)\s*")
+SPLIT_DATE = re.compile(rb"(\d{4}[-/]\d\d[-/]\d\d) (?=\d\d:\d\d)")
+SLASH_DATE = re.compile(rb"(?:^|[^\d/])\d{4}/\d\d/\d\d[ T]")
+COLON_FRACTION = re.compile(rb":(?<=\d:)(?<!\d\d\d:)\d\d:\d\d:\d{1,9}(?!\d|:)")
+TWELVE_HOURS = re.compile(
+    rb"(?<![\d:.])(\d{1,2})(:\d\d(?::\d\d(?:[.,:]\d+)?)?)"
+    rb"(?: |\xc2\xa0|\xe2\x80\xaf)?([AaPp])\.? ?[Mm](?![A-Za-z])\.?"
+)
+"""A time of day followed by AM or PM, with a blank of any kind between them or none."""
+
+HALF_OF_THE_DAY = re.compile(rb"[AaPp](?<=[\d \xa0\xaf].)\.? ?[Mm]")
+"""The end of TWELVE_HOURS, whose absence is found sooner."""
+
+SHORT_HOUR = re.compile(rb"(?m)(?:^|(?<=[,;\t|\"]))(?=\d:\d\d)")
+"""The place before an hour of one digit at the beginning of a cell."""
+
+AFTER_SHORT_HOUR = re.compile(rb":(?:(?<=[\n,;\t|\"]\d:)|(?<=\A\d:))\d\d")
+"""The same place by the colon behind it, whose absence is found sooner."""
+
+LONG_FRACTION = re.compile(rb"(:\d\d[.,]\d{9})\d+")
+SECONDS = re.compile(rb"\d:\d\d:\d\d(?!\d|:)")
+COMMA_FRACTION = re.compile(rb"(:\d\d),(\d{3}|\d{6})(?=,)")
+"""Decimals of seconds behind a comma, as Python's logging writes them, between commas."""
+
+COLON, POINT = b":."
+TAB_TO_BLANK = bytes.maketrans(b"\t", b" ")
+NO_HOUR = 99
+"""Stands for an hour that does not exist."""
+
+TAIL_LINES = 40
+"""Last lines of the head by which the delimiter is judged."""
+
+SURE_LINES = 6
+"""With fewer lines to judge by, most columns must be numbers, and half of all lines must agree."""
+
+SAMPLE_ROWS = 200
+SURE_ROWS, LEAST_ROWS = 3, 10
+"""Rows below which a layout is doubtful, and from which on it holds whatever lines are below."""
+
+DEEPEST_BYTES = 1 << 24
+"""Bytes of text in which rows of numbers must begin."""
+
+DEEP_TRIALS = 9
+"""Places with numbers that are tried; the steps between them double, so that they span all of it."""
+
+NUMBERS = re.compile(
+    rb"(?m)(?:[,;\t| ] ?[-+]?\d{0,20}[.,]?\d{1,20}(?:[eE][-+]?\d{1,3})?\"?){2}[,;\t| \"]{0,9}\r?$"
+)
+"""The end of a line: two numbers behind another column."""
+
+
+@dataclass(frozen=True, slots=True)
+class Normaliser:
+    """Makes the changes that a block of lines needs before it is parsed.
+
+    Attributes:
+        delimiter: between the columns; a blank stands for any run of blanks and tabs.
+        padded: blanks stand around the delimiter.
+        split_date: date and time of day are separated by the delimiter itself.
+        decimal_comma: decimals are written with a comma.
+        slash_dates: dates are written 2024/03/04.
+        long_fraction: seconds have more than nine decimals.
+        colon_fraction: a colon stands before the decimals of seconds.
+        comma_fraction: a comma stands before them, and between the columns.
+        twelve_hours: times of day have AM or PM.
+        short_hours: times of day in a column of their own have hours of one digit.
+        date_order: of day, month and year, such as `dmy`, where dates do not begin with the year.
+        thorough: look at every line for what differs from the others.
+    """
+
+    delimiter: str
+    padded: bool = False
+    split_date: bool = False
+    decimal_comma: bool = False
+    slash_dates: bool = False
+    long_fraction: bool = False
+    colon_fraction: bool = False
+    comma_fraction: bool = False
+    twelve_hours: bool = False
+    short_hours: bool = False
+    date_order: str | None = None
+    thorough: bool = False
+
+    def __call__(self, block: bytes) -> bytes:
+        """Return the block in pyarrow's terms, with the same lines in the same order."""
+        if self.delimiter == " ":
+            block = trimmed(collapsed(block.translate(TAB_TO_BLANK)), b"\n")
+        elif self.padded or self.thorough:
+            block = trimmed(trimmed(collapsed(block), self.delimiter.encode()), b"\n")
+        block = self._with_times(block)
+        pairs = [(b",", b".")] * self.decimal_comma + [(b"/", b"-")] * self.slash_dates
+        if not pairs:
+            return block
+        return block.translate(bytes.maketrans(*(b"".join(letters) for letters in zip(*pairs, strict=True))))
+
+    def _with_times(self, block: bytes) -> bytes:
+        """Return the block with dates, hours and fractions of seconds as in ISO 8601."""
+        if self.comma_fraction:
+            block = COMMA_FRACTION.sub(rb"\1.\2", block)
+        if self.twelve_hours:
+            block = TWELVE_HOURS.sub(in_24_hours, block)
+        if self.short_hours or (self.thorough and AFTER_SHORT_HOUR.search(block)):
+            block = SHORT_HOUR.sub(b"0", block)
+        if self.date_order is not None:
+            block = year_first(block, self.date_order, self.thorough)
+        if self.split_date:
+            block = SPLIT_DATE.sub(rb"\1T", block)
+        if self.colon_fraction:
+            block = with_points(block)
+        if self.long_fraction:
+            block = LONG_FRACTION.sub(rb"\1", block)
+        return block
+
+
+def collapsed(block: bytes) -> bytes:
+    """Replace runs of blanks by one blank."""
+    while b"  " in block:
+        block = block.replace(b"  ", b" ")
+    return block
+
+
+def in_24_hours(found: re.Match[bytes]) -> bytes:
+    """Return `1:05:30 PM` as `13:05:30`; a morning after 12 becomes a time that does not exist."""
+    hour, afternoon = int(found[1]), found[3] in b"pP"
+    if hour <= 12:
+        hour = hour % 12 + 12 * afternoon
+    elif not afternoon:
+        hour = NO_HOUR
+    return b"%02d%s" % (hour, found[2])
+
+
+def with_points(block: bytes) -> bytes:
+    """Rewrite `12:34:56:789` as `12:34:56.789`."""
+    text = np.frombuffer(block, np.uint8).copy()
+    colon = text == COLON
+    text[6:][colon[6:] & colon[3:-3] & colon[:-6]] = POINT
+    return text.tobytes()
+
+
+def trimmed(block: bytes, mark: bytes) -> bytes:
+    """Remove single blanks before and after the mark, and at either end."""
+    block = block.replace(b" \r\n", b"\n") if mark == b"\n" else block
+    return block.replace(b" " + mark, mark).replace(mark + b" ", mark).strip(b" ")
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """The layout of a text file, as its first 64 KiB show it.
+
+    Attributes:
+        normaliser: makes blocks of it readable for pyarrow.
+        kinds: of each column.
+        names: of the columns, None if no line names them.
+        units: from a line of units below the names, None if there is none.
+        names_line: that of the names, or of the first row if there are none; from 1.
+        sample: cells of the first rows.
+        lines: of the sample's rows.
+        skipped: lines before the first row.
+        offset: byte at which the first row begins.
+        bare_returns: lines end with a carriage return alone.
+    """
+
+    normaliser: Normaliser
+    kinds: tuple[Kind, ...]
+    names: tuple[str, ...] | None
+    units: tuple[str, ...] | None
+    names_line: int
+    sample: tuple[tuple[str, ...], ...]
+    lines: tuple[int, ...]
+    skipped: int
+    offset: int
+    bare_returns: bool
+
+    @property
+    def columns(self) -> int:
+        """The number of columns in every row."""
+        return len(self.kinds)
+
+    @property
+    def quotes(self) -> Quotes:
+        """The rule of quotes."""
+        return Quotes(self.normaliser, self.normaliser.delimiter, self.columns)
+
+    def is_whole(self, line: bytes) -> bool:
+        """Return True if a line without its end has a cell in every column."""
+        cells = self.normaliser(line + b"\n").rstrip(b"\n").split(self.normaliser.delimiter.encode())
+        return len(cells) >= self.columns and bool(cells[-1].strip(b"\0 \r"))
+
+    def is_row(self, line: bytes) -> bool:
+        """Return True if a line without its end is a row that does not look as if it were cut off."""
+        if not self.is_whole(line) or line.count(b'"') % 2:
+            return False
+        text = decode(self.normaliser(line + b"\n")).strip("\r\n")
+        cells = [cell.strip() for cell in split_line(text, self.normaliser.delimiter)]
+        comma = self.normaliser.delimiter != ","
+        fits = len(cells) == self.columns and have_kinds(cells, self.kinds, comma)
+        above = [row[-1].strip() for row in self.sample]
+        return fits and all(part(cells[-1]) >= min(map(part, above)) for part in (len, _decimals))
+
+    def columns_of(self, kind: Kind) -> list[int]:
+        """Return the numbers of the columns of a kind."""
+        return [number for number, other in enumerate(self.kinds) if other is kind]
+
+    def column_name(self, column: int) -> str:
+        """Return a column's number and name, for people."""
+        name = self.names[column] if self.names else ""
+        return f"column {column} ({name!r})" if name else f"column {column}"
+
+    def cells(self, column: int) -> list[str]:
+        """Return the sample's cells of one column."""
+        return [row[column] for row in self.sample]
+
+
+def have_kinds(cells: Sequence[str], kinds: Sequence[Kind], decimal_comma: bool) -> bool:
+    """Return True if cells hold a number or time, or nothing, wherever their columns have one."""
+    return all(
+        cell_kind(cell, decimal_comma) in (kind, Kind.MISSING)
+        for cell, kind in zip(cells, kinds, strict=True)
+        if kind in (Kind.NUMBER, Kind.TIME)
+    )
+
+
+def _decimals(cell: str) -> int:
+    return len(cell.replace(",", ".").partition(".")[2])
+
+
+def find_dialect(head: bytes, preamble: int = 0) -> Dialect | None:
+    """Return the layout of the file with this beginning, None if it shows no rows of 3 or more numbers.
+
+    A last line without its end is used only where nothing else is there.
+
+    Args:
+        preamble: lines that are known to be neither rows nor names of columns.
+    """
+    head = head[:HEAD_BYTES]
+    if not is_text(head):
+        return None
+    bare_returns = b"\n" not in head and b"\r" in head
+    if bare_returns:
+        head = head.replace(b"\r", b"\n")
+    whole = head[: head.rfind(b"\n") + 1]
+    found = _dialect_of(whole, preamble) or _dialect_of(head, preamble)
+    if found is None or len(found.sample) < SURE_ROWS:
+        found = _without_end(whole, preamble) or found
+    return replace(found, bare_returns=bare_returns) if found else None
+
+
+def find_deep_dialect(text: bytes, preamble: int = 0) -> Dialect | None:
+    """Return the layout of a file whose numbers begin behind the first 64 KiB; None if none are found.
+
+    What is looked at is the beginning, where the names may stand and rows without values, and the stretch in
+    which lines of numbers begin.
+    """
+    if b"\n" not in text:
+        text = text.replace(b"\r", b"\n")
+    top = text[: text.rfind(b"\n", 0, HEAD_BYTES // 2) + 1]
+    place = len(top)
+    for trial in range(DEEP_TRIALS):
+        if (found := _numbers_in(text, place)) is None:
+            return None
+        start = max(len(top), text.rfind(b"\n", 0, max(found.start() - HEAD_BYTES // 8, 0)) + 1)
+        stretch = text[start : start + HEAD_BYTES // 2]
+        stretch = stretch[: stretch.rfind(b"\n") + 1] or stretch
+        if not (is_text(top) and is_text(stretch)):
+            return None
+        if (dialect := _dialect_of(top + stretch, preamble)) is not None:
+            return _moved(dialect, len(top), text[len(top) : start])
+        last, place = place, min(found.end() + (len(stretch) << trial), len(text) - len(stretch))
+        if place <= last:
+            return None
+    return None
+
+
+def _numbers_in(text: bytes, place: int) -> re.Match[bytes] | None:
+    """Return the next line of numbers that is not a comment."""
+    for found in NUMBERS.finditer(text, place):
+        line = text[text.rfind(b"\n", 0, found.start()) + 1 : found.start()]
+        if not COMMENT.match(decode(line)):
+            return found
+    return None
+
+
+def _moved(dialect: Dialect, top: int, skipped: bytes) -> Dialect:
+    """Return a layout that was found without the bytes behind the beginning, with its places in the file."""
+    if dialect.offset < top:
+        return dialect
+    lines = skipped.count(b"\n")
+    return replace(
+        dialect,
+        offset=dialect.offset + len(skipped),
+        lines=tuple(line + lines for line in dialect.lines),
+        skipped=dialect.skipped + lines,
+        names_line=dialect.names_line + lines,
+    )
+
+
+def _without_end(head: bytes, preamble: int) -> Dialect | None:
+    """Return the layout of the rows of a short file above its last lines, which may be others."""
+    lines = head.splitlines(keepends=True)
+    for left_out in (1, 2, 3, 4, 6, 8):
+        found = _dialect_of(b"".join(lines[:-left_out]), preamble)
+        if found is not None and len(found.sample) >= LEAST_ROWS:
+            return found
+    return None
+
+
+def cells_of(data: bytes, dialect: Dialect, column: int) -> list[str]:
+    """Return one column's cells in some lines."""
+    rows = numbered_rows(data.splitlines(keepends=True), dialect.normaliser, 1, dialect.columns)
+    return [row[column] for _, row in rows if column < len(row)]
+
+
+def _dialect_of(head: bytes, preamble: int) -> Dialect | None:
+    mark = len(BYTE_ORDER_MARK) if head.startswith(BYTE_ORDER_MARK) else 0
+    lines = head[mark:].splitlines(keepends=True)
+    raw_lines, offset = lines[preamble:], mark + sum(map(len, lines[:preamble]))
+    normalisers = _normalisers(b"".join(raw_lines))
+    for tail in _tail_sizes(len(raw_lines)):
+        layouts = [_DelimiterTrial.of(raw_lines, normaliser, tail) for normaliser in normalisers]
+        best = max(layouts, key=lambda layout: layout.score)
+        least = 0.0 if tail >= SURE_LINES else 0.5
+        if best.score > least and (dialect := best.dialect(offset)):
+            return replace(
+                dialect, skipped=dialect.skipped + preamble, names_line=dialect.names_line + preamble
+            )
+    return None
+
+
+def _tail_sizes(lines: int) -> Iterator[int]:
+    """Yield how many last lines to judge by: fewer and fewer in a short file, whose beginning may be text."""
+    size = min(TAIL_LINES, lines // 2 or lines)
+    yield size
+    while lines < 2 * TAIL_LINES and size > 1:
+        size //= 2
+        yield size
+
+
+@dataclass(frozen=True, slots=True)
+class _DelimiterTrial:
+    """One delimiter, tried on the last lines of a head."""
+
+    raw_lines: list[bytes]
+    normaliser: Normaliser
+    kinds: tuple[Kind, ...]
+
+    @classmethod
+    def of(cls, raw_lines: list[bytes], normaliser: Normaliser, tail: int) -> _DelimiterTrial:
+        delimiter = normaliser.delimiter
+        rows = _last_rows(raw_lines, normaliser, tail)
+        width, count = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
+        if width < 3 or count < least_of(len(rows), 0.9):
+            return cls(raw_lines, normaliser, ())
+        rows = [row for row in rows if len(row) == width]
+        kinds = _column_kinds(rows, delimiter, 0.9)
+        if Kind.MISSING in kinds or tail < SURE_LINES:
+            share = 0.5 if tail < SURE_LINES else 0.9
+            everywhere = [row for row in _rows(raw_lines, normaliser) if len(row) == width]
+            kinds = _column_kinds(everywhere, delimiter, share)
+        return cls(raw_lines, _with_decimals(normaliser, rows), kinds)
+
+    @property
+    def score(self) -> float:
+        if self.kinds.count(Kind.NUMBER) < 3:
+            return 0.0
+        return sum(kind in (Kind.NUMBER, Kind.TIME) for kind in self.kinds) / len(self.kinds)
+
+    def dialect(self, offset: int) -> Dialect | None:
+        """Return the full layout of lines from this byte on, None if no run of rows begins anywhere."""
+        first = self._first_row()
+        if first is None:
+            return None
+        names, units, names_line = self._names(first)
+        below = self.raw_lines[first : first + SAMPLE_ROWS]
+        sample = numbered_rows(below, self.normaliser, first + 1, len(self.kinds))
+        whole = [(line, tuple(row)) for line, row in sample if len(row) == len(self.kinds)]
+        comma = self.normaliser.delimiter != ","
+        fitting = [(line, row) for line, row in whole if have_kinds(row, self.kinds, comma)]
+        lines, rows = zip(*(fitting or whole), strict=True)
+        offset += sum(map(len, self.raw_lines[:first]))
+        layout = (self.normaliser, self.kinds, names, units, names_line)
+        return Dialect(*layout, rows, lines, first, offset, False)
+
+    def _first_row(self) -> int | None:
+        """Return the first of three rows that follow each other, or of the last ones."""
+        run: list[int] = []
+        for number, line in enumerate(self.raw_lines):
+            for row in _rows([line], self.normaliser):
+                run = [*run, number] if self._is_row(row) else []
+            if len(run) == 3:
+                break
+        return run[0] if run else None
+
+    def _is_row(self, row: list[str]) -> bool:
+        if len(row) != len(self.kinds):
+            return False
+        comma = self.normaliser.delimiter != ","
+        pairs = zip(row, self.kinds, strict=True)
+        found = {(kind, cell_kind(cell, comma)) for cell, kind in pairs if kind in (Kind.NUMBER, Kind.TIME)}
+        filled = any(kind is other for kind, other in found)
+        return filled and all(other in (kind, Kind.MISSING) for kind, other in found if kind is Kind.NUMBER)
+
+    def _names(self, first: int) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None, int]:
+        """Return the names, the units if a second line below them gives these, and the line of the names."""
+        above = [number for number in range(first) if self.raw_lines[number].strip()][-2:]
+        rows = [self._heading(number) for number in above]
+        if rows and rows[-1] and all(map(is_unit_cell, rows[-1])) and len(rows) == 2 and rows[0]:
+            return rows[0], rows[1], above[0] + 1
+        names = rows[-1] if rows else None
+        return names, None, (above[-1] if names else first) + 1
+
+    def _heading(self, number: int) -> tuple[str, ...] | None:
+        """Return a line's cells if they can be names: as many as there are columns, none a number."""
+        text = decode(self.raw_lines[number])
+        text = COMMENT.sub("", text).strip("\r\n")
+        if self.normaliser.delimiter == " ":
+            text = " ".join(text.split())
+        cells = [cell.strip() for cell in split_line(text, self.normaliser.delimiter)]
+        if len(cells) == len(self.kinds) - 1:
+            cells = [*cells, ""] if self.kinds[-1] is Kind.MISSING else ["", *cells]
+        kinds = {cell_kind(cell, False) for cell in cells}
+        words = Kind.TEXT in kinds and Kind.NUMBER not in kinds
+        return tuple(cells) if len(cells) == len(self.kinds) and words else None
+
+
+def _rows(raw_lines: list[bytes], normaliser: Normaliser) -> list[list[str]]:
+    """Return the cells of all lines that are not blank, as they are written."""
+    return [row for _, row in numbered_rows(raw_lines, normaliser, 1)]
+
+
+def numbered_rows(
+    raw_lines: list[bytes], normaliser: Normaliser, first: int, columns: int | None = None
+) -> list[tuple[int, list[str]]]:
+    """Return these cells, each row with its line number; `first` is that of the first.
+
+    Args:
+        columns: how many there are, if that is known: then a cell in quotes may reach over several lines.
+    """
+    plain = replace(normaliser, decimal_comma=False, slash_dates=False)
+    lines, numbers = [plain(line).rstrip(b"\r\n") for line in raw_lines], [*range(len(raw_lines))]
+    if columns is not None:
+        settled = Quotes(plain, normaliser.delimiter, columns).settled(b"\n".join(lines))
+        lines, numbers = settled.text.split(b"\n"), settled.first_of(len(lines)).tolist()
+    rows = [split_line(decode(line), normaliser.delimiter) for line in lines]
+    return [(first + number, row) for number, row in zip(numbers, rows, strict=True) if row]
+
+
+def _last_rows(raw_lines: list[bytes], normaliser: Normaliser, number: int) -> list[list[str]]:
+    """Return the cells of the last lines that are not blank; none if no line has the delimiter."""
+    marks = (b" ", b"\t") if normaliser.delimiter == " " else (normaliser.delimiter.encode(),)
+    last = [*islice((line for line in reversed(raw_lines) if line.strip()), number)][::-1]
+    return _rows(last, normaliser) if any(mark in line for line in last for mark in marks) else []
+
+
+def _column_kinds(rows: list[list[str]], delimiter: str, share: float) -> tuple[Kind, ...]:
+    return tuple(column_kind(cells, delimiter != ",", share) for cells in zip(*rows, strict=True))
+
+
+def _normalisers(head: bytes) -> list[Normaliser]:
+    """Return what each delimiter would need; the times are looked for once."""
+    split_date = b" " in head and SPLIT_DATE.search(head) is not None
+    any_delimiter = Normaliser(
+        "",
+        slash_dates=b"/" in head and SLASH_DATE.search(head) is not None,
+        long_fraction=LONG_FRACTION.search(head) is not None,
+        colon_fraction=COLON_FRACTION.search(head) is not None,
+        twelve_hours=HALF_OF_THE_DAY.search(head) is not None and TWELVE_HOURS.search(head) is not None,
+        short_hours=AFTER_SHORT_HOUR.search(head) is not None,
+    )
+    return [
+        replace(
+            any_delimiter,
+            delimiter=delimiter,
+            comma_fraction=delimiter == "," and _has_comma_fractions(head),
+            padded=delimiter != " "
+            and (b" " + delimiter.encode() in head or delimiter.encode() + b" " in head),
+            split_date=delimiter == " " and split_date,
+        )
+        for delimiter in DELIMITERS
+    ]
+
+
+def _has_comma_fractions(head: bytes) -> bool:
+    """Return True if digits behind every second are its decimals: all as long, and some begin with 0."""
+    found = [decimals for _, decimals in COMMA_FRACTION.findall(head)]
+    alike = len(found) > 2 and len(set(map(len, found))) == 1 and len(found) == len(SECONDS.findall(head))
+    return alike and any(decimals.startswith(b"0") for decimals in found)
+
+
+def _with_decimals(normaliser: Normaliser, rows: list[list[str]]) -> Normaliser:
+    """Take a comma for decimals where these rows say so, or where they are whole numbers throughout.
+
+    A recording may begin with hours of zeros; only commas can then follow that are not understood.
+    """
+    cells = [cell.strip() for row in rows for cell in row]
+    commas = any(map(COMMA_NUMBER.fullmatch, cells)) or not any(map(POINT_NUMBER.fullmatch, cells))
+    return replace(normaliser, decimal_comma=commas and normaliser.delimiter != ",")

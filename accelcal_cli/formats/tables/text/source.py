@@ -1,0 +1,382 @@
+"""A text file of numbers as a source of named columns: its encoding, layout, head and blocks of lines."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+
+from accelcal_cli.core.errors import AccelcalError, UnreadableError, counted, printable
+from accelcal_cli.core.formats import GZIP_MAGIC, WIDE_BYTES, ReadOptions, wide_text
+from accelcal_cli.core.recording import CUT_SHORT, Problem, Reader
+from accelcal_cli.formats.tables.bids import bids_description
+from accelcal_cli.formats.tables.cells import MISSING, decode, is_year_first, year_first
+from accelcal_cli.formats.tables.gyroscope import READ_AS, WithGyroscope, can_join
+from accelcal_cli.formats.tables.header import (
+    SAMPLE_ROWS,
+    As,
+    Block,
+    Column,
+    First,
+    LineIntake,
+    Piece,
+    Source,
+    Start,
+    Stated,
+    refuse_doubtful,
+)
+from accelcal_cli.formats.tables.names import name_of
+from accelcal_cli.formats.tables.pace import rate_above
+from accelcal_cli.formats.tables.reader import TableReader, open_table
+from accelcal_cli.formats.tables.roles import find_acceleration
+from accelcal_cli.formats.tables.siblings import PHYPHOX_HEAD, experiment_start, sibling_gyroscope
+from accelcal_cli.formats.tables.text.dialect import (
+    DEEPEST_BYTES,
+    Dialect,
+    find_deep_dialect,
+    find_dialect,
+    numbered_rows,
+)
+from accelcal_cli.formats.tables.text.lines import (
+    InUtf8,
+    LineBlock,
+    LineCutter,
+    LineFile,
+    RepeatedHeads,
+    lone_block,
+)
+from accelcal_cli.formats.tables.text.parse import LineParser
+from accelcal_cli.formats.tables.vendors import Head, export_description, names_description
+
+HEAD_BYTES = 1 << 20
+"""Bytes that are read to understand a file."""
+
+RATE_BYTES = 1 << 14
+"""Bytes above the rows that may state the rate."""
+
+TAIL_BYTES = 1 << 16
+"""Bytes that are read to find the last row."""
+
+BLOCK_BYTES = 1 << 21
+"""Text that is parsed at a time, however many samples are wanted: its table takes as much again."""
+
+LOOK_BYTES = 1 << 16
+"""Bytes of the file among which one line is looked at for a column that changes."""
+
+NO_LINE_END = "no_line_end"
+BROKEN_OFF = "the compressed data ends early or is damaged; the rows before that were read"
+
+
+class TextSource(Source):
+    """A text file of numbers. See `docs/csv-files.md` for what is recognised.
+
+    Raises:
+        NoRecordingError: it is the export of a known vendor without raw acceleration.
+        UnreadableError: it holds no rows of numbers, or a sidecar is damaged.
+    """
+
+    format, place_word = "csv", "line"
+
+    def __init__(self, path: Path, options: ReadOptions) -> None:
+        self.path = path
+        head = _head(path, HEAD_BYTES)
+        stated = bids_description(path) or export_description(head) or Stated()
+        refuse_doubtful(stated, options, path)
+        head, self.dialect = _layout(head, stated, path)
+        self._above = head[: self.dialect.offset]
+        text = self._above[-RATE_BYTES:].decode("latin-1")
+        if not stated.title:
+            stated = described_by_names(self.dialect, text, path) or stated
+            refuse_doubtful(stated, options, path)
+        stated = _with_start(stated, head, path)
+        self.stated = replace(stated, hint_hz=rate_above(text))
+        self._first = RepeatedHeads(self._above).without(_head_block(head, self.dialect))
+        self.row_bytes = len(self._first.data) / max(self._first.lines, 1) or 1.0
+        dialect = self.dialect
+        self.has_names, self.decimal_comma = dialect.names is not None, dialect.normaliser.decimal_comma
+        self.names_line, self.first_line = dialect.names_line, dialect.skipped + 1
+        self.columns = columns_of(dialect)
+        headings = (dialect.names is not stated.names) + (dialect.units is not None)
+        above = dialect.skipped - stated.preamble - headings
+        said = f"{above} lines before the header or the first row were not used"
+        self.last_notes = (said,) if above > 0 else ()
+
+    def head(self, _wanted: Mapping[int, As]) -> LineBlock:
+        """See `Source`."""
+        return self._first
+
+    def last(self, wanted: Mapping[int, As]) -> LineBlock | None:
+        """Return the last lines; None if the file is compressed, or in UTF-16 or the like."""
+        with self.path.open("rb") as file:
+            mark = file.read(WIDE_BYTES)
+            packed = mark.startswith(GZIP_MAGIC) or wide_text(mark) is not None
+            if packed or self.dialect.bare_returns:
+                return None
+            start = max(self.dialect.offset, file.seek(0, 2) - TAIL_BYTES)
+            file.seek(start)
+            lines = file.read().splitlines(keepends=True)[start > self.dialect.offset :]
+        whole = [line for line in lines if line.endswith((b"\n", b"\r")) and line.strip()]
+        return lone_block(b"".join(whole), 1, 0)
+
+    def pieces(
+        self,
+        wanted: Mapping[int, As],
+        samples: int,
+        start: int = 0,
+        stop: int | None = None,
+        threads: int = 1,
+    ) -> Generator[LineBlock]:
+        """See `Source`."""
+        dialect, heads = self.dialect, RepeatedHeads(self._above)
+        size = max(1, min(BLOCK_BYTES, int(0.95 * samples * self.row_bytes)))
+        with LineFile(self.path, dialect.bare_returns, threads) as file:
+            for block in file.blocks(dialect.offset, dialect.skipped + 1, size, dialect.quotes):
+                yield self._whole(block, heads)
+
+    def _whole(self, block: LineBlock, heads: RepeatedHeads) -> LineBlock:
+        """Return a block without the names of the columns, the last one with a last row without its end."""
+        block = replace(heads.without(block), heads=heads.lines)
+        if not block.last or block.broken or block.zeros or not self.dialect.is_row(block.tail):
+            return block
+        end = block.end + len(block.tail)
+        return replace(block, data=block.data + block.tail + b"\n", lines=block.lines + 1, tail=b"", end=end)
+
+    @cached_property
+    def _lines(self) -> LineParser:
+        return LineParser(self.path, self.dialect)
+
+    def parse(self, piece: Piece, wanted: Mapping[int, As]) -> Block:
+        """See `Source`."""
+        assert isinstance(piece, LineBlock)
+        parsed = self._lines.parse(piece, wanted)
+        return Block(parsed.line, parsed.values, parsed.lost)
+
+    def joined(self, pieces: Sequence[Piece]) -> LineBlock:
+        """See `Source`."""
+        blocks = [piece for piece in pieces if isinstance(piece, LineBlock)]
+        return lone_block(b"".join(block.data for block in blocks), blocks[0].line, blocks[0].offset)
+
+    def cells(
+        self, first: First, column: Column, most: int | None = SAMPLE_ROWS
+    ) -> list[tuple[str, int | None]]:
+        """See `Source`."""
+        dialect, number = self.dialect, column.number
+        if first.lines is None and most is not None:
+            return [*zip(dialect.cells(number), dialect.lines, strict=True)]
+        assert isinstance(first.piece, LineBlock)
+        lines = first.piece.data.splitlines(keepends=True)
+        rows = numbered_rows(lines, dialect.normaliser, first.piece.line, dialect.columns)
+        cells: list[tuple[str, int | None]] = [
+            (row[number], line)
+            for line, row in rows
+            if number < len(row) and (first.lines is None or line in first.lines)
+        ]
+        return cells[:most]
+
+    def with_date_order(self, column: Column, order: str) -> TextSource | None:
+        """Return the file with times that begin with the year; None where they do already."""
+        if all(map(is_year_first, self.dialect.cells(column.number))):
+            return None
+        number = column.number
+        sample = tuple(
+            (*row[:number], year_first(row[number].encode(), order, True).decode(), *row[number + 1 :])
+            for row in self.dialect.sample
+        )
+        normaliser = replace(self.dialect.normaliser, date_order=order)
+        source = copy.copy(self)
+        source.dialect = replace(self.dialect, normaliser=normaliser, sample=sample)
+        return source
+
+    def constant_cells(self, piece: Piece, columns: Sequence[int]) -> dict[int, str]:
+        """Return the cells of columns that are the same in all lines that are looked at."""
+        assert isinstance(piece, LineBlock)
+        data, first = piece.data, -piece.offset % LOOK_BYTES
+        starts = [0, *(data.find(b"\n", place) + 1 for place in range(first, len(data), LOOK_BYTES))]
+        starts.append(data.rfind(b"\n", 0, len(data) - 1) + 1)
+        delimiter = self.dialect.normaliser.delimiter.encode()
+        found: list[set[bytes]] = [set() for _ in columns]
+        for start in (start for start in starts if start < len(data)):
+            line = data[start : data.find(b"\n", start)].rstrip(b"\r")
+            cells = line.split(delimiter)
+            if len(cells) != self.dialect.columns or b'"' in line:
+                return {}
+            for column, cells_of in zip(columns, found, strict=True):
+                cells_of.add(cells[column])
+        pairs, clean = zip(columns, found, strict=True), self.dialect.normaliser
+        texts = {column: decode(clean(cells.pop())).strip() for column, cells in pairs if len(cells) == 1}
+        return {column: "" if text in MISSING else text for column, text in texts.items()}
+
+    def end_problems(self, piece: Piece, samples: int, lost_bytes: int) -> tuple[Problem, ...]:
+        """Return what is wrong with the end: files that were joined, and a last line that is cut off."""
+        assert isinstance(piece, LineBlock)
+        return (*_joined_files(piece.heads, samples), *self._cut_short(piece, samples))
+
+    def _cut_short(self, block: LineBlock, samples: int) -> tuple[Problem, ...]:
+        """Return what is wrong with the end; more is missing unless the last line has all its cells."""
+        text, code = BROKEN_OFF, CUT_SHORT
+        if not block.broken:
+            if not block.tail.strip() and not block.zeros:
+                return ()
+            line = block.line + block.lines
+            text = f"line {line}, the last one, has no end: it may be cut off and was left out"
+            code = NO_LINE_END if self.dialect.is_whole(block.tail) else CUT_SHORT
+            if not block.tail.strip(b"\0"):
+                text = f"the file ends in {block.zeros + len(block.tail)} bytes of zeros, which hold no rows"
+        return (Problem(code, text, block.end, samples, lost_bytes=len(block.tail) + block.zeros),)
+
+    def intake(self) -> TextIntake:
+        """See `Source`."""
+        return TextIntake(self)
+
+    def growing(self, block: LineBlock, heads: RepeatedHeads) -> LineBlock:
+        """Return a block of a growing file as `pieces` yields those of a file at rest."""
+        return self._whole(block, heads)
+
+    def cutter(self) -> tuple[LineCutter, RepeatedHeads]:
+        """Return what cuts the file into lines from its first row on, and what finds its head again."""
+        dialect = self.dialect
+        cutter = LineCutter(self.path, dialect.offset, dialect.skipped + 1, dialect.quotes)
+        return cutter, RepeatedHeads(self._above)
+
+
+class TextIntake(LineIntake):
+    """Cuts the bytes of a growing text file into blocks of whole lines."""
+
+    def __init__(self, source: TextSource) -> None:
+        self._source, self._in_utf8 = source, InUtf8()
+        self._lines, self._heads = source.cutter()
+
+    def cut(self, data: bytes, *, last: bool) -> LineBlock | None:
+        """See `LineIntake`."""
+        data = self._in_utf8(data)
+        lines = self._lines.cut([data.replace(b"\r", b"\n") if self._source.dialect.bare_returns else data])
+        block = self._lines.block(lines, last)
+        return self._source.growing(block, self._heads) if block.data or last else None
+
+
+def columns_of(dialect: Dialect) -> tuple[Column, ...]:
+    """Return the columns of a layout."""
+    names, units = dialect.names or ("",) * dialect.columns, dialect.units or ("",) * dialect.columns
+    return tuple(
+        Column(number, name_of(name, unit), kind, dialect.column_name(number), unit)
+        for number, (name, unit, kind) in enumerate(zip(names, units, dialect.kinds, strict=True))
+    )
+
+
+def described_by_names(dialect: Dialect, above: str, path: Path) -> Stated | None:
+    """Return what the names of a vendor's columns say; None if no vendor is known by them.
+
+    Args:
+        above: the lines above the rows.
+    """
+    if dialect.names is None:
+        return None
+    lines = tuple(above.splitlines()[: -1 if above else None])
+    return names_description(Head(dialect.names, dialect.cells, lines), path.name)
+
+
+def _with_start(stated: Stated, head: bytes, path: Path) -> Stated:
+    """Return the description of an export with the start that a file next to it tells."""
+    if not PHYPHOX_HEAD.match(head) or (start := experiment_start(path)) is None:
+        return stated
+    zero = Start(start.us)
+    return replace(stated, start=zero, timezone="UTC", counts_from_zero=True, pauses=start.pauses)
+
+
+def _head(path: Path, most_bytes: int) -> bytes:
+    with LineFile(path) as file:
+        return file.read(most_bytes).rstrip(b"\0")
+
+
+def _layout(head: bytes, stated: Stated, path: Path) -> tuple[bytes, Dialect]:
+    """Return the layout of a file, and its beginning up to the rows of numbers; raises UnreadableError."""
+    dialect = find_dialect(head, stated.preamble)
+    if dialect is None:
+        head = _head(path, DEEPEST_BYTES)
+        dialect = find_deep_dialect(head, stated.preamble)
+    if dialect is None:
+        what = f"holds no rows of three or more numbers in its first {DEEPEST_BYTES >> 20} MB"
+        hint = "check that it holds samples, or name its format with --format"
+        raise UnreadableError(what, path=path, line=1, hint=hint)
+    if dialect.bare_returns:
+        head = head.replace(b"\r", b"\n")
+    return head, _with_names(dialect, stated, path)
+
+
+def _with_names(dialect: Dialect, stated: Stated, path: Path) -> Dialect:
+    """Return the layout with the names that the export gives to columns without.
+
+    Raises:
+        UnreadableError: a sidecar describes another number of columns.
+    """
+    names = stated.names or ()
+    if stated.companion is not None and len(names) != dialect.columns:
+        raise UnreadableError(
+            f"has {dialect.columns} columns, and {printable(stated.companion.name)} describes {len(names)}",
+            path=path,
+            line=dialect.names_line,
+            hint="correct that file, or take it away",
+        )
+    unnamed = dialect.names is None and len(names) == dialect.columns
+    return replace(dialect, names=stated.names) if unnamed else dialect
+
+
+def _head_block(head: bytes, dialect: Dialect) -> LineBlock:
+    """Return the whole lines of the head; in a file of one unfinished line, that one."""
+    end = head.rfind(b"\n") + 1
+    end = end if end > dialect.offset else len(head)
+    return lone_block(head[dialect.offset : end], dialect.skipped + 1, dialect.offset)
+
+
+def _joined_files(lines: Sequence[int], samples: int) -> tuple[Problem, ...]:
+    """Return the problem that the names of the columns stand in these lines again."""
+    if not lines:
+        return ()
+    more = f" and {counted(len(lines) - 1, 'more line')}" if len(lines) > 1 else ""
+    text = f"the names of the columns are repeated in line {lines[0]}{more}: files that were joined"
+    return (Problem("repeated_head", text, None, samples, count=len(lines)),)
+
+
+def refuse_other_names(dialect: Dialect, options: ReadOptions, path: Path) -> None:
+    """Raise NoRecordingError for a table whose names are those of other quantities.
+
+    Other faults raise what `find_acceleration` does.
+    """
+    source = Source()
+    source.path, source.columns = path, columns_of(dialect)
+    source.stated = described_by_names(dialect, "", path) or Stated()
+    refuse_doubtful(source.stated, options, path)
+    source.place_word, source.has_names = "line", dialect.names is not None
+    source.names_line, source.first_line = dialect.names_line, dialect.skipped + 1
+    find_acceleration(source, options, lambda column: dialect.cells(column.number))
+
+
+def open_recording(path: Path, options: ReadOptions) -> Reader:
+    """Open a text file of numbers, with the gyroscope of a phone's export next to it.
+
+    Raises:
+        UnreadableError: it holds no rows of numbers, or they can be read in several ways; the
+            hint says which option settles it.
+        UsageError: an option names no column, or counts come without their scale.
+    """
+    reader = open_table(TextSource(path, options), options)
+    stated = options.gyro_unit is not None or options.gyro_columns is not None or options.columns is not None
+    gyro = None if stated else sibling_gyroscope(path)
+    if gyro is None or reader.recording.gyro_dps_per_lsb is not None:
+        return reader
+    read_as = ReadOptions(unit=READ_AS[gyro.unit][0], columns=gyro.columns, gyro_unit="none")
+    try:
+        rates = open_table(TextSource(gyro.path, read_as), read_as)
+    except AccelcalError as error:
+        return _noted(reader, f"{gyro.path.name} was not used: {error.message}")
+    if not can_join(reader, rates):
+        return _noted(reader, f"{gyro.path.name} was not used: it did not begin together with {path.name}")
+    return WithGyroscope(reader, rates, gyro.path.name, gyro.unit)
+
+
+def _noted(reader: TableReader, note: str) -> TableReader:
+    """Return a reader whose recording has one more note."""
+    reader.recording = replace(reader.recording, notes=(*reader.recording.notes, printable(note)))
+    return reader

@@ -1,0 +1,379 @@
+"""How the numbers of columns become whole counts: acceleration, rotation rates, temperature.
+
+A unit is the user's, else that of the columns' names or attributes, else the vendor's; where nothing states
+one, the length of gravity tells it. Values in mg that are whole are counts of 1 mg; other decimal fractions
+go to a fine grid (`FLOAT_LSB_PER_G`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Counts
+from accelcal_cli.core.thermometers import HeatUnit
+from accelcal_cli.core.vocabulary import (
+    COUNTS,
+    GIVE_UNIT,
+    PER_G,
+    PHYSICAL_UNITS,
+    UNIT_CHOICES,
+    Quantity,
+    acceleration_unit,
+    unit_of,
+)
+from accelcal_cli.formats._gravity import guess_unit, usual_length
+from accelcal_cli.formats._unsigned import refuse_other_zero, scale_hint, zero_of
+from accelcal_cli.formats.tables.header import FLOAT, Block, Source, readable
+from accelcal_cli.formats.tables.roles import Group, Roles
+
+LARGEST_G = 127.0
+"""Values beyond this [g] are damage."""
+
+LARGEST_DPS = 32_767.0
+"""Values beyond this [deg/s] are damage."""
+
+GYRO_LSB_PER_DPS = 65_536.0
+"""Counts per deg/s given to rotation rates that arrive as decimal fractions."""
+
+EMPTY = -(1 << 63)
+"""Stands for an empty cell among whole numbers of 64 bits."""
+
+WIDEST = float(np.iinfo(np.int32).max)
+LEAST_LSB = 1e-9
+"""Smallest believable number of counts in one g."""
+
+USUAL_G = (0.3, 3.0)
+"""A recording's usual length of acceleration [g] lies between these, however its wearer moves."""
+
+COLDEST_C, WARMEST_C = -273.15, 1000.0
+"""Temperatures beyond these are not believed."""
+
+UNKNOWN = int(np.iinfo(np.int32).min)
+"""Stands for a temperature that only earlier rows can give."""
+
+LEAST_GYRO_SHARE = 0.99
+"""Share of the first rows with an acceleration that must have a rotation rate: rows without are left out."""
+
+NO_GYRO_UNIT = "its unit is not known, give --gyro-unit deg/s or rad/s"
+
+
+class Fault(IntEnum):
+    """The reason why a row cannot be used."""
+
+    NONE = 0
+    MISSING = 1
+    OUT_OF_RANGE = 2
+    TIME = 3
+    EMPTY = 4
+    LINE = 5
+    FRACTION = 6
+    LOST = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How numbers become whole counts.
+
+    Attributes:
+        unit: of the numbers, or `counts`.
+        lsb: counts in one unit of the result, g or deg/s.
+        per: the size of one unit of the result in the column; None if its numbers are counts.
+        largest: largest believable magnitude, in units of the result.
+        zero: the number that stands for 0; found_zero: the values show it, and nothing states it.
+        short: the type of the numbers is one that 16 bits hold.
+    """
+
+    unit: str
+    lsb: float
+    per: float | None = None
+    largest: float = LARGEST_G
+    zero: int = 0
+    found_zero: bool = False
+    short: bool = False
+
+    @property
+    def limit(self) -> float:
+        """The largest believable magnitude of a count."""
+        return min(self.largest * self.lsb, WIDEST)
+
+    def counts(self, values: NDArray[Any]) -> tuple[Counts, NDArray[np.uint8]]:
+        """Return numbers (n, 3) as counts, rounded half to even, and for each row (n,) its `Fault`.
+
+        Rows with a fault have counts of 0.
+        """
+        if values.dtype.kind in "iu" and self.per in (None, self.lsb):
+            return self._whole(values)
+        with np.errstate(over="ignore", invalid="ignore"):
+            if values.dtype == np.float32 and self.per == 1.0 and self.lsb == FLOAT_LSB_PER_G:
+                # a power of two moves no bit of a fraction
+                scaled: NDArray[Any] = np.rint(values * np.float32(self.lsb))
+            else:
+                scaled = self._scaled(_with_empty(values))
+        fault = np.zeros(len(values), np.uint8)
+        if self.per is None and (broken := (np.rint(scaled) != scaled) & np.isfinite(scaled)).any():
+            fault[broken.any(axis=1)] = Fault.FRACTION
+        limit = self.limit
+        if len(scaled) and not (scaled.max() <= limit and scaled.min() >= -limit):
+            fault[(np.abs(scaled) > limit).any(axis=1)] = Fault.OUT_OF_RANGE
+            fault[np.isnan(scaled).any(axis=1)] = Fault.EMPTY
+        if fault.any():
+            scaled = np.where((fault == Fault.NONE)[:, None], scaled, 0.0)
+        return scaled.astype(np.int32), fault
+
+    def _scaled(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        if self.per is None:
+            return values - self.zero if self.zero else values
+        if self.zero:
+            values = values - self.zero
+        in_units = values if self.per == 1.0 else values / self.per
+        return np.rint(in_units * self.lsb)
+
+    def _whole(self, values: NDArray[Any]) -> tuple[Counts, NDArray[np.uint8]]:
+        """Return whole numbers that are counts; those of 16 bits stay as short."""
+        fault = np.zeros(len(values), np.uint8)
+        if self.zero:
+            wide = values.astype(np.int64)
+            values = np.where(wide == EMPTY, EMPTY, wide - self.zero)
+        limit = int(self.limit)
+        if len(values) and not (values.max() <= limit and values.min() >= -limit):
+            beyond = values > limit
+            if values.dtype.kind == "i":
+                beyond |= values < -limit
+            fault[beyond.any(axis=1)] = Fault.OUT_OF_RANGE
+            if values.dtype.itemsize == np.dtype(np.int64).itemsize:
+                fault[(values == EMPTY).any(axis=1)] = Fault.EMPTY
+            values = np.where((fault == Fault.NONE)[:, None], values, 0)
+        return (values.astype(np.int16) if self.short else values.astype(np.int32)), fault
+
+    def check(self, values: NDArray[np.float64], path: Path) -> None:
+        """Check a unit that was inferred from a vendor's layout.
+
+        Raises:
+            UnreadableError: in it, values (n, 3) are far from the length of gravity.
+        """
+        length = usual_length(values - self.zero) / (self.lsb if self.per is None else self.per)
+        if length and not USUAL_G[0] < length < USUAL_G[1]:
+            raise UnreadableError(
+                f"its usual acceleration would be {length:.3g} g, so that its unit is in doubt",
+                path=path,
+                hint=GIVE_UNIT,
+            )
+
+
+def _with_empty(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Return numbers as decimal fractions, NaN for empty ones."""
+    with np.errstate(over="ignore", invalid="ignore"):  # of wider fractions, and of NaN that signal
+        found = values.astype(np.float64)
+    if values.dtype == np.int64:
+        found[values == EMPTY] = np.nan
+    return found
+
+
+def as_floats(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Return numbers as decimal fractions (n,) or (n, 3), NaN for empty ones."""
+    return values if values.dtype == FLOAT else _with_empty(values)
+
+
+def common_dtype(group: Group) -> np.dtype[Any]:
+    """Return the type that holds the numbers of all columns."""
+    return np.result_type(*(column.dtype for column in group))
+
+
+def find_scale(
+    values: NDArray[np.float64],
+    lines: NDArray[np.int64],
+    roles: Roles,
+    source: Source,
+    options: ReadOptions,
+) -> tuple[Scale, bool]:
+    """Return the scale of accelerations (n, 3), and whether gravity alone decided the unit.
+
+    Args:
+        lines: (m,) of the first of these rows.
+
+    Raises:
+        UnreadableError: no unit fits or it is not known, or the values lie around another count than 0.
+        UsageError: the unit is not known, or counts come without their scale.
+    """
+    path, about = source.path, source.stated
+    dtype = common_dtype(roles.xyz)
+    known = values[np.isfinite(values)]
+    whole = dtype.kind in "iu" or bool(len(known) and known.any() and (known == np.rint(known)).all())
+    lsb = about.lsb_per_g if options.lsb_per_g is None else options.lsb_per_g
+    by_attribute = about.lsb_per_g is not None and not about.unit_is_inferred
+    are_counts = whole and (options.lsb_per_g is not None or by_attribute)
+    unit = _stated_unit(roles.xyz, are_counts, source, options)
+    if about.unit is not None and about.unit_is_inferred and unit in (None, about.unit) and not options.unit:
+        scale = _scale_of(about.unit, lsb, about.zero, (dtype, whole))
+        scale.check(values, path)
+        if about.unit == COUNTS and not whole:
+            _refuse_fractions(values, lines, source)
+        return scale, False
+    unit = unit or about.unit
+    if lsb is None and options.zero is None and unit in (None, COUNTS):
+        refuse_other_zero(values, path)
+    stated, unit = unit, unit or (COUNTS if lsb is not None else guess_unit(values, path))
+    zero = about.zero if options.zero is None else options.zero
+    if unit != COUNTS:
+        return _scale_of(unit, None, 0, (dtype, whole)), stated is None
+    if lsb is None:
+        raise UsageError("counts need their scale", path=path, hint=scale_hint(values, options.zero))
+    if not LEAST_LSB <= lsb <= FLOAT_LSB_PER_G * LARGEST_G:
+        raise UnreadableError(f"{lsb:g} counts per g cannot be right", path=path, hint="give --lsb-per-g N")
+    if not whole and len(known) and (known != np.rint(known)).any():
+        return _scale_of_averages(values, lines, (lsb, zero), source), False
+    scale = _scale_of(COUNTS, lsb, zero, (dtype, whole))
+    if options.zero is None and not zero and (found := zero_of(values, lsb, path)) is not None:
+        scale = replace(scale, zero=found, found_zero=True, short=False)
+    return scale, False
+
+
+def _scale_of(unit: str, lsb: float | None, zero: int, numbers: tuple[np.dtype[Any], bool]) -> Scale:
+    """Return the scale of numbers in a unit, by their type and whether they are whole."""
+    dtype, whole = numbers
+    short = not zero and np.can_cast(dtype, np.int16)
+    if unit == COUNTS and lsb is not None:
+        return Scale(unit, float(lsb), zero=zero, short=short)
+    if unit == "mg" and whole:
+        return Scale(unit, PER_G[unit], PER_G[unit], short=short)
+    return Scale(unit, FLOAT_LSB_PER_G, PER_G[unit])
+
+
+def _scale_of_averages(
+    values: NDArray[np.float64], lines: NDArray[np.int64], stated: tuple[float, int], source: Source
+) -> Scale:
+    """Return the scale of counts with decimal fractions, as averages have.
+
+    Args:
+        stated: counts per g, and the count of 0 g.
+
+    Raises:
+        UnreadableError: they are no such counts, since their length is not that of gravity.
+    """
+    lsb, zero = stated
+    length = usual_length(values - zero) / lsb
+    if USUAL_G[0] < length < USUAL_G[1]:
+        return Scale(COUNTS, FLOAT_LSB_PER_G, lsb, zero=zero)
+    _refuse_fractions(values, lines, source)
+    return Scale(COUNTS, lsb, zero=zero)
+
+
+def _refuse_fractions(
+    values: NDArray[np.float64],
+    lines: NDArray[np.int64],
+    source: Source,
+    option: str = f"--unit {PHYSICAL_UNITS}",
+) -> None:
+    """Raise UnreadableError, which advises an option, if any value (n, 3) is not a whole number of counts."""
+    fractions = np.argwhere(np.isfinite(values) & (values != np.rint(values)))
+    if len(fractions):
+        row, axis = fractions[0].tolist()
+        in_text = source.first_line is not None and row < len(lines)
+        raise UnreadableError(
+            f"{values[row, axis]:g} is not a whole number of counts",
+            path=source.path,
+            line=int(lines[row]) if in_text else None,
+            hint=f"give the unit of the values with {option}",
+        )
+
+
+def _stated_unit(xyz: Group, are_counts: bool, source: Source, options: ReadOptions) -> str | None:
+    """Return the unit that the user or the columns state, None if neither does.
+
+    Args:
+        are_counts: the values are whole, and the counts per g are known.
+    """
+    if options.unit is not None:
+        unit = acceleration_unit(options.unit)
+        if unit is None:
+            one_of = f"--unit is one of {', '.join(UNIT_CHOICES)}"
+            raise UsageError(f"unknown unit {options.unit!r}", hint=one_of)
+        if unit != COUNTS and options.zero is not None:
+            raise UsageError(f"--zero is for counts, not for values in {unit}", hint="omit --zero")
+        return unit
+    if options.zero is not None or are_counts:
+        return COUNTS
+    for column in xyz:
+        if column.unit and acceleration_unit(column.unit) is None:
+            raise UnreadableError(
+                f"the unit {readable(column.unit)!r} of {column.described} is not known",
+                path=source.path,
+                hint=f"give --unit {PHYSICAL_UNITS}, or --unit counts",
+            )
+    units = {acceleration_unit(column.name.stated) for column in xyz} - {None}
+    if len(units) > 1:
+        what, hint = "the axes have different units", "give them one unit, or say it with --unit"
+        raise UnreadableError(what, path=source.path, line=source.names_line, hint=hint)
+    return next(iter(units), None)
+
+
+def turn_scale(unit: str) -> Scale | None:
+    """Return the scale of rotation rates in a unit, written as decimal fractions; None if it is not known."""
+    found = unit_of(unit, Quantity.ROTATION)
+    return None if found is None else Scale("deg/s", GYRO_LSB_PER_DPS, found.per, LARGEST_DPS)
+
+
+def find_turn_scale(gyro: Group, block: Block, source: Source, options: ReadOptions) -> Scale | None:
+    """Return the scale of rotation rates by the user, the columns or the header; None if none states it.
+
+    Args:
+        block: of the first rows.
+
+    Raises:
+        UnreadableError: they are stated to be counts and are not whole.
+    """
+    stated_lsb = source.stated.lsb_per_dps if options.gyro_unit is None else None
+    lsb = options.lsb_per_dps if options.lsb_per_dps is not None else stated_lsb
+    if lsb is not None:
+        rates = as_floats(group_values(block.values, gyro))
+        _refuse_fractions(rates, block.line, source, "--gyro-unit deg/s or rad/s")
+        return Scale(COUNTS, lsb, None, LARGEST_DPS, short=np.can_cast(common_dtype(gyro), np.int16))
+    named = {column.name.stated for column in gyro if unit_of(column.name.stated, Quantity.TIME) is None}
+    own = named.pop() if len(named) == 1 else ""
+    return turn_scale(options.gyro_unit or own or source.stated.gyro_unit or "")
+
+
+def why_not_read(values: NDArray[np.float64], rates: NDArray[np.float64]) -> str | None:
+    """Return the reason not to read a gyroscope whose rates (n, 3) are missing in many rows, or None."""
+    rows = ~np.isnan(values).any(axis=1)
+    missing = int((rows & np.isnan(rates).any(axis=1)).sum())
+    if missing <= (1 - LEAST_GYRO_SHARE) * rows.sum():
+        return None
+    return f"the gyroscope is not read: {missing} of the first {rows.sum()} rows have no value of it"
+
+
+def millidegrees(values: NDArray[Any], unit: HeatUnit) -> NDArray[np.int32]:
+    """Return temperatures (n,) in thousandths of a degree Celsius, UNKNOWN where there is none."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        celsius = unit.celsius(as_floats(values))
+        believable = (celsius >= COLDEST_C) & (celsius < WARMEST_C)
+        steps = np.rint(celsius * 1000)
+    return np.where(believable, np.where(believable, steps, 0), UNKNOWN).astype(np.int32)
+
+
+def held(values: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return temperatures (n,) with the last one before where one is missing, UNKNOWN before any."""
+    missing = values == UNKNOWN
+    if not missing.any():
+        return values
+    last = np.maximum.accumulate(np.where(missing, -1, np.arange(len(values))))
+    return np.where(last < 0, UNKNOWN, values[last]).astype(np.int32)
+
+
+def described_scale(scale: Scale, guessed: bool) -> str:
+    """Return the note on a unit, and how it was found."""
+    return f"unit: {scale.unit}{' (judged by the length of gravity)' if guessed else ''}"
+
+
+def group_values(block_values: Any, group: Group) -> NDArray[Any]:
+    """Return the numbers of three columns, or of one of three, as (n, 3)."""
+    parts = [block_values[column.number] for column in group]
+    return parts[0] if len(parts) == 1 else np.stack(parts, axis=1)

@@ -1,0 +1,324 @@
+"""Columns of Arrow as numbers, times and codes in numpy, of any kind of file.
+
+Times are whole microseconds since 1970. Arrow's own ways to numpy load pandas, which takes a third of a
+second; these do without.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from datetime import date
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from accelcal_cli.core.written_times import COLONS
+from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME
+from accelcal_cli.formats._written import Written
+from accelcal_cli.formats.tables.cells import MISSING
+from accelcal_cli.formats.tables.header import As, CellTexts
+
+TOLD = 64
+"""Stretches of lost rows in a block whose first line is reported with its fault."""
+
+NOT_ROWS = "lines that are not rows of this table"
+"""The fault of the others."""
+
+NULLS = sorted(MISSING)
+NO_ROWS = np.empty(0, np.int64)
+SHOWN = 40
+"""Letters of a line that a message shows."""
+
+UNTIDY = r"^ | $|  |^[0-9]:[0-9]"
+"""Cells that more changes may mend: with blanks, or with an hour of one digit."""
+
+RARE = 8
+"""Texts of a length that one in this number, or fewer, have are looked at by themselves."""
+
+LONGEST_TIME = 64
+ARROW_NUMBER = (
+    r"^[+-]?([0-9]+\.?[0-9]*([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?"
+    r"|(?i:inf|infinity|nan|nan\([a-z0-9_]*\)))$"
+)
+"""Texts of which Arrow makes numbers."""
+
+HOUR, CLOCK = r"([01][0-9]|2[0-3])", r"[T ][0-9]{2}:[0-9]{2}(:[0-9]{2}(\.[0-9]+)?)?"
+STAMPS = (
+    rf"^[0-9]{{4}}[-/][0-9]{{2}}[-/][0-9]{{2}}({CLOCK})?$",
+    rf"^[0-9]{{4}}[-/][0-9]{{2}}[-/][0-9]{{2}}{CLOCK}(Z|[+-][0-9]{{2}}(:?[0-9]{{2}})?)$",
+)
+"""Times in ISO 8601 with the year first, without a zone and with one; they need not exist."""
+
+ARROW_CLOCK = rf"[T ]{HOUR}(:[0-5][0-9](:[0-5][0-9](\.[0-9]{{1,9}})?)?)?"
+ARROW_TIMES = (
+    rf"^[0-9]{{4}}-[0-9]{{2}}-[0-9]{{2}}({ARROW_CLOCK})?$",
+    rf"^[0-9]{{4}}-[0-9]{{2}}-[0-9]{{2}}{ARROW_CLOCK}(Z|[+-]{HOUR}(:?[0-5][0-9])?)$",
+)
+"""Texts of which Arrow makes times, if the day exists."""
+
+FIRST_DAY, LAST_DAY = date(1677, 9, 23), date(2262, 4, 10)
+"""Days that nanoseconds in 64 bits reach in every zone."""
+
+AT_THE_EDGE = r":60|^(1677|2262)"
+"""Times of which Arrow makes none, or not everywhere, and which yet exist."""
+
+FARTHEST_NS_US = 9_223_372_036_854_775
+EMPTY_NS = -(1 << 63)
+"""Stands for an empty cell among Arrow's times."""
+
+TYPES = {
+    As.NUMBER: pa.float64(),
+    As.MOMENT: pa.timestamp("ns"),
+    As.ZONED_MOMENT: pa.timestamp("ns", tz="UTC"),
+    As.TEXT: pa.string(),
+    As.CODES: pa.dictionary(pa.int32(), pa.string()),
+}
+MOMENTS = (As.MOMENT, As.ZONED_MOMENT)
+UNREAD = TYPES | dict.fromkeys((As.NUMBER, *MOMENTS), pa.string())
+"""The types that pyarrow gives the columns, and those of columns with cells that it does not understand."""
+
+
+def wrong_cell(column: int, cell: str, what: str) -> str:
+    """Return the fault of a line whose cell in a column is not a number, or not a time."""
+    return f"column {column} holds {shortened(cell)!r}, which is not a {what}"
+
+
+def shortened(text: str) -> str:
+    """Return a text short enough for a message."""
+    return text if len(text) <= SHOWN else text[:SHOWN] + "..."
+
+
+def told_of(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return those of some lost rows that are reported with their fault: the first ones of stretches."""
+    return rows[np.diff(rows, prepend=-2) > 1][:TOLD]
+
+
+def is_stamp(cell: str, zoned: bool) -> bool:
+    """Return True if a cell is written as ISO 8601 with the year first; the time need not exist."""
+    return re.match(STAMPS[zoned], cell) is not None
+
+
+def values_of(column: Any, how: As) -> Any:
+    """Return a column of pyarrow's type as it is wanted."""
+    if how is As.NUMBER:
+        return floats(column)
+    if how is As.CODES:
+        return codes_of_texts(column)
+    return clean_texts(whole(column)) if how is As.TEXT else _microseconds(column)
+
+
+def read_as(column: Any, how: As) -> tuple[Any, NDArray[np.int64], NDArray[np.int64]]:
+    """Return a column of texts as it is wanted, the rows of those that do not fit, and of untidy ones."""
+    if how in (As.TEXT, As.CODES):
+        return values_of(column, how), NO_ROWS, NO_ROWS
+    cells = whole(column)
+    values, rows = numbers(cells) if how is As.NUMBER else moments(cells, how is As.ZONED_MOMENT)
+    if not len(rows):
+        return values, rows, rows
+    import pyarrow.compute as pc
+
+    return values, rows, rows[flags(pc.match_substring_regex(cells.take(in_arrow(rows)), UNTIDY))]
+
+
+def whole(column: Any) -> Any:
+    """Return a chunked column as one array."""
+    return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
+
+
+def numbers(cells: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return texts (n,) as numbers (n,), NaN where empty, and the rows of all others."""
+    starts, text = _letters(cells)
+    odd = text - np.uint8(ord("-")) > ord("9") - ord("-")  # what is left is - . / and digits
+    signs = text == ord("-")
+    signs[starts[starts < len(text)]] = False
+    doubtful = np.searchsorted(starts, np.flatnonzero(odd | signs), side="right") - 1
+    return _read_apart(cells, As.NUMBER, np.unique(doubtful), _are_numbers)
+
+
+def moments(cells: Any, zoned: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return texts (n,) in ISO 8601 as times (n,) [us], and the rows of all others.
+
+    NO_TIME stands where a text is empty or no time, IMPOSSIBLE where it is written right and does not exist.
+    Second 60, a leap second or a rounded number, is the next minute.
+
+    Args:
+        zoned: the texts have a zone, and the times are UTC.
+    """
+    size = np.minimum(np.diff(_letters(cells)[0]), LONGEST_TIME)
+    rare = RARE * np.bincount(size, minlength=1) < len(size)
+    doubtful = np.flatnonzero(rare[size] & (size > 0))
+    how = As.ZONED_MOMENT if zoned else As.MOMENT
+    times, rest = _read_apart(cells, how, doubtful, _are_zoned_times if zoned else _are_times)
+    if not len(rest):
+        return times, rest
+    import pyarrow.compute as pc
+
+    others = cells.take(in_arrow(rest))
+    right = flags(pc.match_substring_regex(others, STAMPS[zoned]))
+    times[rest[right]] = IMPOSSIBLE
+    edge = right & flags(pc.match_substring_regex(others, AT_THE_EDGE))
+    if edge.any():
+        found, _ = Written(COLONS, offsets=zoned).read(others.filter(in_arrow(edge)))
+        times[rest[edge]] = np.where(np.abs(found) > FARTHEST_NS_US, IMPOSSIBLE, found)
+    return times, rest[~right]
+
+
+def _read_apart(
+    cells: Any, how: As, doubtful: NDArray[np.int64], known: Callable[[Any], NDArray[np.bool_]]
+) -> tuple[Any, NDArray[np.int64]]:
+    """Return texts (n,) as numbers or times (n,), and the rows of all others, which are empty.
+
+    Args:
+        doubtful: rows of which each has to be looked at; all, if Arrow does not understand the others.
+        known: flags the texts that Arrow understands.
+    """
+    import pyarrow.compute as pc  # takes a tenth of a second, and sound files need none of it
+
+    try:
+        values = _cast(_without(cells, doubtful), how)
+    except pa.ArrowInvalid:
+        doubtful = np.flatnonzero(flags(cells.is_valid()))
+        values = _cast(pa.nulls(len(cells), pa.string()), how)
+    if len(doubtful):
+        others = pc.utf8_trim(cells.take(in_arrow(doubtful)), " \t" if how is As.NUMBER else "")
+        good = known(others)
+        if good.any():
+            values[doubtful[good]] = _cast(others.filter(in_arrow(good)), how)
+        doubtful = doubtful[~good]
+    return values, doubtful
+
+
+def _are_numbers(cells: Any) -> NDArray[np.bool_]:
+    import pyarrow.compute as pc
+
+    return flags(pc.match_substring_regex(cells, ARROW_NUMBER))
+
+
+def _are_times(cells: Any, zoned: bool = False) -> NDArray[np.bool_]:
+    import pyarrow.compute as pc
+
+    written = flags(pc.match_substring_regex(cells, ARROW_TIMES[zoned]))
+    coded = pc.utf8_slice_codeunits(cells, 0, 10).dictionary_encode()
+    days = np.array([*map(_is_day, coded.dictionary.to_pylist())], np.bool_)
+    found: NDArray[np.bool_] = written & days[np.from_dlpack(coded.indices)]
+    return found
+
+
+def _are_zoned_times(cells: Any) -> NDArray[np.bool_]:
+    return _are_times(cells, zoned=True)
+
+
+def flags(values: Any) -> NDArray[np.bool_]:
+    """Return an array of Arrow's flags (n,), False where empty."""
+    values = values.fill_null(False) if values.null_count else values
+    found: NDArray[np.bool_] = np.from_dlpack(values.cast(pa.uint8())) > 0
+    return found
+
+
+def in_arrow(values: NDArray[Any]) -> Any:
+    """Return numbers or flags (n,) as an array of Arrow, whose own way loads pandas."""
+    kind = pa.from_numpy_dtype(values.dtype)
+    held = np.packbits(values, bitorder="little") if values.dtype == np.bool_ else values
+    return pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(np.ascontiguousarray(held))])
+
+
+def _cast(cells: Any, how: As) -> Any:
+    """Return texts that Arrow understands as numbers or times (n,)."""
+    return values_of(pa.chunked_array([cells.cast(TYPES[how])]), how)
+
+
+def _without(cells: Any, rows: NDArray[np.int64]) -> Any:
+    """Return texts (n,), empty in some rows."""
+    kept = np.zeros(cells.offset + len(cells), np.bool_)
+    kept[cells.offset :] = flags(cells.is_valid()) if cells.null_count else True
+    kept[cells.offset + rows] = False
+    validity = pa.py_buffer(np.packbits(kept, bitorder="little"))
+    buffers = [validity, *cells.buffers()[1:]]
+    return pa.Array.from_buffers(cells.type, len(cells), buffers, offset=cells.offset)
+
+
+def _letters(cells: Any) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+    """Return where each of some texts (n,) begins, and the last one ends (n + 1,), and their bytes."""
+    _, places, letters = cells.buffers()
+    starts = np.frombuffer(places, np.int32, len(cells) + 1, 4 * cells.offset)
+    text = np.frombuffer(letters or b"", np.uint8)[starts[0] : starts[-1]]
+    return starts - starts[0], text
+
+
+def _is_day(text: str) -> bool:
+    try:
+        return FIRST_DAY <= date.fromisoformat(text) <= LAST_DAY
+    except ValueError:
+        return False
+
+
+def _microseconds(column: Any) -> NDArray[np.int64]:
+    whole = filled(column, np.int64, EMPTY_NS)
+    return np.where(whole == EMPTY_NS, NO_TIME, (whole + 500) // 1000)
+
+
+def clean_texts(cells: Any) -> Any:
+    """Return texts without blanks around them, null where they then stand for a missing value."""
+    import pyarrow.compute as pc
+
+    cells = pc.utf8_trim_whitespace(cells)
+    return pc.if_else(pc.is_in(cells, pa.array(NULLS, pa.string())), None, cells)
+
+
+def codes_of_texts(column: Any) -> CellTexts:
+    """Return a chunked column of texts, whose chunks have a dictionary each."""
+    codes: dict[str, int] = {}
+    parts = [np.empty(0, np.int32)]
+    for chunk in column.chunks:
+        texts = [text.strip() for text in chunk.dictionary.to_pylist()]
+        own = [codes.setdefault(text, len(codes)) if text else -1 for text in texts]
+        indices = pa.chunked_array([chunk.indices.cast(pa.int64())])
+        parts.append(np.array([*own, -1], np.int32)[filled(indices, np.int64, -1)])
+    return CellTexts(tuple(codes), np.concatenate(parts))
+
+
+def filled(column: Any, kind: type[np.generic], null: float) -> NDArray[Any]:
+    """Return a chunked column of numbers or times of eight bytes, (n,), with `null` where a cell is empty."""
+    parts = [_filled(chunk, kind, null) for chunk in column.chunks if len(chunk)]
+    if len(parts) == 1:
+        return parts[0]
+    return np.concatenate(parts) if parts else np.empty(0, kind)
+
+
+def _filled(chunk: Any, kind: type[np.generic], null: float) -> NDArray[Any]:
+    values = np.frombuffer(chunk.buffers()[1], kind, len(chunk), 8 * chunk.offset)
+    if not chunk.null_count:
+        return values
+    empty = np.from_dlpack(chunk.is_null().cast(pa.uint8())) > 0
+    return np.where(empty, np.asarray(null, kind), values)
+
+
+def floats(column: Any) -> NDArray[np.float64]:
+    """Return a chunked column of doubles with NaN where a cell is empty, (n,)."""
+    return filled(column, np.float64, np.nan)
+
+
+def as_texts(texts: Sequence[str]) -> Any:
+    """Return texts as an array of Arrow (n,), null where they stand for a missing value."""
+    return pa.array([None if text.strip() in MISSING else text for text in texts], pa.string())
+
+
+def values_of_texts(cells: Any, how: As) -> tuple[Any, NDArray[np.int64]]:
+    """Return an array of Arrow's texts (n,) as it is wanted, and the rows of those that do not fit."""
+    if how is As.NUMBER:
+        return numbers(clean_texts(cells))
+    if how in MOMENTS:
+        return moments(clean_texts(cells), how is As.ZONED_MOMENT)
+    none = np.empty(0, np.int64)
+    if how is As.TEXT:
+        return clean_texts(cells), none
+    return codes_of_texts(pa.chunked_array([clean_texts(cells).dictionary_encode()])), none
+
+
+def told(column: int, cells: Any, wrong: NDArray[np.int64], what: str) -> dict[int, str]:
+    """Return what is wrong with some rows of a column of texts, by their numbers; of many, with the first."""
+    first = {row: wrong_cell(column, str(cells[row].as_py()), what) for row in told_of(wrong).tolist()}
+    return dict.fromkeys(wrong.tolist(), NOT_ROWS) | first
