@@ -269,9 +269,8 @@ def test_stamps_of_a_computer_follow_its_clock_over_a_change(
     assert utc_us(found) == exact_us(times)
     assert (found.breaks, found.codes) == ([], ["clock_followed"])
     line = 2 + len(times) // 2
-    assert (
-        found.problems[0].message == f"the times follow a change of the clocks in {zone} before line {line}"
-    )
+    assert found.problems[0].message == f"the times follow a change of the clocks in {zone}"
+    assert found.problems[0].place == f"before line {line}"
     assert found.problems[0].sample == len(times) // 2
     unknown = make_csv.read(path, chunk_samples)
     assert (unknown.breaks, unknown.codes) == (

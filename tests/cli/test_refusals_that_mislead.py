@@ -65,7 +65,7 @@ def test_inspect_says_two_rates_instead_of_a_drift_and_no_counts_for_decimals(
 def test_still_windows_that_all_stand_where_an_axis_may_saturate(tmp_path: Path, capsys: Capture) -> None:
     """A quiet device that never turns: its windows were still, and the limit of stillness is not named."""
     moves = np.random.default_rng(1).integers(20, 22, 6000)
-    rows = [f"{number / 20:.2f},{x},100,990" for number, x in enumerate(moves)]
+    rows = [f"{number / 20:.2f},{x / 1000},0.1,0.99" for number, x in enumerate(moves)]
     path = tmp_path / "a.csv"
     path.write_text("\n".join(["time,x,y,z", *rows, ""]))
     ran = run(capsys, "calibrate", path)

@@ -16,6 +16,7 @@ from tests.formats import make_csv, make_flash
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
 
 FORMATS = "accelcal_cli.formats."
+TABLES = f"{FORMATS}tables."
 SHARED = {
     "_bytes",
     "_frames",
@@ -24,14 +25,25 @@ SHARED = {
     "_problems",
     "_rows",
     "_stamps",
-    "_tables",
     "_unsigned",
     "_wraps",
     "_written",
 }
-FOLDER = {"opal": "hdf5", "parquet": "arrow", "feather": "arrow"}
-READERS = {item.name: item.reader.partition(":")[0] for item in all_formats()}
+SOURCES = {
+    "csv": {"text", "bids", "siblings", "gyroscope"},
+    "parquet": {"arrow"},
+    "feather": {"arrow"},
+    "hdf5": {"hdf5", "hdf5_file", "opal"},
+    "opal": {"hdf5", "hdf5_file", "opal"},
+    "npz": {"arrays", "npz"},
+    "mat": {"arrays", "mat"},
+}
+"""What reads each kind of tables alone; the other files of their folder are for all kinds."""
+
+FOLDER = dict.fromkeys(SOURCES, "tables")
 """The folder of a format, if it is not called like the format."""
+
+READERS = {item.name: item.reader.partition(":")[0] for item in all_formats()}
 
 ALSO = {"npz": {"gt3x"}}
 """Any zip file may be one of ActiGraph's: only its directory tells."""
@@ -104,9 +116,9 @@ def test_calibrating_imports_what_reads_this_format_alone(
 ) -> None:
     found, folder = of_each_format[name] - imported(LISTING), FOLDER.get(name, name)
     assert READERS[name] in found
-    if folder == "arrow":
-        assert len({*READERS.values()} & found) == 1
     assert folders(found) - SHARED <= {folder} | ALSO.get(name, set())
+    tables = {one.removeprefix(TABLES).split(".")[0] for one in found if one.startswith(TABLES)}
+    assert tables & set().union(*SOURCES.values()) <= SOURCES.get(name, set())
 
 
 def commands(*lines: tuple[str, ...]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Problem, Recording
-from accelcal_cli.formats.csv import FORMAT
+from accelcal_cli.formats.tables import CSV as FORMAT
 from tests.formats.expected import Expected
 
 START = datetime(2024, 3, 4, tzinfo=UTC)

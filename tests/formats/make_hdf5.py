@@ -13,7 +13,7 @@ import numpy as np
 
 from accelcal_cli.core.formats import Format, ReadOptions
 from accelcal_cli.core.recording import Chunk, Problem, Recording
-from accelcal_cli.formats.hdf5 import HDF5
+from accelcal_cli.formats.tables import HDF5
 from tests.formats.expected import Expected
 
 START = "2024-03-04T00:00:00"

@@ -90,7 +90,7 @@ def rejected(path: Path, **options: Any) -> str:
 @pytest.mark.parametrize("upright", [True, False], ids=["rows", "on end"])
 def test_t18_one_path_names_an_array_of_three(make: Make, upright: bool) -> None:
     path = make({"walk/signal": values() if upright else values().T})
-    assert "as in --columns /walk/signal; " in rejected(path)
+    assert "as in --columns walk/signal; " in rejected(path)
     columns = field_values({"columns": "walk/signal"}, ReadOptions)["columns"]
     assert (read(path, columns=columns).g == values()).all()
 
@@ -111,7 +111,7 @@ def test_t18_a_path_of_groups_is_a_sensor(make: Make) -> None:
     trials = {f"Test{test}/Trial{trial}/accel": values() * (1 + test * trial / 1e3) for test, trial in
               [(5, 1), (5, 2), (6, 1)]}  # fmt: skip
     path = make(trials)
-    assert "choose one: --columns /Test5/Trial1/accel or --columns /Test5/Trial2/accel" in rejected(path)
+    assert "choose one, such as --columns Test5/Trial1/accel" in rejected(path)
     for sensor in ("Test5/Trial1", "/test5/trial1/", "Test5/Trial1/"):
         assert (read(path, sensor=sensor).g[:, 0] == np.rint(values()[:, 0] * 1.005 * 2**24) / 2**24).all()
     assert (read(path, sensor="Trial2").g == read(path, columns=("Test5/Trial2/accel",) * 3).g).all()
@@ -127,9 +127,9 @@ def test_t18_what_is_no_array_is_named_and_the_hint_stays(make: Make) -> None:
     path = make({"signal": values()}, objects=True)
     for options in ({}, {"columns": ("readings",) * 3}):
         message = rejected(path, **options)
-        assert "/signal (600 x 3)" in message
+        assert "signal (600 x 3)" in message
         assert "/diary, /readings cannot be read (tables, timetables, cells and dates are objects)" in message
-    assert "as in --columns /signal; " in rejected(path)
+    assert "as in --columns signal; " in rejected(path)
     assert (read(path, columns=("signal",) * 3).g == values()).all()
 
 

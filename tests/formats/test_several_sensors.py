@@ -18,10 +18,8 @@ from pyarrow import feather
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import EACH, ReadOptions
 from accelcal_cli.formats import open_recording
-from accelcal_cli.formats._tables import divided
-from accelcal_cli.formats._tables import reader as divided_reader
-from accelcal_cli.formats.csv import detect as csv_detect
-from accelcal_cli.formats.csv import reader as csv_reader
+from accelcal_cli.formats.tables import roles, tracks
+from accelcal_cli.formats.tables.text import source as text
 from tests.formats import make_npz
 
 RNG = np.random.default_rng(46)
@@ -287,9 +285,9 @@ def test_sections_of_one_device_may_begin_again(tmp_path: Path) -> None:
 def test_sensors_behind_the_head_are_found_in_the_pass(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, threads: int, kind: str
 ) -> None:
-    monkeypatch.setattr(csv_reader, "BLOCK_BYTES", 1 << 16)
-    monkeypatch.setattr(csv_detect, "HEAD_BYTES", 1 << 15)
-    monkeypatch.setattr(divided_reader, "BLOCK_ROWS", 500)
+    monkeypatch.setattr(text, "BLOCK_BYTES", 1 << 16)
+    monkeypatch.setattr(text, "HEAD_BYTES", 1 << 15)
+    monkeypatch.setattr(tracks, "BLOCK_ROWS", 500)
     left, right = stream("left", 6000), stream("right", 3000, 0 if kind == "stacked" else 3000 * PERIOD_US)
     if kind == "later":
         right = stream("right", 3000, 9_000_000_000)
@@ -480,7 +478,7 @@ def test_t17_a_line_that_is_not_a_row_hides_no_sensor(tmp_path: Path, line: str)
 def test_of_very_many_columns_the_most_telling_are_watched(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(divided, "MOST_TRACKS", 1)
+    monkeypatch.setattr(roles, "MOST_DIVIDING", 1)
     table = by_time(stacked(stream(1), stream(2)))
     table = with_column(table, "a", np.arange(len(table["x"])))
     with pytest.raises(UnreadableError, match="column 'sensor'"):

@@ -12,10 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats._stamps import LOST, NO_TIME, Pace, SharedStamps
-from accelcal_cli.formats.hdf5 import HDF5, OPAL
-from accelcal_cli.formats.hdf5.rows import TrackRows
+from accelcal_cli.formats.tables import HDF5, OPAL
+from accelcal_cli.formats.tables.hdf5 import TrackRows
 from tests.formats import make_csv, make_hdf5
 from tests.formats.make_csv import START_US
 from tests.formats.make_opal import add_sensor
@@ -61,7 +62,13 @@ def test_rows_of_an_hdf5_file_that_share_whole_seconds_are_spread_as_in_a_text_f
     times += [6_000_000, 6_250_000, 6_500_000, 6_750_000, 7_000_000]
     found = make_hdf5.read(hdf5(tmp_path, seconds(sizes), 4.0))
     assert after_start(found) == times == after_start(make_csv.read(text(tmp_path, seconds(sizes)), unit="g"))
-    assert (found.breaks, found.codes, found.recording.notes) == ([], [], (NOTE,))
+    assert (found.breaks, found.codes) == ([], [])
+    assert found.recording.notes == (
+        "x, y, z: column 0 ('accel')",
+        "unit: mg",
+        "time: column 1 ('time'), in s since 1970",
+        NOTE,
+    )
     assert found.recording.start_us == START_US + 500_000
     assert found.recording.duration_s == 6.5 + 0.25
 
@@ -178,7 +185,10 @@ def test_rows_beside_lost_stamps_keep_their_place_in_the_second(tmp_path: Path) 
 
 def test_a_rate_that_the_stamps_deny_does_not_misplace_rows(tmp_path: Path) -> None:
     """With 40 rows a second as stated, the first group would be the last quarter of its second."""
-    found = make_hdf5.read(hdf5(tmp_path, seconds([10] * 5), 40.0))
+    path = hdf5(tmp_path, seconds([10] * 5), 40.0)
+    with pytest.raises(UnreadableError, match="header says 40 Hz, the times of its rows say 10 Hz"):
+        make_hdf5.read(path)
+    found = make_hdf5.read(path, rate_hz=10.0)
     assert after_start(found) == list(range(0, 5 * SECOND, SECOND // 10))
 
 

@@ -42,6 +42,7 @@ ELSEWHERE = {
     "studies/cluster.py": "the package's own code",
     "pages/write.py": "the package's own templates",
     "formats/_parts/members.py": "members of archives",
+    "formats/tables/hdf5.py": "attributes of datasets",
 }
 
 

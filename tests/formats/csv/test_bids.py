@@ -12,7 +12,7 @@ import pytest
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.formats.csv import FORMAT
+from accelcal_cli.formats.tables import CSV as FORMAT
 from accelcal_cli.studies.discovery import Where, files
 from tests.formats.make_csv import GRID, Read, read
 
@@ -79,7 +79,10 @@ def test_the_sidecars_say_what_the_columns_are(tmp_path: Path) -> None:
         "an export of Motion-BIDS",
         "x, y, z: column 4 ('chan1 [m/s^2]'), column 3 ('chan2 [m/s^2]'), column 2 ('chan3 [m/s^2]')",
     )
-    assert found.codes == ["no_start_time"]
+    assert found.codes == ["no_start_time", "missing_value"]
+    assert found.problems[1].told == (
+        "1 row without a temperature: the last one before holds, from line 5 on"
+    )
 
 
 @pytest.mark.parametrize("written", ["2024-03-04T10:00:00.500", "2024-03-04T10:00:00.5Z"])
@@ -92,7 +95,10 @@ def test_the_list_of_scans_has_the_start(tmp_path: Path, written: str, latency: 
     assert np.array_equal(found.counts, COUNTS)
     assert found.times.tolist() == [START_US + row * 20_000 for row in range(30)]
     assert found.recording.start_us == START_US
-    assert (found.recording.timezone, found.codes) == ("UTC" if written.endswith("Z") else None, [])
+    assert (found.recording.timezone, found.codes) == (
+        "UTC" if written.endswith("Z") else None,
+        ["missing_value"],
+    )
 
 
 def test_the_rate_is_that_of_the_channels_or_of_the_recording(tmp_path: Path) -> None:
@@ -133,7 +139,7 @@ def test_the_gyroscope_of_the_same_point(tmp_path: Path) -> None:
 
 def test_a_gap_of_the_latency_stays_a_gap(tmp_path: Path) -> None:
     found = read(laid_out(tmp_path, lines=rows()[:10] + rows()[20:]))
-    assert (found.breaks, found.codes) == ([10], ["no_start_time", "clock_gap"])
+    assert (found.breaks, found.codes) == ([10], ["no_start_time", "clock_gap", "missing_value"])
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from accelcal_cli.formats._gravity import usual_length
-from accelcal_cli.formats.csv.cells import AccelScale, name_and_hint
+from accelcal_cli.formats.tables.names import name_and_hint
+from accelcal_cli.formats.tables.units import Fault, Scale
 
 CPU_SECONDS = 20
 """Many times the CPU time of all long texts; time that grows as the square of their length would be hours."""
@@ -32,8 +33,9 @@ def test_long_texts_are_understood_at_once() -> None:
     code = f"""
 import resource
 resource.setrlimit(resource.RLIMIT_CPU, ({CPU_SECONDS}, {CPU_SECONDS}))
-from accelcal_cli.formats.csv.cells import cell_kind, name_and_hint
-from accelcal_cli.formats.csv.vendors import actigraph, geneactiv
+from accelcal_cli.formats.tables.cells import cell_kind
+from accelcal_cli.formats.tables.names import name_and_hint
+from accelcal_cli.formats.tables.vendors import actigraph, geneactiv
 for text in {[*LONG]!r}:
     print(eval(text))
 """
@@ -63,5 +65,6 @@ def test_a_name_is_parted_from_the_unit_in_its_brackets(name: str, plain: str, h
 def test_values_beyond_all_numbers_raise_no_warning() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert not np.isfinite(AccelScale("g", 2.0**24).counts(np.array([1e308])))[0]
+        counts, fault = Scale("g", 2.0**24, 1.0).counts(np.array([[0.0, 1e308, -1e308], [0.0, 0.5, 0.0]]))
+        assert (counts.tolist(), fault.tolist()) == ([[0, 0, 0], [0, 1 << 23, 0]], [Fault.OUT_OF_RANGE, 0])
         assert usual_length(np.array([[1e308, 0.0, 0.0], [0.0, 0.6, 0.8]])) == 1.0

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import NoRecordingError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, probe_file
-from accelcal_cli.formats.csv import FORMAT
-from accelcal_cli.formats.csv import lines as csv_lines
+from accelcal_cli.formats.tables import CSV as FORMAT
+from accelcal_cli.formats.tables.text import lines as csv_lines
 from tests.formats.make_csv import GRID, make, read, stamp, written
 
 RNG = np.random.default_rng(3)
@@ -35,13 +35,13 @@ def test_values_and_times_are_exact(tmp_path: Path) -> None:
     assert np.array_equal(found.times, truth.times_us)
     assert found.recording.rate_hz == 100.0
     assert found.recording.start_us == truth.times_us[0]
-    assert found.recording.duration_s == 4.99
+    assert found.recording.duration_s == 5.0
     assert found.recording.timezone is None
     assert (found.breaks, found.problems) == ([], [])
 
 
 @pytest.mark.parametrize(
-    "rate", [1.5625, 12.5, 30.0, 31.25, 33 + 1 / 3, 50.0, 75.0, 85.7, 99.2, 102.4, 1000.0]
+    "rate", [1.5625, 12.5, 30.0, 31.25, 33 + 1 / 3, 50.0, 75.0, 85.7, 99.2, 99.6, 102.4, 1000.0]
 )
 def test_rate_is_found_from_the_stamps(tmp_path: Path, rate: float) -> None:
     truth = make(tmp_path, COUNTS, rate, 256.0)
@@ -115,9 +115,26 @@ def test_counts_stay_as_they_are(tmp_path: Path) -> None:
 
 
 def test_fractions_of_counts_are_refused_with_their_line(tmp_path: Path) -> None:
-    path = written(tmp_path, "x,y,z\n1,2,64\n1,2.5,64\n1,2,64\n")
-    with pytest.raises(UnreadableError, match=r"line 3: 2\.5 is not a whole number of counts"):
+    path = written(tmp_path, "x,y,z\n1,2,640\n\n1,2.5,640\n1,2,640\n")
+    with pytest.raises(UnreadableError, match=r"line 4: 2\.5 is not a whole number of counts"):
         read(path, rate_hz=30.0, unit="counts", lsb_per_g=64.0)
+
+
+def test_averages_of_counts_are_as_long_as_gravity_and_stay_fractions(tmp_path: Path) -> None:
+    path = written(tmp_path, "x,y,z\n1,2,64\n1,2.5,64\n1,2,63.75\n")
+    found = read(path, rate_hz=30.0, unit="counts", lsb_per_g=64.0)
+    assert found.recording.lsb_per_g == GRID
+    assert (found.g * 64).tolist() == [[1, 2, 64], [1, 2.5, 64], [1, 2, 63.75]]
+    assert "unit: counts" in found.recording.notes
+
+
+def test_whole_numbers_of_mg_are_counts_of_one_mg(tmp_path: Path) -> None:
+    found = read(written(tmp_path, "x,y,z\n" + "10,-20,990\n" * 9), rate_hz=30.0)
+    assert found.recording.lsb_per_g == 1000
+    assert found.counts.tolist() == [[10, -20, 990]] * 9
+    broken = read(written(tmp_path, "x,y,z\n" + "10,-20,990\n10,-20.5,990\n" * 9), rate_hz=30.0)
+    assert broken.recording.lsb_per_g == GRID
+    assert np.array_equal(broken.counts[1], np.rint(np.array([10, -20.5, 990]) * GRID / 1000))
 
 
 @pytest.mark.parametrize(
@@ -127,11 +144,25 @@ def test_fractions_of_counts_are_refused_with_their_line(tmp_path: Path) -> None
         ("acc_x (m/s^2),acc_y (m/s^2),acc_z (m/s^2)", "m/s2"),
         ("accel_x_mg,accel_y_mg,accel_z_mg", "mg"),
         ("Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)", "g"),
+        ("Accelerometer X [G],Accelerometer Y [G],Accelerometer Z [G]", "g"),
+        ("acc_x [Gal],acc_y [Gal],acc_z [Gal]", "cm/s2"),
+        ("acc_x [mm/s2],acc_y [mm/s2],acc_z [mm/s2]", "mm/s2"),
+        ("x [ft/s^2],y [ft/s^2],z [ft/s^2]", "ft/s2"),
     ],
 )
 def test_units_are_read_from_the_header(tmp_path: Path, header: str, unit: str) -> None:
     found = read(written(tmp_path, f"{header}\n" + "3,3,3\n" * 9), rate_hz=30.0)
     assert f"unit: {unit}" in found.recording.notes
+
+
+@pytest.mark.parametrize("unit", ["deg/s", "dps", "G", "gauss", "uT", "V", "mV", "degrees", "rad/s", "m/s"])
+def test_axes_in_a_unit_of_another_quantity_are_no_acceleration(tmp_path: Path, unit: str) -> None:
+    names = ",".join(f"{axis} [{unit}]" for axis in "xyz")
+    rows = "0.5,0.25,0.75\n" * 9
+    with pytest.raises(NoRecordingError, match="no column has a name known for acceleration: x "):
+        read(written(tmp_path, f"{names}\n{rows}"), rate_hz=30.0)
+    both = f"{names},acc_x [g],acc_y [g],acc_z [g]\n" + "0.5,0.25,0.75,0,0,1\n" * 9
+    assert read(written(tmp_path, both), rate_hz=30.0).g.tolist() == [[0, 0, 1]] * 9
 
 
 @pytest.mark.parametrize("said", [{"rate_hz": 0.0}, {"rate_hz": float("nan")}, {"lsb_per_g": -1.0}])
@@ -148,6 +179,9 @@ def test_missing_temperatures_hold_the_last_one(tmp_path: Path) -> None:
     assert found.temperature is not None
     assert found.temperature.tolist() == [30500] * 5 + [30250] * 4
     assert len(found.counts) == 9
+    (problem,) = found.problems
+    assert (problem.code, problem.count, problem.sample) == ("missing_value", 7, 0)
+    assert problem.told == ("7 rows without a temperature: the last one before holds, from line 2 on")
 
 
 def test_sniffing_knows_text_of_numbers_from_everything_else(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.formats.csv.dialect import Normaliser
+from accelcal_cli.formats.tables.text.dialect import Normaliser
 from tests.formats.make_csv import Read, read
 
 Written = Callable[[datetime], str]

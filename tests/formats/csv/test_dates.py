@@ -9,9 +9,9 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.written_times import order_in, read_date
-from accelcal_cli.formats.csv import lines as csv_lines
-from accelcal_cli.formats.csv.cells import year_first
-from accelcal_cli.formats.csv.times import date_texts, find_order
+from accelcal_cli.formats.tables.cells import year_first
+from accelcal_cli.formats.tables.dates import date_texts, find_order
+from accelcal_cli.formats.tables.text import lines as csv_lines
 from tests.formats.make_csv import Read, read, written
 
 DAY_FIRST = datetime(2024, 4, 3)
@@ -111,7 +111,8 @@ def test_a_date_of_another_kind_is_named_by_its_line(tmp_path: Path) -> None:
     lines[800] = lines[800].replace("13/04/2024", "04/13/2024")
     found = read(written(tmp_path, "".join(lines)), 100, date_format="dmy")
     (problem,) = (problem for problem in found.problems if problem.code == "bad_line")
-    assert "from line 801 on left out: column 0 holds '04/13/2024 " in problem.message
+    assert problem.place == "from line 801 on"
+    assert problem.message.startswith("1 row left out: column 0 holds '04/13/2024 ")
     assert problem.message.endswith("which is not a time")
 
 

@@ -129,5 +129,6 @@ def test_a_damaged_row_is_named_by_its_line(tmp_path: Path) -> None:
     times = [f"2024-03-04 00:00:{row // 50:02d}:{row % 50 * 20:03d}" for row in range(252)]
     times[240] = "2024-03-04 00:00:00:2x0"
     text = HEADER + "".join(f"{time},0,0,1,0,0,20\n" for time in times)
-    said = str(read(written(tmp_path, text)).problems)
-    assert re.search(r"from line 341 on left out: column 0 holds '2024-03-04 00:00:00[:.]2x0'", said)
+    (problem,) = read(written(tmp_path, text)).problems
+    assert problem.place == "from line 341 on"
+    assert re.search(r"1 row left out: column 0 holds '2024-03-04 00:00:00[:.]2x0'", problem.message)

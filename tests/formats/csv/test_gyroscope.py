@@ -11,9 +11,9 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.formats.csv import FORMAT
-from tests.formats.hdf5.test_hdf5 import read as read_hdf5
+from accelcal_cli.formats.tables import CSV as FORMAT
 from tests.formats.make_csv import written
+from tests.formats.make_hdf5 import read as read_hdf5
 from tests.formats.make_hdf5 import write
 
 RANDOM = np.random.default_rng(3)

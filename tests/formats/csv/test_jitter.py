@@ -9,7 +9,7 @@ import pytest
 
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats._stamps import jittered_step
-from accelcal_cli.formats.csv import FORMAT
+from accelcal_cli.formats.tables import CSV as FORMAT
 from tests.formats.make_csv import written
 
 PERIOD_US = 10_000

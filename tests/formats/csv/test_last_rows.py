@@ -75,9 +75,10 @@ def test_t17_lines_that_are_not_rows_refuse_no_recording(
     assert sum(map(len, chunks)) == number
     problems = [problem for chunk in chunks for problem in chunk.problems if problem.code == "bad_line"]
     first = len(header.splitlines()) + place + 1 + text.startswith("\n")
-    assert f"from line {first} on left out: " in problems[0].message
+    assert problems[0].place == f"from line {first} on"
+    assert " left out: " in problems[0].message
     assert sum(problem.count for problem in problems) == len(text.strip().splitlines())
-    assert reader.recording.duration_s == pytest.approx((number - 1) / 100)
+    assert reader.recording.duration_s == pytest.approx(number / 100)
 
 
 def test_t20_several_accelerometers_are_named_with_a_command(tmp_path: Path) -> None:

@@ -197,3 +197,20 @@ def test_a_temperature_in_fahrenheit_is_converted(tmp_path: Path) -> None:
     path = written(tmp_path, "time,x,y,z,temp [F]\n" + f"{stamp(0)},0,0,1,86\n{stamp(10_000)},0,0,1,86\n")
     found = read(path).temperature
     assert found is not None and found.tolist() == [30_000, 30_000]
+
+
+LOG = "a line of a log without numbers\n"
+
+
+@pytest.mark.parametrize("names", ["", "time,x,y,z\n"])
+def test_numbers_that_begin_megabytes_behind_a_text(tmp_path: Path, names: str) -> None:
+    rows = "".join(f"{stamp(row * 10_000)},{row / 4096 - 0.5},0.25,0.75\n" for row in range(4000))
+    found = read(written(tmp_path, LOG * 480_000 + names + rows), unit="g")
+    assert np.array_equal(found.g[:, 0], np.arange(4000) / 4096 - 0.5)
+    assert np.array_equal(found.times - found.times[0], np.arange(4000) * 10_000)
+
+
+def test_numbers_that_begin_behind_16_mb_are_not_looked_for(tmp_path: Path) -> None:
+    path = written(tmp_path, LOG * 530_000 + table(","))
+    with pytest.raises(UnreadableError, match=r"no rows of three or more numbers in its first 16 MB"):
+        open_recording(path, ReadOptions(format="csv"))

@@ -33,7 +33,8 @@ def test_milliseconds_since_1970_are_the_time(tmp_path: Path, header: str) -> No
     assert found.times.tolist() == [START_US + row * 10_000 for row in range(12)]
     about = found.recording
     assert (about.timezone, about.rate_hz, about.device.model) == ("UTC", 100.0, "MetaWear")
-    assert "x, y, z: column 3 ('x-axis'), column 4 ('y-axis'), column 5 ('z-axis')" in about.notes
+    axes = "x, y, z: column 3 ('x-axis (g)'), column 4 ('y-axis (g)'), column 5 ('z-axis (g)')"
+    assert axes in about.notes
 
 
 def test_a_sensor_fusion_without_gravity_is_doubted(tmp_path: Path) -> None:

@@ -11,9 +11,9 @@ import pytest
 
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats import open_recording
-from accelcal_cli.formats.csv import detect as csv_detect
-from accelcal_cli.formats.csv import lines as csv_lines
-from accelcal_cli.formats.csv import reader as csv_reader
+from accelcal_cli.formats.tables.chunks import MOST_JOINED
+from accelcal_cli.formats.tables.text import lines as csv_lines
+from accelcal_cli.formats.tables.text import source as csv_reader
 from tests.formats.make_csv import stamp, written
 
 HEADER = "time,x,y,z,temperature\n"
@@ -27,7 +27,7 @@ def line(number: int, cells: str = "0,0,1,20.5") -> str:
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(csv_reader, "BLOCK_BYTES", 400)
     monkeypatch.setattr(csv_lines, "PIECE_BYTES", 100)
-    monkeypatch.setattr(csv_detect, "HEAD_BYTES", 4000)
+    monkeypatch.setattr(csv_reader, "HEAD_BYTES", 4000)
 
 
 @pytest.mark.usefixtures("small_blocks")
@@ -62,15 +62,14 @@ def test_t17_bad_lines_are_the_same_for_any_number_of_threads(tmp_path: Path, th
     for path in (written(tmp_path, text), written(tmp_path, packed, "a.csv.gz")):
         with open_recording(path, ReadOptions(unit="g"), threads) as reader:
             problems = [problem for chunk in reader.chunks(100_000) for problem in chunk.problems]
-        said = [problem.message for problem in problems if problem.code == "bad_line"]
-        places = [one.removeprefix("1 row from line ").split(" on")[0] for one in said]
-        assert places == ["382", "384", "392"]
-        assert said[0].endswith("column 3 holds 'one', which is not a number")
+        bad = [problem for problem in problems if problem.code == "bad_line"]
+        assert [problem.place for problem in bad] == [f"from line {number} on" for number in (382, 384, 392)]
+        assert bad[0].message == "1 row left out: column 3 holds 'one', which is not a number"
 
 
 def test_the_memory_does_not_grow_with_the_samples_wanted(tmp_path: Path) -> None:
     path = written(tmp_path, b"x,y,z\n" + b"0.125,0.5,0.75\n" * 700_000)
     with open_recording(path, ReadOptions(unit="g", rate_hz=100.0)) as reader:
         sizes = [len(chunk) for chunk in reader.chunks(1 << 20)]
-    assert sum(sizes) == 700_000 and max(sizes) <= csv_reader.MOST_JOINED
+    assert sum(sizes) == 700_000 and max(sizes) <= MOST_JOINED
     assert 0 < pa.system_memory_pool().max_memory() < 6 * csv_reader.BLOCK_BYTES

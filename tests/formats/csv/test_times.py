@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
-from accelcal_cli.formats.csv import lines as csv_lines
-from accelcal_cli.formats.csv import reader as csv_reader
+from accelcal_cli.formats.tables.text import lines as csv_lines
+from accelcal_cli.formats.tables.text import source as csv_reader
 from tests.formats.make_csv import START_US, Read, read, stamp, written
 
 SECOND = 1_000_000
@@ -143,8 +143,8 @@ def test_gaps_and_steps_back_are_breaks(tmp_path: Path) -> None:
     assert found.breaks == [20, 37, 62]
     assert found.codes == ["clock_gap", "clock_back", "clock_gap"]
     assert [problem.sample for problem in found.problems] == [20, 37, 62]
-    assert "ahead by 0.04 s before line 22" in found.problems[0].message
-    assert "back by 0.04 s before line 39" in found.problems[1].message
+    assert found.problems[0].told == "the time jumps ahead by 0.04 s, before line 22"
+    assert found.problems[1].told == "the time goes back by 0.04 s, before line 39"
 
 
 def test_a_step_of_three_periods_is_no_gap(tmp_path: Path) -> None:
@@ -272,7 +272,7 @@ def test_t17_an_odd_time_is_named_by_its_line(
     if message is None:
         found = read(path)
         assert len(found.counts) == 169
-        assert line == 2 or f"from line {line} on left out" in str(found.problems)
+        assert line == 2 or found.problems[0].place == f"from line {line} on"
     else:
         with pytest.raises(UnreadableError, match=message) as caught:
             read(path)

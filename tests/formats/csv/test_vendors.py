@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import ast
+import csv
 import importlib
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +18,18 @@ from accelcal_cli.core.errors import AccelcalError
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.core.recording import Problem
 from accelcal_cli.formats import find_format
-from accelcal_cli.formats.csv import FORMAT, vendors
-from accelcal_cli.formats.csv.vendors import Vendor, all_vendors, export_description
+from accelcal_cli.formats.tables import CSV as FORMAT
+from accelcal_cli.formats.tables import vendors
+from accelcal_cli.formats.tables.text.dialect import Dialect, find_dialect
+from accelcal_cli.formats.tables.vendors import (
+    Head,
+    Lines,
+    Stated,
+    Vendor,
+    all_vendors,
+    export_description,
+    names_description,
+)
 from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_csv import read, written
 
@@ -26,6 +39,9 @@ LONG_HEADS = ("geneactiv", "axivity")
 """Vendors with long samples; cutting these everywhere takes a second and is left to the nightly run."""
 
 each_vendor = pytest.mark.parametrize("vendor", all_vendors(), ids=lambda item: item.name)
+each_by_names = pytest.mark.parametrize(
+    "vendor", [item for item in all_vendors() if item.by_names], ids=lambda item: item.name
+)
 
 
 def sample(vendor: Vendor) -> bytes:
@@ -33,8 +49,26 @@ def sample(vendor: Vendor) -> bytes:
     return importlib.import_module(f"tests.formats.csv.test_{vendor.name}").SAMPLE
 
 
+def layout(data: bytes) -> tuple[Dialect, Lines]:
+    """Return the layout of a file, and the lines above its names or its first row."""
+    stated = export_description(data)
+    dialect = find_dialect(data, 0 if stated is None else stated.preamble)
+    assert dialect is not None
+    above = data[: dialect.offset].decode().splitlines()
+    return dialect, tuple(above if dialect.names is None else above[:-1])
+
+
+def head_for(vendor: Vendor, data: bytes) -> Head | Lines:
+    """Return the beginning of a file as a vendor is asked about it."""
+    if not vendor.by_names:
+        return tuple(data.decode().splitlines())
+    dialect, above = layout(data)
+    return Head(dialect.names or ("",) * dialect.columns, dialect.cells, above)
+
+
 def test_the_folder_is_listed() -> None:
-    assert {"actigraph", "axivity", "empatica", "geneactiv"} <= {item.name for item in all_vendors()}
+    files = Path(vendors.__file__).parent.glob("[a-z]*.py")
+    assert [item.name for item in all_vendors()] == sorted(path.stem for path in files)
 
 
 @each_vendor
@@ -48,8 +82,38 @@ def test_each_is_named_as_its_file_and_imports_no_other(vendor: Vendor) -> None:
 @each_vendor
 def test_only_its_own_head_is_recognised(vendor: Vendor) -> None:
     for other in all_vendors():
-        lines = tuple(sample(other).decode().splitlines())
-        assert vendor.recognise(lines) == (other is vendor)
+        assert vendor.recognise(head_for(vendor, sample(other))) == (other is vendor)
+
+
+@each_by_names
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+@pytest.mark.parametrize("step", [1, -1])
+def test_names_are_known_in_any_order_and_with_any_delimiter(
+    vendor: Vendor, tmp_path: Path, delimiter: str, step: int
+) -> None:
+    data = sample(vendor)
+    dialect, above = layout(data)
+    text = data.decode().splitlines()[len(above) :]
+    cells = [row[::step] for row in csv.reader(text, delimiter=dialect.normaliser.delimiter)]
+    lines = [line for line in above if not line.startswith("sep=")]
+    changed = "\n".join([*lines, *(delimiter.join(row) for row in cells)]) + "\n"
+    found, whole = read(written(tmp_path, changed, "changed.csv")), read(written(tmp_path, data))
+    assert found.same_as(whole)
+    assert found.recording.notes[0] == whole.recording.notes[0] == f"an export of {described(vendor).title}"
+    assert found.recording.device == whole.recording.device
+
+
+@each_by_names
+def test_names_are_known_where_no_lines_are_above(vendor: Vendor) -> None:
+    """As in a table that is no text."""
+    head = head_for(vendor, sample(vendor))
+    assert isinstance(head, Head)
+    assert names_description(Head(head.names[::-1], lambda column: head.cells(len(head.names) - 1 - column)))
+
+
+def described(vendor: Vendor) -> Stated:
+    """Return what its sample says."""
+    return vendor.describe(head_for(vendor, sample(vendor)))
 
 
 @each_vendor
@@ -123,14 +187,33 @@ def test_a_damaged_head_gives_rows_or_an_error_of_ours(
     assert len(found.counts) == len(found.times)
 
 
+TEXTS = ("", ",", "Start Date 99/99/9999", "StartTime: 99:99:99", "Range,-8 to 8", "0,0,0", "1e999", "x")
+
+
+def changed_heads(head: Head) -> Iterator[Head]:
+    """Yield the head with other cells, without some lines and names, and with others."""
+    for text in TEXTS:
+        yield replace(head, cells=lambda _, text=text: [text] * 12)
+        yield replace(head, names=(*head.names, text))
+    yield replace(head, cells=lambda _: [])
+    for names in changed(head.names):
+        yield replace(head, names=names)
+    for lines in changed(head.lines):
+        yield replace(head, lines=lines)
+
+
+def changed(texts: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    """Yield the texts up to each of them, and with another in its place."""
+    for number in range(len(texts)):
+        yield texts[: number + 1]
+        yield from ((*texts[:number], text, *texts[number + 1 :]) for text in TEXTS)
+
+
 @each_vendor
 def test_describing_never_raises(vendor: Vendor) -> None:
-    lines = tuple(sample(vendor).decode().splitlines())
-    texts = ("", ",", "Start Date 99/99/9999", "Start Time 99:99:99", "Range,-8 to 8", "0,0,0")
-    for number in range(len(lines)):
-        for changed in (
-            lines[: number + 1],
-            *((*lines[:number], text, *lines[number + 1 :]) for text in texts),
-        ):
-            if vendor.recognise(changed):
-                vendor.describe(changed)
+    head = head_for(vendor, sample(vendor))
+    for one in changed_heads(head) if isinstance(head, Head) else changed(head):
+        if vendor.recognise(one):
+            vendor.describe(one)
+    for text in TEXTS:
+        vendor.from_name(text, Stated())

@@ -17,8 +17,8 @@ from accelcal_cli.core.clock import StampClock, UniformClock
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Chunk, Recording
-from accelcal_cli.formats.csv import FORMAT
-from accelcal_cli.formats.csv.writer import ENCODER
+from accelcal_cli.formats.tables import CSV as FORMAT
+from accelcal_cli.formats.tables.csv_writer import ENCODER
 
 START_US = 1_709_510_400_000_000
 COUNTS = np.random.default_rng(4).integers(-2048, 2048, (300, 3)).astype(np.int16)

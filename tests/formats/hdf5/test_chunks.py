@@ -1,8 +1,9 @@
-"""Gzip-packed HDF5 chunks unpacked without h5py: the oracle is what was written, and h5py itself."""
+"""HDF5 chunks of all packings, sound, damaged, absent and large: the oracle is what was written."""
 
 from __future__ import annotations
 
-import threading
+import re
+import struct
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -14,11 +15,12 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.parallel import thread_pool
-from accelcal_cli.formats._tables import reader as tables
-from accelcal_cli.formats._tables.table import Track
-from accelcal_cli.formats.hdf5 import HDF5
-from accelcal_cli.formats.hdf5 import rows as hdf5_rows
+from accelcal_cli.formats.tables import HDF5
+from accelcal_cli.formats.tables import hdf5 as hdf5_reader
+from accelcal_cli.formats.tables import tracks as tables
+from accelcal_cli.formats.tables.hdf5 import Hdf5Source, TrackRows
+from accelcal_cli.formats.tables.header import As
+from accelcal_cli.formats.tables.tracks import Track
 from tests.formats.make_hdf5 import Read, about, joined, write
 
 ROWS, CHUNK = 40_000, 6000
@@ -33,43 +35,23 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "a.h5"
 
 
-@pytest.fixture
-def done(monkeypatch: pytest.MonkeyPatch) -> list[tuple[range, bool]]:
-    """Return what was read by chunks, and whether h5py was not needed for it."""
-    seen: list[tuple[range, bool]] = []
-    read = hdf5_rows.StoredChunks.read
-
-    def spy(self: hdf5_rows.StoredChunks, rows: range) -> Any:
-        values = read(self, rows)
-        seen.append((rows, values is not None))
-        return values
-
-    monkeypatch.setattr(hdf5_rows.StoredChunks, "read", spy)
-    return seen
-
-
-def streamed(path: Path, threads: int = 1, samples: int = 7000) -> Read:
+def streamed(path: Path, samples: int = 7000) -> Read:
     with HDF5.open(path, ReadOptions()) as reader:
-        reader.threads = threads
         return joined(reader.recording, reader.chunks(samples))
 
 
-def by_h5py(path: Path, monkeypatch: pytest.MonkeyPatch) -> Read:
-    with monkeypatch.context() as patch:
-        patch.setattr(hdf5_rows, "LEAST_BYTES", 1 << 40)
-        return streamed(path)
+def rows_of(source: Hdf5Source, rows: int = ROWS, dtype: str = "i2") -> TrackRows:
+    """The rows of `accel`; the source is open."""
+    return TrackRows(source, Track("/accel", rows, 3, 0, np.dtype(dtype)))
 
 
 OTHERS = [pytest.param(dtype, marks=pytest.mark.nightly) for dtype in ("f8", ">i8", "g")]
 
 
-@pytest.mark.parametrize("threads", [pytest.param(1, marks=pytest.mark.nightly), 2])
 @pytest.mark.parametrize("shuffle", [False, True])
 @pytest.mark.parametrize("dtype", ["<i2", ">i4", "<f4", *OTHERS])
 @pytest.mark.parametrize("shape", ["wide", "transposed", "columns"])
-def test_chunks_are_unpacked_as_they_were_packed(
-    path: Path, done: list[tuple[range, bool]], threads: int, shuffle: bool, dtype: str, shape: str
-) -> None:
+def test_chunks_are_unpacked_as_they_were_packed(path: Path, shuffle: bool, dtype: str, shape: str) -> None:
     packed: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": shuffle}
     values = counts().astype(dtype)
     if shape == "columns":
@@ -80,18 +62,9 @@ def test_chunks_are_unpacked_as_they_were_packed(
         write(path, {"accel": values.T}, about(), chunks=(3, CHUNK), **packed)
     else:
         write(path, {"accel": values}, about(), chunks=(CHUNK, 3), **packed)
-    got = streamed(path, threads)
+    got = streamed(path)
     assert (got.counts == counts()).all()
     assert (got.codes, got.breaks) == ([], [])
-    assert all(whole for _, whole in done)
-    assert {rows.stop for rows, _ in done} >= {ROWS}
-
-
-@pytest.mark.parametrize("size", [1, 2, 4, 8])
-def test_shuffled_bytes_are_put_together(size: int) -> None:
-    raw = np.random.default_rng(size).integers(0, 256, size * 999, np.uint8)
-    expected = raw.reshape(size, -1).T.tobytes()
-    assert hdf5_rows.unshuffled(raw.tobytes(), size).tobytes() == expected
 
 
 def overwrite(path: Path, row: int, change: Callable[[bytes], tuple[int, bytes]]) -> None:
@@ -117,16 +90,11 @@ CHANGES: dict[str, Callable[[bytes], tuple[int, bytes]]] = {
 }
 
 
-@pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("change", CHANGES)
-def test_a_chunk_that_is_not_plain_gives_what_h5py_gives(
-    path: Path, monkeypatch: pytest.MonkeyPatch, change: str, threads: int
-) -> None:
-    monkeypatch.setattr(hdf5_rows, "STORED_ROWS", 3 * CHUNK)
-    write(path, {"accel": counts()}, about(), chunks=(CHUNK, 3), compression="gzip")
+def test_a_chunk_that_is_not_as_the_others_gives_what_it_holds_or_is_lost(path: Path, change: str) -> None:
+    write(path, {"accel": counts()}, about(lsb_per_g=4096.0), chunks=(CHUNK, 3), compression="gzip")
     overwrite(path, 2 * CHUNK, CHANGES[change])
-    got = streamed(path, threads)
-    assert got.same_as(by_h5py(path, monkeypatch))
+    got = streamed(path)
     kept = np.r_[0 : 2 * CHUNK, 3 * CHUNK : ROWS]
     damaged = change in ("a byte turned", "cut", "checksum")
     assert got.codes == ["bad_page"] * damaged
@@ -146,10 +114,7 @@ def test_a_chunk_that_holds_too_little_is_lost_whatever_is_beside_it(
     assert set(got.codes) == {"bad_page"}
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_chunks_that_were_never_written_are_lost(
-    path: Path, monkeypatch: pytest.MonkeyPatch, threads: int
-) -> None:
+def test_chunks_that_were_never_written_are_lost(path: Path) -> None:
     with h5py.File(path, "w") as file:
         dataset = file.create_dataset(
             "accel", (ROWS, 3), "i2", chunks=(CHUNK, 3), compression="gzip", fillvalue=7
@@ -157,13 +122,12 @@ def test_chunks_that_were_never_written_are_lost(
         dataset[: 2 * CHUNK] = counts()[: 2 * CHUNK]
         dataset[4 * CHUNK :] = counts()[4 * CHUNK :]
         dataset.attrs.update(about())
-    got = streamed(path, threads)
+    got = streamed(path)
     assert (got.counts == counts()[np.r_[0 : 2 * CHUNK, 4 * CHUNK : ROWS]]).all()
     assert (got.codes, got.breaks) == (["bad_page"], [2 * CHUNK])
-    assert got.same_as(by_h5py(path, monkeypatch))
 
 
-LEFT_TO_H5PY: dict[str, dict[str, Any]] = {
+PACKINGS: dict[str, dict[str, Any]] = {
     "lzf": {"compression": "lzf"},
     "checksums": {"compression": "gzip", "fletcher32": True},
     "only shuffled": {"shuffle": True},
@@ -173,18 +137,13 @@ LEFT_TO_H5PY: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("layout", LEFT_TO_H5PY)
-def test_what_is_packed_otherwise_is_left_to_h5py(
-    path: Path, done: list[tuple[range, bool]], layout: str
-) -> None:
-    write(path, {"accel": counts()}, about(), **{"chunks": (CHUNK, 3), **LEFT_TO_H5PY[layout]})
+@pytest.mark.parametrize("layout", PACKINGS)
+def test_other_packings_are_unpacked(path: Path, layout: str) -> None:
+    write(path, {"accel": counts()}, about(), **{"chunks": (CHUNK, 3), **PACKINGS[layout]})
     assert (streamed(path).counts == counts()).all()
-    assert done == []
 
 
-def test_numbers_that_numpy_does_not_know_are_left_to_h5py(
-    path: Path, done: list[tuple[range, bool]]
-) -> None:
+def test_numbers_that_numpy_does_not_know_are_read(path: Path) -> None:
     """Twelve bits in the upper part of two bytes: HDF5 shifts them."""
     kind = h5py.h5t.STD_I16LE.copy()
     kind.set_precision(12)
@@ -197,62 +156,27 @@ def test_numbers_that_numpy_does_not_know_are_left_to_h5py(
         h5py.h5d.create(file.id, b"accel", kind, space, settings).write(h5py.h5s.ALL, h5py.h5s.ALL, counts())
         file["accel"].attrs.update(about())
     assert (streamed(path).counts == counts()).all()
-    assert done == []
 
 
-def test_large_chunks_are_left_to_h5py(
-    path: Path, monkeypatch: pytest.MonkeyPatch, done: list[tuple[range, bool]]
-) -> None:
-    monkeypatch.setattr(hdf5_rows, "MOST_BYTES", 6 * CHUNK - 1)
-    write(path, {"accel": counts()}, about(), chunks=(CHUNK, 3), compression="gzip")
-    assert (streamed(path).counts == counts()).all()
-    assert done == []
-
-
-def test_what_was_unpacked_ahead_is_not_taken_for_other_rows(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(hdf5_rows, "STORED_ROWS", CHUNK)
+def test_rows_may_be_asked_for_in_any_order(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hdf5_reader, "BLOCK_ROWS", CHUNK)
     write(path, {"accel": counts()}, chunks=(CHUNK, 3), compression="gzip")
-    track = Track("/accel", ROWS, 3, 0, np.dtype("i2"))
-    with h5py.File(path) as file, thread_pool(2, "hdf5") as pool:
-        rows = hdf5_rows.TrackRows(file, track, path, pool)
-        for start in (0, 3 * CHUNK, 100, CHUNK):
-            assert (rows.read(start, start + 200)[0] == counts()[start : start + 200]).all()
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-def test_only_where_several_may_work_is_anything_unpacked_ahead(
-    path: Path, monkeypatch: pytest.MonkeyPatch, threads: int
-) -> None:
-    monkeypatch.setattr(hdf5_rows, "STORED_ROWS", CHUNK)
-    begun: list[tuple[int, str]] = []
-    unshuffled = hdf5_rows.unshuffled
-    first_row = {counts()[row : row + CHUNK].tobytes(): row for row in range(0, ROWS - CHUNK + 1, CHUNK)}
-
-    def spy(raw: bytes, size: int) -> np.ndarray:
-        begun.append((first_row[raw], threading.current_thread().name))
-        return unshuffled(raw, size)
-
-    write(path, {"accel": counts()}, about(), chunks=(CHUNK, 3), compression="gzip")
-    with HDF5.open(path, ReadOptions()) as reader:
-        monkeypatch.setattr(hdf5_rows, "unshuffled", spy)
-        reader.threads = threads
-        stream = reader.chunks(CHUNK)
-        next(stream)
-        stream.close()
-    assert {row for row, _ in begun} == ({0} if threads == 1 else {0, CHUNK})
-    assert all(name.startswith("hdf5") == (threads > 1) for _, name in begun)
-    assert not [thread for thread in threading.enumerate() if thread.name.startswith("hdf5")]
+    source = Hdf5Source(path)
+    with source.opened():
+        rows = rows_of(source)
+        for start in (0, 3 * CHUNK, 100, CHUNK - 100):
+            values, good = rows.read(start, start + 200)
+            assert (values == counts()[start : start + 200]).all()
+            assert good.all()
 
 
 def test_wide_rows_come_in_fewer_at_a_time(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tables, "PIECE_BYTES", 24_000)
     write(path, {"accel": counts().astype("f8")}, about())
-    with HDF5.open(path, ReadOptions()) as reader:
-        parts = [chunk.counts for chunk in reader.chunks(1 << 20)]
-    assert max(map(len, parts)) == 1000
-    assert (np.concatenate(parts) == counts()).all()
+    source = Hdf5Source(path)
+    source.settle(source.columns, (), ReadOptions())
+    assert {piece.rows for piece in source.pieces({0: As.NUMBER}, 1 << 20)} == {1000}
+    assert (streamed(path, 1 << 20).counts == counts()).all()
 
 
 def test_chunks_never_written_are_found_in_one_pass(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -265,13 +189,13 @@ def test_chunks_never_written_are_found_in_one_pass(path: Path, monkeypatch: pyt
         data[400:410, :2] = 7
         data[50:60, :2] = 7
     asked: list[int] = []
-    offset = hdf5_rows.TrackRows.chunk_offset
+    offset = TrackRows.chunk_offset
 
-    def counted(self: hdf5_rows.TrackRows, row: int) -> int | None:
+    def counted(self: TrackRows, row: int) -> int | None:
         asked.append(row)
         return offset(self, row)
 
-    monkeypatch.setattr(hdf5_rows.TrackRows, "chunk_offset", counted)
+    monkeypatch.setattr(TrackRows, "chunk_offset", counted)
     got = streamed(path)
     rows = [row + k for row in sorted((*range(0, 6000, 200), 10)) for k in range(10)]
     expected = counts()[rows]
@@ -282,40 +206,93 @@ def test_chunks_never_written_are_found_in_one_pass(path: Path, monkeypatch: pyt
 
 def test_small_chunks_are_read_a_few_thousand_at_a_time(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """14. of the hostile run: the HDF5 library's notes on 65 536 chunks took 700 MB."""
-    monkeypatch.setattr(hdf5_rows, "MOST_CHUNKS", 300)
+    monkeypatch.setattr(hdf5_reader, "MOST_CHUNKS", 300)
     read: list[int] = []
-    fetch = hdf5_rows.TrackRows.fetch
+    fetch = TrackRows.fetch
 
-    def counted(self: hdf5_rows.TrackRows, start: int, stop: int) -> np.ndarray:
+    def counted(self: TrackRows, start: int, stop: int) -> np.ndarray:
         read.append(stop - start)
         return fetch(self, start, stop)
 
-    monkeypatch.setattr(hdf5_rows.TrackRows, "fetch", counted)
+    monkeypatch.setattr(TrackRows, "fetch", counted)
     write(path, {"accel": counts()[:5000]}, about(), chunks=(5, 1))
     assert (streamed(path).counts == counts()[:5000]).all()
     assert max(read) == 500
 
 
-def test_large_chunks_of_other_filters_are_unpacked_once_and_read_in_parts(
-    path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("packing", ["gzip", "lzf"])
+def test_chunks_larger_than_a_block_are_unpacked_once_and_read_in_parts(
+    path: Path, monkeypatch: pytest.MonkeyPatch, packing: str
 ) -> None:
-    monkeypatch.setattr(hdf5_rows, "STREAM_ABOVE_BYTES", 1000)
-    monkeypatch.setattr(hdf5_rows, "BLOCK_ROWS", 1000)
-    write(path, {"accel": counts()}, about(), chunks=(CHUNK, 3), compression="lzf")
+    monkeypatch.setattr(hdf5_reader, "BLOCK_ROWS", 1000)
+    write(path, {"accel": counts()}, about(), chunks=(CHUNK, 3), compression=packing)
     assert (streamed(path).counts == counts()).all()
-    with h5py.File(path) as file:
-        held = hdf5_rows.TrackRows(file, Track("/accel", ROWS, 3, 0, np.dtype("i2")), path)
+    source = Hdf5Source(path)
+    with source.opened():
+        held = rows_of(source)
         assert held.kept_bytes == 6 * CHUNK
         assert held.dataset.id.get_access_plist().get_chunk_cache()[1] > 6 * CHUNK
         assert held.block(2500) == (2000, 3000)
 
 
-def test_chunks_that_are_too_large_together_are_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hdf5_rows, "STREAM_ABOVE_BYTES", 1000)
-    monkeypatch.setattr(tables, "REFUSE_ABOVE_BYTES", 5 * CHUNK)
+def test_attributes_do_not_keep_a_dataset_open_with_a_small_cache(path: Path) -> None:
+    """A dataset that is open already keeps its cache: its chunk would be unpacked for each of its parts."""
+    size = 200_000
+    values = np.zeros((size, 3))
+    write(path, {"accel": values}, about(), chunks=(size, 3), compression="gzip")
+    source = Hdf5Source(path)
+    with source.opened():
+        stated = source.around("/accel"), source.own("/accel")
+        rows = rows_of(source, size, "f8")
+        assert [one.number("lsb_per_g") for one in stated] == [256.0, 256.0]
+        assert rows.kept_bytes == values.nbytes
+        assert rows.dataset.id.get_access_plist().get_chunk_cache()[1] > values.nbytes
+
+
+def test_a_chunk_wider_than_its_dataset_is_kept_as_well(path: Path) -> None:
+    """Its rows are few enough for a block, but not its bytes."""
+    with h5py.File(path, "w") as file:
+        more: dict[str, Any] = {"maxshape": (None, None), "chunks": (CHUNK, 600), "compression": "gzip"}
+        file.create_dataset("accel", data=counts(), **more).attrs.update(about())
+    assert (streamed(path).counts == counts()).all()
+    source = Hdf5Source(path)
+    with source.opened():
+        assert rows_of(source).kept_bytes == 2 * 600 * CHUNK
+
+
+@pytest.mark.parametrize(("limit", "what"), [(5, "its columns are packed in parts"), (1, "column /x is")])
+def test_chunks_that_are_too_large_together_are_refused(
+    path: Path, monkeypatch: pytest.MonkeyPatch, limit: int, what: str
+) -> None:
+    monkeypatch.setattr(hdf5_reader, "BLOCK_ROWS", 1000)
+    monkeypatch.setattr(tables, "REFUSE_ABOVE_BYTES", limit * CHUNK)
+    monkeypatch.setattr(hdf5_reader, "REFUSE_ABOVE_BYTES", limit * CHUNK)
     with h5py.File(path, "w") as file:
         for name, column in zip("xyz", counts().T, strict=True):
-            file.create_dataset(name, data=column, chunks=(CHUNK,), compression="lzf").attrs.update(about())
-    with pytest.raises(UnreadableError, match="too large to unpack at once") as error:
+            file.create_dataset(name, data=column, chunks=(CHUNK,), compression="gzip").attrs.update(about())
+    with pytest.raises(UnreadableError, match=f"{what}.*too large to unpack at once") as error:
         streamed(path)
     assert "h5repack" in str(error.value.hint)
+
+
+def test_a_damaged_index_still_tells_of_the_chunks_before_its_damage(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        dataset = file.create_dataset("accel", (ROWS, 3), "i2", chunks=(50, 3), fletcher32=True)
+        dataset.attrs.update(about())
+        dataset[:5000], dataset[5100:] = counts()[:5000], counts()[5100:]
+    whole = streamed(path)
+    assert (whole.counts == np.delete(counts(), np.s_[5000:5100], axis=0)).all()
+    data = bytearray(path.read_bytes())
+    # A leaf of the index, "TREE", kind 1, level 0, with the number of chunks and the row of the first.
+    leaves = [found.start() for found in re.finditer(rb"TREE\x01\x00", data)]
+    first = {struct.unpack_from("<Q", data, at + 32)[0]: at for at in leaves}
+    row = sorted(first)[len(first) // 2]
+    data[first[row]] ^= 0xFF
+    absurd = data.index(struct.pack("<QQQ", 6000, 0, 0)) - 8
+    struct.pack_into("<I", data, absurd, 3)
+    path.write_bytes(data)
+    got = streamed(path)
+    lost = np.r_[5000:5100, 6000:6050, row:ROWS]
+    assert 6050 < row < ROWS - 6000
+    assert (got.counts == np.delete(counts(), lost, axis=0)).all()
+    assert got.codes == ["bad_page"] * 3

@@ -14,8 +14,8 @@ from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import find_format
-from accelcal_cli.formats.hdf5 import HDF5
-from accelcal_cli.formats.mat import FORMAT
+from accelcal_cli.formats.tables import HDF5
+from accelcal_cli.formats.tables import MAT as FORMAT
 from tests.formats.cuts import every_byte, table_cuts
 from tests.formats.make_hdf5 import START_US, Read
 from tests.formats.make_hdf5 import read as read_of
@@ -94,7 +94,7 @@ def test_tables_and_cells_are_left_out_with_a_word(path: Path) -> None:
 def test_arrays_of_other_numbers_are_left_out(path: Path, flags: int) -> None:
     parts = element(9, values().tobytes("F"))
     path.write_bytes(file_of([array(6, (ROWS, 3), "accel", parts, flags=flags), matrix("fs", 50.0)]))
-    with pytest.raises(UnreadableError, match="no array of numbers"):
+    with pytest.raises(UnreadableError, match="no column of numbers"):
         read(path)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
-from accelcal_cli.formats.npz import FORMAT
+from accelcal_cli.formats.tables import NPZ as FORMAT
 from tests.cli.run import run
 from tests.formats.cuts import every_byte, table_cuts
 from tests.formats.make_hdf5 import START_US, Read
@@ -97,6 +97,16 @@ def test_units_beside_an_array(path: Path) -> None:
     found = read(path)
     assert np.abs(found.g - values()).max() <= 0.5 / FLOAT_LSB_PER_G
     assert found.gyro is not None
+
+
+def test_a_unit_that_is_stated_of_all(path: Path) -> None:
+    """Of another quantity, it is no guess whether these are accelerations; an unknown word says nothing."""
+    write(path, {"accel": values(), "unit": "deg/s", "fs": 50})
+    with pytest.raises(UnreadableError, match="'deg/s', which is stated of it, is not one of acceleration"):
+        read(path)
+    assert read(path, unit="g").recording.lsb_per_g == FLOAT_LSB_PER_G
+    write(path, {"accel": values(), "unit": "furlong", "fs": 50})
+    assert "its unit 'furlong' is not known and was not used" in read(path).recording.notes
 
 
 def test_an_archive_that_we_export_comes_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
