@@ -13,6 +13,7 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -86,8 +87,9 @@ class ArrowSource(TrackSource):
     repack = "write it again with at most 65 536 rows in a batch (in Python: pyarrow.feather.write_feather)"
 
     def __init__(self, name: str, path: Path, kind: type[ArrowTable]) -> None:
-        self.format, self._kind = name, kind
+        self.format = name
         with opened(path, kind) as table:
+            self._table = table
             self._leaves, self._around = table.leaves, table.around
             self.missing_bytes = table.missing_bytes()
             tracks = [leaf.track for leaf in table.leaves.values()]
@@ -100,7 +102,17 @@ class ArrowSource(TrackSource):
     @contextmanager
     def opened(self) -> Iterator[OpenRows]:
         """See `TrackSource`."""
-        with opened(self.path, self._kind) as table:
+        try:
+            file = self.path.open("rb")
+        except OSError as error:
+            raise unread(error, self.path) from error
+        with file:
+            table = copy(self._table)  # others may be reading at the same time
+            try:
+                table.attach(file)
+            except ARROW_ERRORS as error:
+                what = "has changed since it was opened"
+                raise UnreadableError(what, path=self.path, hint="wait until it is complete") from error
             yield lambda track: PartRows(table, table.leaves[track.path])
 
     def own(self, path: str) -> Attributes:
@@ -228,6 +240,10 @@ class ArrowTable:
         """Open a table of a kind; raises UnreadableError, or as pyarrow does, for a file of another."""
         raise NotImplementedError
 
+    def attach(self, file: BinaryIO) -> None:
+        """Read from the same file as it is opened again; what is known of it is not looked for again."""
+        raise NotImplementedError
+
     def _find(self, path: Path, schema: Any, part_rows: Sequence[int]) -> None:
         """Find the columns; raises UnreadableError if there are no rows, or more than a file can hold."""
         self.path, rows = path, sum(part_rows)
@@ -308,6 +324,10 @@ class IpcTable(ArrowTable):
         if self.longest > BLOCK_ROWS and unpacked > path.stat().st_size:
             self.kept_rows = self.longest
 
+    def attach(self, file: BinaryIO) -> None:
+        """See `ArrowTable`."""
+        self._file, self._readers = pa.PythonFile(file, "r"), {}
+
     @cached_property
     def _heads(self) -> tuple[list[tuple[int, int, int, bytes]], bool]:
         """Where each batch lies, its rows, and schema and dictionaries before it; True at a proper end.
@@ -375,11 +395,11 @@ class ParquetTable(ArrowTable):
         _refuse_ends(path, file)
         source = pa.PythonFile(file, "r")  # pyarrow itself takes names as UTF-8 alone
         self._file = _parquet_file(source)
-        about, schema = self._file.metadata, self._file.schema_arrow
-        groups = [about.row_group(number) for number in range(about.num_row_groups)]
+        self._about, schema = self._file.metadata, self._file.schema_arrow
+        groups = [self._about.row_group(number) for number in range(self._about.num_row_groups)]
         self._find(path, schema, [group.num_rows for group in groups])
-        if any(group.total_byte_size > WHOLE_BYTES for group in groups):
-            self._file = _parquet_file(source, metadata=about, buffer_size=PAGES_BYTES)
+        wide = any(group.total_byte_size > WHOLE_BYTES for group in groups)
+        self._how = {"buffer_size": PAGES_BYTES} if wide else {}
         ours = (schema.metadata or {}).get(METADATA_KEY)
         self.is_ours = ours is not None
         if self.is_ours and not {"time", *"xyz", "validity"} <= set(schema.names):
@@ -390,6 +410,10 @@ class ParquetTable(ArrowTable):
             rate = json_object(about_it.get("recording")).get("sample_rate_hz")
             self.around |= {"sample_rate": rate, "time_zone": None}
             self.calibrated = calibrated_of(about_it)
+
+    def attach(self, file: BinaryIO) -> None:
+        """See `ArrowTable`."""
+        self._file = _parquet_file(pa.PythonFile(file, "r"), metadata=self._about, **self._how)
 
     def blocks(self, leaf: Leaf, part: int) -> Iterator[Any]:
         """Yield the rows of a row group, some pages at a time."""
