@@ -25,6 +25,7 @@ from accelcal_cli.core.vocabulary import GIVE_UNIT, PER_SECOND, acceleration_uni
 from accelcal_cli.core.written_times import written_start
 from accelcal_cli.formats.tables.cells import KIND_SHARE, column_kind
 from accelcal_cli.formats.tables.header import (
+    FLOAT,
     SAMPLE_ROWS,
     As,
     Attributes,
@@ -106,6 +107,7 @@ class Track:
     """A column of `rows` rows of `width` numbers; the rows run along its axis `axis`.
 
     Attributes:
+        path: with a `/` before its name and after each group around it; none within a name.
         is_moment: its type says that its numbers count from 1970; is_clock: on a clock of an unknown zone.
         unit: of its type; empty if the type states none.
     """
@@ -189,9 +191,9 @@ class TrackSource(Source):
 
     Args:
         tracks: in the order in which their columns are numbered.
+        objects: names of what holds neither numbers nor texts.
 
     Attributes:
-        objects: names of what holds neither numbers nor texts.
         damaged: number of parts of the file that cannot be read.
         missing_bytes: that the file lacks at its end; -1 if that is not known.
         repack: advice on a file whose parts are too large to unpack at once.
@@ -200,11 +202,13 @@ class TrackSource(Source):
     can_be_entered = True
     missing_bytes = 0
     repack = "write it again in smaller parts"
+    _size = 0
 
     def __init__(
         self, path: Path, tracks: Sequence[Track], *, objects: Sequence[str] = (), damaged: int = 0
     ) -> None:
         self.path, self.tracks, self.damaged, self.stated = path, tracks, damaged, Stated()
+        self._size = path.stat().st_size
         self.unread = f"{shown(sorted(objects))} cannot be read {OBJECTS}" if objects else ""
         self._open_rows: Mapping[int, RowSource] = {}
         with self.explaining(), self.opened() as open_rows:
@@ -244,18 +248,20 @@ class TrackSource(Source):
             if track.dtype == TEXT:
                 kind = self._kind_of(open_rows, track) if looked_at else Kind.TEXT
             group = readable(dirname(track.path))
-            column = Column(number, name_of(name, unit or None), kind, "", unit, group)
+            grouped = group.strip("/")
             columns.append(
-                replace(
-                    column,
-                    described=f"column {readable(track.path)}"
-                    if column.groups
-                    else f"column {number} ({name!r})",
-                    rows=track.rows,
-                    width=track.width,
-                    dtype=track.dtype if track.dtype != TEXT else column.dtype,
-                    is_moment=track.is_moment,
-                    is_clock=track.is_clock,
+                Column(
+                    number,
+                    name_of(name, unit or None),
+                    kind,
+                    f"column {readable(track.path)}" if grouped else f"column {number} ({name!r})",
+                    unit,
+                    group,
+                    track.rows,
+                    track.width,
+                    track.dtype if track.dtype != TEXT else FLOAT,
+                    track.is_moment,
+                    track.is_clock,
                 )
             )
         return tuple(columns)
@@ -341,8 +347,7 @@ class TrackSource(Source):
 
     def _piece(self, row: int, rows: int, sources: Mapping[int, RowSource]) -> TrackPiece:
         read = {number: source.read(row, row + rows) for number, source in sources.items()}
-        size, whole = self.path.stat().st_size if not self._size else self._size, max(1, self.rows or 1)
-        self._size = size
+        size, whole = self._size, max(1, self.rows or 1)
         return TrackPiece(
             row,
             rows,
@@ -352,8 +357,6 @@ class TrackSource(Source):
             {number: values for number, (values, _) in read.items()},
             {number: ~good for number, (_, good) in read.items() if not good.all()},
         )
-
-    _size = 0
 
     def parse(self, piece: Piece, wanted: Mapping[int, As]) -> Block:
         """See `Source`."""
@@ -394,11 +397,9 @@ class TrackSource(Source):
         """See `Source`."""
         assert isinstance(first.piece, TrackPiece)
         row, length = first.piece.row, column.rows or 0
-        rows = range(min(first.piece.rows, max(0, length - row)))
-        if first.lines is not None:
-            rows = [one for one in rows if row + one + 1 in first.lines]  # type: ignore[assignment]
-        rows = rows[:most]
-        if not len(rows) or column.width != 1:
+        there = range(min(first.piece.rows, max(0, length - row)))
+        rows = [one for one in there if first.lines is None or row + one + 1 in first.lines][:most]
+        if not rows or column.width != 1:
             return []
         with self.opened() as open_rows:
             values, good = open_rows(self.tracks[column.number]).read(row, row + rows[-1] + 1)
