@@ -123,7 +123,7 @@ class Assembler:
         self._rate = rate_fraction(layout.pace.rate_hz)
         problems = (*first, *source.problems) if not first_row else ()
         self._log = ProblemLog(problems, self._message, SINGLE, by_end=True, place=self._place)
-        self._bad = dict[int, str]()
+        self._bad, self._in_bad = dict[int, str](), False
         self._with_its_zone = (FOLLOWED, WITH_ITS_ZONE[1].format(zone=zone))
         self._last_row, self._last_us = first_row - 1, 0
         self._begun = False
@@ -144,8 +144,7 @@ class Assembler:
         for event in events:
             self._log.add(event)
             self._lost_bytes += event.lost_bytes
-        for line in rows.bad if len(self._bad) <= SINGLE else ():
-            self._bad[line] = rows.bad[line]
+        self._keep_reasons(rows)
         self.rows += len(rows)
         self.empty += int(np.count_nonzero(rows.fault == Fault.EMPTY))
         self._lost += int(np.count_nonzero(rows.fault == Fault.LOST))
@@ -166,6 +165,15 @@ class Assembler:
                 **recording.cut_channels(channels, part),
             )
             self.samples += stop - start
+
+    def _keep_reasons(self, rows: Rows) -> None:
+        """Keep what is wrong with the first line of each stretch that is not rows, however rows were cut."""
+        bad = rows.fault == Fault.LINE
+        if rows.bad:
+            begins = np.flatnonzero(bad & ~np.concatenate([[self._in_bad], bad[:-1]])) if len(bad) else []
+            lines = [*rows.line[begins].tolist()] or [next(iter(rows.bad))] * (not self._bad)
+            self._bad |= {line: rows.bad[line] for line in lines[: SINGLE + 1 - len(self._bad)]}
+        self._in_bad = bool(bad[-1]) if len(bad) else self._in_bad
 
     def end(self, piece: Piece) -> Chunk:
         """Return an empty chunk with what the end of the file completes: runs that reach it, sums of many.

@@ -367,6 +367,19 @@ def test_t17_bad_lines_are_the_same_whatever_the_chunk_size(
 
 
 @pytest.mark.parametrize("chunk_samples", [1, 7, 100_000])
+def test_each_stretch_of_bad_lines_has_its_reason_whatever_the_chunk_size(
+    tmp_path: Path, chunk_samples: int
+) -> None:
+    text = HEADER + rows(300) + 60 * "long\n" + rows(10, 360) + 3 * "short\n" + rows(200, 373)
+    found = read(written(tmp_path, text), chunk_samples)
+    said = [problem.message for problem in found.problems if problem.code == "bad_line"]
+    assert said == [
+        "60 rows left out: the line has 1 column, not 4 ('long')",
+        "3 rows left out: the line has 1 column, not 4 ('short')",
+    ]
+
+
+@pytest.mark.parametrize("chunk_samples", [1, 7, 100_000])
 def test_a_fraction_behind_whole_counts_is_a_bad_row_whatever_the_chunk_size(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk_samples: int
 ) -> None:
