@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, PageClock
 from accelcal_cli.core.recording import Chunk, Intake, Problem, Reader, Recording, cut_columns
-from accelcal_cli.formats._pages.files import AnyBlock, Block, PagedFile, PageFile, RawBlock, is_erased
+from accelcal_cli.formats._pages.files import (
+    AnyBlock,
+    Block,
+    Cutter,
+    PagedFile,
+    PageFile,
+    RawBlock,
+    is_erased,
+)
 from accelcal_cli.formats._pages.pages import BAD_KINDS, DAMAGED, ERASED, BadRun, Decoded, PageBlock
 from accelcal_cli.formats._pages.timeline import PageLinks, PageSteps, PageTimeline, Spacing, steps
 from accelcal_cli.formats._problems import Event, ProblemLog
@@ -368,7 +376,9 @@ class PageIntake(Intake, Generic[AnyBlock]):
     """Takes a file of pages as it grows."""
 
     def __init__(self, scheme: FileScheme[AnyBlock]) -> None:
-        self._cutter, self._assembler = scheme.file.cutter(), scheme.assembler()
+        file = scheme.file
+        self._cutter = Cutter(file.scanner(file.start_byte), file.start_byte)
+        self._assembler = scheme.assembler()
         self._skip, self._taken = scheme.file.start_byte, 0
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
@@ -441,10 +451,12 @@ class FixedPages(PageScheme[RawBlock]):
         The number of samples assumes that all pages between are full and present; it is None if the
         sequence numbers contradict that, and for a gzip file, whose end is not known.
         """
-        last = None if self.file.compressed else self._last_page()
-        if last is None:
+        if self.file.compressed:
             return None, None
-        ends, _ = opening.block.split(1)
+        ending = self.decoder().decode(self.file.last_block(LAST_PAGES)).block
+        if not len(ending):
+            return None, None
+        (ends, _), (_, last) = opening.block.split(1), ending.split(len(ending) - 1)
         if last.position[0] > ends.position[0]:
             ends = ends.followed_by(last)
         step = steps(ends, self.spacing)
@@ -454,11 +466,3 @@ class FixedPages(PageScheme[RawBlock]):
         lasted_us = int(np.ptp(links.time_us)) + float(self.spacing.rows_us(ends.rows[-1]))
         certain = ends.faulty is None and not step.missing.any()
         return rows if certain else None, lasted_us / MICROSECONDS
-
-    def _last_page(self) -> PageBlock | None:
-        """Return the last valid page, looked for among the last few before erased ones."""
-        pages = self.file.amount(LAST_PAGES)
-        first = max(0, self.file.data_pages() - pages)
-        with closing(self.file.blocks(pages + 1, first)) as blocks:
-            block = self.decoder().decode(next(blocks)).block
-        return block.split(len(block) - 1)[1] if len(block) else None

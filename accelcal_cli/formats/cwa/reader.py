@@ -6,7 +6,7 @@ Sectors are read a block at a time; their samples wait until the anchors that sh
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -70,36 +70,6 @@ WHOLE_SECONDS = "its stamps are whole seconds: samples are placed on lines throu
 NO_START = "the device's clock was not set: times count from the recording's start"
 
 
-class SectorFile(PagedFile):
-    """A .cwa file, whose sectors are read into one buffer."""
-
-    def blocks(self, amount: int, first_position: int = 0, *, threads: int = 1) -> Generator[RawBlock]:
-        """Yield all sectors from `first_position` on; a block overwrites the memory of the one before."""
-        if self.compressed:
-            yield from super().blocks(amount, first_position, threads=threads)
-            return
-        left = max(1, self.whole_pages - first_position + 1)
-        # fresh memory for each block would cost more time than the reading
-        buffer = np.empty((min(amount, left), SECTOR_BYTES), np.uint8)
-        data, position, last = buffer.reshape(-1), first_position, False
-        with ByteSource(self.path) as source:
-            source.seek(self.offset(position))
-            while not last:
-                size = source.read_into(data.data)
-                last = size < len(data)
-                whole = size // SECTOR_BYTES
-                tail = data[whole * SECTOR_BYTES : size].tobytes()
-                yield RawBlock(
-                    first_position=position,
-                    pages=buffer[:whole],
-                    start_byte=self.start_byte,
-                    end_byte=source.disk_position(),
-                    tail=tail,
-                    last=last,
-                )
-                position += whole
-
-
 class SectorEvents(EventMaker):
     """Turns what a SectorAssembler finds into events."""
 
@@ -148,7 +118,7 @@ class SectorScheme(FileScheme[RawBlock]):
         unit_us: by how much stamps may be early [us], if they are whole seconds; None: they are finer.
     """
 
-    file: SectorFile
+    file: PagedFile
     settings: Settings
     unit_us: int | None
 
@@ -248,7 +218,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     with ByteSource(path) as stream:
         head = stream.read_exact(HEADER_BYTES)
     header = sector.parse_header(head)
-    file = SectorFile.at(path, header.data_start, SECTOR_BYTES)
+    file = PagedFile.at(path, header.data_start, SECTOR_BYTES)
     first, position = first_sector(file, header)
     settings = sector.settings_of(first, header.hardware)
     problems = list(header_problems(header))
@@ -268,11 +238,11 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     return PagedReader(describe(scheme, device, options, clock_set, notes), scheme)
 
 
-def _unit_of(file: SectorFile, first: Any, position: int, settings: Settings) -> int | None:
+def _unit_of(file: PagedFile, first: Any, position: int, settings: Settings) -> int | None:
     """Return by how much stamps may be early [us]; None if they are finer than whole seconds."""
     if sector.anchors(np.atleast_1d(first), settings).time_us[0] % MICROSECONDS:
         return None
-    with closing(file.blocks(LOOK_SECTORS, position)) as blocks:
+    with closing(file.blocks(file.amount(LOOK_SECTORS), position)) as blocks:
         block, _ = sector.decode(next(blocks).pages, position, settings)
     return stamp_unit(block, settings.rate, settings.rows)
 
@@ -285,14 +255,14 @@ def header_problems(header: Header) -> Iterator[Problem]:
         yield Problem("damaged_header", HALF_HEADER, SECTOR_BYTES, 0)
 
 
-def first_sector(file: SectorFile, header: Header) -> tuple[Any, int]:
+def first_sector(file: PagedFile, header: Header) -> tuple[Any, int]:
     """Return the first sector whose checksum is right (in the oldest files: that makes sense), and its place.
 
     Raises:
         UnreadableError: there is none in the whole file.
     """
     seen = 0
-    with closing(file.blocks(SEARCH_SECTORS)) as blocks:
+    with closing(file.blocks(file.amount(SEARCH_SECTORS))) as blocks:
         for raw in blocks:
             seen += len(raw.pages)
             for candidates in sector.plausible(raw.pages):
@@ -335,9 +305,8 @@ def last_time(scheme: SectorScheme) -> int | None:
     """Return the end of the last sample [us], by the last intact sector; None if that is not found."""
     if scheme.file.compressed:
         return None
-    first = max(0, scheme.file.data_pages() - LAST_SECTORS)
-    with closing(scheme.file.blocks(LAST_SECTORS + 1, first)) as blocks:
-        block, _ = sector.decode(next(blocks).pages, first, scheme.settings)
+    raw = scheme.file.last_block(LAST_SECTORS)
+    block, _ = sector.decode(raw.pages, raw.first_position, scheme.settings)
     if not len(block) or not block.anchors.known[-1]:
         return None
     after = block.rows[-1:] - block.anchors.row[-1:]

@@ -171,7 +171,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
 
 def first_onset_us(file: PagedFile, decoder: RecordDecoder) -> int:
     """Return the fraction of a second that EDF+ adds to the header's start [us]; 0 for other files."""
-    first = next(file.blocks(1))
+    first = next(file.blocks(file.amount(1)))
     onset = decoder.onset_us(first.pages[0]) if len(first.pages) else None
     return onset if onset is not None and 0 <= onset < MICROSECONDS else 0
 

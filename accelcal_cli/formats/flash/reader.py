@@ -239,7 +239,7 @@ def substitute(file: PagedFile, options: ReadOptions, error: HeaderDamageError) 
             byte_offset=0,
             hint="give --rate and --lsb-per-g to read the data without it",
         )
-    with closing(file.blocks(SEARCHED_PAGES)) as blocks:
+    with closing(file.blocks(file.amount(SEARCHED_PAGES))) as blocks:
         numbers = (recording_id_of(page.tobytes()) for raw in blocks for page in raw.pages)
         number = next((number for number in numbers if number is not None), 0)
     return FlashHeader(
