@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
-from accelcal_cli.core.recording import CUT_SHORT, Chunk, Problem, Reader, Recording, first_row
+from accelcal_cli.core.recording import CUT_SHORT, Problem, Reader, Recording, first_row
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.files import PagedFile, RawBlock
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock
@@ -63,13 +63,12 @@ class RecordDecoder(PageDecoder[RawBlock]):
             stamps = np.array([self._start_us + onset for onset in onsets if onset is not None], np.int64)
         return Decoded(self._block(pages, position, stamps), bad, raw.tail)
 
-    def ending(self, raw: RawBlock, chunk: Chunk) -> tuple[Problem, ...]:
+    def ending(self, raw: RawBlock, sample: int) -> tuple[Problem, ...]:
         """See PageDecoder."""
         records, seen = self._header.records, raw.next_position
         if records is None or records == seen:
             return ()
         text = f"the header says {records} data records, and the file holds {seen}"
-        sample = chunk.first_sample + len(chunk)
         if seen > records:
             return (Problem("wrong_count", text, raw.offset(seen), sample),)
         missing = (records - seen) * self._header.record_bytes - len(raw.tail)

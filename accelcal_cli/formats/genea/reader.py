@@ -365,10 +365,10 @@ class GroupDecoder(PageDecoder[SampleGroups]):
         """See PageDecoder."""
         return self._scale.applied(replace(chunk, used_bytes=len(chunk) * SLOT_BYTES))
 
-    def ending(self, groups: SampleGroups, chunk: Chunk) -> tuple[Problem, ...]:
+    def ending(self, groups: SampleGroups, sample: int) -> tuple[Problem, ...]:
         """See PageDecoder."""
         tail = groups.tail
-        offset, sample = groups.end - len(tail), chunk.first_sample + len(chunk)
+        offset = groups.end - len(tail)
         if groups.broken:
             return (Problem("truncated", BROKEN_OFF, offset, sample, 1, groups.undecoded),)
         if not tail.strip(b"\0") or not tail.strip(b"\xff"):

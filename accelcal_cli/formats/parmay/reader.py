@@ -374,9 +374,9 @@ class PacketDecoder(PageDecoder[Packets]):
         chunk = replace(chunk, used_bytes=len(chunk) * self._first.row_bytes)
         return clipped_at(chunk, -FULL_SCALE, FULL_SCALE - 1)
 
-    def ending(self, found: Packets, chunk: Chunk) -> tuple[Problem, ...]:
+    def ending(self, found: Packets, sample: int) -> tuple[Problem, ...]:
         """Return what is missing at the end of the file, and in packets."""
-        sample, problems = chunk.first_sample + len(chunk), []
+        problems = []
         if found.broken:
             problems.append(Problem("truncated", BROKEN_OFF, found.end, sample))
         if found.cut_at is not None:
