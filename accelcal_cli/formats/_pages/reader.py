@@ -30,7 +30,7 @@ from accelcal_cli.formats._pages.files import (
 from accelcal_cli.formats._pages.pages import BAD_KINDS, DAMAGED, ERASED, BadRun, Decoded, PageBlock
 from accelcal_cli.formats._pages.timeline import NO_SPANS, Findings, PageTimeline, Spacing, Timeline, steps
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog
-from accelcal_cli.formats._rows import MISSING, HeldChannels, RowFilter, first_values, missing_kind
+from accelcal_cli.formats._rows import MISSING, HeldChannels, RowFilter, missing_kind
 
 FAULTY_ROWS = "missing_value", "samples without a usable value, left out"
 BLANK_BYTES = 16
@@ -346,36 +346,21 @@ class PagedReader(Reader, Generic[AnyBlock]):
 
 
 @dataclass(frozen=True, slots=True)
-class Opening:
-    """The first block with a valid page.
-
-    Attributes:
-        block: the valid pages.
-        start_us: time of the first sample.
-        first_values: as in PageScheme.
-    """
-
-    block: PageBlock
-    start_us: int
-    first_values: dict[str, int | None]
-
-
-@dataclass(frozen=True, slots=True)
 class FixedPages(PageScheme[RawBlock]):
     """Describes how a file of pages of one length is read."""
 
     file: PagedFile
     timeline: Callable[[], PageTimeline]
 
-    def look_inside(self) -> Opening | None:
-        """Read on until a page is valid; return None if there is none in the whole file."""
+    def look_inside(self) -> PageBlock | None:
+        """Return the first block with a valid page; None if there is none in the whole file."""
         for raw in self.file.blocks(self.amount(FIRST_ROWS)):
             block = self.decoder().decode(raw).block
             if len(block) and (block.faulty is None or not block.faulty.all()):
-                return Opening(block, self.timeline().start(block), first_values(block.channels))
+                return block
         return None
 
-    def extent(self, opening: Opening) -> tuple[int | None, float | None]:
+    def extent(self, opening: PageBlock) -> tuple[int | None, float | None]:
         """Return samples and seconds, by the first valid page and the last; None if these do not show it.
 
         The number of samples assumes that all pages between are full and present; it is None if the
@@ -386,7 +371,7 @@ class FixedPages(PageScheme[RawBlock]):
         ending = self.decoder().decode(self.file.last_block(LAST_PAGES)).block
         if not len(ending):
             return None, None
-        (ends, _), (_, last) = opening.block.split(1), ending.split(len(ending) - 1)
+        (ends, _), (_, last) = opening.split(1), ending.split(len(ending) - 1)
         if last.position[0] > ends.position[0]:
             ends = ends.followed_by(last)
         step = steps(ends, self.spacing)
