@@ -177,6 +177,9 @@ UNUSED = "unused"
 ONLY_TABLES = (*GYRO_OPTIONS, "zero")
 """Options that only tables understand, besides those on times."""
 
+NOT_FOR_DEVICES = ("unit", "columns", *TIMES_OF_TABLES, "layout", "sensor", *ONLY_TABLES)
+"""Options that mean nothing for a device's own file with a single sensor."""
+
 IF_GIVEN = ("time_format", "start", "shift_s", "configured_zone", "worn_zone", *ONLY_TABLES)
 """Options that a report names only if they were given."""
 

@@ -137,22 +137,16 @@ class ByteSource(Closing):
             )
 
     def seek(self, offset: int) -> None:
-        """Go to a byte of an uncompressed file."""
-        self._file.seek(offset)
-
-    def read_into(self, buffer: memoryview) -> int:
-        """Fill a buffer from an uncompressed file and return the number of bytes, fewer at the end.
+        """Go to a byte; a compressed file is read up to it, and only from its beginning.
 
         Raises:
             UnreadableError: the disk fails.
         """
-        size = 0
-        try:
-            while size < len(buffer) and (more := self._file.readinto(buffer[size:])):
-                size += more
-        except OSError as error:
-            raise self._unreadable(error) from error
-        return size
+        if self._pieces is None:
+            self._file.seek(offset)
+            return
+        while offset > 0 and (passed := self.read(offset)):
+            offset -= len(passed)
 
     def disk_position(self) -> int:
         """Return how far the file on the disk has been read."""

@@ -74,13 +74,6 @@ class FrameFile:
     left_out: Kind = ("missing_value", "samples without a usable value, left out")
     damaged: bool = True
 
-    def enter(self, source: ByteSource, first: int) -> None:
-        """Go to a frame; to the first one only, in a compressed file."""
-        if self.compressed:
-            source.read_exact(self.start_byte)
-        else:
-            source.seek(self.start_byte + first * self.frame_bytes)
-
     def whole_frames(self) -> int:
         """Return the number of whole frames in an uncompressed file."""
         there = max(0, self.path.stat().st_size - self.start_byte) // self.frame_bytes
@@ -134,7 +127,7 @@ class FrameReader(Reader):
         """Yield frames first..stop-1, `size` at a time; the last chunk may be empty."""
         file, rows = self._file, _Rows(self._file, self.recording, first, problems)
         with ByteSource(file.path, self.threads) as source:
-            file.enter(source, first)
+            source.seek(file.offset(first))
             last = False
             while not last:
                 wanted = size if stop is None else min(size, stop - rows.frame)

@@ -45,20 +45,16 @@ class HeldChannels:
         self._never = [name for name, value in first.items() if value is None]
         self._last = {name: value for name, value in first.items() if value is not None}
 
-    def fill(self, channels: Channels, starts: NDArray[np.int64] | None = None) -> Channels:
-        """Return the channels of the next rows with all gaps filled.
-
-        Args:
-            starts: rows at which values may change; None: every row.
-        """
+    def fill(self, channels: Channels) -> Channels:
+        """Return the channels of the next rows with all gaps filled."""
         return {
-            name: self._filled(name, column, starts) if name in self._last and len(column) else column
+            name: self._filled(name, column) if name in self._last and len(column) else column
             for name, column in channels.items()
             if name not in self._never
         }
 
-    def _filled(self, name: str, measured: NDArray[Any], starts: NDArray[np.int64] | None) -> NDArray[Any]:
-        if (measured if starts is None else measured[starts]).min() <= MISSING:
+    def _filled(self, name: str, measured: NDArray[Any]) -> NDArray[Any]:
+        if measured.min() <= MISSING:
             source = np.maximum.accumulate(np.where(measured != MISSING, np.arange(len(measured)), -1))
             last = measured.dtype.type(self._last[name])
             measured = np.where(source < 0, last, measured[source])

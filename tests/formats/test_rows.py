@@ -85,16 +85,11 @@ def test_every_channel_of_single_values_repeats_its_last_one() -> None:
     assert held.fill({"temperature_mc": values(None), "other": values(None)})["other"].tolist() == [8]
 
 
-def test_values_that_stay_the_same_are_looked_at_where_they_begin() -> None:
-    held, starts = HeldChannels({"temperature_mc": 5}), np.array([0, 2, 5])
-    channels = {"temperature_mc": values(6, 6, None, None, None, 7)}
-    assert held.fill(channels, starts)["temperature_mc"].tolist() == [6, 6, 6, 6, 6, 7]
+def test_a_channel_without_gaps_is_not_copied() -> None:
+    held = HeldChannels({"temperature_mc": 5})
     whole = {"temperature_mc": values(8, 8, 8, 8, 8, 9)}
-    assert held.fill(whole, starts)["temperature_mc"] is whole["temperature_mc"]
-    unlike = {"temperature_mc": values(9, None)}  # not as promised
-    assert held.fill(unlike, starts[:1])["temperature_mc"] is unlike["temperature_mc"]
-    held = HeldChannels({"temperature_mc": 9})
-    assert held.fill({"temperature_mc": values(None)}, starts[:1])["temperature_mc"].tolist() == [9]
+    assert held.fill(whole)["temperature_mc"] is whole["temperature_mc"]
+    assert held.fill({"temperature_mc": values(None)})["temperature_mc"].tolist() == [9]
 
 
 def test_a_channel_that_was_not_measured_at_first_is_left_out_throughout() -> None:

@@ -100,6 +100,10 @@ class PageBlock:
         channels = joined_channels((self.channels, second.channels))
         return PageBlock(**joined_columns((self, second), PER_PAGE + PER_ROW), channels=channels)
 
+    def without_rows(self) -> PageBlock:
+        """Return the columns of the pages alone."""
+        return PageBlock(**cut_columns(self, PER_PAGE, slice(None)), counts=self.counts[:0])
+
     def chosen(self, pages: slice | NDArray[np.bool_], rows: slice | NDArray[np.bool_]) -> PageBlock:
         """Return some pages and the rows that they hold."""
         columns = cut_columns(self, PER_PAGE, pages) | cut_columns(self, PER_ROW, rows)

@@ -1,22 +1,29 @@
 """Finds when each page of a dump began, and where one page does not continue the page before.
 
-A timeline takes pages in file order, the last page of one call being the first of the next, so
-that the times do not depend on how many pages a call brings. Between two pages that continue
-each other the samples are spread evenly; a page before a break runs at the nominal rate. Stamps may
-be missing, finer than a sample, or coarser than one.
+A timeline takes pages in file order; the times do not depend on how many pages a call brings. Between two
+pages that continue each other the samples are spread evenly; a page before a break runs at the nominal rate.
+Stamps may be missing, finer than a sample, or coarser than one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.recording import cut_columns, joined_columns
 from accelcal_cli.formats._pages.pages import PageBlock
+from accelcal_cli.formats._problems import Kind
+
+MISSING_PAGES = "sequence_gap", "pages missing by their sequence numbers"
+SEQUENCE_BACK = "sequence_back", "pages whose sequence number does not rise"
+CLOCK_AHEAD = "clock_gap", "jumps of the device clock ahead"
+CLOCK_BACK = "clock_back", "jumps of the device clock back"
 
 RATE_TOLERANCE = 0.1
 """Share by which a page may last longer or shorter; sensors run up to 6 % off their nominal rate."""
@@ -94,14 +101,118 @@ class PageLinks:
     behind_us: NDArray[np.int64]
 
 
-class PageTimeline(Protocol):
-    """Gives pages their times: `start` once, then `link` with overlapping stretches of pages."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Spans:
+    """Times of pages, (p,) int64 each, as in PageClock."""
+
+    time_us: NDArray[np.int64]
+    span_rows: NDArray[np.int64]
+    span_us: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.time_us)
+
+    def followed_by(self, second: Spans) -> Spans:
+        """Return the spans of both, in order."""
+        return Spans(**joined_columns((self, second), self.__dataclass_fields__))
+
+    def split(self, pages: int) -> tuple[Spans, Spans]:
+        """Return those of the first `pages` pages, and the rest."""
+        parts = slice(None, pages), slice(pages, None)
+        above, below = (Spans(**cut_columns(self, self.__dataclass_fields__, part)) for part in parts)
+        return above, below
+
+
+NO_SPANS = Spans(*(np.empty(0, np.int64),) * 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """Findings about pages, (p,) each: numbers, and times [us] that the clock jumped; 0 for none."""
+
+    counts: Mapping[Kind, NDArray[Any]] = field(default_factory=dict)
+    times_us: Mapping[Kind, NDArray[np.int64]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """The pages of a block on the time axis.
+
+    Attributes:
+        broken: (p,) bool, a page does not continue the one before.
+        spans: of the next pages whose times are settled, which may be earlier ones.
+    """
+
+    broken: NDArray[np.bool_]
+    spans: Spans
+    found: Findings = Findings()
+
+
+class Timeline(Protocol):
+    """Gives pages their times."""
+
+    def feed(self, block: PageBlock, *, last: bool) -> Placed:
+        """Place the pages of the next block, which may have none.
+
+        Args:
+            last: nothing follows: the times of all pages are settled.
+        """
+
+
+class PageTimeline:
+    """A timeline in which a page waits for the next one, which shows how long it lasted."""
+
+    def __init__(self, spacing: Spacing) -> None:
+        self._spacing = spacing
+        self._last: PageBlock | None = None
+        self._last_us = 0
 
     def start(self, block: PageBlock) -> int:
-        """Return the time of the block's first page [us]."""
+        """Return the time of the block's first page [us]; called once, before `link`."""
+        raise NotImplementedError
 
     def link(self, block: PageBlock, step: PageSteps, start_us: int) -> PageLinks:
         """Return times and links of all pages of a block whose first page begins at `start_us`."""
+        raise NotImplementedError
+
+    def feed(self, block: PageBlock, *, last: bool) -> Placed:
+        """See Timeline."""
+        before, pages = self._last, block.without_rows()
+        if before is not None:
+            pages = before.followed_by(pages)
+        if not len(pages):
+            return Placed(np.empty(0, np.bool_), NO_SPANS)
+        step = steps(pages, self._spacing)
+        links = self.link(pages, step, self.start(pages) if before is None else self._last_us)
+        _, self._last = pages.split(len(pages) - 1)
+        self._last_us = int(links.time_us[-1])
+        columns = (
+            {MISSING_PAGES: step.missing, SEQUENCE_BACK: step.back},
+            {
+                CLOCK_AHEAD: links.ahead_us,
+                CLOCK_BACK: links.behind_us,
+            },
+        )
+        first = int(before is None)  # the first page of all follows none
+        counts, times_us = (
+            {kind: np.pad(column, (first, 0)) for kind, column in group.items()} for group in columns
+        )
+        settled, _ = self._spread(pages, links).split(len(pages) - (not last))
+        return Placed(np.pad(links.broken, (first, 0)), settled, Findings(counts, times_us))
+
+    def _spread(self, pages: PageBlock, links: PageLinks) -> Spans:
+        """Spread each page up to the next, or at the nominal rate where no next one limits it."""
+        lasted = np.diff(links.time_us)
+        # a page before a gap, or before a clock that goes back, has no next page that limits it
+        free = links.broken & ((lasted > self._spacing.rows_us(pages.rows[:-1])) | (links.behind_us > 0))
+        free |= lasted <= 0
+        rate = self._spacing.rate
+        nominal_us = MICROSECONDS * rate.denominator
+        return Spans(
+            links.time_us,
+            np.append(np.where(free, rate.numerator, pages.rows[:-1]), rate.numerator),
+            np.append(np.where(free, nominal_us, lasted), nominal_us),
+        )
 
 
 def fresh_pages(block: PageBlock) -> NDArray[np.bool_]:
@@ -109,11 +220,11 @@ def fresh_pages(block: PageBlock) -> NDArray[np.bool_]:
     return np.zeros(len(block) - 1, np.bool_) if block.fresh is None else block.fresh[1:]
 
 
-class NominalTimeline:
+class NominalTimeline(PageTimeline):
     """Pages without a stamp: they follow each other at the nominal rate, lost ones included."""
 
     def __init__(self, spacing: Spacing, origin_us: int) -> None:
-        self._spacing = spacing
+        super().__init__(spacing)
         self._origin_us = origin_us
         self._slot = 0
         self._latest = int(LATEST_US // MICROSECONDS * spacing.rate / spacing.rows)
@@ -141,11 +252,8 @@ class NominalTimeline:
         return [self._origin_us + (slot * step + half) // samples_per_s for slot in slots]
 
 
-class ExactTimeline:
+class ExactTimeline(PageTimeline):
     """Pages with stamps finer than a sample: each page begins at its stamp."""
-
-    def __init__(self, spacing: Spacing) -> None:
-        self._spacing = spacing
 
     def start(self, block: PageBlock) -> int:
         """Return the first stamp."""
@@ -194,7 +302,7 @@ class _Next:
     limit: float
 
 
-class CoarseTimeline:
+class CoarseTimeline(PageTimeline):
     """Pages whose stamps are coarser than a sample, such as whole seconds.
 
     Pages follow the first stamp at the nominal rate as long as that stays within one unit of
@@ -205,7 +313,7 @@ class CoarseTimeline:
     """
 
     def __init__(self, spacing: Spacing, unit_us: int) -> None:
-        self._spacing = spacing
+        super().__init__(spacing)
         self._unit_us = unit_us
         self._anchor_us = 0
         self._rows = 0

@@ -7,7 +7,7 @@ device up, without a zone.
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.formats import NOT_FOR_DEVICES, Format, Probe
 
 HEADER_BYTES = 1024
 HEADER_MAGIC = b"MD" + (HEADER_BYTES - 4).to_bytes(2, "little")
@@ -30,12 +30,5 @@ FORMAT = Format(
     (".cwa",),
     sniff,
     reader="accelcal_cli.formats.cwa.reader:open_recording",
-    ignores=(
-        "unit",
-        "columns",
-        *TIMES_OF_TABLES,
-        "layout",
-        "sensor",
-        *ONLY_TABLES,
-    ),
+    ignores=NOT_FOR_DEVICES,
 )

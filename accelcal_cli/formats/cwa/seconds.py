@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.recording import cut_columns, joined_columns
+from accelcal_cli.formats._pages.timeline import NO_SPANS, Spans
 from accelcal_cli.formats.cwa.sector import SectorBlock
-from accelcal_cli.formats.cwa.timeline import NO_SPANS, Linker, Links, Spans, Timeline
+from accelcal_cli.formats.cwa.timeline import NO_LINKS, Linker, Links, Timeline
 
 WINDOW = 128
 """Sectors whose stamps make one line; a minute and more, in which a clock hardly drifts."""
@@ -42,7 +42,7 @@ def stamp_unit(block: SectorBlock, rate: Fraction, full_rows: int) -> int | None
     known = block.anchors.known
     if (block.anchors.time_us[known] % MICROSECONDS).any():
         return None
-    links = Linker(rate, full_rows, MICROSECONDS).link(block)
+    links, *_ = Linker(rate, full_rows, MICROSECONDS).link(block)
     run = (np.cumsum(links.fresh) == 1) & known
     row, time_us = links.anchor_row[run], links.anchor_us[run]
     half = len(row) // 2
@@ -74,38 +74,35 @@ class SecondsTimeline:
     def __init__(self, rate: Fraction, unit_us: int) -> None:
         self._timeline, self._unit_us = Timeline(rate), unit_us
         self._nominal = float(MICROSECONDS / rate)
-        self._held: Links | None = None
+        self._held = NO_LINKS
         self._before: _Line | None = None
 
     def feed(self, links: Links) -> Spans:
         """Add sectors; return the times of the next settled ones."""
-        held = links if self._held is None else _joined([self._held, links])
-        found = []
+        held, found = self._held.followed_by(links), NO_LINKS
         while True:
             fresh = np.flatnonzero(held.fresh[1:])
-            end = int(fresh[0]) + 1 if len(fresh) else len(held.row)
+            end = int(fresh[0]) + 1 if len(fresh) else len(held)
             if len(fresh) and end <= WINDOW:
-                found.append(self._placed(_cut(held, slice(end)), whole=True))
+                found = found.followed_by(self._placed(held.part(slice(end)), whole=True))
                 self._before = None
-                held = _cut(held, slice(end, None))
+                held = held.part(slice(end, None))
             elif end > WINDOW:
-                found.append(self._placed(_cut(held, slice(WINDOW)), whole=False))
-                held = _cut(held, slice(len(found[-1].row), None))
+                placed = self._placed(held.part(slice(WINDOW)), whole=False)
+                found, held = found.followed_by(placed), held.part(slice(len(placed), None))
             else:
                 break
         self._held = held
-        return self._timeline.feed(_joined(found)) if found else NO_SPANS
+        return self._timeline.feed(found) if len(found) else NO_SPANS
 
     def finish(self) -> Spans:
         """Return the times of all sectors that remain; none follows."""
-        if self._held is None or not len(self._held.row):
-            return self._timeline.finish()
-        spans = self._timeline.feed(self._placed(self._held, whole=True))
-        return Spans(**joined_columns((spans, self._timeline.finish()), Spans.__dataclass_fields__))
+        spans = self._timeline.feed(self._placed(self._held, whole=True)) if len(self._held) else NO_SPANS
+        return spans.followed_by(self._timeline.finish())
 
     def _placed(self, links: Links, *, whole: bool) -> Links:
         """Return sectors with anchors on the line from the last one to theirs: all, or up to the middle."""
-        middle = (len(links.row) + 1) // 2
+        middle = (len(links) + 1) // 2
         line, before = self._line(links, int(links.row[middle - 1])), self._before
         anchor_us = line.times(links.row)
         if before is not None:
@@ -113,7 +110,7 @@ class SecondsTimeline:
             anchor_us[:middle] = line._replace(slope=slope).times(links.row[:middle])
         self._before = line
         placed = replace(links, anchor_row=links.row, anchor_us=anchor_us)
-        return placed if whole else _cut(placed, slice(middle))
+        return placed if whole else placed.part(slice(middle))
 
     def _line(self, links: Links, at: int) -> _Line:
         """Return the line that lies best within the seconds of the stamps, by its time at a sample."""
@@ -141,11 +138,3 @@ def _best_slope(row: NDArray[np.int64], time_us: NDArray[np.int64], nominal: flo
         widths = np.ptp(time_us - slopes[:, np.newaxis] * row, axis=1)
         best, reach = float(slopes[np.argmin(widths)]), 2 * reach / (SLOPES - 1)
     return best
-
-
-def _joined(parts: list[Links]) -> Links:
-    return Links(**joined_columns(tuple(parts), Links.__dataclass_fields__))
-
-
-def _cut(links: Links, part: slice) -> Links:
-    return Links(**cut_columns(links, Links.__dataclass_fields__, part))

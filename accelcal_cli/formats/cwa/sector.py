@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.recording import Channels, Device, ThermometerWord
-from accelcal_cli.formats._pages.pages import CHECKSUM, ERASED, FOREIGN, GOOD, NONSENSE, RATE
+from accelcal_cli.formats._pages.pages import CHECKSUM, ERASED, FOREIGN, GOOD, NONSENSE, RATE, PageBlock
 from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.cwa import HEADER_BYTES, HEADER_MAGIC, SECTOR_BYTES, SECTOR_MAGIC
 
@@ -303,31 +303,19 @@ def day_table() -> NDArray[np.int64]:
     return np.where((month >= 1) & (month <= 12) & (day >= 1), days * 86_400, -1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SectorBlock:
-    """Good sectors in file order, p of them with n samples in all.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SectorBlock(PageBlock):
+    """Good sectors in file order, p of them.
 
     Attributes:
-        position: (p,) int64, number of each sector in the file.
-        rows: (p,) int64, samples in each, at least 1.
-        sequence, session: (p,) int64.
+        session: (p,) int64.
         overflow: (p,) bool, the device lost samples before or in the sector.
-        counts: (n, 3) int16.
-        channels: of n rows each; a single value of a sector is repeated in all of its rows, and MISSING
-            stands for one that it lacks.
     """
 
-    position: NDArray[np.int64]
-    rows: NDArray[np.int64]
     sequence: NDArray[np.int64]
     session: NDArray[np.int64]
     overflow: NDArray[np.bool_]
     anchors: Anchors
-    counts: NDArray[np.int16]
-    channels: Channels
-
-    def __len__(self) -> int:
-        return len(self.position)
 
 
 def decode(

@@ -10,15 +10,32 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.recording import cut_columns, joined_columns
-from accelcal_cli.formats._pages.timeline import LONGEST_GAP_S, RATE_TOLERANCE
+from accelcal_cli.formats._pages.timeline import (
+    CLOCK_AHEAD,
+    CLOCK_BACK,
+    LONGEST_GAP_S,
+    NO_SPANS,
+    RATE_TOLERANCE,
+    Findings,
+    Spans,
+)
 from accelcal_cli.formats.cwa.sector import SectorBlock
+
+MISSING_SECTORS = ("sequence_gap", "data sectors missing by their sequence numbers")
+RESTARTED = ("sequence_back", "restarts of the logging, where the sequence numbers begin again")
+SESSION = ("session_change", "changes of the session number: the device was set up again")
+OVERFLOW = ("device_overflow", "data sectors where the device says that it lost samples")
+UNTIMED = (
+    "missing_value",
+    "data sectors without a valid time, placed by counting samples at the nominal rate",
+)
 
 STAMP_TOLERANCE_US = 250_000
 """Difference of the clock [us] that is always allowed, for a stamp comes late when the memory was slow."""
@@ -39,20 +56,14 @@ ROW_ORIGIN = 1 << 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Links:
-    """Sectors on the time axis, and how each follows the one before; (p,) each.
+    """Sectors on the time axis; (p,) each.
 
     Attributes:
         row: int64, number of the first sample; lost sectors that are bridged count too.
         rows: int64, samples in the sector.
         anchor_row, anchor_us: int64, a sample number on the same axis and its time [us].
         fresh: bool, the times begin again here.
-        broken: bool, samples are lost before the sector, or its times begin again.
-        missing: int64, sectors that are not in the file, by the sequence numbers.
-        restarted: bool, the sequence numbers begin again.
-        session: bool, the recording's session number changes.
-        overflow: bool, the device lost samples before or in the sector.
         untimed: bool, the sector has no time of its own.
-        ahead_us, behind_us: int64, jump of the clock beyond what the samples explain.
     """
 
     row: NDArray[np.int64]
@@ -60,14 +71,29 @@ class Links:
     anchor_row: NDArray[np.int64]
     anchor_us: NDArray[np.int64]
     fresh: NDArray[np.bool_]
-    broken: NDArray[np.bool_]
-    missing: NDArray[np.int64]
-    restarted: NDArray[np.bool_]
-    session: NDArray[np.bool_]
-    overflow: NDArray[np.bool_]
     untimed: NDArray[np.bool_]
-    ahead_us: NDArray[np.int64]
-    behind_us: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def followed_by(self, second: Links) -> Links:
+        """Return the sectors of both, in order."""
+        return Links(**joined_columns((self, second), self.__dataclass_fields__))
+
+    def part(self, sectors: slice) -> Links:
+        """Return some of the sectors."""
+        return Links(**cut_columns(self, self.__dataclass_fields__, sectors))
+
+
+NO_LINKS = Links(*(np.empty(0, np.int64),) * 4, *(np.empty(0, np.bool_),) * 2)
+
+
+class Linked(NamedTuple):
+    """Sectors on the time axis, which of them (p,) do not continue the one before, and what was found."""
+
+    links: Links
+    broken: NDArray[np.bool_]
+    found: Findings
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +144,7 @@ class Linker:
         self._longest_gap = int(LONGEST_GAP_S * rate / full_rows) + 1
         self._last: _Last | None = None
 
-    def link(self, block: SectorBlock) -> Links:
+    def link(self, block: SectorBlock) -> Linked:
         """Link a block of at least one sector to the blocks before it."""
         first = self._last is None
         last = self._last or self._before(block)
@@ -139,20 +165,12 @@ class Linker:
         broken[0] &= not first  # the first row of a recording is not a break
         columns = (block.position, block.sequence, block.session, row, block.rows, anchor_row, anchor_us)
         self._last = _Last(*[*(int(column[-1]) for column in columns), *source])
-        return Links(
-            row,
-            block.rows,
-            anchor_row,
-            anchor_us,
-            fresh,
-            broken,
-            steps.missing,
-            steps.restarted,
-            session,
-            block.overflow,
-            ~block.anchors.known,
-            np.maximum(off, 0),
-            np.maximum(-off, 0),
+        untimed = ~block.anchors.known
+        counts = {MISSING_SECTORS: steps.missing, RESTARTED: steps.restarted, SESSION: session}
+        counts |= {OVERFLOW: block.overflow, UNTIMED: untimed}
+        times_us = {CLOCK_AHEAD: np.maximum(off, 0), CLOCK_BACK: np.maximum(-off, 0)}
+        return Linked(
+            Links(row, block.rows, anchor_row, anchor_us, fresh, untimed), broken, Findings(counts, times_us)
         )
 
     def _before(self, block: SectorBlock) -> _Last:
@@ -225,44 +243,10 @@ def _previous(last: int, column: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.concatenate(([last], column[:-1]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Spans:
-    """Begin and length of sectors [us], (p,) int64 each."""
-
-    time_us: NDArray[np.int64]
-    span_us: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.time_us)
-
-
-NO_SPANS = Spans(np.empty(0, np.int64), np.empty(0, np.int64))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Window:
-    """Sectors that are still needed; columns as in Links, (w,) each."""
-
-    row: NDArray[np.int64]
-    rows: NDArray[np.int64]
-    anchor_row: NDArray[np.int64]
-    anchor_us: NDArray[np.int64]
-    fresh: NDArray[np.bool_]
-
-    def __len__(self) -> int:
-        return len(self.row)
-
-    def extended(self, links: Links) -> _Window:
-        return _Window(**joined_columns((self, links), self.__dataclass_fields__))
-
-    def without(self, sectors: int) -> _Window:
-        return _Window(**cut_columns(self, self.__dataclass_fields__, slice(sectors, None)))
-
-
 class _Lines:
     """Straight lines from each anchor of a window to the next, and on at both ends of each run."""
 
-    def __init__(self, window: _Window, rate: Fraction) -> None:
+    def __init__(self, window: Links, rate: Fraction) -> None:
         self._window = window
         self._rate = rate
         run = np.cumsum(window.fresh, dtype=np.int64)
@@ -306,13 +290,12 @@ class Timeline:
 
     def __init__(self, rate: Fraction) -> None:
         self._rate = rate
-        none = NO_SPANS.time_us
-        self._window = _Window(none, none, none, none, none.astype(np.bool_))
+        self._window = NO_LINKS
         self._done = 0
 
     def feed(self, links: Links) -> Spans:
         """Add sectors; return the times of the next settled ones."""
-        self._window = self._window.extended(links)
+        self._window = self._window.followed_by(links)
         return self._release(self._settled())
 
     def finish(self) -> Spans:
@@ -345,8 +328,9 @@ class Timeline:
         time_us = lines.times(sector, np.append(window.row[self._done : settled], ends[lonely]))
         begin, end = time_us[: settled - self._done], time_us[1 : settled - self._done + 1].copy()
         end[lonely - self._done] = time_us[settled - self._done :]
+        rows = window.rows[self._done : settled]
         self._forget(settled)
-        return Spans(begin, end - begin)
+        return Spans(begin, rows, end - begin)
 
     def _forget(self, settled: int) -> None:
         """Keep what is unsettled, the anchor before it, and enough anchors for the end's rate."""
@@ -354,4 +338,4 @@ class Timeline:
         reached = window.row[settled - 1] + window.rows[settled - 1]
         before = begun + int(np.searchsorted(window.anchor_row[begun:], reached, side="right")) - 1
         first = max(begun, min(settled, before, len(window) - END_ANCHORS))
-        self._window, self._done = window.without(first), settled - first
+        self._window, self._done = window.part(slice(first, None)), settled - first

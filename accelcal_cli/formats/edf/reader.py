@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
-from accelcal_cli.core.recording import CUT_SHORT, Chunk, Problem, Reader, Recording, first_row
+from accelcal_cli.core.recording import CUT_SHORT, Problem, Reader, Recording, first_row
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.files import PagedFile, RawBlock
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock
-from accelcal_cli.formats._pages.reader import FixedPages, Opening, PageDecoder, PagedReader
+from accelcal_cli.formats._pages.reader import FixedPages, PageDecoder, PagedReader
 from accelcal_cli.formats._pages.timeline import ExactTimeline, NominalTimeline, PageTimeline, Spacing
-from accelcal_cli.formats._rows import MISSING
+from accelcal_cli.formats._rows import MISSING, first_values
 from accelcal_cli.formats.edf.header import (
     ANNOTATIONS,
     COPY_AGAIN,
@@ -63,13 +63,12 @@ class RecordDecoder(PageDecoder[RawBlock]):
             stamps = np.array([self._start_us + onset for onset in onsets if onset is not None], np.int64)
         return Decoded(self._block(pages, position, stamps), bad, raw.tail)
 
-    def ending(self, raw: RawBlock, chunk: Chunk) -> tuple[Problem, ...]:
+    def ending(self, raw: RawBlock, sample: int) -> tuple[Problem, ...]:
         """See PageDecoder."""
         records, seen = self._header.records, raw.next_position
         if records is None or records == seen:
             return ()
         text = f"the header says {records} data records, and the file holds {seen}"
-        sample = chunk.first_sample + len(chunk)
         if seen > records:
             return (Problem("wrong_count", text, raw.offset(seen), sample),)
         missing = (records - seen) * self._header.record_bytes - len(raw.tail)
@@ -165,18 +164,18 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         what = "has no usable data record" + (" whose time can be read" if timed else "")
         raise UnreadableError(what, path=path, byte_offset=header.header_bytes, hint=COPY_AGAIN)
     problems = () if header.start_us is not None else (Problem("no_start_time", NO_START, 168, 0),)
-    about = recording(scheme, header, chosen, opening)
-    return PagedReader(about, replace(scheme, first_values=opening.first_values, problems=problems))
+    scheme = replace(scheme, first_values=first_values(opening.channels), problems=problems)
+    return PagedReader(recording(scheme, header, chosen, opening), scheme)
 
 
 def first_onset_us(file: PagedFile, decoder: RecordDecoder) -> int:
     """Return the fraction of a second that EDF+ adds to the header's start [us]; 0 for other files."""
-    first = next(file.blocks(1))
+    first = next(file.blocks(file.amount(1)))
     onset = decoder.onset_us(first.pages[0]) if len(first.pages) else None
     return onset if onset is not None and 0 <= onset < MICROSECONDS else 0
 
 
-def recording(scheme: FixedPages, header: Header, chosen: ChosenSignals, opening: Opening) -> Recording:
+def recording(scheme: FixedPages, header: Header, chosen: ChosenSignals, opening: PageBlock) -> Recording:
     """Describe the file."""
     samples, duration_s = scheme.extent(opening)
     labels = ", ".join(f"{one.label} [{one.dimension}]" for one in chosen.accel.signals)
@@ -192,10 +191,10 @@ def recording(scheme: FixedPages, header: Header, chosen: ChosenSignals, opening
         total_bytes=scheme.file.size,
         device=header.device,
         range_g=chosen.range_g,
-        start_us=None if header.start_us is None else opening.start_us,
+        start_us=None if header.start_us is None else scheme.timeline().start(opening),
         samples=samples,
         duration_s=duration_s,
-        has_temperature=opening.first_values.get("temperature_mc") is not None,
+        has_temperature=scheme.first_values.get("temperature_mc") is not None,
         gyro_dps_per_lsb=None if gyro is None else (gyro, gyro, gyro),
         zero_counts=first_row(chosen.accel.counts([np.zeros(1, np.int16)] * 3, np.zeros(1, np.bool_))),
         notes=tuple(notes),

@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 import zlib
 
-from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.formats import NOT_FOR_DEVICES, Format, Probe
 
 PAGE_BYTES = 512
 HEADER_MAGIC = b"\x89ACL\r\n\x1a\n"
@@ -45,12 +45,5 @@ FORMAT = Format(
     (".bin",),
     sniff,
     reader="accelcal_cli.formats.flash.reader:open_recording",
-    ignores=(
-        "unit",
-        "columns",
-        *TIMES_OF_TABLES,
-        "layout",
-        "sensor",
-        *ONLY_TABLES,
-    ),
+    ignores=NOT_FOR_DEVICES,
 )

@@ -20,9 +20,9 @@ from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.files import PagedFile, RawBlock
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock
-from accelcal_cli.formats._pages.reader import FixedPages, Opening, PageDecoder, PagedReader
+from accelcal_cli.formats._pages.reader import FixedPages, PageDecoder, PagedReader
 from accelcal_cli.formats._pages.timeline import ExactTimeline, Spacing
-from accelcal_cli.formats._rows import MISSING
+from accelcal_cli.formats._rows import MISSING, first_values
 from accelcal_cli.formats.flash import HEADER_MAGIC, PAGE_BYTES, PAGE_MAGIC, SAMPLES, recording_id_of
 
 NOT_MEASURED = -32768
@@ -222,8 +222,8 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         raise UnreadableError("has no valid data page", path=path, byte_offset=PAGE_BYTES, hint=COPY_AGAIN)
     if not header.clock_set:
         problems.append(Problem("no_start_time", NO_START, 0, 0))
-    about = recording(scheme, header, opening)
-    return PagedReader(about, replace(scheme, first_values=opening.first_values, problems=tuple(problems)))
+    scheme = replace(scheme, first_values=first_values(opening.channels), problems=tuple(problems))
+    return PagedReader(recording(scheme, header, opening), scheme)
 
 
 def substitute(file: PagedFile, options: ReadOptions, error: HeaderDamageError) -> FlashHeader:
@@ -239,7 +239,7 @@ def substitute(file: PagedFile, options: ReadOptions, error: HeaderDamageError) 
             byte_offset=0,
             hint="give --rate and --lsb-per-g to read the data without it",
         )
-    with closing(file.blocks(SEARCHED_PAGES)) as blocks:
+    with closing(file.blocks(file.amount(SEARCHED_PAGES))) as blocks:
         numbers = (recording_id_of(page.tobytes()) for raw in blocks for page in raw.pages)
         number = next((number for number in numbers if number is not None), 0)
     return FlashHeader(
@@ -274,7 +274,7 @@ def page_scheme(file: PagedFile, header: FlashHeader) -> FixedPages:
     return FixedPages(file, spacing, lambda: decoder, lambda: ExactTimeline(spacing))
 
 
-def recording(scheme: FixedPages, header: FlashHeader, opening: Opening) -> Recording:
+def recording(scheme: FixedPages, header: FlashHeader, opening: PageBlock) -> Recording:
     """Describe the recording."""
     samples, duration_s = scheme.extent(opening)
     return Recording(
@@ -285,9 +285,9 @@ def recording(scheme: FixedPages, header: FlashHeader, opening: Opening) -> Reco
         total_bytes=scheme.file.size,
         device=header.device,
         range_g=header.range_g,
-        start_us=opening.start_us if header.clock_set else None,
+        start_us=scheme.timeline().start(opening) if header.clock_set else None,
         timezone=header.timezone,
         samples=samples,
         duration_s=duration_s,
-        has_temperature=opening.first_values.get("temperature_mc") is not None,
+        has_temperature=scheme.first_values.get("temperature_mc") is not None,
     )

@@ -6,7 +6,7 @@ says what each field means to the reader.
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.formats import NOT_FOR_DEVICES, Format, Probe
 
 HEADER_MAGIC = b"GENEA/"
 
@@ -22,12 +22,5 @@ FORMAT = Format(
     (".bin",),
     sniff,
     reader="accelcal_cli.formats.genea.reader:open_recording",
-    ignores=(
-        "unit",
-        "columns",
-        *TIMES_OF_TABLES,
-        "layout",
-        "sensor",
-        *ONLY_TABLES,
-    ),
+    ignores=NOT_FOR_DEVICES,
 )

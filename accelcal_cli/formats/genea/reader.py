@@ -29,7 +29,7 @@ from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Chunk, Device, Problem, Reader, Recording, clipped_at
-from accelcal_cli.formats._pages.files import PagedFile, ScannedFile, ScannedPages
+from accelcal_cli.formats._pages.files import PagedFile, PageFile, ScannedPages
 from accelcal_cli.formats._pages.pages import GOOD, NONSENSE, Decoded, PageBlock, bad_runs
 from accelcal_cli.formats._pages.reader import BROKEN_OFF, PageDecoder, PagedReader, PageScheme
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
@@ -365,10 +365,10 @@ class GroupDecoder(PageDecoder[SampleGroups]):
         """See PageDecoder."""
         return self._scale.applied(replace(chunk, used_bytes=len(chunk) * SLOT_BYTES))
 
-    def ending(self, groups: SampleGroups, chunk: Chunk) -> tuple[Problem, ...]:
+    def ending(self, groups: SampleGroups, sample: int) -> tuple[Problem, ...]:
         """See PageDecoder."""
         tail = groups.tail
-        offset, sample = groups.end - len(tail), chunk.first_sample + len(chunk)
+        offset = groups.end - len(tail)
         if groups.broken:
             return (Problem("truncated", BROKEN_OFF, offset, sample, 1, groups.undecoded),)
         if not tail.strip(b"\0") or not tail.strip(b"\xff"):
@@ -386,12 +386,12 @@ class SlotScheme(PageScheme[SampleGroups]):
         pages: the file as pages of 2048 bytes.
     """
 
-    file: ScannedFile[SampleGroups]
+    file: PageFile[SampleGroups]
     pages: PagedFile
 
     def amount(self, chunk_samples: int) -> int:
         """Return the bytes of whole pages of 2048 bytes."""
-        return self.pages.amount(chunk_samples // SLOTS) * PAGE_BYTES
+        return self.pages.amount(chunk_samples // SLOTS)
 
     def pieces(self, chunk_samples: int, pieces: int) -> Iterator[tuple[int, SampleGroups]]:
         """Enter at evenly spread pages of 2048 bytes."""
@@ -427,7 +427,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     start_us = 0 if before is None else before[1] - round(float(spacing.rows_us(before[0])))
     scale = scale_of(header, options, path)
     scheme = SlotScheme(
-        ScannedFile(
+        PageFile(
             path,
             header.data_start,
             SLOT_BYTES * spacing.rows,
@@ -449,7 +449,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
 
 def blocks_of_slots(file: PagedFile, first_position: int = 0) -> Generator[Slots]:
     """Yield the slots of all pages from one on, (n, 6) at a time."""
-    with closing(file.blocks(LOOKED_AT_PAGES, first_position)) as blocks:
+    with closing(file.blocks(file.amount(LOOKED_AT_PAGES), first_position)) as blocks:
         for raw in blocks:
             yield np.concatenate((page_slots(raw.pages), tail_slots(raw.tail)))
 

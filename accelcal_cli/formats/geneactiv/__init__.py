@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 
-from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.formats import NOT_FOR_DEVICES, Format, Probe
 
 HEADER_MAGIC = b"Device Identity"
 MARK = b"Recorded Data"
@@ -52,12 +52,5 @@ FORMAT = Format(
     (".bin",),
     sniff,
     reader="accelcal_cli.formats.geneactiv.reader:open_recording",
-    ignores=(
-        "unit",
-        "columns",
-        *TIMES_OF_TABLES,
-        "layout",
-        "sensor",
-        *ONLY_TABLES,
-    ),
+    ignores=NOT_FOR_DEVICES,
 )

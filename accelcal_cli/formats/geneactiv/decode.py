@@ -411,9 +411,9 @@ class TextDecoder(PageDecoder[TextPages]):
         """Mark rows that reach the end of the sensor's range."""
         return clipped_at(chunk, *self._settings.scale.clipped)
 
-    def ending(self, found: TextPages, chunk: Chunk) -> tuple[Problem, ...]:
+    def ending(self, found: TextPages, sample: int) -> tuple[Problem, ...]:
         """See PageDecoder."""
-        sample, cut_at = chunk.first_sample + len(chunk), found.cut_at
+        cut_at = found.cut_at
         problems = [Problem("truncated", BROKEN_OFF, found.end, sample)] if found.broken else []
         if cut_at is not None:
             missing = SAMPLES - found.cut_samples

@@ -20,7 +20,7 @@ from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Device, Problem, Reader, Recording, first_row
 from accelcal_cli.core.written_times import header_zone
-from accelcal_cli.formats._pages.files import ScannedFile
+from accelcal_cli.formats._pages.files import PageFile
 from accelcal_cli.formats._pages.pages import GOOD
 from accelcal_cli.formats._pages.reader import PagedReader, PageScheme
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
@@ -201,7 +201,7 @@ class FirstPages:
     first_values: dict[str, int | None]
 
 
-def look_inside(file: ScannedFile[TextPages]) -> FirstPages | None:
+def look_inside(file: PageFile[TextPages]) -> FirstPages | None:
     """Read on until a page is right; return None if there is none in the whole file."""
     with closing(file.blocks(file.amount(PAGES))) as blocks:
         for block in blocks:
@@ -263,7 +263,7 @@ class TextScheme(PageScheme[TextPages]):
         first_sequence: number of the first page.
     """
 
-    file: ScannedFile[TextPages]
+    file: PageFile[TextPages]
     settings: Settings
     first_sequence: int
 
@@ -280,7 +280,7 @@ class TextScheme(PageScheme[TextPages]):
             yield page * SAMPLES, block
 
 
-def piece_of(file: ScannedFile[TextPages], offset: int, length: int) -> TextPages:
+def piece_of(file: PageFile[TextPages], offset: int, length: int) -> TextPages:
     """Return the pages that begin within `length` bytes from `offset` on, in an uncompressed file."""
     data = file.read(offset, length + LONGEST_BYTES)
     return TextScanner(offset, inside=True).feed(data, last=True, stop=length).alone(offset + len(data))
@@ -295,7 +295,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     """
     probe = probe_file(path, options)
     header = parse_header(probe.head)
-    file = ScannedFile(
+    file = PageFile(
         path, header.data_start, USUAL_BYTES, probe.size, probe.compressed, TextScanner, proved=False
     )
     first = look_inside(file)

@@ -283,7 +283,11 @@ class MemberStream(Closing):
         self.size = 0
         self.fault: Fault | None = None
         self._path, self._ends = archive.path, archive.ends
-        self._refuse_unknown()
+        if member.method not in (STORED, DEFLATED):
+            encrypted = member.method == ENCRYPTED
+            how = "is encrypted" if encrypted else f"is compressed in an unusual way ({member.method})"
+            hint = "unpack it and pack it again as a plain zip file"
+            raise UnreadableError(f"{member.name} in it {how}", path=self._path, hint=hint)
         self._left = UNKNOWN_SIZE if member.packed_bytes is None else member.packed_bytes
         self._inflater = Inflater() if member.method == DEFLATED else None
         self._ended = False
@@ -292,7 +296,7 @@ class MemberStream(Closing):
             self._file = archive.path.open("rb")
             self._file.seek(min(member.start_byte, archive.size))
         except OSError as error:
-            raise self._unreadable(error) from error
+            raise unread(error, self._path) from error
 
     def read(self, count: int) -> bytes:
         """Return `count` bytes, fewer only at the end.
@@ -371,7 +375,7 @@ class MemberStream(Closing):
         try:
             packed = self._file.read(min(most, STEP_BYTES, self._left))
         except OSError as error:
-            raise self._unreadable(error) from error
+            raise unread(error, self._path) from error
         self._left -= len(packed)
         return packed
 
@@ -386,19 +390,6 @@ class MemberStream(Closing):
             self.fault = Fault.DAMAGED
         elif self.member.crc not in (None, self._crc):
             self.fault = Fault.WRONG_CHECKSUM
-
-    def _refuse_unknown(self) -> None:
-        if self.member.method not in (STORED, DEFLATED):
-            encrypted = self.member.method == ENCRYPTED
-            how = "is encrypted" if encrypted else f"is compressed in an unusual way ({self.member.method})"
-            raise UnreadableError(
-                f"{self.member.name} in it {how}",
-                path=self._path,
-                hint="unpack it and pack it again as a plain zip file",
-            )
-
-    def _unreadable(self, error: OSError) -> UnreadableError:
-        return unread(error, self._path)
 
 
 def small_part(archive: Archive, name: str) -> bytes | None:

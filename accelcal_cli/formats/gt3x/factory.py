@@ -55,6 +55,8 @@ READING_BYTES, ACCELEROMETER = 3, 1
 A reading has a thermometer's number and 16 bits; number 1 is within the accelerometer, 0 is the processor's.
 """
 
+Values = dict[str, Any]
+
 READ_AS_COUNTS = "--lsb-per-g, such as 256, reads the counts as they are"
 DAMAGED = "{} in the zip file is damaged: its values for the sensor were not applied"
 NOT_APPLIED = "the maker's calibration (calibration.json) was not applied, as --lsb-per-g is given"
@@ -64,64 +66,48 @@ NO_TEMPERATURE = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class CalibrationFile:
-    """The content of one of the two parts.
-
-    Attributes:
-        values: None if there is no such part, or a damaged one.
-    """
-
-    values: dict[str, Any] | None = None
-    problems: tuple[Problem, ...] = ()
-
-    @property
-    def is_open(self) -> bool:
-        """True if the calibration is still to be applied."""
-        return self.values is not None and not self.values.get("isCalibrated", True)
-
-
-def read_calibration_file(archive: Archive, name: str) -> CalibrationFile:
-    """Read one of the two parts."""
-    if name not in archive.members:
-        return CalibrationFile()
-    try:
-        values = json.loads(small_part(archive, name) or b"")
-    except (ValueError, RecursionError):
-        values = None
-    if isinstance(values, dict):
-        return CalibrationFile(values)
-    return CalibrationFile(None, (Problem("damaged_header", DAMAGED.format(name), None, 0),))
+def is_open(values: Values | None) -> bool:
+    """Return True if the calibration in one of the two parts is still to be applied."""
+    return values is not None and not values.get("isCalibrated", True)
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationFiles:
-    """The content of both parts."""
+    """The content of both parts, None for one that is missing or damaged; and the problem of the latter."""
 
-    acceleration: CalibrationFile = CalibrationFile()
-    temperature: CalibrationFile = CalibrationFile()
+    acceleration: Values | None = None
+    temperature: Values | None = None
+    problems: tuple[Problem, ...] = ()
 
     @classmethod
     def of(cls, archive: Archive) -> CalibrationFiles:
         """Read both parts."""
-        return cls(
-            read_calibration_file(archive, CALIBRATION),
-            read_calibration_file(archive, TEMPERATURE_CALIBRATION),
+        names = (CALIBRATION, TEMPERATURE_CALIBRATION)
+        parts = {name: _values_of(archive, name) for name in names if name in archive.members}
+        problems = (
+            Problem("damaged_header", DAMAGED.format(name), None, 0)
+            for name, values in parts.items()
+            if values is None
         )
-
-    @property
-    def problems(self) -> tuple[Problem, ...]:
-        """Problems of both parts."""
-        return self.acceleration.problems + self.temperature.problems
+        return cls(parts.get(CALIBRATION), parts.get(TEMPERATURE_CALIBRATION), tuple(problems))
 
     def notes(self, done: AppliedCalibration) -> tuple[str, ...]:
         """Return notes on how the parts are used."""
         notes = () if done.factory is None else done.factory.notes()
-        if self.acceleration.is_open and done.acceleration is None:
+        if is_open(self.acceleration) and done.acceleration is None:
             notes += (NOT_APPLIED,)
-        if self.temperature.values is not None and done.first_mc is None:
+        if self.temperature is not None and done.first_mc is None:
             notes += (NO_TEMPERATURE,)
         return notes
+
+
+def _values_of(archive: Archive, name: str) -> Values | None:
+    """Return the content of a part, None if it is damaged."""
+    try:
+        values = json.loads(small_part(archive, name) or b"")
+    except (ValueError, RecursionError):
+        return None
+    return values if isinstance(values, dict) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,15 +144,14 @@ class AppliedCalibration:
         return chunk if self.acceleration is None else calibrated(chunk, self.acceleration, self.limit)
 
 
-def acceleration_of(calibration_file: CalibrationFile, rate: int, path: Path) -> FactoryAcceleration | None:
+def acceleration_of(values: Values | None, rate: int, path: Path) -> FactoryAcceleration | None:
     """Return the calibration for a sampling rate; None if the counts need none.
 
     Raises:
         UnreadableError: it is of an unknown method, not for this rate, or makes no sense.
     """
-    if not calibration_file.is_open:
+    if values is None or not is_open(values):
         return None
-    values = calibration_file.values or {}
     method = values.get("calibrationMethod")
     if method != MATRIX or isinstance(method, bool):
         raise _unusable(f"is of the unknown method {str(method)[:40]!r}", path)
@@ -229,15 +214,14 @@ def calibrated_counts(raw: Counts, factory: FactoryAcceleration) -> NDArray[np.i
     return np.stack([value.clip(-MOST_COUNTS, MOST_COUNTS) for value in steps], axis=1).astype(np.int32)
 
 
-def temperature_of(calibration_file: CalibrationFile) -> FactoryTemperature | None:
+def temperature_of(values: Values | None) -> FactoryTemperature | None:
     """Return how counts of the accelerometer's thermometer become degrees; None if nothing says it.
 
     Calibrated values are in degrees, as the vendor's reader takes them.
     """
-    values = calibration_file.values
     if values is None or "isCalibrated" not in values:
         return None
-    if not calibration_file.is_open:
+    if not is_open(values):
         return FactoryTemperature(TEMPERATURE_CALIBRATION, IN_DEGREES, (0.0, 1.0), (0.0, 1.0))
     names = ("adxlTempLow", "adxlTempHigh", "tempLow", "tempHigh")
     low, high, cold, warm = (_number(values.get(name)) for name in names)

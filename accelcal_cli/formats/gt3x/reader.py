@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Generator, Iterator
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
 
@@ -53,12 +53,13 @@ from accelcal_cli.formats.gt3x.factory import (
     CalibrationFiles,
     acceleration_of,
     calibrated_counts,
+    is_open,
     temperature_of,
     temperatures,
 )
 from accelcal_cli.formats.gt3x.records import Key, RecordBatch, Span, batches
-from accelcal_cli.formats.gt3x.sensors import ActivityFile, Imu, Primary, Samples, Schema, Sensor, has_samples
-from accelcal_cli.formats.gt3x.timeline import ChunkPlace, RowSpan, Timeline, chunk_of, cut, groups
+from accelcal_cli.formats.gt3x.sensors import ActivityFile, Imu, Primary, Schema, Sensor, has_samples
+from accelcal_cli.formats.gt3x.timeline import Timeline, chunk_of, cut, groups
 
 ZEROS = np.zeros((1, 3), np.int16)
 IMU = "imu"
@@ -474,7 +475,7 @@ def open_activity_bin(
         timezone=info.zone,
         samples=file.samples,
         duration_s=None if file.samples is None else file.samples / rate,
-        notes=(*((OLDER_KIND,) if CalibrationFiles.of(archive).acceleration.is_open else ()), *info.notes),
+        notes=(*((OLDER_KIND,) if is_open(CalibrationFiles.of(archive).acceleration) else ()), *info.notes),
     )
     return Gt3xReader(recording, file)
 
@@ -549,19 +550,10 @@ class LogFile:
                 problems = log.take(None if batch.page.last else timeline.position)
                 if batch.page.last and (fault := source.problem(timeline.rows)) is not None:
                     problems += (fault,)
-                place = ChunkPlace(rows, batch.page.end_byte, batch.records.framed_bytes())
-                for chunk in chunks_of(spans, samples, place, problems):
-                    rows += len(chunk)
+                used = batch.records.framed_bytes()
+                # problems and bytes go with the first chunk, which may be empty
+                for part in list(groups(spans, MOST_ROWS)) or ([[]] if problems or used else []):
+                    chunk = chunk_of(part, samples, rows, batch.page.end_byte)
+                    chunk = replace(chunk, problems=problems, used_bytes=used)
+                    problems, used, rows = (), 0, rows + len(chunk)
                     yield from cut(self.applied.apply(chunk), most)
-
-
-def chunks_of(
-    spans: list[RowSpan], samples: Samples, place: ChunkPlace, problems: tuple[Problem, ...]
-) -> Iterator[Chunk]:
-    """Yield chunks of a batch's spans; problems and bytes go with the first, which may be empty."""
-    parts = list(groups(spans, MOST_ROWS)) or ([[]] if problems or place.used_bytes else [])
-    rows, used = place.first_sample, place.used_bytes
-    for part in parts:
-        chunk = chunk_of(part, samples, ChunkPlace(rows, place.end_byte, used), problems)
-        problems, used, rows = (), 0, rows + len(chunk)
-        yield chunk

@@ -14,13 +14,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, PageClock
-from accelcal_cli.core.recording import Channels, Chunk, Problem, Validity, cut_channels
+from accelcal_cli.core.recording import Channels, Chunk, Validity, cut_channels
 from accelcal_cli.formats._problems import Event, Kind
 from accelcal_cli.formats.gt3x.factory import Thermometer
 from accelcal_cli.formats.gt3x.records import EVENT, Damage, RecordBatch, Records, Span, payload
@@ -87,15 +87,6 @@ class RowSpan:
     sample: Channels | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class ChunkPlace:
-    """Place of a chunk: number of its first row, how far the file has been read, bytes of its records."""
-
-    first_sample: int
-    end_byte: int
-    used_bytes: int = 0
-
-
 def groups(spans: Sequence[RowSpan], most: int) -> Iterator[list[RowSpan]]:
     """Group spans in order, each group up to about `most` rows."""
     group: list[RowSpan] = []
@@ -110,30 +101,24 @@ def groups(spans: Sequence[RowSpan], most: int) -> Iterator[list[RowSpan]]:
         yield group
 
 
-def chunk_of(
-    spans: Sequence[RowSpan], samples: Samples, place: ChunkPlace, problems: tuple[Problem, ...] = ()
-) -> Chunk:
-    """Return the rows of spans in order."""
+def chunk_of(spans: Sequence[RowSpan], samples: Samples, first_sample: int, end_byte: int) -> Chunk:
+    """Return the rows of spans in order, still without problems and the bytes that they were made of."""
     rows = np.array([span.rows for span in spans], np.int64)
     first_row = np.cumsum(rows) - rows
+    time_us = np.array([span.second for span in spans], np.int64) * MICROSECONDS
+    per_second = np.array([span.per_second for span in spans], np.int64)
     broken = np.array([span.broken for span in spans], np.bool_)
     validity = np.array([span.validity for span in spans], np.uint8)
     return Chunk(
-        first_sample=place.first_sample,
-        clock=_clock(spans, first_row),
-        end_byte=place.end_byte,
+        first_sample=first_sample,
+        clock=PageClock(first_row, time_us, per_second, np.full(len(spans), MICROSECONDS, np.int64)),
+        end_byte=end_byte,
         breaks=first_row[broken],
         validity=np.repeat(validity, rows) if validity.any() else None,
-        problems=problems,
-        used_bytes=place.used_bytes,
+        problems=(),
+        used_bytes=0,
         **{name: _column(name, values, spans) for name, values in samples.columns.items()},
     )
-
-
-def _clock(spans: Sequence[RowSpan], first_row: NDArray[np.int64]) -> PageClock:
-    time_us = np.array([span.second for span in spans], np.int64) * MICROSECONDS
-    span_rows = np.array([span.per_second for span in spans], np.int64)
-    return PageClock(first_row, time_us, span_rows, np.full(len(spans), MICROSECONDS, np.int64))
 
 
 def _column(name: str, values: NDArray[Any], spans: Sequence[RowSpan]) -> NDArray[Any]:
@@ -160,8 +145,7 @@ def cut(chunk: Chunk, most: int) -> Iterator[Chunk]:
         yield chunk.part(start, min(start + most, len(chunk)))
 
 
-@dataclass(frozen=True, slots=True)
-class SleepSpan:
+class SleepSpan(NamedTuple):
     """Seconds first_s..end_s - 1, in which the device sleeps according to the records."""
 
     first_s: int
@@ -265,15 +249,6 @@ class DecodedBatch:
         """Return a record's payload."""
         return payload(self.batch, int(self.number[record]))
 
-    def start_byte(self, record: int) -> int:
-        """Return where in log.bin a record begins."""
-        return self.batch.page.base + int(self.records.start[record])
-
-    def between(self, begin: int, end: int) -> tuple[int, int]:
-        """Return which of the records with samples are among records begin..end-1 of the batch."""
-        low, high = np.searchsorted(self.number, (begin, end)).tolist()
-        return low, high
-
     def runs(self, low: int, high: int) -> Iterator[tuple[int, int]]:
         """Split records low..high-1 with samples into stretches that continue evenly."""
         starts = low + np.flatnonzero(~self.joined[low + 1 : high]) + 1
@@ -327,8 +302,7 @@ class _LastRecord:
     sample: Channels
 
 
-@dataclass(frozen=True, slots=True)
-class _RecordPlace:
+class _RecordPlace(NamedTuple):
     """The number of a record in the whole file, and where in log.bin it begins."""
 
     position: int
@@ -375,12 +349,13 @@ class Timeline:
 
     def _add_records(self, decoded: DecodedBatch, begin: int, end: int) -> None:
         """Add records begin..end-1 of the batch, among which there is no event."""
-        low, high = decoded.between(begin, end)
+        low, high = np.searchsorted(decoded.number, (begin, end)).tolist()
         if low == high:
             self._idle.note_times(decoded.batch.records.second[begin:end])
         for first, stop in decoded.runs(low, high) if low < high else ():
             position = self.position - begin + int(decoded.number[first])
-            self._run(decoded, first, stop, _RecordPlace(position, decoded.start_byte(first)))
+            start_byte = decoded.batch.page.base + int(decoded.records.start[first])
+            self._run(decoded, first, stop, _RecordPlace(position, start_byte))
         self.position += end - begin
 
     def _add_log_event(self, log_event: LogEvent) -> None:
@@ -410,17 +385,12 @@ class Timeline:
         """Add records that continue evenly, or a single one."""
         self._forget_sleep(where)
         self._sleep(int(decoded.records.second[first]))
-        if self._repeats(decoded, first):
+        last, second = self._last, decoded.records.second[first]
+        if last is not None and last.second == second and last.data == decoded.payload(first):
             self._note(REPEATED, where)
             first += 1
         if first < stop:
             self._measure(decoded, first, stop, where)
-
-    def _repeats(self, decoded: DecodedBatch, record: int) -> bool:
-        last = self._last
-        if last is None or last.second != decoded.records.second[record]:
-            return False
-        return last.data == decoded.payload(record)
 
     def _measure(self, decoded: DecodedBatch, first: int, stop: int, where: _RecordPlace) -> None:
         whole, rows = bool(decoded.whole[first]), int(decoded.samples.rows[first])

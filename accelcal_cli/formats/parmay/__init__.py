@@ -6,7 +6,7 @@ sample files; docs/more-devices.md says what each field means to the reader.
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.formats import NOT_FOR_DEVICES, Format, Probe
 
 PACKET_MAGIC = b"MDTCPACK"
 HEADER_MAGIC = b"MDTC"
@@ -27,12 +27,5 @@ FORMAT = Format(
     (".bin",),
     sniff,
     reader="accelcal_cli.formats.parmay.reader:open_recording",
-    ignores=(
-        "unit",
-        "columns",
-        *TIMES_OF_TABLES,
-        "layout",
-        "sensor",
-        *ONLY_TABLES,
-    ),
+    ignores=NOT_FOR_DEVICES,
 )

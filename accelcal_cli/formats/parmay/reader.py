@@ -24,7 +24,7 @@ from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
 from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Channels, Chunk, Device, Problem, Reader, Recording, clipped_at
-from accelcal_cli.formats._pages.files import ScannedFile, ScannedPages
+from accelcal_cli.formats._pages.files import PageFile, ScannedPages
 from accelcal_cli.formats._pages.pages import CHECKSUM, GOOD, NO_PAGE, Decoded, PageBlock, bad_runs
 from accelcal_cli.formats._pages.reader import BROKEN_OFF, PageDecoder, PagedReader, PageScheme
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
@@ -274,7 +274,7 @@ class FirstPackets:
         return 12 if self.has_gyro else 6
 
 
-def look_inside(file: ScannedFile[Packets], options: ReadOptions) -> FirstPackets | None:
+def look_inside(file: PageFile[Packets], options: ReadOptions) -> FirstPackets | None:
     """Read on until there are packets of enough samples; return None if the file has no packet.
 
     Raises:
@@ -374,9 +374,9 @@ class PacketDecoder(PageDecoder[Packets]):
         chunk = replace(chunk, used_bytes=len(chunk) * self._first.row_bytes)
         return clipped_at(chunk, -FULL_SCALE, FULL_SCALE - 1)
 
-    def ending(self, found: Packets, chunk: Chunk) -> tuple[Problem, ...]:
+    def ending(self, found: Packets, sample: int) -> tuple[Problem, ...]:
         """Return what is missing at the end of the file, and in packets."""
-        sample, problems = chunk.first_sample + len(chunk), []
+        problems = []
         if found.broken:
             problems.append(Problem("truncated", BROKEN_OFF, found.end, sample))
         if found.cut_at is not None:
@@ -427,7 +427,7 @@ class PacketDecoder(PageDecoder[Packets]):
 class PacketScheme(PageScheme[Packets]):
     """Describes how the packets of one file are read."""
 
-    file: ScannedFile[Packets]
+    file: PageFile[Packets]
 
     def amount(self, chunk_samples: int) -> int:
         """Return the bytes of `chunk_samples` rows, whether these are whole packets or not."""
@@ -456,7 +456,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     probe = probe_file(path, options)
     header = parse_header(probe.head)
     start = HEADER_BYTES if header.damage is None else max(0, probe.head.find(PACKET_MAGIC))
-    file = ScannedFile(path, start, USUAL_BYTES, probe.size, probe.compressed, PacketScanner)
+    file = PageFile(path, start, USUAL_BYTES, probe.size, probe.compressed, PacketScanner)
     first = look_inside(file, options)
     if first is None:
         raise UnreadableError("holds no sound packet", path=path, byte_offset=start, hint=COPY_AGAIN)
@@ -495,7 +495,7 @@ def describe(scheme: PacketScheme, first: FirstPackets, header: Header, options:
     )
 
 
-def duration_s(file: ScannedFile[Packets], start_us: int) -> float | None:
+def duration_s(file: PageFile[Packets], start_us: int) -> float | None:
     """Return the time from the first sample to the end of the last packet [s], None if that is not found."""
     if file.compressed:
         return None

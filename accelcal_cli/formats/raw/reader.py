@@ -30,8 +30,8 @@ from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages import timeline as timelines
 from accelcal_cli.formats._pages.files import PagedFile, RawBlock
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock
-from accelcal_cli.formats._pages.reader import FixedPages, Opening, PageDecoder, PagedReader
-from accelcal_cli.formats._rows import MISSING
+from accelcal_cli.formats._pages.reader import FixedPages, PageDecoder, PagedReader
+from accelcal_cli.formats._rows import MISSING, first_values
 from accelcal_cli.formats.raw import find_layout, named_layout
 from accelcal_cli.formats.raw.layout import (
     AXES,
@@ -347,8 +347,9 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         raise nothing_usable(file, layout)
     timed = layout.start is not None or layout.stamp is not None
     problems = () if timed else (Problem("no_start_time", NO_START, None, 0),)
+    scheme = replace(scheme, first_values=first_values(opening.channels), problems=problems)
     described = replace(recording(scheme, layout, opening), companion=find_layout(path, options))
-    return PagedReader(described, replace(scheme, first_values=opening.first_values, problems=problems))
+    return PagedReader(described, scheme)
 
 
 def layout_for(path: Path, options: ReadOptions) -> Layout:
@@ -407,7 +408,7 @@ def timeline(layout: Layout, spacing: timelines.Spacing) -> timelines.PageTimeli
     return timelines.CoarseTimeline(spacing, round(unit))
 
 
-def recording(scheme: FixedPages, layout: Layout, opening: Opening) -> Recording:
+def recording(scheme: FixedPages, layout: Layout, opening: PageBlock) -> Recording:
     """Describe the recording."""
     values, (samples, duration_s) = FrameValues(layout), scheme.extent(opening)
     start, stamped = layout.start, layout.stamp is not None
@@ -421,12 +422,12 @@ def recording(scheme: FixedPages, layout: Layout, opening: Opening) -> Recording
         total_bytes=scheme.file.size,
         device=Device(layout.model, layout.serial, layout.firmware),
         range_g=layout.range_g,
-        start_us=opening.start_us if stamped or start else None,
+        start_us=scheme.timeline().start(opening) if stamped or start else None,
         timezone=zone,
         has_offsets=not stamped and start is not None and start.had_offset,
         samples=samples,
         duration_s=duration_s,
-        has_temperature=opening.first_values.get("temperature_mc") is not None,
+        has_temperature=scheme.first_values.get("temperature_mc") is not None,
         gyro_dps_per_lsb=values.dps_per_lsb,
         zero_counts=values.zero_counts,
         notes=ignored if stamped and start else (),

@@ -310,7 +310,7 @@ def announced_bytes(header: Header, path: Path, size: int | None) -> tuple[int |
 def first_channel_values(file: FrameFile) -> dict[str, int | None]:
     """Return the first temperature; None if the first samples have none."""
     with closing(ByteSource(file.path)) as source:
-        file.enter(source, 0)
+        source.seek(file.start_byte)
         data = source.read_exact(FIRST_ROWS * file.frame_bytes)
     whole = len(data) // file.frame_bytes * file.frame_bytes
     if not whole:
