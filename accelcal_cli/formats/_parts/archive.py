@@ -21,7 +21,7 @@ from accelcal_cli.core.errors import OutputError, UnreadableError, unread
 from accelcal_cli.core.formats import ZIP_MAGIC
 from accelcal_cli.core.input_files import TAR_MAGIC, TAR_MAGIC_AT
 from accelcal_cli.core.parallel import prefetch
-from accelcal_cli.formats._parts.members import BROKEN, COPIED_BYTES, Allowance, members, unpacking
+from accelcal_cli.formats._parts.members import BROKEN, Allowance, members, unpacking
 
 LONGEST_NAME = 200
 """Most bytes in a file's name; file systems take 255."""
@@ -79,7 +79,8 @@ def is_archive(path: Path) -> bool:
 def first_names(path: Path, number: int) -> Iterator[str]:
     """Yield the names of the first files of an archive, as many as a short look shows."""
     with suppress(*BROKEN, UnreadableError):
-        for name, _ in islice(members(path, Allowance(path, min(LOOKED_BYTES, MOST_BYTES), 0)), number):
+        found = members(path, Allowance(path, min(LOOKED_BYTES, MOST_BYTES), 0), lambda _name: False)
+        for name, _ in islice(found, number):
             yield name.rpartition("/")[2]
 
 
@@ -97,9 +98,11 @@ def unpack(path: Path, folder: Path, wanted: Callable[[str], bool], threads: int
     """
     files = _Files(folder)
     try:
-        with closing(prefetch(_pieces(path, wanted), threads)) as pieces:
+        found = members(path, Allowance(path, MOST_BYTES, MOST_TIMES), wanted)
+        with closing(prefetch(found, threads)) as pieces:
             for name, piece in pieces:
-                files.take(name, piece)
+                if piece is not None:
+                    files.take(name, piece)
     except BROKEN as error:
         if isinstance(error, OSError) and error.errno is not None:  # of the disk, not of what is packed
             raise unread(error, path) from error
@@ -166,15 +169,6 @@ class _Files:
         if last == META:  # its files describe those of the folder above
             return self._folder(above) / META
         return self._folders.setdefault(place, self.folder / f"{len(self._folders):06d}")
-
-
-def _pieces(path: Path, wanted: Callable[[str], bool]) -> Iterator[tuple[str, bytes]]:
-    """Yield wanted members in pieces, with their names; b"" comes after a member."""
-    for name, stream in members(path, Allowance(path, MOST_BYTES, MOST_TIMES)):
-        if wanted(name.rpartition("/")[2]):
-            while piece := stream.read(COPIED_BYTES):
-                yield name, piece
-            yield name, b""
 
 
 def _write(target: Path, piece: bytes, *, first: bool) -> None:
