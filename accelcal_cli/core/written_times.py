@@ -370,7 +370,7 @@ def written_start(text: str, order: str | None = None) -> StartTime | None:
     text = text.strip()
     found = next((match for shape in SHAPES if (match := shape.fullmatch(text))), None)
     if found is None:
-        return _iso_start(text)
+        return iso_start(text)
     around = surroundings(found["before"], found["after"], order)
     if around is None or around.day is None:
         return None
@@ -386,10 +386,10 @@ def written_start(text: str, order: str | None = None) -> StartTime | None:
     return StartTime(start_us, zone, bool(around.offset_s))
 
 
-def _iso_start(text: str) -> StartTime | None:
-    """Return a date alone, or with an hour, as ISO 8601 has it."""
+def iso_start(text: str) -> StartTime | None:
+    """Return a date and time as ISO 8601 has it, which may be cut short; None for any other text."""
     try:
-        return start_of(datetime.fromisoformat(text))
+        return start_of(datetime.fromisoformat(text.strip()))
     except ValueError:
         return None
 

@@ -39,9 +39,6 @@ LONGEST_TEXT = 1 << 16
 MOST_BYTES = 1 << 20
 """Most unpacked bytes at once: damaged or empty stretches unpack to a thousand times their size."""
 
-PIECE_BYTES = 1 << 18
-"""Most bytes that a PackedStream reads, or unpacks, at once."""
-
 DEFLATE = 8
 """The one compression method of gzip files."""
 
@@ -86,7 +83,7 @@ class ByteSource(Closing):
             self.compressed = self._file.read(len(GZIP_MAGIC)) == GZIP_MAGIC
             self._file.seek(0)
         except OSError as error:
-            raise self._unreadable(error) from error
+            raise unread(error, self.path) from error
         self._pieces = prefetch(gunzipped(self._file), threads) if self.compressed else None
 
     @property
@@ -108,7 +105,7 @@ class ByteSource(Closing):
         try:
             return self._file.read1(count) if self._pieces is None else self._unpacked(self._pieces, count)
         except OSError as error:
-            raise self._unreadable(error) from error
+            raise unread(error, self.path) from error
 
     def read_exact(self, count: int) -> bytes:
         """Return `count` bytes, fewer only at the end of the data.
@@ -168,9 +165,6 @@ class ByteSource(Closing):
             self._ahead, self._unpacked_to, self._fault = piece.data, piece.end_byte, piece.fault
         part, self._ahead = self._ahead[:count], self._ahead[count:]
         return part
-
-    def _unreadable(self, error: OSError) -> UnreadableError:
-        return unread(error, self.path)
 
 
 class GzipFault(Enum):
@@ -345,60 +339,6 @@ class Inflater:
                 break
         self._waiting = b""
         return b"".join(parts)
-
-
-class PackedStream:
-    """Unpacks a stretch of a file from its beginning; can be copied at any place.
-
-    Attributes:
-        damaged: the packed bytes proved to be damaged, not only cut short.
-
-    Args:
-        offset, size: of the packed bytes.
-    """
-
-    def __init__(self, path: Path, offset: int, size: int) -> None:
-        self._path = path
-        self._offset = offset
-        self._end = offset + size
-        self._unpacker = zlib.decompressobj()
-        self._pending = b""
-        self.damaged = False
-
-    def copy(self) -> PackedStream:
-        """Return another stream that continues from the same place."""
-        twin = PackedStream(self._path, self._offset, self._end - self._offset)
-        twin._unpacker = self._unpacker.copy()
-        twin._pending = self._pending
-        return twin
-
-    def pieces(self, count: int) -> Iterator[bytes]:
-        """Yield the next `count` bytes in pieces; fewer where the packed bytes are damaged."""
-        while count:
-            if not self._pending:
-                self._pending = self._read_packed()
-            try:
-                piece = self._unpacker.decompress(self._pending, min(count, PIECE_BYTES))
-            except zlib.error:
-                self.damaged = True
-                return
-            if not piece and (self._unpacker.eof or not self._pending):
-                return
-            self._pending = self._unpacker.unconsumed_tail
-            count -= len(piece)
-            yield piece
-
-    def skip(self, count: int) -> None:
-        """Pass over `count` bytes, as far as they can be unpacked."""
-        for _ in self.pieces(count):
-            pass
-
-    def _read_packed(self) -> bytes:
-        with self._path.open("rb") as file:
-            file.seek(self._offset)
-            packed = file.read(min(PIECE_BYTES, self._end - self._offset))
-        self._offset += len(packed)
-        return packed
 
 
 class ShortReads:

@@ -11,17 +11,18 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 
-from accelcal_cli.core.errors import OutputError, UnreadableError, unread
+from accelcal_cli.core.errors import OutputError, UnreadableError, counted, unread
 from accelcal_cli.core.formats import ZIP_MAGIC
 from accelcal_cli.core.input_files import TAR_MAGIC, TAR_MAGIC_AT
 from accelcal_cli.core.parallel import prefetch
-from accelcal_cli.formats._parts.members import BROKEN, COPIED_BYTES, Allowance, members, unpacking
+from accelcal_cli.core.recording import Problem
+from accelcal_cli.formats._parts.members import BROKEN, Allowance, members, unpacking
 
 LONGEST_NAME = 200
 """Most bytes in a file's name; file systems take 255."""
@@ -42,22 +43,32 @@ FREE_SHARE = 0.05
 """Share of the disk of temporary files that stays free."""
 
 
-@dataclass(frozen=True, slots=True)
-class Unpacked:
-    """Members as files, in the order of the archive.
+@dataclass(slots=True)
+class PartFiles:
+    """The files of a recording.
 
     Attributes:
-        damage: where the archive breaks off; None for a sound archive.
+        names: in the order of the archive, with their names in it; those of a folder have their own.
+        damage: where the archive that held them breaks off; None for a sound one.
         lost_bytes: bytes of the member that could not be unpacked to its end.
-        empty: number of further members without bytes, which are not files.
-        names: of the files in the archive, with their folders.
+        folder: temporary folder, to be removed.
+        joined: the files are parts of one recording, whatever their names.
+        aside: names of files that are not recordings.
+        problems: one for each file that cannot be read.
     """
 
-    files: tuple[Path, ...]
+    names: dict[Path, str]
     damage: str | None = None
     lost_bytes: int = 0
-    empty: int = 0
-    names: Mapping[Path, str] = field(default_factory=dict)
+    folder: Path | None = None
+    joined: bool = True
+    aside: list[str] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files alone."""
+        return tuple(self.names)
 
 
 def is_archive(path: Path) -> bool:
@@ -79,11 +90,12 @@ def is_archive(path: Path) -> bool:
 def first_names(path: Path, number: int) -> Iterator[str]:
     """Yield the names of the first files of an archive, as many as a short look shows."""
     with suppress(*BROKEN, UnreadableError):
-        for name, _ in islice(members(path, Allowance(path, min(LOOKED_BYTES, MOST_BYTES), 0)), number):
+        found = members(path, Allowance(path, min(LOOKED_BYTES, MOST_BYTES), 0), lambda _name: False)
+        for name, _ in islice(found, number):
             yield name.rpartition("/")[2]
 
 
-def unpack(path: Path, folder: Path, wanted: Callable[[str], bool], threads: int = 1) -> Unpacked:
+def unpack(path: Path, folder: Path, wanted: Callable[[str], bool], threads: int = 1) -> PartFiles:
     """Unpack members into a folder.
 
     Args:
@@ -95,20 +107,23 @@ def unpack(path: Path, folder: Path, wanted: Callable[[str], bool], threads: int
         UnreadableError: nothing can be unpacked, more than any recording has, or it is encrypted or packed
             in an unusual way.
     """
-    files = _Files(folder)
+    files, found = _Files(folder), members(path, Allowance(path, MOST_BYTES, MOST_TIMES), wanted)
+    unpacked = PartFiles(files.whole, folder=folder)
     try:
-        with closing(prefetch(_pieces(path, wanted), threads)) as pieces:
+        with closing(prefetch(found, threads)) as pieces:
             for name, piece in pieces:
-                files.take(name, piece)
+                if piece is not None:
+                    files.take(name, piece)
     except BROKEN as error:
         if isinstance(error, OSError) and error.errno is not None:  # of the disk, not of what is packed
             raise unread(error, path) from error
         if not files.whole:
             text = f"damaged archive: nothing can be unpacked ({error})"
             raise UnreadableError(text, path=path, hint="copy it again from its source") from error
-        damage = f"the archive breaks off after {[*files.whole][-1].name}"
-        return Unpacked(tuple(files.whole), damage, files.begun_bytes(), files.empty, files.whole)
-    return Unpacked(tuple(files.whole), empty=files.empty, names=files.whole)
+        unpacked.damage = f"the archive breaks off after {[*files.whole][-1].name}"
+        unpacked.lost_bytes = files.begun_bytes()
+    unpacked.aside += [counted(files.empty, "empty file")] if files.empty else []
+    return unpacked
 
 
 @dataclass(slots=True)
@@ -166,15 +181,6 @@ class _Files:
         if last == META:  # its files describe those of the folder above
             return self._folder(above) / META
         return self._folders.setdefault(place, self.folder / f"{len(self._folders):06d}")
-
-
-def _pieces(path: Path, wanted: Callable[[str], bool]) -> Iterator[tuple[str, bytes]]:
-    """Yield wanted members in pieces, with their names; b"" comes after a member."""
-    for name, stream in members(path, Allowance(path, MOST_BYTES, MOST_TIMES)):
-        if wanted(name.rpartition("/")[2]):
-            while piece := stream.read(COPIED_BYTES):
-                yield name, piece
-            yield name, b""
 
 
 def _write(target: Path, piece: bytes, *, first: bool) -> None:

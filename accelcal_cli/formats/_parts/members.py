@@ -1,4 +1,4 @@
-"""The members of an archive, one after the other, as streams of bytes.
+"""The members of an archive, one after the other: their names, and the bytes of those that are wanted.
 
 What an archive may cost is bounded before a library reads it: members of any kind are counted, headers have a
 longest length, a dictionary has a largest size, and only what every program packs is unpacked (stored and
@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, BinaryIO
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ZIP_MAGIC
@@ -113,24 +113,35 @@ _ENCRYPTED, _SIZES_FOLLOW = 0x01, 0x08
 _DESCRIPTOR = b"PK\x07\x08"
 _UNKNOWN = 1 << 62
 
+Piece = tuple[str, bytes | None]
+"""The name of a plain file in an archive, with None where it begins, then its bytes, b"" where it ends."""
+
+Wanted = Callable[[str], bool]
+"""Returns True for the last part of a name if the bytes of the file are wanted."""
+
 
 class Allowance:
-    """The bytes that an archive may still unpack to."""
+    """The bytes that an archive may still unpack to, and the members that it may still have."""
 
     def __init__(self, path: Path, most: int, times: int) -> None:
-        self._path, self.directory_bytes = path, min(most, LARGEST_DIRECTORY)
-        self._left = most + times * path.stat().st_size
-        self._times = times
+        self._path, self._times = path, times
+        self._left, self._members = most + times * path.stat().st_size, 0
 
     def take(self, count: int) -> None:
         """Raise UnreadableError if an archive unpacks to more than it may."""
         self._left -= count
         if self._left < 0:
-            raise _too_much(self._path, f"unpacks to more than {self._times} times its size")
+            raise self._too_much(f"unpacks to more than {self._times} times its size")
 
+    def add_member(self) -> None:
+        """Raise UnreadableError if an archive has more members than it may."""
+        self._members += 1
+        if self._members > MOST_MEMBERS:
+            raise self._too_much(f"has more than {MOST_MEMBERS} members")
 
-def _too_much(path: Path, what: str) -> UnreadableError:
-    return UnreadableError(f"{what}, as no recording does", path=path, hint="unpack it, and give its files")
+    def _too_much(self, what: str) -> UnreadableError:
+        hint = "unpack it, and give its files"
+        return UnreadableError(f"{what}, as no recording does", path=self._path, hint=hint)
 
 
 def _shown(name: str) -> str:
@@ -138,27 +149,21 @@ def _shown(name: str) -> str:
     return name if len(name) <= SHOWN else f"...{name[-SHOWN:]}"
 
 
-class Stream(Protocol):
-    """The bytes of a member."""
-
-    def read(self, count: int, /) -> bytes:
-        """Return the next bytes, at most this many; none at the end."""
-
-
-Member = tuple[str, Stream | None]
-"""The name of a member in the archive, and its bytes; None for anything but a plain file."""
-
-
-def members(path: Path, allowance: Allowance) -> Iterator[tuple[str, Stream]]:
-    """Yield the plain files of an archive: their names with folders, and their bytes."""
+def members(path: Path, allowance: Allowance, wanted: Wanted) -> Iterator[Piece]:
+    """Yield the plain files of an archive: their names with folders, and the bytes of wanted ones."""
     with path.open("rb") as file:
         zipped = file.read(len(ZIP_MAGIC)) == ZIP_MAGIC
-    members = _zip_members(path, allowance) if zipped else _tar_members(path, allowance)
-    for number, (name, stream) in enumerate(members):
-        if number == MOST_MEMBERS:
-            raise _too_much(path, f"has more than {MOST_MEMBERS} members")
-        if stream is not None:
-            yield name.replace("\\", "/").rstrip("/").replace("\0", ""), stream
+    return (_zip_members if zipped else _tar_members)(path, allowance, wanted)
+
+
+def _file(name: str, pieces: Iterator[bytes], wanted: Wanted) -> Iterator[Piece]:
+    """Yield one file."""
+    name = name.replace("\\", "/").rstrip("/").replace("\0", "")
+    yield name, None
+    if wanted(name.rpartition("/")[2]):
+        for piece in pieces:
+            yield name, piece
+        yield name, b""
 
 
 @contextmanager
@@ -171,36 +176,34 @@ def unpacking(path: Path) -> Iterator[Any]:
         yield file if kind is None else kind(file)
 
 
-def _tar_members(path: Path, allowance: Allowance) -> Iterator[Member]:
+def _tar_members(path: Path, allowance: Allowance, wanted: Wanted) -> Iterator[Piece]:
     with unpacking(path) as unpacked:
         source = _Blocks(unpacked, allowance)
         about: dict[bytes, bytes] = {}
-        while True:
-            block = source.exactly(tarfile.BLOCKSIZE)
-            if not block.strip(b"\0"):
-                return
+        while (block := source.exactly(tarfile.BLOCKSIZE)).strip(b"\0"):
             header = tarfile.TarInfo.frombuf(block, "utf-8", "surrogateescape")
+            allowance.add_member()
             if header.type in HEADERS:
                 if header.size > LONGEST_HEADER:
                     raise ValueError(f"a header claims {header.size} bytes")
                 about |= _described(header.type, source.exactly(header.size))
                 source.pass_over(-header.size % tarfile.BLOCKSIZE)
-                yield header.name, None
                 continue
             name = about.get(b"path", b"").decode("utf-8", "surrogateescape") or header.name
             if header.type == tarfile.GNUTYPE_SPARSE or b"sparse" in about:
-                hint = "pack it again without --sparse"
-                raise UnreadableError(
-                    f"{_shown(name)} in it is a sparse file, which is not unpacked", path=path, hint=hint
-                )
+                what = f"{_shown(name)} in it is a sparse file, which is not unpacked"
+                raise UnreadableError(what, path=path, hint="pack it again without --sparse")
             size = int(about.get(b"size", header.size))
             about = {}
             if header.isreg() or header.type not in tarfile.SUPPORTED_TYPES:
-                member = _TarMember(source, size)
-                yield name, member if header.isreg() else None
-                member.end()
-            else:
-                yield name, None
+                if size < 0:
+                    raise ValueError("a member has a negative size")
+                pieces = source.pieces(size)
+                if header.isreg():
+                    yield from _file(name, pieces, wanted)
+                for _ in pieces:  # those that are not wanted
+                    pass
+                source.pass_over(-size % tarfile.BLOCKSIZE)
 
 
 def _described(kind: bytes, data: bytes) -> dict[bytes, bytes]:
@@ -232,55 +235,40 @@ class _Blocks:
 
     def exactly(self, count: int) -> bytes:
         """Return the next bytes; raises EOFError if there are fewer."""
-        parts: list[bytes] = []
+        return b"".join(self.pieces(count))
+
+    def pieces(self, count: int) -> Iterator[bytes]:
+        """Yield the next bytes in pieces; raises EOFError if there are fewer."""
         while count > 0:
-            parts.append(self.read(count))
-            count -= len(parts[-1])
-        return b"".join(parts)
+            piece = self.read(min(count, COPIED_BYTES))
+            count -= len(piece)
+            yield piece
 
     def pass_over(self, count: int) -> None:
         """Read past some bytes."""
-        while count > 0:
-            count -= len(self.read(min(count, COPIED_BYTES)))
+        for _ in self.pieces(count):
+            pass
 
 
-class _TarMember:
-    """The bytes of a member of a tar file."""
-
-    def __init__(self, source: _Blocks, size: int) -> None:
-        if size < 0:
-            raise ValueError("a member has a negative size")
-        self._source, self._left, self._padding = source, size, -size % tarfile.BLOCKSIZE
-
-    def read(self, count: int) -> bytes:
-        piece = self._source.read(min(count, self._left))
-        self._left -= len(piece)
-        return piece
-
-    def end(self) -> None:
-        """Go to the next member."""
-        self._source.pass_over(self._left + self._padding)
-
-
-def _zip_members(path: Path, allowance: Allowance) -> Iterator[Member]:
+def _zip_members(path: Path, allowance: Allowance, wanted: Wanted) -> Iterator[Piece]:
     """Yield members by the directory at the end, or by their own headers in a file cut short."""
     with path.open("rb") as file:
         try:
-            with zipfile.ZipFile(ShortReads(file, allowance.directory_bytes)) as archive:
+            with zipfile.ZipFile(ShortReads(file, LARGEST_DIRECTORY)) as archive:
                 entries = archive.infolist()
             if min((entry.header_offset for entry in entries), default=0) > 0:
                 raise zipfile.BadZipFile("its directory is that of a zip file within")
         except zipfile.BadZipFile:
-            yield from _zip_stream(path, file, allowance)
+            yield from _zip_stream(path, file, allowance, wanted)
             return
         for entry in entries:
-            member = ZipMember(path, file, entry.filename, entry.flag_bits, entry.compress_type, allowance)
-            member.at = entry.header_offset
-            member.packed, member.size, member.crc = entry.compress_size, entry.file_size, entry.CRC
-            yield entry.filename, None if entry.filename.endswith("/") else member
+            allowance.add_member()
+            if not entry.filename.endswith("/"):
+                data = _ZipData(path, file, entry, allowance)
+                yield from _file(entry.filename, data.pieces(), wanted)
 
 
-def _zip_stream(path: Path, file: BinaryIO, allowance: Allowance) -> Iterator[Member]:
+def _zip_stream(path: Path, file: BinaryIO, allowance: Allowance, wanted: Wanted) -> Iterator[Piece]:
     """Yield the members of a zip file without a directory, each from where the one before ends."""
     at = 0
     while True:
@@ -292,125 +280,120 @@ def _zip_stream(path: Path, file: BinaryIO, allowance: Allowance) -> Iterator[Me
         name = file.read(name_bytes).decode("utf-8", "replace")
         if IN_EXTRA in (packed, size):
             size, packed = long_sizes(file.read(extra_bytes)) or (size, packed)
-        member = ZipMember(path, file, name, flags, method, allowance)
-        member.at, member.packed, member.size, member.crc = at, packed, size, crc
-        if follows := bool(flags & _SIZES_FOLLOW):
-            member.crc, member.size = None, -1
-            member.packed = packed or _UNKNOWN
-            if not packed and method == zipfile.ZIP_STORED:
+        follows = bool(flags & _SIZES_FOLLOW)
+        if follows:
+            size, packed = -1, packed or _UNKNOWN
+            if packed == _UNKNOWN and method == zipfile.ZIP_STORED:
                 raise zipfile.BadZipFile("only its directory, which is missing, says how long a member is")
-        yield name, None if name.endswith("/") else member
-        at = member.passed(follows)
+        entry = zipfile.ZipInfo()
+        entry.filename, entry.header_offset, entry.flag_bits, entry.compress_type = name, at, flags, method
+        entry.compress_size, entry.file_size, entry.CRC = packed, size, crc
+        allowance.add_member()
+        data = _ZipData(path, file, entry, allowance, follows)
+        if not name.endswith("/"):
+            yield from _file(name, data.pieces(), wanted)
+        at = data.end()
 
 
 @dataclass(slots=True)
-class ZipMember:
-    """The unpacked bytes of one member, whose checksum is compared at its end.
+class _ZipData:
+    """The data of one member, whose checksum is compared at its end.
 
     Attributes:
-        at: where its own header begins.
-        packed, size: its bytes, packed and unpacked; -1: not known.
-        crc: its checksum; None: it follows the data.
+        entry: what the directory, or its own header, says of it.
+        follows: its checksum and sizes follow its data, in 12 to 24 bytes (4.3.9).
+        checksum: that of the unpacked bytes; None before they are read.
     """
 
     path: Path
     file: BinaryIO
-    name: str
-    flags: int
-    method: int
+    entry: zipfile.ZipInfo
     allowance: Allowance
-    at: int = 0
-    packed: int = 0
-    size: int = 0
-    crc: int | None = None
-    _sum: int = 0
-    _inflater: Inflater | None = None
-    _ended: bool = False
-    _begun: bool = False
+    follows: bool = False
+    checksum: int | None = None
 
-    def read(self, count: int) -> bytes:
-        """See `Stream`."""
-        if not self._begun:
-            self._begin()
-        piece = b""
-        while not piece and not self._ended:
-            piece = self._stored(count) if self._inflater is None else self._inflated(self._inflater, count)
-        self.allowance.take(len(piece))
-        self._sum = crc32(piece, self._sum)
-        if self._ended and self.crc not in (None, self._sum):
-            raise zipfile.BadZipFile("a member has a wrong checksum")
-        return piece
+    def pieces(self) -> Iterator[bytes]:
+        """Yield the unpacked bytes, and stay where the packed ones end, if there are any.
 
-    def passed(self, follows: bool) -> int:
-        """Go to the end of a member, and return where what follows it begins.
-
-        Args:
-            follows: its checksum and sizes follow its data, in 12 to 24 bytes (4.3.9).
+        Raises:
+            UnreadableError: they are packed in a way that is not unpacked, or are too many.
+            zipfile.BadZipFile, EOFError: they are damaged, or end early.
         """
-        if (not self._begun and self.packed < _UNKNOWN) or self.size == 0:
-            self._go_to_data()
-            self.file.seek(self.packed, 1)
-            self._ended = True
-        while not self._ended:
-            self.read(COPIED_BYTES)
-        end = self.file.tell() - (0 if self._inflater is None else len(self._inflater.rest))
-        return end + self._descriptor(end) if follows else end
+        self._refuse_packing()
+        self.checksum, unpacked = 0, iter([(b"", True)])
+        if self.entry.file_size:
+            left, is_stored = self._go_to_data(), self.entry.compress_type == zipfile.ZIP_STORED
+            unpacked = self._stored(left) if is_stored else self._inflated(left)
+        for piece, is_last in unpacked:
+            self.allowance.take(len(piece))
+            self.checksum = crc32(piece, self.checksum)
+            if is_last and not self.follows and self.checksum != self.entry.CRC:
+                raise zipfile.BadZipFile("a member has a wrong checksum")
+            if piece:
+                yield piece
 
-    def _descriptor(self, end: int) -> int:
-        self.file.seek(end)
+    def _stored(self, left: int) -> Iterator[tuple[bytes, bool]]:
+        """Yield pieces, and whether each is the last."""
+        while True:
+            piece = self.file.read(min(COPIED_BYTES, left))
+            left -= len(piece)
+            if not piece and left > 0:
+                raise EOFError("the archive ends early")
+            yield piece, left <= 0
+            if left <= 0:
+                return
+
+    def _inflated(self, left: int) -> Iterator[tuple[bytes, bool]]:
+        """Yield pieces, and whether each is the last; stay behind the deflate stream."""
+        inflater = Inflater()
+        while not inflater.complete:
+            if inflater.needs_input:
+                data = self.file.read(min(STEP_BYTES, left))
+                left -= len(data)
+                if not data:
+                    raise EOFError("the archive ends early")
+                inflater.put(data)
+            piece = inflater.take(COPIED_BYTES)
+            if inflater.damaged:
+                raise zipfile.BadZipFile("a member is damaged")
+            yield piece, inflater.complete
+        self.file.seek(-len(inflater.rest), 1)
+
+    def end(self) -> int:
+        """Return where the next member begins, past what is not read yet."""
+        if not self.entry.file_size or (self.checksum is None and self.entry.compress_size < _UNKNOWN):
+            self.file.seek(self._go_to_data(), 1)
+        elif self.checksum is None:
+            for _ in self.pieces():
+                pass
+        end = self.file.tell()
+        if not self.follows:
+            return end
         data = self.file.read(26)
         first = len(_DESCRIPTOR) if data.startswith(_DESCRIPTOR) else 0
         if len(data) < first + 12:
             raise EOFError("the archive ends early")
-        if self._begun and int.from_bytes(data[first : first + 4], "little") != self._sum:
+        if self.checksum not in (None, int.from_bytes(data[first : first + 4], "little")):
             raise zipfile.BadZipFile("a member has a wrong checksum")
-        return next((n for n in (first + 12, first + 20) if data[n : n + 2] in (b"PK", b"")), len(data))
+        return end + next((n for n in (first + 12, first + 20) if data[n : n + 2] in (b"PK", b"")), len(data))
 
-    def _begin(self) -> None:
-        """Go to the data; raises UnreadableError if they are packed in a way that is not unpacked."""
-        self._begun, hint = True, "pack it again as an ordinary zip file, or give what is in it"
-        if self.flags & _ENCRYPTED:
-            hint = f"unpack it with its password, and give {_shown(self.name.rpartition('/')[2])}"
+    def _refuse_packing(self) -> None:
+        """Raise UnreadableError if the data are packed in a way that is not unpacked."""
+        name, method = self.entry.filename, self.entry.compress_type
+        if self.entry.flag_bits & _ENCRYPTED:
+            hint = f"unpack it with its password, and give {_shown(name.rpartition('/')[2])}"
             raise UnreadableError("is encrypted", path=self.path, hint=hint)
-        if self.method not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        if method not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             names = {9: "Deflate64", 12: "bzip2", 14: "LZMA", 93: "zstd", 95: "xz"}
-            how = names.get(self.method, f"method {self.method}")
-            raise UnreadableError(
-                f"{_shown(self.name)} in it is packed with {how}, which is not unpacked",
-                path=self.path,
-                hint=hint,
-            )
-        if self.size == 0:
-            self._ended = True
-            return
-        self._go_to_data()
-        self._inflater = Inflater() if self.method == zipfile.ZIP_DEFLATED else None
-        self._ended = self._inflater is None and self.packed == 0
+            what = f"{_shown(name)} in it is packed with {names.get(method, f'method {method}')}"
+            hint = "pack it again as an ordinary zip file, or give what is in it"
+            raise UnreadableError(f"{what}, which is not unpacked", path=self.path, hint=hint)
 
-    def _go_to_data(self) -> None:
-        self.file.seek(self.at)
+    def _go_to_data(self) -> int:
+        """Go to the packed bytes, and return their number."""
+        self.file.seek(self.entry.header_offset)
         head = self.file.read(ZIP_LOCAL.size)
         if len(head) < ZIP_LOCAL.size or not head.startswith(ZIP_MAGIC):
             raise zipfile.BadZipFile("a member is not where the directory says")
         self.file.seek(sum(ZIP_LOCAL.unpack(head)[-2:]), 1)
-
-    def _stored(self, count: int) -> bytes:
-        data = self.file.read(min(count, self.packed))
-        self.packed -= len(data)
-        if not data and self.packed > 0:
-            raise EOFError("the archive ends early")
-        self._ended = self.packed <= 0
-        return data
-
-    def _inflated(self, inflater: Inflater, count: int) -> bytes:
-        if inflater.needs_input:
-            data = self.file.read(min(STEP_BYTES, self.packed))
-            self.packed -= len(data)
-            if not data:
-                raise EOFError("the archive ends early")
-            inflater.put(data)
-        piece = inflater.take(count)
-        if inflater.damaged:
-            raise zipfile.BadZipFile("a member is damaged")
-        self._ended = inflater.complete
-        return piece
+        return self.entry.compress_size

@@ -11,9 +11,9 @@ from __future__ import annotations
 import re
 import shlex
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -43,6 +43,7 @@ from accelcal_cli.core.input_files import (
 from accelcal_cli.core.recording import CUT_SHORT, Chunk, Problem, Reader, Recording
 from accelcal_cli.core.system import new_folder, remove_folder
 from accelcal_cli.formats._parts import archive
+from accelcal_cli.formats._parts.archive import PartFiles
 from accelcal_cli.formats._stamps import GAP_PERIODS
 
 SHORTEST_OVERLAP_S = 1.0
@@ -55,24 +56,11 @@ LISTED = 50
 OFFICE = "[Content_Types].xml"
 """First member of an Office Open XML file (ECMA-376)."""
 
+SAVE_AS_CSV = "it is a workbook or document of an office program: save its table as CSV"
+
 SHOWN = 3
-UNPACK = "unpack it, and give the files in it"
-
-
-@dataclass(frozen=True, slots=True)
-class RecordingPart:
-    """One part of a recording.
-
-    Attributes:
-        recording: what its header says.
-        start_us: time of its first sample; None if it is not known.
-        size: length [bytes].
-    """
-
-    path: Path
-    recording: Recording
-    start_us: int | None
-    size: int
+ARCHIVE = "is an archive: unpack it first"
+"""Message for an archive in an archive, or in a folder of parts."""
 
 
 Open = Callable[[Path], Reader]
@@ -107,7 +95,8 @@ def open_parts(
     """
     files = files_of(path)
     if files is not None:
-        return kind(path, _without_siblings(PartFiles(files, joined=joined), belongs_to), open_part)
+        part_files = PartFiles({file: file.name for file in files}, joined=joined)
+        return kind(path, _without_siblings(part_files, belongs_to), open_part)
     try:
         folder = new_folder()
     except OSError as error:
@@ -117,10 +106,8 @@ def open_parts(
             hint="set TMPDIR to a disk with more space",
         ) from error
     try:
-        unpacked = archive.unpack(path, folder, lambda name: not is_no_part(Path(name)), threads)
-        part_files = PartFiles(unpacked.files, unpacked.damage, unpacked.lost_bytes, folder, joined)
-        part_files.names = unpacked.names
-        part_files.aside += [counted(unpacked.empty, "empty file")] if unpacked.empty else []
+        part_files = archive.unpack(path, folder, lambda name: not is_no_part(Path(name)), threads)
+        part_files.joined = joined
         with _naming(path, part_files):
             return kind(path, _without_siblings(part_files, belongs_to), open_part)
     except BaseException:
@@ -134,9 +121,12 @@ def _naming(archived: Path, part_files: PartFiles) -> Iterator[None]:
     try:
         yield
     except AccelcalError as error:
-        if part_files.folder is not None:
-            unpacked = re.compile(rf"{re.escape(str(part_files.folder))}(?:/(\d+))?/?")
-            places = part_files.places()
+        if (folder := part_files.folder) is not None:
+            unpacked = re.compile(rf"{re.escape(str(folder))}(?:/(\d+))?/?")
+            places = {}
+            for path, name in part_files.names.items():
+                number, *within = path.relative_to(folder).parts
+                places[number] = name[: max(0, len(name) - len("/".join(within)))].lstrip("/")
 
             def in_archive(found: re.Match[str]) -> str:
                 return places.get(found[1], "")
@@ -150,45 +140,11 @@ def _naming(archived: Path, part_files: PartFiles) -> Iterator[None]:
 
 def _without_siblings(part_files: PartFiles, belongs_to: Callable[[Path], Path | None]) -> PartFiles:
     """Set aside what belongs to another file: further sensors of an export, and what describes it."""
-    of_another = [file for file in part_files.files if belongs_to(file) is not None]
+    of_another = [file for file in part_files.names if belongs_to(file) is not None]
     part_files.aside += [printable(file.name) for file in of_another]
-    part_files.files = tuple(file for file in part_files.files if file not in of_another)
+    for file in of_another:
+        del part_files.names[file]
     return part_files
-
-
-@dataclass(slots=True)
-class PartFiles:
-    """The files of a recording.
-
-    Attributes:
-        damage: what is wrong with the archive that held them.
-        folder: temporary folder, to be removed.
-        joined: the files are parts of one recording, whatever their names.
-        aside: names of files that are not recordings.
-        problems: one for each file that cannot be read.
-        names: of files of an archive, with the folders in it.
-    """
-
-    files: tuple[Path, ...]
-    damage: str | None = None
-    lost_bytes: int = 0
-    folder: Path | None = None
-    joined: bool = True
-    aside: list[str] = field(default_factory=list)
-    problems: list[Problem] = field(default_factory=list)
-    names: Mapping[Path, str] = field(default_factory=dict)
-
-    def name(self, file: Path) -> str:
-        """Return the name of a file for people, with its folders in an archive."""
-        return printable(self.names.get(file, file.name))
-
-    def places(self) -> dict[str, str]:
-        """Return folders of the archive, each ending in /, by the numbers of those they were unpacked to."""
-        found = {}
-        for path, name in self.names.items():
-            number, *within = path.relative_to(self.folder or path.anchor).parts
-            found[number] = name[: max(0, len(name) - len("/".join(within)))].lstrip("/")
-        return found
 
 
 class FilesReader(Reader):
@@ -228,7 +184,7 @@ class PartsReader(FilesReader):
     """Reads parts in the order of their times.
 
     Attributes:
-        parts: the parts, in this order.
+        parts: what the header of each says, in this order.
     """
 
     def __init__(self, path: Path, part_files: PartFiles, open_part: Open) -> None:
@@ -237,7 +193,7 @@ class PartsReader(FilesReader):
         if not part_files.joined:
             self._refuse_several(path, described)
         self.parts = self._alike(path, described)
-        self._sizes = [part.size for part in self.parts]
+        self._sizes = [part.path.stat().st_size for part in self.parts]
         if part_files.damage is not None:
             lost = Problem(CUT_SHORT, part_files.damage, None, 0, lost_bytes=part_files.lost_bytes)
             part_files.problems.append(lost)
@@ -265,25 +221,28 @@ class PartsReader(FilesReader):
                 for chunk in reader.preview(chunk_samples, 1):
                     yield replace(_stripped(chunk, self.recording), end_byte=self._share(number * step, 0))
 
-    def _described(self, path: Path) -> list[RecordingPart]:
+    def _described(self, path: Path) -> list[Recording]:
         """Return the parts that can be read, by time."""
-        parts: list[RecordingPart] = []
+        parts: list[Recording] = []
         failures: list[tuple[Path, UnreadableError]] = []
-        for file in self._part_files.files:
+        for file in self._part_files.names:
             try:
                 with self._open(file) as reader:
-                    recording = reader.recording
+                    parts.append(reader.recording)
             except UnreadableError as error:
                 if isinstance(error, NoFormatError) and archive.is_archive(file):
-                    error = UnreadableError("is an archive within", path=file, hint=UNPACK)
+                    error = UnreadableError(ARCHIVE, path=file)
                 if isinstance(error, NoFormatError | NoRecordingError):
                     self._part_files.aside.append(file.name)
                 else:
                     failures.append((file, error))
-            else:
-                parts.append(RecordingPart(file, recording, recording.start_us, file.stat().st_size))
         if not parts:
-            raise self._none(path, [error for _, error in failures])
+            if failures:
+                raise failures[0][1]
+            of_office = is_file(path) and OFFICE in archive.first_names(path, 1)
+            damage = "" if self._part_files.damage is None else f"; {self._part_files.damage}"
+            text, hint = f"holds no parts of a recording{damage}", SAVE_AS_CSV if of_office else None
+            raise UnreadableError(text, path=path, hint=hint)
         self._sort_out(parts, failures)
         undated = next((part.path for part in parts if part.start_us is None), None)
         if undated is not None and len(parts) > 1 and self._part_files.joined:
@@ -291,31 +250,22 @@ class PartsReader(FilesReader):
             raise UnreadableError("does not say when it begins", path=undated, hint=hint)
         return sorted(parts, key=lambda part: (part.start_us or 0, part.path.name))
 
-    def _none(self, path: Path, failures: Sequence[UnreadableError]) -> UnreadableError:
-        if failures:
-            return failures[0]
-        damage = "" if self._part_files.damage is None else f"; {self._part_files.damage}"
-        return UnreadableError(f"holds no parts of a recording{damage}", path=path, hint=_office_hint(path))
-
-    def _sort_out(
-        self, parts: Sequence[RecordingPart], failures: Sequence[tuple[Path, UnreadableError]]
-    ) -> None:
+    def _sort_out(self, parts: Sequence[Recording], failures: Sequence[tuple[Path, UnreadableError]]) -> None:
         """Report files that cannot be read: damaged parts, or if no part has their suffix other files."""
         suffixes = {part.path.suffix.lower() for part in parts}
-        tables = {part.recording.format for part in parts} == {"csv"}
+        tables = {part.format for part in parts} == {"csv"}
         for file, error in failures:
-            no_recording = tables and not self._part_files.joined and not error.sensors
-            if file.stat().st_size == 0 or no_recording:
-                self._part_files.aside.append(file.name)
-            elif file.suffix.lower() in suffixes or self._part_files.joined:
-                text = f"part {self._part_files.name(file)} cannot be read: {printable(error.message)}"
-                self._part_files.problems.append(
-                    Problem("unreadable_part", text, None, 0, 1, file.stat().st_size)
-                )
+            joined, size = self._part_files.joined, file.stat().st_size
+            is_other = size == 0 or (tables and not joined and not error.sensors)
+            if not is_other and (joined or file.suffix.lower() in suffixes):
+                name = printable(self._part_files.names[file])
+                text = f"part {name} cannot be read: {printable(error.message)}"
+                self._part_files.problems.append(Problem("unreadable_part", text, None, 0, 1, size))
             else:
-                self._part_files.aside.append(file.name)
+                why = f" ({ARCHIVE})" if error.message == ARCHIVE else ""
+                self._part_files.aside.append(file.name + why)
 
-    def _refuse_several(self, path: Path, parts: Sequence[RecordingPart]) -> None:
+    def _refuse_several(self, path: Path, parts: Sequence[Recording]) -> None:
         """Raise UnreadableError for an archive of recordings whose names do not say that they are parts."""
         files = [part.path for part in parts]
         broken = [one for one in self._part_files.problems if one.code == "unreadable_part"]
@@ -324,27 +274,27 @@ class PartsReader(FilesReader):
             return
         names = [printable(file.name) for file in files]
         if len({*names}) < len(names):
-            names = [printable(self._part_files.names.get(file, str(file))) for file in files]
+            in_archive = self._part_files.names if self._part_files.folder is not None else {}
+            names = [printable(in_archive.get(file, str(file))) for file in files]
         some = listed(names) if len(names) <= SHOWN else f"{', '.join(names[:SHOWN])} and more"
         raise UnreadableError(
             f"holds {len(files) + len(broken)} recordings ({some})", path=path, hint=_unpacking_hint(path)
         )
 
-    def _alike(self, path: Path, parts: list[RecordingPart]) -> list[RecordingPart]:
+    def _alike(self, path: Path, parts: list[Recording]) -> list[Recording]:
         """Return the parts that are like the first, as parts of one recording are."""
-        serials = sorted({part.recording.device.serial for part in parts if part.recording.device.serial})
+        serials = sorted({part.device.serial for part in parts if part.device.serial})
         if len(serials) > 1:
             text = f"holds parts of {len(serials)} devices ({listed(serials[:SHOWN])})"
             raise UsageError(printable(text), path=path, hint="name the parts of one by a pattern in quotes")
         kept = []
         for part in parts:
-            if (why := unlike(parts[0].recording, part.recording)) is None:
+            if (why := unlike(parts[0], part)) is None:
                 kept.append(part)
             else:
-                text = printable(
-                    f"part {part.path.name} was left out: its {why} is not that of the first part"
-                )
-                self._part_files.problems.append(Problem("other_part", text, None, 0, 1, part.size))
+                text = f"part {part.path.name} was left out: its {why} is not that of the first part"
+                size = part.path.stat().st_size
+                self._part_files.problems.append(Problem("other_part", printable(text), None, 0, 1, size))
         return kept
 
 
@@ -376,9 +326,9 @@ def unlike(first: Recording, other: Recording) -> str | None:
     return None
 
 
-def _as_one(path: Path, parts: Sequence[RecordingPart], part_files: PartFiles) -> Recording:
+def _as_one(path: Path, parts: Sequence[Recording], part_files: PartFiles) -> Recording:
     """Return the description of all parts together."""
-    first, last = parts[0].recording, parts[-1].recording
+    first, last = parts[0], parts[-1]
     notes = [f"{counted(len(parts), 'part')}, from {parts[0].path.name} to {parts[-1].path.name}"]
     if len(parts) == 1:
         notes = [f"1 part, {parts[0].path.name}"]
@@ -386,7 +336,7 @@ def _as_one(path: Path, parts: Sequence[RecordingPart], part_files: PartFiles) -
         more = f" and {len(part_files.aside) - SHOWN} more" if len(part_files.aside) > SHOWN else ""
         notes.append(f"no recordings, set aside: {', '.join(part_files.aside[:SHOWN])}{more}")
     lasts_s = None
-    one_gyroscope = len({part.recording.gyro_dps_per_lsb for part in parts}) == 1
+    one_gyroscope = len({part.gyro_dps_per_lsb for part in parts}) == 1
     if last.duration_s is not None:
         lasts_s = ((last.start_us or 0) - (first.start_us or 0)) / MICROSECONDS + last.duration_s
     return replace(
@@ -396,7 +346,7 @@ def _as_one(path: Path, parts: Sequence[RecordingPart], part_files: PartFiles) -
         samples=None,
         duration_s=lasts_s,
         companion=first.companion if part_files.folder is None else None,
-        has_temperature=all(part.recording.has_temperature for part in parts),
+        has_temperature=all(part.has_temperature for part in parts),
         gyro_dps_per_lsb=first.gyro_dps_per_lsb if one_gyroscope else None,
         notes=(*first.notes, *map(printable, notes)),
     )
@@ -424,7 +374,7 @@ class _PartPlacer:
         self._reported: dict[str, int] = {}
         self._unlisted: dict[str, Problem] = {}
 
-    def placed(self, part: RecordingPart, chunk: Chunk, end_byte: int) -> Chunk:
+    def placed(self, part: Recording, chunk: Chunk, end_byte: int) -> Chunk:
         """Return a part's chunk as one of the recording, without rows that earlier parts have, too."""
         problems = [
             replace(
@@ -457,7 +407,7 @@ class _PartPlacer:
             self._last_us = int(kept.clock.times(len(kept) - 1, len(kept))[0])
         return placed
 
-    def end_of_part(self, part: RecordingPart) -> None:
+    def end_of_part(self, part: Recording) -> None:
         """Note a part that repeats rows of the parts before it, and prepare for the next part."""
         if self._dropped:
             whole = "all of it" if self._fresh else counted(self._dropped, "row")
@@ -488,7 +438,7 @@ class _PartPlacer:
         later = np.flatnonzero(chunk.time_us > self._last_us)
         return int(later[0]) if len(later) else len(chunk)
 
-    def _jump(self, kept: Chunk, part: RecordingPart) -> Problem | None:
+    def _jump(self, kept: Chunk, part: Recording) -> Problem | None:
         """Return the jump of the clock between two parts; None if it runs on."""
         if self._last_us is None:
             return None
@@ -512,9 +462,3 @@ class _PartPlacer:
         }
         self._unlisted[problem.code] = replace(more, message=text, byte_offset=None, **sums)
         return False
-
-
-def _office_hint(path: Path) -> str | None:
-    """Return what to do with an archive of an office program; None for any other."""
-    of_office = is_file(path) and OFFICE in archive.first_names(path, 1)
-    return "it is a workbook or document of an office program: save its table as CSV" if of_office else None

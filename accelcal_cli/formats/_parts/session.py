@@ -19,7 +19,8 @@ from accelcal_cli.core.errors import NoFormatError, UnreadableError, UsageError,
 from accelcal_cli.core.input_files import size_of
 from accelcal_cli.core.local_time import NO_START
 from accelcal_cli.core.recording import Chunk, PlacedFile, Recording
-from accelcal_cli.formats._parts.reader import SHOWN, FilesReader, Open, PartFiles, unlike
+from accelcal_cli.formats._parts.archive import PartFiles
+from accelcal_cli.formats._parts.reader import SHOWN, FilesReader, Open, unlike
 
 
 class SessionReader(FilesReader):

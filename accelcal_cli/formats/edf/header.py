@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from fractions import Fraction
 from itertools import accumulate
 from pathlib import Path
@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.clock import start_of
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, LARGEST_LSB_PER_G, Counts, Device
@@ -47,7 +48,6 @@ LARGEST_RECORD = 1 << 24
 PIVOT = 85
 """First two-digit year that is of the last century; EDF+ gives all four digits elsewhere."""
 
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 EDF_PLUS_DATE = re.compile(r"Startdate (\d\d)-([A-Z]{3})-(\d{4}) \S+ \S+ (\S+)")
 NUMBER = re.compile(r"[+-]?(\d{1,8}(\.\d{0,8})?|\.\d{1,8})([eE][+-]?\d{1,3})?")
@@ -216,10 +216,10 @@ def _start_us(date: str, time: str, recording: str) -> int | None:
         else:
             day, month, year = map(int, date.split("."))
             year += 1900 if year >= PIVOT else 2000
-        start = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
+        start = start_of(datetime(year, month, day, hour, minute, second))
     except ValueError:
         return None
-    return (start - EPOCH) // timedelta(microseconds=1)
+    return None if start is None else start.start_us
 
 
 Signals3 = tuple[Signal, Signal, Signal]

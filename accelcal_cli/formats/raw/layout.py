@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
@@ -26,10 +26,15 @@ CHANNEL_FIELDS = {"temperature": ("temperature_mc", 1000, 1_000_000.0)}
 and the largest value of the channel that can be measured."""
 
 FIELD_NAMES = (*AXES, *CHANNEL_FIELDS, *GYRO)
-FIELD_TYPES = {"int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int24": 3, "int32": 4, "float32": 4}
-SEQUENCE_TYPES = {"uint8": 1, "uint16": 2, "uint32": 4}
-TIME_TYPES = {"uint32": 4}
-CHECKSUM_BYTES = {"crc32": 4, "crc16-ccitt": 2}
+FIELD_TYPES = ("int8", "uint8", "int16", "uint16", "int24", "int32", "float32")
+CHECKSUM_TYPES = ("crc32", "crc16-ccitt")
+PAGE_TYPES = {"sequence": ("uint8", "uint16", "uint32"), "time": ("uint32",), "crc": CHECKSUM_TYPES}
+"""Types of the values of [page]: its number, the time of its first sample, and its checksum."""
+
+TYPE_BYTES = {
+    **{"int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int24": 3, "int32": 4, "uint32": 4, "float32": 4},
+    **{"crc32": 4, "crc16-ccitt": 2},
+}
 
 LARGEST_COVERS = {"crc32": 1 << 24, "crc16-ccitt": 1 << 16}
 """Most bytes that a checksum covers: a CRC-16 takes a step, and half a kilobyte of tables, for each."""
@@ -38,9 +43,7 @@ STREAM_FRAMES = 256
 """Frames of an unbroken stream that are treated as a page."""
 
 LARGEST_LAYOUT = 1 << 16
-LONGEST_LINE = 1000
-"""Most bytes of a layout file, and most characters of a line: the memory for a key of many parts grows as the
-square of their number."""
+"""Most bytes of a layout file."""
 
 LARGEST_FRAME = 1 << 16
 LARGEST_PAGE = 1 << 24
@@ -60,59 +63,40 @@ SMALLEST_SCALE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A value within a frame: `raw * scale + zero`, or for x, y, z `raw - zero` counts."""
+    """A value at one place of every frame, or of every page.
+
+    In a frame it stands for `raw * scale + zero`, or for `raw - zero` counts of x, y and z. The time of a
+    page is in units of `per_unit` seconds since 1970.
+
+    Attributes:
+        covers: the first byte that a checksum covers, and one past the last.
+    """
 
     offset: int
     type: str
     per_unit: float | None = None
     zero: float = 0.0
+    covers: tuple[int, int] = (0, 0)
 
     @property
-    def end(self) -> int:
-        """Offset of the byte after the field."""
-        return self.offset + FIELD_TYPES[self.type]
+    def bytes(self) -> int:
+        """Length of the value."""
+        return TYPE_BYTES[self.type]
 
     @property
     def scale(self) -> float:
-        """Degrees C or deg/s in one raw unit."""
+        """Degrees C, deg/s or seconds in one raw unit."""
         return 1.0 if self.per_unit is None else self.per_unit
 
 
 @dataclass(frozen=True, slots=True)
-class Sequence:
-    """The page's number, at `offset` within the page."""
-
-    offset: int
-    type: str
-
-    @property
-    def bits(self) -> int:
-        """Width of the number, after which it starts from 0 again."""
-        return 8 * SEQUENCE_TYPES[self.type]
-
-
-@dataclass(frozen=True, slots=True)
-class Stamp:
-    """The time of the page's first sample: units of `per_unit` seconds since 1970."""
-
-    offset: int
-    type: str
-    per_unit: float
-
-
-@dataclass(frozen=True, slots=True)
-class Checksum:
-    """Checksum of the page's bytes start..stop-1."""
-
-    offset: int
-    type: str
-    start: int
-    stop: int
-
-
-@dataclass(frozen=True, slots=True)
 class Layout:
-    """A raw dump's description; sizes in bytes. `page_bytes` 0 is an unbroken stream of frames."""
+    """A raw dump's description; sizes in bytes. `page_bytes` 0 is an unbroken stream of frames.
+
+    Attributes:
+        fields: the values of a frame.
+        page: those of a page, by the keys of PAGE_TYPES.
+    """
 
     rate_hz: float
     lsb_per_g: float
@@ -128,9 +112,7 @@ class Layout:
     page_bytes: int = 0
     page_header_bytes: int = 0
     page_trailer_bytes: int = 0
-    sequence: Sequence | None = None
-    stamp: Stamp | None = None
-    checksum: Checksum | None = None
+    page: Mapping[str, Field] = field(default_factory=dict)
 
     @property
     def page_frames(self) -> int:
@@ -145,99 +127,58 @@ class Layout:
         return self.page_bytes or STREAM_FRAMES * self.frame_bytes
 
 
-def check_geometry(layout: Layout, path: Path, *, paged: bool) -> None:
-    """Refuse sizes that contradict each other.
+def contradictions(layout: Layout, *, paged: bool) -> Iterator[str]:
+    """Yield what is wrong with sizes and places, and names the key.
 
     Args:
         paged: the layout gives page_bytes.
-
-    Raises:
-        UsageError: names the key, the file and what is wrong.
     """
-    try:
-        check_frame(layout)
-        if paged:
-            check_page(layout)
-        else:
-            check_stream(layout)
-    except ImpossibleError as error:
-        raise UsageError(f"layout: {error}", path=path) from None
-
-
-class ImpossibleError(Exception):
-    """A key of the layout is impossible; the message names it and says why."""
-
-
-def check_frame(layout: Layout) -> None:
-    """Check that fields lie within the frame and do not overlap."""
     if layout.frame_bytes > LARGEST_FRAME:
-        raise ImpossibleError(f"dump.frame_bytes is {layout.frame_bytes}, more than {LARGEST_FRAME}")
-    spans = [(field.offset, field.end, f"fields.{name}") for name, field in layout.fields.items()]
-    for _, end, name in spans:
-        if end > layout.frame_bytes:
-            raise ImpossibleError(f"{name} ends at byte {end}, but dump.frame_bytes is {layout.frame_bytes}")
-    check_apart(spans)
-
-
-def check_stream(layout: Layout) -> None:
-    """Check that a layout without pages has no key about pages."""
-    if layout.page_header_bytes or layout.page_trailer_bytes:
-        raise ImpossibleError("dump.page_bytes is missing, but a page header or trailer is given")
-    if layout.sequence or layout.stamp or layout.checksum:
-        raise ImpossibleError("dump.page_bytes is missing, but [page] is given")
-
-
-def check_page(layout: Layout) -> None:
-    """Check that header, trailer and a frame fit into a page, and that its keys lie outside the frames."""
+        yield f"dump.frame_bytes is {layout.frame_bytes}, more than {LARGEST_FRAME}"
+    yield from misplaced(spans("fields", layout.fields), layout.frame_bytes, "dump.frame_bytes")
     outside = layout.page_header_bytes + layout.page_trailer_bytes
-    if layout.page_bytes > LARGEST_PAGE:
-        raise ImpossibleError(f"dump.page_bytes is {layout.page_bytes}, more than {LARGEST_PAGE}")
-    if outside + layout.frame_bytes > layout.page_bytes:
-        raise ImpossibleError(
-            f"dump.page_bytes is {layout.page_bytes}, but header, trailer and one frame take "
-            f"{outside + layout.frame_bytes} bytes"
-        )
-    spans = page_spans(layout)
-    for _, end, name in spans:
-        if end > layout.page_bytes:
-            raise ImpossibleError(f"{name} ends at byte {end}, but dump.page_bytes is {layout.page_bytes}")
-    frames = (layout.page_header_bytes, layout.page_header_bytes + layout.page_frames * layout.frame_bytes)
-    check_apart([*spans, (*frames, "the frames (dump.page_header_bytes and dump.page_trailer_bytes)")])
-    check_covers(layout)
-
-
-def page_spans(layout: Layout) -> list[Span]:
-    """Return the first byte, the byte after the last, and the name of each key of [page]."""
-    keys = (
-        (layout.sequence, SEQUENCE_TYPES, "page.sequence"),
-        (layout.stamp, TIME_TYPES, "page.time"),
-        (layout.checksum, CHECKSUM_BYTES, "page.crc"),
-    )
-    return [(key.offset, key.offset + sizes[key.type], name) for key, sizes, name in keys if key]
-
-
-def check_covers(layout: Layout) -> None:
-    """Check that the checksum covers bytes of the page, and not itself."""
-    crc = layout.checksum
-    if crc is None:
+    if not paged:
+        if outside:
+            yield "dump.page_bytes is missing, but a page header or trailer is given"
+        if layout.page:
+            yield "dump.page_bytes is missing, but [page] is given"
         return
-    if crc.stop > layout.page_bytes:
-        raise ImpossibleError(
-            f"page.crc.covers ends at {crc.stop}, but dump.page_bytes is {layout.page_bytes}"
-        )
-    if crc.start < crc.offset + CHECKSUM_BYTES[crc.type] and crc.offset < crc.stop:
-        raise ImpossibleError("page.crc.covers includes the checksum itself")
-    if crc.stop - crc.start > LARGEST_COVERS[crc.type]:
-        raise ImpossibleError(
-            f"page.crc.covers is {crc.stop - crc.start} bytes, {crc.type} at most {LARGEST_COVERS[crc.type]}"
-        )
+    if layout.page_bytes > LARGEST_PAGE:
+        yield f"dump.page_bytes is {layout.page_bytes}, more than {LARGEST_PAGE}"
+    if outside + layout.frame_bytes > layout.page_bytes:
+        needed = f"header, trailer and one frame take {outside + layout.frame_bytes} bytes"
+        yield f"dump.page_bytes is {layout.page_bytes}, but {needed}"
+    first, frame_bytes = layout.page_header_bytes, layout.page_frames * layout.frame_bytes
+    frames = (first, first + frame_bytes, "the frames (dump.page_header_bytes and dump.page_trailer_bytes)")
+    yield from misplaced([*spans("page", layout.page), frames], layout.page_bytes, "dump.page_bytes")
+    if (crc := layout.page.get("crc")) is not None:
+        yield from wrong_covers(crc, layout.page_bytes)
 
 
-def check_apart(spans: list[Span]) -> None:
-    """Check that no two spans share a byte."""
-    for (_, end, name), (start, _, other) in pairwise(sorted(spans)):
+def wrong_covers(crc: Field, page_bytes: int) -> Iterator[str]:
+    """Yield what is wrong with the bytes that a checksum covers."""
+    start, stop = crc.covers
+    if stop > page_bytes:
+        yield f"page.crc.covers ends at {stop}, but dump.page_bytes is {page_bytes}"
+    if start < crc.offset + crc.bytes and crc.offset < stop:
+        yield "page.crc.covers includes the checksum itself"
+    if stop - start > LARGEST_COVERS[crc.type]:
+        yield f"page.crc.covers is {stop - start} bytes, {crc.type} at most {LARGEST_COVERS[crc.type]}"
+
+
+def spans(table: str, fields: Mapping[str, Field]) -> list[Span]:
+    """Return the first byte, the byte after the last, and the name of each value."""
+    return [(one.offset, one.offset + one.bytes, f"{table}.{name}") for name, one in fields.items()]
+
+
+def misplaced(places: list[Span], size: int, key: str) -> Iterator[str]:
+    """Yield which values end beyond `size`, the value of `key`, and which share a byte."""
+    for _, end, name in places:
+        if end > size:
+            yield f"{name} ends at byte {end}, but {key} is {size}"
+    for (_, end, name), (start, _, other) in pairwise(sorted(places)):
         if start < end:
-            raise ImpossibleError(f"{name} and {other} overlap at byte {start}")
+            yield f"{name} and {other} overlap at byte {start}"
 
 
 def shown(value: object) -> str:
@@ -389,7 +330,8 @@ def parse_layout(document: Mapping[str, Any], path: Path) -> Layout:
     page = top.optional_table("page")
     top.finish("dump", "fields")
     dump, fields = top.table("dump"), top.table("fields")
-    parsed = {name: parse_field(fields.table(name)) for name in FIELD_NAMES if name in fields}
+    wide = {"per_unit": (-LARGEST_NUMBER, LARGEST_NUMBER), "zero": (-LARGEST_NUMBER, LARGEST_NUMBER)}
+    parsed = {n: parse_field(fields.table(n), FIELD_TYPES, **wide) for n in FIELD_NAMES if n in fields}
     fields.finish()
     check_fields(parsed, fields)
     layout = Layout(
@@ -405,29 +347,39 @@ def parse_layout(document: Mapping[str, Any], path: Path) -> Layout:
         page_bytes=dump.whole("page_bytes", 0, low=1),
         page_header_bytes=dump.whole("page_header_bytes", 0),
         page_trailer_bytes=dump.whole("page_trailer_bytes", 0),
-        frame_bytes=dump.whole("frame_bytes", max(field.end for field in parsed.values()), low=1),
+        frame_bytes=dump.whole("frame_bytes", max(end for _, end, _ in spans("", parsed)), low=1),
         fields=parsed,
-        sequence=parse_sequence(page.optional_table("sequence")) if page else None,
-        stamp=parse_stamp(page.optional_table("time")) if page else None,
-        checksum=parse_checksum(page.optional_table("crc")) if page else None,
+        page={} if page is None else parse_page(page),
     )
     dump.finish()
-    if page:
+    if page is not None:
         page.finish()
-    check_geometry(layout, path, paged="page_bytes" in dump)
+    for fault in contradictions(layout, paged="page_bytes" in dump):
+        raise UsageError(f"layout: {fault}", path=path)
     return layout
 
 
-def parse_field(keys: Keys) -> Field:
-    """Parse one entry of [fields]."""
-    field = Field(
-        offset=keys.whole("offset", None),
-        type=keys.choice("type", tuple(FIELD_TYPES), None),
-        per_unit=keys.optional_number("per_unit", low=-LARGEST_NUMBER, high=LARGEST_NUMBER),
-        zero=keys.optional_number("zero", low=-LARGEST_NUMBER, high=LARGEST_NUMBER) or 0.0,
-    )
+def parse_page(page: Keys) -> dict[str, Field]:
+    """Parse [page]."""
+    bounds = {"time": {"per_unit": (1e-6, 60.0)}}
+    return {
+        name: parse_field(keys, types, **bounds.get(name, {}))
+        for name, types in PAGE_TYPES.items()
+        if (keys := page.optional_table(name)) is not None
+    }
+
+
+def parse_field(keys: Keys, types: tuple[str, ...], **bounds: tuple[float, float]) -> Field:
+    """Parse a value of one of some types.
+
+    Args:
+        bounds: of `per_unit` and `zero`, if it may have them.
+    """
+    offset, kind = keys.whole("offset", None), keys.choice("type", types, None)
+    numbers = {name: keys.optional_number(name, *limits) for name, limits in bounds.items()}
+    covers = keys.pair("covers") if types is CHECKSUM_TYPES else (0, 0)
     keys.finish()
-    return field
+    return Field(offset, kind, numbers.get("per_unit"), numbers.get("zero") or 0.0, covers)
 
 
 def check_fields(parsed: Mapping[str, Field], fields: Keys) -> None:
@@ -449,32 +401,3 @@ def check_fields(parsed: Mapping[str, Field], fields: Keys) -> None:
             raise fields.error(f"{name}.per_unit", f"must be at least {SMALLEST_SCALE:g}")
         if abs(parsed[name].zero / parsed[name].scale) > LARGEST_ZERO:
             raise fields.error(f"{name}.zero", "is too large for its per_unit")
-
-
-def parse_sequence(keys: Keys | None) -> Sequence | None:
-    """Parse `sequence` of [page]."""
-    if keys is None:
-        return None
-    sequence = Sequence(keys.whole("offset", None), keys.choice("type", tuple(SEQUENCE_TYPES), None))
-    keys.finish()
-    return sequence
-
-
-def parse_stamp(keys: Keys | None) -> Stamp | None:
-    """Parse `time` of [page]."""
-    if keys is None:
-        return None
-    offset, kind = keys.whole("offset", None), keys.choice("type", tuple(TIME_TYPES), None)
-    per_unit = keys.optional_number("per_unit", low=1e-6, high=60)
-    keys.finish()
-    return Stamp(offset, kind, 1.0 if per_unit is None else per_unit)
-
-
-def parse_checksum(keys: Keys | None) -> Checksum | None:
-    """Parse `crc` of [page]."""
-    if keys is None:
-        return None
-    offset, kind = keys.whole("offset", None), keys.choice("type", tuple(CHECKSUM_BYTES), None)
-    start, stop = keys.pair("covers")
-    keys.finish()
-    return Checksum(offset, kind, start, stop)

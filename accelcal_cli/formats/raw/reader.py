@@ -1,10 +1,12 @@
 """Reads a raw dump: decodes its pages and frames as its layout says.
 
-`FrameValues` takes counts and the other channels out of frames, `FrameDecoder` frames out of pages.
+`Axes` makes counts of a sensor's three fields, `FrameValues` takes these and the other channels out of
+frames, and `FrameDecoder` takes frames out of pages.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -37,10 +39,8 @@ from accelcal_cli.formats.raw.layout import (
     AXES,
     CHANNEL_FIELDS,
     GYRO,
-    Checksum,
     Field,
     Layout,
-    Stamp,
     load_layout,
     plain_layout,
 )
@@ -64,129 +64,151 @@ def number_type(endian: str, kind: str) -> np.dtype[np.generic]:
     return np.dtype(kind).newbyteorder("<" if endian == "little" else ">")
 
 
-def whole_range(field: Field, zero: int) -> tuple[int, int]:
-    """Return the smallest and largest count of a whole-number field after subtracting `zero`."""
-    if field.type == INT24:
-        low, high = INT24_RANGE
-    else:
-        info = np.iinfo(field.type)
-        low, high = int(info.min), int(info.max)
-    return low - zero, high - zero
+Physical = Callable[[NDArray[np.float64], Field], NDArray[np.float64]]
 
 
-class FrameValues:
-    """Takes values out of frames.
+def numbers(records: NDArray[np.void], name: str, layout: Layout) -> NDArray[Any]:
+    """Return one field of records as the numbers that it holds, (n,)."""
+    if layout.fields[name].type != INT24:
+        return np.asarray(records[name])
+    order = slice(None) if layout.endian == "little" else slice(None, None, -1)
+    low, middle, high = records[name][:, order].T.astype(np.int32)
+    return np.asarray(low | middle << 8 | (high ^ 0x80) - 0x80 << 16)
 
-    Whole-number accelerations stay counts. If any axis is float32, all become counts of
-    FLOAT_LSB_PER_G; a gyroscope with float32 axes becomes counts of FLOAT_DPS_PER_LSB.
+
+def floats(records: NDArray[np.void], name: str, layout: Layout) -> NDArray[np.float64]:
+    """Return one field of records as floats, (n,)."""
+    with np.errstate(invalid="ignore"):  # of some kinds of NaN, which stay NaN
+        return numbers(records, name, layout).astype(np.float64)
+
+
+class Axes:
+    """Makes counts of the three fields of a sensor.
+
+    Whole numbers stay counts, less their zeros. If any field is float32, all become counts of a fixed step.
+
+    Args:
+        zeros: counts of each whole number that stand for 0.
+        physical, largest, step: makes physical values of float fields; the largest one that is possible; and
+            the size of a count.
     """
 
-    def __init__(self, layout: Layout) -> None:
-        self._layout = layout
-        self._axes = tuple(layout.fields[name] for name in AXES)
-        self._rates = tuple(layout.fields[name] for name in GYRO if name in layout.fields)
-        self._float_axes = any(field.type == "float32" for field in self._axes)
-        self._float_rates = any(field.type == "float32" for field in self._rates)
-        self._record = record_type(layout)
-        self._axis_ranges = [] if self._float_axes else [whole_range(f, int(f.zero)) for f in self._axes]
-        self._rate_ranges = [] if self._float_rates else [whole_range(f, -rate_zero(f)) for f in self._rates]
-
-    @property
-    def lsb_per_g(self) -> float:
-        """Counts in one g."""
-        return FLOAT_LSB_PER_G if self._float_axes else self._layout.lsb_per_g
-
-    @property
-    def zero_counts(self) -> tuple[int, int, int]:
-        """Counts of a frame of zeros."""
-        frames = np.zeros((1, self._layout.frame_bytes), np.uint8)
-        return first_row(self.counts(self.records(frames), np.zeros(1, np.bool_)))
-
-    @property
-    def dps_per_lsb(self) -> tuple[float, float, float] | None:
-        """deg/s in one count of each gyroscope axis, None without a gyroscope."""
-        if not self._rates:
-            return None
-        x, y, z = (FLOAT_DPS_PER_LSB if self._float_rates else field.scale for field in self._rates)
-        return x, y, z
+    def __init__(
+        self,
+        layout: Layout,
+        names: tuple[str, ...],
+        zeros: Callable[[Field], int],
+        physical: Physical,
+        largest: float,
+        step: float,
+    ) -> None:
+        self._layout, self._names = layout, names
+        self._physical, self._largest, self._step = physical, largest, step
+        self.fields = [layout.fields[name] for name in names]
+        self.is_float = any(field.type == "float32" for field in self.fields)
+        whole = [] if self.is_float else self.fields
+        self._zeros = [zeros(field) for field in whole]
+        self._ranges = [
+            (low - zero, high - zero)
+            for (low, high), zero in zip(map(type_range, whole), self._zeros, strict=True)
+        ]
 
     @property
     def may_fail(self) -> bool:
         """Return True if a row can hold something that is not a usable number."""
-        ranges = [*self._axis_ranges, *self._rate_ranges]
-        beyond = any(low < WIDE.min or high > WIDE.max for low, high in ranges)
-        return self._float_axes or self._float_rates or beyond
-
-    def records(self, frames: NDArray[np.uint8]) -> NDArray[np.void]:
-        """Return frames (n, frame_bytes) as records (n,)."""
-        return np.ascontiguousarray(frames).view(self._record)[:, 0]
+        return self.is_float or any(low < WIDE.min or high > WIDE.max for low, high in self._ranges)
 
     def counts(self, records: NDArray[np.void], faulty: NDArray[np.bool_]) -> Counts:
-        """Return accelerations (n, 3), and mark rows without a usable one in `faulty` (n,)."""
-        if not self._float_axes:
-            zeros = [int(field.zero) for field in self._axes]
-            return self._whole(records, AXES, zeros, self._axis_ranges, faulty)
-        columns = [
-            (self._raw_float(records, name) - field.zero) / self._layout.lsb_per_g
-            for name, field in zip(AXES, self._axes, strict=True)
-        ]
-        return on_grid(columns, LARGEST_G, 1 / FLOAT_LSB_PER_G, faulty)
-
-    def channels(self, records: NDArray[np.void], faulty: NDArray[np.bool_]) -> Channels:
-        """Return the other channels, MISSING where not measured; `faulty` is as in `counts`."""
-        single = [name for name in CHANNEL_FIELDS if name in self._layout.fields]
-        channels: Channels = {CHANNEL_FIELDS[name][0]: self._single(records, name) for name in single}
-        return channels | ({"gyro_counts": self._rotation(records, faulty)} if self._rates else {})
-
-    def _rotation(self, records: NDArray[np.void], faulty: NDArray[np.bool_]) -> Counts:
-        if not self._float_rates:
-            zeros = [-rate_zero(field) for field in self._rates]
-            return self._whole(records, GYRO, zeros, self._rate_ranges, faulty)
-        columns = [
-            self._raw_float(records, name) * field.scale + field.zero
-            for name, field in zip(GYRO, self._rates, strict=True)
-        ]
-        return on_grid(columns, LARGEST_DPS, FLOAT_DPS_PER_LSB, faulty)
-
-    def _single(self, records: NDArray[np.void], name: str) -> NDArray[np.int32]:
-        """Return a field of CHANNEL_FIELDS as its channel, (n,)."""
-        field, (_, per_unit, largest) = self._layout.fields[name], CHANNEL_FIELDS[name]
-        raw = self._raw_float(records, name)
-        values = (raw * field.scale + field.zero) * per_unit
-        measured = np.abs(values) <= largest
-        whole = np.rint(np.where(measured, values, 0))
-        return np.where(measured, whole, MISSING).astype(np.int32)
-
-    def _raw_float(self, records: NDArray[np.void], name: str) -> NDArray[np.float64]:
-        """Return one field as floats, (n,)."""
-        with np.errstate(invalid="ignore"):  # of some kinds of NaN, which stay NaN
-            return self._raw(records, name).astype(np.float64)
-
-    def _raw(self, records: NDArray[np.void], name: str) -> NDArray[Any]:
-        """Return one field as numbers, (n,)."""
-        if self._layout.fields[name].type != INT24:
-            return np.asarray(records[name])
-        order = slice(None) if self._layout.endian == "little" else slice(None, None, -1)
-        low, middle, high = records[name][:, order].T.astype(np.int32)
-        return np.asarray(low | middle << 8 | (high ^ 0x80) - 0x80 << 16)
-
-    def _whole(
-        self,
-        records: NDArray[np.void],
-        names: tuple[str, ...],
-        zeros: list[int],
-        ranges: list[tuple[int, int]],
-        faulty: NDArray[np.bool_],
-    ) -> Counts:
-        small = all(SMALL.min <= low and high <= SMALL.max for low, high in ranges)
+        """Return counts (n, 3), and mark rows without a usable number in `faulty` (n,)."""
+        if self.is_float:
+            return self._on_grid(records, faulty)
+        small = all(SMALL.min <= low and high <= SMALL.max for low, high in self._ranges)
         counts = np.empty((len(records), 3), np.int16 if small else np.int32)
-        for axis, (name, zero, (low, high)) in enumerate(zip(names, zeros, ranges, strict=True)):
-            raw = self._raw(records, name)
+        for axis, (name, zero) in enumerate(zip(self._names, self._zeros, strict=True)):
+            raw, (low, high) = numbers(records, name, self._layout), self._ranges[axis]
             shifted = raw.astype(np.int64) - zero if zero else raw
             if low < WIDE.min or high > WIDE.max:
                 faulty |= (shifted < WIDE.min) | (shifted > WIDE.max)
             counts[:, axis] = shifted
         return counts
+
+    def _on_grid(self, records: NDArray[np.void], faulty: NDArray[np.bool_]) -> Counts:
+        counts = np.zeros((len(records), 3), np.int32)
+        for axis, (name, field) in enumerate(zip(self._names, self.fields, strict=True)):
+            values = self._physical(floats(records, name, self._layout), field)
+            usable = np.abs(values) <= self._largest
+            faulty |= ~usable
+            counts[usable, axis] = np.rint(values[usable] / self._step)
+        return counts
+
+
+class FrameValues:
+    """Takes values out of frames; accelerations are in counts of FLOAT_LSB_PER_G if any is float32."""
+
+    def __init__(self, layout: Layout) -> None:
+        self._layout = layout
+        self._record = record_type(layout)
+        self.accel = Axes(
+            layout,
+            AXES,
+            lambda field: int(field.zero),
+            lambda raw, field: (raw - field.zero) / layout.lsb_per_g,
+            LARGEST_G,
+            1 / FLOAT_LSB_PER_G,
+        )
+        self.gyro = Axes(
+            layout,
+            tuple(name for name in GYRO if name in layout.fields),
+            lambda field: -round(field.zero / field.scale),
+            lambda raw, field: raw * field.scale + field.zero,
+            LARGEST_DPS,
+            FLOAT_DPS_PER_LSB,
+        )
+
+    @property
+    def lsb_per_g(self) -> float:
+        """Counts in one g."""
+        return FLOAT_LSB_PER_G if self.accel.is_float else self._layout.lsb_per_g
+
+    @property
+    def zero_counts(self) -> tuple[int, int, int]:
+        """Counts of a frame of zeros."""
+        frames = np.zeros((1, self._layout.frame_bytes), np.uint8)
+        return first_row(self.accel.counts(self.records(frames), np.zeros(1, np.bool_)))
+
+    @property
+    def dps_per_lsb(self) -> tuple[float, float, float] | None:
+        """deg/s in one count of each gyroscope axis, None without a gyroscope."""
+        if not self.gyro.fields:
+            return None
+        x, y, z = (FLOAT_DPS_PER_LSB if self.gyro.is_float else field.scale for field in self.gyro.fields)
+        return x, y, z
+
+    def records(self, frames: NDArray[np.uint8]) -> NDArray[np.void]:
+        """Return frames (n, frame_bytes) as records (n,)."""
+        return np.ascontiguousarray(frames).view(self._record)[:, 0]
+
+    def channels(self, records: NDArray[np.void], faulty: NDArray[np.bool_]) -> Channels:
+        """Return the other channels, MISSING where not measured; `faulty` is as in `Axes.counts`."""
+        channels: Channels = {}
+        for name, (channel, per_unit, largest) in CHANNEL_FIELDS.items():
+            if (field := self._layout.fields.get(name)) is not None:
+                raw = floats(records, name, self._layout)
+                values = (raw * field.scale + field.zero) * per_unit
+                measured = np.abs(values) <= largest
+                whole = np.rint(np.where(measured, values, 0))
+                channels[channel] = np.where(measured, whole, MISSING).astype(np.int32)
+        if self.gyro.fields:
+            channels["gyro_counts"] = self.gyro.counts(records, faulty)
+        return channels
+
+
+def type_range(field: Field) -> tuple[int, int]:
+    """Return the smallest and the largest number of a whole type."""
+    if field.type == INT24:
+        return INT24_RANGE
+    info = np.iinfo(field.type)
+    return int(info.min), int(info.max)
 
 
 def record_type(layout: Layout) -> np.dtype[np.void]:
@@ -200,23 +222,6 @@ def record_type(layout: Layout) -> np.dtype[np.void]:
     return np.dtype(
         {"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": layout.frame_bytes}
     )
-
-
-def rate_zero(field: Field) -> int:
-    """Return a gyroscope's `zero` in whole counts."""
-    return round(field.zero / field.scale)
-
-
-def on_grid(
-    columns: list[NDArray[np.float64]], largest: float, step: float, faulty: NDArray[np.bool_]
-) -> NDArray[np.int32]:
-    """Return values as whole steps, (n, 3), and mark rows with one that is not a number or too large."""
-    counts = np.zeros((len(faulty), 3), np.int32)
-    for axis, column in enumerate(columns):
-        usable = np.abs(column) <= largest
-        faulty |= ~usable
-        counts[usable, axis] = np.rint(column[usable] / step)
-    return counts
 
 
 class FrameDecoder(PageDecoder[RawBlock]):
@@ -255,23 +260,16 @@ class FrameDecoder(PageDecoder[RawBlock]):
 
     def _status(self, pages: NDArray[np.uint8]) -> NDArray[np.uint8]:
         status = np.full(len(pages), paged.GOOD, np.uint8)
-        if self._layout.checksum is not None:
-            status[~self._intact(pages, self._layout.checksum)] = paged.CHECKSUM
+        if (crc := self._layout.page.get("crc")) is not None:
+            checksums = paged.crc32_pages if crc.type == "crc32" else paged.crc16_pages
+            status[checksums(pages, *crc.covers) != self._page_value(pages, crc)] = paged.CHECKSUM
         status[paged.erased_pages(pages)] = paged.ERASED
         return status
 
-    def _intact(self, pages: NDArray[np.uint8], crc: Checksum) -> NDArray[np.bool_]:
-        """Mark the pages whose checksum is right, (p,)."""
-        if crc.type == "crc32":
-            actual: NDArray[np.unsignedinteger] = paged.crc32_pages(pages, crc.start, crc.stop)
-            return np.asarray(actual == self._page_value(pages, crc.offset, "uint32"))
-        actual = paged.crc16_pages(pages, crc.start, crc.stop)
-        return np.asarray(actual == self._page_value(pages, crc.offset, "uint16"))
-
-    def _page_value(self, pages: NDArray[np.uint8], offset: int, kind: str) -> NDArray[np.int64]:
+    def _page_value(self, pages: NDArray[np.uint8], field: Field) -> NDArray[np.int64]:
         """Return a whole number at one place of every page, (p,)."""
-        code = number_type(self._layout.endian, kind)
-        data = np.ascontiguousarray(pages[:, offset : offset + code.itemsize])
+        code = number_type(self._layout.endian, f"uint{8 * field.bytes}")
+        data = np.ascontiguousarray(pages[:, field.offset : field.offset + field.bytes])
         return data.view(code)[:, 0].astype(np.int64)
 
     def _frames(self, pages: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -307,28 +305,28 @@ class FrameDecoder(PageDecoder[RawBlock]):
             table = frames[np.arange(layout.page_frames) < rows[:, None]]
         records = values.records(table)
         faulty = np.zeros(len(table), np.bool_)
-        sequence = layout.sequence
+        sequence, stamp = layout.page.get("sequence"), layout.page.get("time")
         return PageBlock(
             position=position,
             rows=rows,
-            counts=values.counts(records, faulty),
-            sequence=None if sequence is None else self._page_value(pages, sequence.offset, sequence.type),
-            time_us=None if layout.stamp is None else self._stamps(pages, layout.stamp),
+            counts=values.accel.counts(records, faulty),
+            sequence=None if sequence is None else self._page_value(pages, sequence),
+            time_us=None if stamp is None else self._stamps(pages, stamp),
             channels=values.channels(records, faulty),
-            faulty=faulty if values.may_fail else None,
+            faulty=faulty if values.accel.may_fail or values.gyro.may_fail else None,
         )
 
-    def _stamps(self, pages: NDArray[np.uint8], stamp: Stamp) -> NDArray[np.int64]:
+    def _stamps(self, pages: NDArray[np.uint8], stamp: Field) -> NDArray[np.int64]:
         """Return the time of each page [us since 1970], (p,)."""
         unit = unit_us(stamp)
-        raw = self._page_value(pages, stamp.offset, stamp.type)
+        raw = self._page_value(pages, stamp)
         whole, rest = np.divmod(raw, unit.denominator)
         return np.asarray(whole * unit.numerator + rest * unit.numerator // unit.denominator)
 
 
-def unit_us(stamp: Stamp) -> Fraction:
+def unit_us(stamp: Field) -> Fraction:
     """Return the microseconds in one unit of a stamp."""
-    return (Fraction(repr(stamp.per_unit)) * MICROSECONDS).limit_denominator(1 << 20)
+    return (Fraction(repr(stamp.scale)) * MICROSECONDS).limit_denominator(1 << 20)
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
@@ -339,13 +337,12 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         UnreadableError: no layout (and not both rate and counts per g), or no page or frame is usable.
     """
     layout = layout_for(path, options)
-    proved = layout.checksum is not None
-    file = PagedFile.at(path, layout.header_bytes, layout.block_bytes, proved=proved)
+    file = PagedFile.at(path, layout.header_bytes, layout.block_bytes, proved="crc" in layout.page)
     scheme = page_scheme(file, layout)
     opening = scheme.look_inside()
     if opening is None:
         raise nothing_usable(file, layout)
-    timed = layout.start is not None or layout.stamp is not None
+    timed = layout.start is not None or "time" in layout.page
     problems = () if timed else (Problem("no_start_time", NO_START, None, 0),)
     scheme = replace(scheme, first_values=first_values(opening.channels), problems=problems)
     described = replace(recording(scheme, layout, opening), companion=find_layout(path, options))
@@ -381,7 +378,7 @@ def nothing_usable(file: PagedFile, layout: Layout) -> UnreadableError:
             byte_offset=layout.header_bytes,
             hint="check header_bytes and page_bytes of its layout",
         )
-    crc = " and what page.crc covers" if layout.checksum else ""
+    crc = " and what page.crc covers" if "crc" in layout.page else ""
     return UnreadableError(
         "holds no usable sample",
         path=file.path,
@@ -391,27 +388,28 @@ def nothing_usable(file: PagedFile, layout: Layout) -> UnreadableError:
 
 
 def page_scheme(file: PagedFile, layout: Layout) -> FixedPages:
-    """Return how this file's pages are read."""
-    bits = 32 if layout.sequence is None else layout.sequence.bits
+    """Return how this file's pages are read: timed by their stamps, finer or coarser than a sample, or by
+    counting."""
+    sequence, stamp = layout.page.get("sequence"), layout.page.get("time")
+    bits = 32 if sequence is None else 8 * sequence.bytes
     spacing = timelines.Spacing(rate_fraction(layout.rate_hz), layout.page_frames, bits)
     decoder = FrameDecoder(layout)
-    return FixedPages(file, spacing, lambda: decoder, lambda: timeline(layout, spacing))
 
+    def timeline() -> timelines.PageTimeline:
+        if stamp is None:
+            return timelines.NominalTimeline(spacing, layout.start.start_us if layout.start else 0)
+        unit = unit_us(stamp)
+        if unit <= float(spacing.rows_us(1)):
+            return timelines.ExactTimeline(spacing)
+        return timelines.CoarseTimeline(spacing, round(unit))
 
-def timeline(layout: Layout, spacing: timelines.Spacing) -> timelines.PageTimeline:
-    """Return a timeline by page stamps, finer or coarser than a sample, or by counting if there are none."""
-    if layout.stamp is None:
-        return timelines.NominalTimeline(spacing, layout.start.start_us if layout.start else 0)
-    unit = unit_us(layout.stamp)
-    if unit <= float(spacing.rows_us(1)):
-        return timelines.ExactTimeline(spacing)
-    return timelines.CoarseTimeline(spacing, round(unit))
+    return FixedPages(file, spacing, lambda: decoder, timeline)
 
 
 def recording(scheme: FixedPages, layout: Layout, opening: PageBlock) -> Recording:
     """Describe the recording."""
     values, (samples, duration_s) = FrameValues(layout), scheme.extent(opening)
-    start, stamped = layout.start, layout.stamp is not None
+    start, stamped = layout.start, "time" in layout.page
     zone = "UTC" if stamped else None if start is None else start.timezone
     ignored = ("start_time of the layout is not used: the pages carry their own times",)
     return Recording(

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
 from xml.etree import ElementTree
@@ -18,7 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import rate_fraction
+from accelcal_cli.core.clock import StartTime, rate_fraction
 from accelcal_cli.core.door import is_file, open_found
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
@@ -41,6 +40,7 @@ from accelcal_cli.core.vocabulary import (
     acceleration_unit,
     unit_of,
 )
+from accelcal_cli.core.written_times import iso_start
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._frames import FrameFile, FrameReader, Frames
 from accelcal_cli.formats._gravity import usual_length
@@ -109,13 +109,11 @@ class Description:
     """The description of a recording.
 
     Attributes:
-        start_us: start of all signals [us], None if unknown.
-        is_utc: True if the start was given with an offset from UTC.
+        start: of all signals, None if unknown.
     """
 
     signals: tuple[Signal, ...]
-    start_us: int | None
-    is_utc: bool
+    start: StartTime | None
     device: Device
 
     def of_kind(self, *kinds: str) -> Signal | None:
@@ -154,11 +152,9 @@ def load_description(path: Path) -> Description:
         raise UnreadableError(f"is damaged ({error})", path=path, hint=COPY_AGAIN) from error
     if _tag(root) != "unisens":
         raise UnreadableError("is not a description of Unisens", path=path, hint=COPY_AGAIN)
-    moment = _moment(root.get("timestampStart", ""))
     return Description(
         signals=tuple(_signal(item) for item in _children(root, "signalEntry")),
-        start_us=None if moment is None else moment[0],
-        is_utc=moment is not None and moment[1],
+        start=iso_start(root.get("timestampStart", "")),
         device=_device(root),
     )
 
@@ -196,17 +192,6 @@ def _number(text: str | None, default: float) -> float:
     except ValueError:
         return default
     return value if math.isfinite(value) else default
-
-
-def _moment(text: str) -> tuple[int, bool] | None:
-    """Return the microseconds since 1970, and whether they are UTC; None if the text is not a time."""
-    try:
-        moment = datetime.fromisoformat(text.strip())
-        known = moment.tzinfo is not None
-        since = moment.astimezone(UTC) if known else moment.replace(tzinfo=UTC)
-    except (ValueError, OverflowError):
-        return None
-    return (since - datetime(1970, 1, 1, tzinfo=UTC)) // datetime.resolution, known
 
 
 def _device(root: ElementTree.Element) -> Device:
@@ -333,7 +318,9 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         gyro,
         sibling_signal(description.of_kind(*THERMOMETER), signal, data),
     )
-    start_us = description.start_us
+    start_us, zone = None, None
+    if description.start is not None:
+        start_us, zone = description.start.start_us, description.start.timezone
     first = first_values(decoder.channels(0, min(rows, MOST_FIRST_ROWS)))
     file = FrameFile(data, 0, frame_bytes(signal), None, False, start_us or 0, decoder, first)
     recording = Recording(
@@ -345,8 +332,8 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         device=description.device,
         range_g=None if signal.bits is None or is_float else 2.0 ** (signal.bits - 1) / scale,
         start_us=start_us,
-        timezone="UTC" if description.is_utc else None,
-        has_offsets=description.is_utc,
+        timezone=zone,
+        has_offsets=zone is not None,
         duration_s=rows / signal.rate_hz,
         has_temperature=first.get("temperature_mc") is not None,
         gyro_dps_per_lsb=None if gyro is None else (gyro.signal.lsb,) * 3,

@@ -15,7 +15,6 @@ import struct
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Channels, Chunk, Device, Intake, Problem, Reader, Recording, Validity
+from accelcal_cli.core.written_times import iso_start
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._frames import AFTER_BYTES, FIRST_ROWS, FrameFile, FrameIntake, FrameReader, Frames
 from accelcal_cli.formats._rows import MISSING, first_values
@@ -53,7 +53,6 @@ USUAL_START = 1024
 CHUNK = struct.Struct("<4sI")
 _PAIR = re.compile(r"([^:\n]{1,64}):([^\n]*)")
 _SCALE = re.compile(r"\d{1,6}(\.\d{1,6})?")
-_EPOCH = datetime(1970, 1, 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +103,7 @@ def parse_header(head: bytes) -> Header | None:
     names = _pairs(chunks.get(b"IART", b""))
     scales = _numbered(comment, "Scale-")
     texts = (comment.get("Time"), _text(chunks.get(b"ICRD", b"")))
-    times = [time for time in map(_time, texts) if time is not None]
+    starts = [one for text in texts if (one := iso_start(text or "")) and one.timezone is None]
     return Header(
         data_start=start,
         data_bytes=size,
@@ -114,7 +113,7 @@ def parse_header(head: bytes) -> Header | None:
         tag=tag,
         labels=_numbered(comment, "Channel-"),
         scales={k: float(text) for k, text in scales.items() if _SCALE.fullmatch(text) and float(text) > 0},
-        start_us=times[0] if times else None,
+        start_us=starts[0].start_us if starts else None,
         device=Device(names.get("Device"), names.get("Id"), names.get("Firmware")),
         damage=damage,
     )
@@ -150,15 +149,6 @@ def _numbered(pairs: dict[str, str], prefix: str) -> dict[int, str]:
     """Return the values of keys such as `Channel-1`, by their numbers from 0."""
     keys = {key: key.removeprefix(prefix) for key in pairs if key.startswith(prefix)}
     return {int(number) - 1: pairs[key] for key, number in keys.items() if re.fullmatch(r"\d{1,2}", number)}
-
-
-def _time(text: str | None) -> int | None:
-    """Return the microseconds since 1970 of a time such as 2014-08-01 10:00:00.000."""
-    try:
-        moment = datetime.fromisoformat((text or "").strip())
-    except ValueError:
-        return None
-    return None if moment.tzinfo else (moment - _EPOCH) // timedelta(microseconds=1)
 
 
 @dataclass(frozen=True, slots=True)

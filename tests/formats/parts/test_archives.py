@@ -370,6 +370,17 @@ def test_h17_parts_with_a_zip_of_recordings_name_it(tmp_path: Path) -> None:
     assert "b.zip" in told[0].message
 
 
+@pytest.mark.parametrize("name", ["b.zip", "b.tar.gz"])
+def test_an_archive_in_an_archive_is_to_be_unpacked_first(tmp_path: Path, name: str) -> None:
+    (tmp_path / "a.csv").write_text(ROWS)
+    inner, outer = packed({"a.csv": tmp_path / "a.csv"}, tmp_path / name), tmp_path / "a.zip"
+    with pytest.raises(UnreadableError, match=rf"a.zip/{name}: is an archive: unpack it first"):
+        counts_of(packed({name: inner}, outer))
+    with open_recording(packed({name: inner, "S.gt3x": gt3x(tmp_path)}, outer), OPTIONS) as reader:
+        told = f"no recordings, set aside: {name} (is an archive: unpack it first)"
+        assert told in reader.recording.notes
+
+
 def test_bz2_of_several_streams_is_read_to_its_end(tmp_path: Path) -> None:
     half = header("a.csv", b"0", 1024) + b"1,2,3\n" * 86 + bytes(508)
     (tmp_path / "a.tar.bz2").write_bytes(bz2.compress(half) + bz2.compress(bytes(1024)))
