@@ -169,6 +169,13 @@ def rates_and_numbers() -> Iterator[Table]:
     yield timed("counts with their scale", three("*", "counts"), lsb_per_g=256.0, says_lsb_per_g=256.0)
     yield timed("counts without a scale", three("*", "counts"), refused=True)
     yield timed("counts above zero", three("*", "ten bits"), lsb_per_g=102.0, says_lsb_per_g=102.0)
+    yield timed("counts above zero without a scale", three("*", "ten bits"), refused=True)
+    yield timed(
+        "averages of counts", three("*", on_grid(G * 256, 4)), lsb_per_g=256.0, says_lsb_per_g=2.0**24
+    )
+    yield timed("fractions of counts", three("*", on_grid(G * 9999, 4)), lsb_per_g=256.0, refused=True)
+    wide = changed(IN_UNIT["counts"][:, 0], slice(7, 8), -(2**40))
+    yield timed("a count of 41 bits", {**three("*", "counts"), "x": wide}, lsb_per_g=256.0)
     yield timed("gauss", three("% [G]"), refused=True)
     yield timed("rotation rates as x y z", three("% (dps)"), refused=True)
     yield timed("cm/s2", three("a* (cm/s2)", "cm/s2"))
@@ -188,6 +195,18 @@ def gaps_and_clocks() -> Iterator[Table]:
         "rows without values before a gap", {"time": jumping(10_000)}, three("*", changed(G, lost, np.nan))
     )
     yield timed("no values at first", three("*", changed(G, slice(0, 100), np.nan)))
+    yield timed("no values that can be", three("*", G + 500), unit="g", refused=True)
+    shared = three("*", np.where(np.arange(ROWS)[:, np.newaxis] % 3 == 0, G, np.nan))
+    yield table("one row in three has values", {"time": seconds(75)}, shared, says_rate_hz=25.0)
+    untimed = changed(changed(seconds(), slice(50, 52), np.nan), slice(99, 100), 1e30)
+    yield table("rows without a time", {"time": untimed}, xyz)
+    uneven = micros(100) + np.rint(RANDOM.normal(0, 5000, ROWS)).astype(np.int64)
+    yield table("jitter", {"time_us": uneven}, xyz, says_rate_hz=100.0)
+    jumps = micros(100) + 40_000 * (np.arange(ROWS) >= 100) - 13_000 * (np.arange(ROWS) >= 200)
+    gone = three("*", changed(G, slice(300, 301), np.nan))
+    yield table(
+        "jumps of the clock and a lost row", {"time_us": jumps + 40_000 * (np.arange(ROWS) > 300)}, gone
+    )
     yield table("counter of 16 bits", {"ms": (40_000 + 20 * np.arange(ROWS)) % 65_536}, xyz)
     yield table("newest row first", {"time": millis()[::-1]}, three("*", G[::-1]), refused=True)
 
@@ -196,6 +215,7 @@ def times() -> Iterator[Table]:
     xyz = three("*")
     days = 719_529 + START_S / DAY_S + np.arange(ROWS) / 50 / DAY_S
     yield table("whole seconds", {"time": seconds().astype(np.int64)}, xyz, says_rate_hz=50.0)
+    yield from shared_stamps()
     yield table("written", {"timestamp": iso()}, xyz)
     yield table("written, UTC in the name", {"Timestamp UTC": iso()}, xyz, says_timezone="UTC")
     yield table("written with Z", {"timestamp": iso("Z")}, xyz, says_timezone="UTC")
@@ -208,6 +228,49 @@ def times() -> Iterator[Table]:
     yield table("no times", xyz, rate_hz=50.0, says_rate_hz=50.0)
     yield timed("rate against the times", xyz, rate_hz=25.0, refused=True)
     yield table("days as MATLAB counts them", {"time": days}, xyz)
+    yield table("written as MATLAB does", {"time": written("{d}-Mar-{y} {H}")}, xyz)
+    yield table("written as UK Biobank does", {"time": iso("+0100 [Europe/Paris]")}, xyz, says_timezone="UTC")
+    late = np.array([one.replace("-04 ", "-14 ") for one in iso().tolist()])
+    yield table(
+        "a day above 12", {"time": np.array([f"{t[8:10]}/{t[5:7]}/{t[:4]}{t[10:]}" for t in late])}, xyz
+    )
+    yield table(
+        "numbers of seconds as texts", {"time": np.char.mod("%.2f", seconds())}, xyz, says_timezone="UTC"
+    )
+    odd = iso()
+    odd[[100, 150, 151]] = "junk", "", ""
+    yield table("texts that are no times", {"time": odd}, xyz)
+    yield table("times of no known form", {"time": np.char.mod("%d~s", np.arange(ROWS))}, xyz, refused=True)
+    both = {"time": millis(), "utc": millis() + DAY_S * 1000}
+    yield table("two times", both, xyz, refused=True)
+    yield table("one of two times", both, xyz, time_column="time", says_start_us=START_S * 10**6)
+    for name, in_s in COUNTERS.items():
+        ticks = np.rint(np.arange(ROWS) / 50 * in_s).astype(np.int64)
+        time = {name: ticks if in_s > 1 else np.arange(ROWS) / 50}
+        yield table(f"counter {name}", time, xyz, says_rate_hz=50.0, says_start_us=None)
+
+
+COUNTERS = {
+    **{"micros": 1e6, "millis": 1e3, "seconds": 1, "elapsed": 1e3, "elapsed_ms": 1e3, "Timestamp (us)": 1e6},
+    **{"timestamp_millis": 1e3, "time_micros": 1e6, "time [ms]": 1e3, "Time since start in ms": 1e3},
+}
+"""Names of columns that count from the start, and how often in a second."""
+
+
+def shared_stamps() -> Iterator[Table]:
+    """Tables whose rows share stamps, which are spread, around gaps too."""
+    trying = [7, 10, 10, 3, 10, 95, 10, 0, 0, 10, 10, 1, 10, 10, 4]
+    for name, sizes, step, missing in (
+        ("seconds", trying, 1, []),
+        ("seconds, some of them missing", trying, 1, [0, 50, 51, 130]),
+        ("seconds of 25 rows", [13, *[25, 26, 24] * 4, 8], 1, [3, 77]),
+        ("minutes", [40, 120, 120, 119, 120, 70], 60, []),
+        ("pairs", [2, 2, 2, 1, 2, 2, 0, 0, 2, 2], 1, []),
+        ("hardly shared", [1, 2, 1, 1, 2, 1, 1, 2], 1, []),
+    ):
+        stamps = START_S + step * np.repeat(np.arange(len(sizes)), sizes).astype(float)
+        stamps[missing] = np.nan
+        yield table(f"shared: {name}", {"time": stamps}, three("*", G[: len(stamps)]))
 
 
 def channels() -> Iterator[Table]:
@@ -219,6 +282,11 @@ def channels() -> Iterator[Table]:
     yield timed("temperature with holes", xyz, {"temperature": changed(WARM, slice(100, 200), np.nan)})
     yield timed("gyroscope in dps", acc, three("gyro_*_dps", RATES))
     yield timed("gyroscope in rad/s", three("acc_* (g)"), three("gyro_* (rad/s)", RATES))
+    holes = changed(changed(RATES, slice(HALF + 1, HALF + 9, 2), np.nan), slice(9, 10), 40_000)
+    moved = changed(G, slice(HALF, HALF + 9, 2), np.nan)
+    yield timed("either sensor without values", three("acc_*", moved), three("gyro_*_dps", holes))
+    rare = three("gyro_*_dps", changed(RATES, slice(0, 99), np.nan))
+    yield timed("gyroscope often without values", acc, rare, says_gyro_dps_per_lsb=None)
     yield timed("gyroscope without a unit", three("a*"), three("g*", RATES), says_gyro_dps_per_lsb=None)
 
 

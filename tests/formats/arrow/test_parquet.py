@@ -57,15 +57,6 @@ def axes(grid: np.ndarray) -> dict[str, np.ndarray]:
     return {name: np.ascontiguousarray(grid[:, axis]) for axis, name in enumerate("xyz")}
 
 
-def test_a_column_of_times_as_texts_is_named(path: Path) -> None:
-    write(path, {"time": [f"{row} s" for row in range(ROWS)], **axes(values())})
-    for options in ({}, {"rate_hz": 50.0}):
-        with pytest.raises(UnreadableError, match="the time '0 s' is not written as") as refused:
-            read(path, **options)
-        assert "--time-column none and --rate" in (refused.value.hint or "")
-    assert read(path, rate_hz=50.0, time_column="none").codes == ["no_start_time"]
-
-
 @pytest.mark.parametrize("kind", ["f4", "f8"])
 def test_row_groups_of_any_length_give_the_same_bits(path: Path, kind: str) -> None:
     made = table(values(3000).astype(kind), even_times(3000, 50.0))
@@ -258,15 +249,6 @@ def test_lists_with_holes_are_rows_without_a_value(path: Path) -> None:
             ("missing_value", 5, 1),
             ("missing_value", 6, 2),
         ]
-
-
-def test_temperature_and_gyroscope_come_along(path: Path) -> None:
-    turning = {f"gyro_{name}_dps": np.full(ROWS, 1.5) for name in "xyz"}
-    write(path, {"time": times(), **axes(values()), "temperature": np.full(ROWS, 21.5), **turning})
-    found = read(path)
-    assert found.temperature is not None and (found.temperature == 21_500).all()
-    assert found.gyro is not None and found.recording.gyro_dps_per_lsb is not None
-    assert (found.gyro * found.recording.gyro_dps_per_lsb[0] == 1.5).all()
 
 
 def test_only_the_columns_that_are_needed_are_read(path: Path) -> None:

@@ -14,7 +14,6 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, probe_file
-from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import find_format
 from accelcal_cli.formats.tables import HDF5, tracks
 from accelcal_cli.formats.tables import hdf5 as hdf5_reader
@@ -177,55 +176,11 @@ def test_the_nearest_attribute_wins_and_options_outweigh_all(path: Path) -> None
     assert read(path, unit="mg").recording.lsb_per_g == 1000.0
 
 
-@pytest.mark.parametrize(
-    ("missing", "hint"), [("sample_rate", "--rate"), ("lsb_per_g", "--lsb-per-g"), ("units", "--lsb-per-g")]
-)
-def test_what_is_nowhere_told_is_asked_for(path: Path, missing: str, hint: str) -> None:
-    write(
-        path,
-        {"accel": counts()},
-        about(**{missing: None, "lsb_per_g": None if missing != "sample_rate" else 9}),
-    )
-    with pytest.raises((UnreadableError, UsageError), match=hint):
-        read(path)
-
-
-@pytest.mark.parametrize(("unit", "factor"), [("furlong", 1.0), (None, 1e4)])
-def test_fractions_without_a_known_unit_are_asked_about(path: Path, unit: str | None, factor: float) -> None:
-    write(path, {"accel": counts() / 256 * factor}, about(units=unit, lsb_per_g=None))
-    with pytest.raises(UnreadableError, match="--unit"):
-        read(path)
-    write(path, {"accel": counts() / 256}, about(units=unit, lsb_per_g=None))
-    assert (read(path, unit="g").g == counts() / 256).all()
-
-
-@pytest.mark.parametrize(("unit", "per_g"), [("g", 1.0), ("m/s2", 9.80665), ("mg", 1000.0)])
-def test_gravity_tells_the_unit_of_fractions_that_state_none(path: Path, unit: str, per_g: float) -> None:
-    rest = np.tile([0.6, 0.0, -0.8], (500, 1)) * per_g
-    write(path, {"accel": rest}, about(units=None, lsb_per_g=None))
-    found = read(path)
-    assert f"unit: {unit} (judged by the length of gravity)" in found.recording.notes
-    assert np.abs(found.g - rest / per_g).max() < 1e-7
-
-
 @pytest.mark.parametrize("changes", [{"sample_rate": 1e300}, {"sample_rate": 0.0}, {"lsb_per_g": -1.0}])
 def test_numbers_that_cannot_be_right_are_refused(path: Path, changes: dict[str, float]) -> None:
     write(path, {"accel": counts()}, about(**changes))
     with pytest.raises(UnreadableError, match=r"cannot be right|give the sampling rate"):
         read(path)
-
-
-@pytest.mark.parametrize(
-    ("unit", "per_g"),
-    [("g", 1.0), ("mg", 1000.0), ("m/s^2", 9.80665), ("m/s2", 9.80665), (b"m s-2", 9.80665)],
-)
-def test_fractions_go_to_the_fine_grid(path: Path, unit: str, per_g: float) -> None:
-    values = counts() / 256 * per_g
-    write(path, {"accel": values}, about(units=unit, lsb_per_g=None))
-    got = read(path)
-    assert got.recording.lsb_per_g == FLOAT_LSB_PER_G
-    assert got.counts.dtype == np.int32
-    assert (got.counts == counts().astype(np.int64) * 65_536).all()
 
 
 def test_whole_numbers_in_mg_stay_whole_counts(path: Path) -> None:
@@ -255,24 +210,6 @@ def test_whole_counts_of_any_type_are_kept_exactly(path: Path, dtype: str, kept:
     assert (got.counts == values).all()
 
 
-def test_counts_beyond_32_bits_are_left_out(path: Path) -> None:
-    values = counts().astype(np.int64)
-    values[7, 1] = -(2**40)
-    write(path, {"accel": values}, about())
-    got = read(path)
-    assert (got.counts == np.delete(values, 7, axis=0)).all()
-    assert (got.codes, got.breaks) == (["out_of_range"], [7])
-
-
-def test_averaged_counts_go_to_the_fine_grid(path: Path) -> None:
-    values = np.tile([0.5, 0.0, 256.5], (ROWS, 1)) + counts() // 500
-    write(path, {"accel": values}, about())
-    assert (read(path).g == values / 256).all()
-    write(path, {"accel": 50 * values + 0.5}, about())
-    with pytest.raises(UnreadableError, match="is not a whole number of counts; give the unit"):
-        read(path)
-
-
 def test_a_rare_fraction_among_whole_counts_is_a_bad_row(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracks, "BLOCK_ROWS", 1000)
     values = counts(20_000).astype(np.float32)
@@ -293,47 +230,6 @@ def test_axes_of_different_scales_are_refused(path: Path) -> None:
 
 
 # --- rows that are not there
-
-
-def test_rows_of_nan_are_left_out_with_a_break_and_a_jump_of_the_time(path: Path) -> None:
-    values = counts() / 256.0
-    values[100:110, 2] = np.nan
-    values[ROWS - 1] = np.nan
-    write(path, {"accel": values}, about(units="g", lsb_per_g=None))
-    got = read(path)
-    kept = np.r_[0:100, 110 : ROWS - 1]
-    assert (got.g == counts()[kept] / 256).all()
-    assert (got.times == even_times(ROWS, 100.0)[kept]).all()
-    assert got.breaks == [100]
-    assert [(item.code, item.sample, item.count) for item in got.problems] == [
-        ("missing_value", 100, 10),
-        ("missing_value", 489, 1),
-    ]
-
-
-@pytest.mark.parametrize("value", [127.5, -1e30, np.inf, 1e308])
-def test_impossible_values_are_damage_not_wrapped(path: Path, value: float) -> None:
-    values = counts() / 256.0
-    values[0, 0] = value
-    write(path, {"accel": values}, about(units="g", lsb_per_g=None))
-    got = read(path)
-    assert (got.g == counts()[1:] / 256).all()
-    assert (got.codes, got.breaks, got.times[0]) == (["out_of_range"], [], START_US + 10_000)
-
-
-def test_many_single_faults_make_few_records(path: Path) -> None:
-    values = counts(3_000) / 256.0
-    values[::4] = np.nan
-    write(path, {"accel": values}, about(units="g", lsb_per_g=None))
-    got = read(path)
-    assert len(got.problems) == 51
-    assert sum(item.count for item in got.problems) == 750
-
-
-def test_a_file_without_one_usable_row_is_refused(path: Path) -> None:
-    write(path, {"accel": np.full((9, 3), np.nan)}, about(units="g", lsb_per_g=None))
-    with pytest.raises(UnreadableError, match="none of its first 9 rows"):
-        read(path)
 
 
 @pytest.mark.parametrize("chunk_samples", [1, 7, 64, 333, 10**6])
@@ -361,23 +257,6 @@ def test_nothing_depends_on_the_chunk_size_even_with_damage(path: Path, chunk_sa
 # --- temperature and gyroscope
 
 
-def test_temperature_follows_its_rows(path: Path) -> None:
-    warm = np.round(20 + np.arange(ROWS) / 1000, 3)
-    write(path, {"accel": counts(), "temperature": warm}, about())
-    got = read(path, 64)
-    assert got.temperature is not None
-    assert (got.temperature == 20_000 + np.arange(ROWS)).all()
-
-
-def test_a_missing_temperature_is_the_last_one_before_it(path: Path) -> None:
-    warm = np.array([np.nan, np.nan, 21.5, np.nan, 22.0, np.nan])
-    write(path, {"accel": counts(6), "temp_c": warm}, about())
-    got = read(path, 2)
-    assert got.temperature is not None
-    assert got.temperature.tolist() == [21_500, 21_500, 21_500, 21_500, 22_000, 22_000]
-    assert [(item.code, item.count) for item in got.problems] == [("missing_value", 4)]
-
-
 @pytest.mark.parametrize(
     "warm",
     [np.full(9, 20.0), np.full(ROWS, np.nan), np.full(ROWS, 300, np.int16)],
@@ -386,18 +265,6 @@ def test_a_missing_temperature_is_the_last_one_before_it(path: Path) -> None:
 def test_a_temperature_that_cannot_be_used_is_left_aside(path: Path, warm: np.ndarray) -> None:
     write(path, {"accel": counts(), "temperature": warm}, about())
     assert read(path).temperature is None
-
-
-@pytest.mark.parametrize(("unit", "factor"), [("deg/s", 1.0), ("dps", 1.0), ("rad/s", np.pi / 180)])
-def test_a_gyroscope_in_fractions_goes_to_a_grid(path: Path, unit: str, factor: float) -> None:
-    turns = counts(seed=5) / 16
-    write(path, {"accel": counts(), "gyro": turns * factor}, about())
-    with h5py.File(path, "a") as file:
-        file["gyro"].attrs["units"] = unit
-    got = read(path)
-    assert got.recording.gyro_dps_per_lsb == (1 / 65_536,) * 3
-    assert got.gyro is not None
-    assert (got.gyro == turns * 65_536).all()
 
 
 def test_a_gyroscope_in_counts_stays_in_counts(path: Path) -> None:
@@ -424,27 +291,6 @@ def test_what_the_user_says_of_a_gyroscope(path: Path) -> None:
     assert "the gyroscope is not read (--gyro-unit none)" in got.recording.notes
     with pytest.raises(UsageError, match="--gyro-columns"):
         read(path, gyro_columns=("gyro", "w", "w"))
-
-
-@pytest.mark.parametrize("chunk_samples", [7, 64, 1 << 18])
-def test_neighbouring_rows_without_a_value_are_one_record_whichever_sensor_lacks_it(
-    path: Path, chunk_samples: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Acceleration and gyroscope are damaged in turn, in more runs than are reported one by one."""
-    monkeypatch.setattr(tracks, "BLOCK_ROWS", 100)
-    size = 1000
-    moved, turned = counts(size) / 256, counts(size, seed=5) / 16
-    moved[100:500:2], turned[101:500:2] = np.nan, np.nan
-    moved[700], turned[720] = np.nan, np.nan
-    write(path, {"accel": moved, "gyro": turned}, about(units="g"))
-    with h5py.File(path, "a") as file:
-        file["gyro"].attrs["units"] = "deg/s"
-    got = read(path, chunk_samples)
-    assert [(problem.code, problem.sample, problem.count) for problem in got.problems] == [
-        ("missing_value", 100, 400),
-        ("missing_value", 300, 1),
-        ("missing_value", 319, 1),
-    ]
 
 
 # --- times
@@ -519,55 +365,6 @@ def test_stamps_from_zero_count_from_the_start(path: Path, unit: str | None) -> 
 def test_stamps_may_name_their_origin(path: Path) -> None:
     got = read(stamped(path, np.arange(ROWS) * 10, unit="milliseconds since 2024-03-04 00:00:00"))
     assert (got.times == even_times(ROWS, 100.0)).all()
-
-
-def test_jumps_of_the_stamps_are_breaks(path: Path) -> None:
-    times = START_US + 10_000 * np.arange(ROWS)
-    times[200:] += 30_000
-    times[300:] += 20_000
-    times[400:] -= 500_000
-    got = read(stamped(path, times))
-    assert (got.times == times).all()
-    assert got.breaks == [200, 400]
-    assert [(item.code, item.sample) for item in got.problems] == [("clock_gap", 200), ("clock_back", 400)]
-
-
-def test_stamps_of_whole_seconds_do_not_break_every_second(path: Path) -> None:
-    seconds = START_US // 1_000_000 + np.arange(6_000) // 100
-    seconds[250:] += 5
-    got = read(stamped(path, seconds, sample_rate=None))
-    assert (got.recording.rate_hz, got.breaks) == (pytest.approx(100.0, rel=0.01), [250])
-
-
-def test_rows_without_a_time_are_left_out(path: Path) -> None:
-    seconds = START_US / 1e6 + np.arange(ROWS) / 100
-    seconds[[5, 9]] = np.nan, 1e30
-    got = read(stamped(path, seconds))
-    assert (got.codes, got.breaks, len(got.counts)) == (
-        ["missing_value", "impossible_time"],
-        [5, 8],
-        ROWS - 2,
-    )
-
-
-@pytest.mark.parametrize("values", [np.arange(ROWS) * 7.0, np.zeros(ROWS)])
-def test_times_of_an_unknown_unit_are_refused_and_can_be_left_aside(path: Path, values: np.ndarray) -> None:
-    stamped(path, values, start_time=START)
-    with pytest.raises(
-        (UnreadableError, UsageError), match=r"--time-column none|100 Hz, the times of its rows"
-    ):
-        read(path)
-    assert (read(path, time_column="none").times == even_times(ROWS, 100.0)).all()
-
-
-def test_several_time_datasets_are_refused_and_one_can_be_chosen(path: Path) -> None:
-    times = START_US + 10_000 * np.arange(ROWS)
-    write(path, {"accel": counts(), "time": times, "timestamp": times + 5}, about(start_time=None))
-    with pytest.raises(UnreadableError, match=r"'time'.*'timestamp'.*--time-column"):
-        read(path)
-    assert read(path, time_column="timestamp").times[0] == START_US + 5
-    with pytest.raises(UsageError, match="one column"):
-        read(path, time_column="accel")
 
 
 # --- damage
