@@ -24,10 +24,9 @@ def rested() -> np.ndarray:
     return values
 
 
-def written(folder: Path, kind: str, time: np.ndarray, values: np.ndarray) -> Path:
-    return CONTAINERS[kind].file(
-        folder, table("a", {"time": time, **dict(zip("xyz", values.T, strict=True))}), "a"
-    )
+def made(folder: Path, kind: str, time: np.ndarray, values: np.ndarray) -> Path:
+    columns = {"time": time, **dict(zip("xyz", values.T, strict=True))}
+    return CONTAINERS[kind].file(folder, table("a", columns), "a")
 
 
 @pytest.mark.parametrize("kind", ["csv", "npz", "mat", "h5", "parquet"])

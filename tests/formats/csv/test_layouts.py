@@ -47,10 +47,6 @@ def test_decimal_commas(tmp_path: Path, delimiter: str) -> None:
     check(written(tmp_path, table(delimiter, delimiter.join(("time", "x", "y", "z")), decimal=",")))
 
 
-def test_decimal_commas_in_times_too(tmp_path: Path) -> None:
-    check(written(tmp_path, table(";", "time;x;y;z").replace(".", ",")))
-
-
 @pytest.mark.parametrize(
     "header",
     [
@@ -76,32 +72,47 @@ def test_headers(tmp_path: Path, header: str) -> None:
     check(written(tmp_path, table(",", header)), **options)
 
 
-def test_byte_order_mark_before_rows(tmp_path: Path) -> None:
-    check(written(tmp_path, "\ufeff" + table(",")))
-
-
-def test_quoted_cells(tmp_path: Path) -> None:
-    lines = table(",", "time,x,y,z").splitlines()
-    quoted = "\n".join(",".join(f'"{cell}"' for cell in line.split(",")) for line in lines)
-    check(written(tmp_path, quoted + "\n"))
-
-
-def test_date_and_time_split_by_the_delimiter_of_blanks(tmp_path: Path) -> None:
-    check(written(tmp_path, table(" ").replace("T", " ")))
-
-
-def test_columns_in_any_order_beside_others(tmp_path: Path) -> None:
+def in_any_order() -> str:
     lines = ["gyro_x,z,label,y,time,x,gyro_y,gyro_z"]
-    for number, (x, y, z) in enumerate(ROWS):
-        lines.append(f"7,{z},walk,{y},{stamp(number * 10_000)},{x},8,9")
-    check(written(tmp_path, "\n".join(lines) + "\n"))
+    lines += [f"7,{z},walk,{y},{stamp(row * 10_000)},{x},8,9" for row, (x, y, z) in enumerate(ROWS)]
+    return "\n".join(lines) + "\n"
 
 
-def test_row_names_before_and_empty_cells_behind(tmp_path: Path) -> None:
-    lines = table(",").splitlines()
-    numbered = "\n".join(["time,x,y,z", *(f"{number},{line}" for number, line in enumerate(lines, 1))])
-    check(written(tmp_path, numbered + "\n"))
-    check(written(tmp_path, "time,x,y,z\n" + "".join(f"{line},\n" for line in lines)))
+def of_androsensor() -> str:
+    """All sensors in a row, the times at its end."""
+    kinds = ("ACCELEROMETER", "GRAVITY", "LINEAR ACCELERATION")
+    names = [f"{kind} {axis} (g)" for kind in kinds for axis in "XYZ"]
+    lines = [";".join([*names, "Time since start in ms ", "YYYY-MO-DD HH-MI-SS_SSS"])]
+    for row, (x, y, z) in enumerate(ROWS):
+        lines.append(f"{x};{y};{z};0;0;1;0;0;0;{row * 10};2024-03-04 00:00:00:{row * 10:03d}")
+    return "\n".join(lines) + "\n"
+
+
+NAMED = table(",", "time,x,y,z").splitlines()
+LAYOUTS = {
+    "a mark before rows": "\ufeff" + table(","),
+    "quoted cells": "".join(",".join(f'"{cell}"' for cell in line.split(",")) + "\n" for line in NAMED),
+    "date and time split by blanks": table(" ").replace("T", " "),
+    "decimal commas in times too": table(";", "time;x;y;z").replace(".", ","),
+    "any order": in_any_order(),
+    "AndroSensor": of_androsensor(),
+    "names of rows": "\n".join([NAMED[0], *(f"{row},{line}" for row, line in enumerate(NAMED[1:], 1)), ""]),
+    "empty cells behind": "\n".join([NAMED[0], *(f"{line}," for line in NAMED[1:]), ""]),
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_layouts(tmp_path: Path, layout: str) -> None:
+    check(written(tmp_path, LAYOUTS[layout]))
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t", " "])
+def test_whole_numbers_first_and_decimal_commas_later(tmp_path: Path, delimiter: str) -> None:
+    lines = ["x,y,z"] + ["0,0,1"] * 20_000
+    later = ["0,25;-0,5;1,015625"] * 3
+    text = "\n".join([*(line.replace(",", delimiter) for line in lines), *later, ""]).replace(";", delimiter)
+    found = read(written(tmp_path, text), 4000, rate_hz=100.0)
+    assert found.g[-3:].tolist() == [[0.25, -0.5, 1.015625]] * 3
 
 
 def test_linear_acceleration_and_gyroscope_are_not_taken(tmp_path: Path) -> None:
@@ -191,12 +202,6 @@ def test_latin1_in_names_and_unused_cells(tmp_path: Path) -> None:
     found = read(written(tmp_path, text.encode("latin-1")))
     assert found.temperature is not None
     assert found.temperature.tolist() == [30500, 30500]
-
-
-def test_a_temperature_in_fahrenheit_is_converted(tmp_path: Path) -> None:
-    path = written(tmp_path, "time,x,y,z,temp [F]\n" + f"{stamp(0)},0,0,1,86\n{stamp(10_000)},0,0,1,86\n")
-    found = read(path).temperature
-    assert found is not None and found.tolist() == [30_000, 30_000]
 
 
 LOG = "a line of a log without numbers\n"
