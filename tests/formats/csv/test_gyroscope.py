@@ -5,7 +5,6 @@ from __future__ import annotations
 from math import pi
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
@@ -13,8 +12,6 @@ from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats.tables import CSV as FORMAT
 from tests.formats.make_csv import written
-from tests.formats.make_hdf5 import read as read_hdf5
-from tests.formats.make_hdf5 import write
 
 RANDOM = np.random.default_rng(3)
 ACCEL = RANDOM.normal((0.1, -0.2, 0.97), 0.02, (60, 3))
@@ -73,18 +70,6 @@ def test_a_line_of_units_below_the_names(tmp_path: Path) -> None:
     assert np.abs(found[:, ::-1] - on_grid(RATES)).max() <= 1
 
 
-def test_phyphox(tmp_path: Path) -> None:
-    names = [f'"Acceleration {axis} (m/s^2)"' for axis in "xyz"] + [
-        f'"Gyroscope {axis} (rad/s)"' for axis in "xyz"
-    ]
-    lines = [",".join(['"Time (s)"', *names])]
-    for row, (accel, rates) in enumerate(zip(ACCEL * 9.80665, RATES * pi / 180, strict=True)):
-        lines.append(",".join(f"{cell:.9E}" for cell in (row / 50, *accel, *rates)))
-    found, _ = turns(written(tmp_path, "\n".join(lines) + "\n", "Raw Data.csv"))
-    assert found is not None
-    assert np.abs(found - on_grid(RATES)).max() <= 2
-
-
 def test_actigraph(tmp_path: Path) -> None:
     """The table of the GT9X's second sensor, whose unit only its maker tells: deg/s."""
     first = (
@@ -108,18 +93,6 @@ def test_actigraph(tmp_path: Path) -> None:
         (chunk,) = reader.chunks(1000)
     assert (chunk.gyro_counts == on_grid(RATES)).all()
     assert chunk.temperature_mc is not None and set(chunk.temperature_mc) == {25_500}
-
-
-def test_the_same_counts_as_in_hdf5(tmp_path: Path) -> None:
-    """Both files hold decimal fractions of the same values."""
-    path = tmp_path / "a.h5"
-    write(path, {"accel": ACCEL, "gyro": RATES * pi / 180}, {"sample_rate": 50.0, "units": "g"})
-    with h5py.File(path, "r+") as file:
-        file["gyro"].attrs["units"] = "rad/s"
-    other = read_hdf5(path).gyro
-    found, _ = turns(written(tmp_path, table("x,y,z,gx,gy,gz", factor=pi / 180)), unit="g", gyro_unit="rad/s")
-    assert found is not None and other is not None
-    assert (found == other).all()
 
 
 def test_a_unit_that_nothing_states_is_asked_for(tmp_path: Path) -> None:

@@ -115,22 +115,6 @@ def test_whole_numbers_first_and_decimal_commas_later(tmp_path: Path, delimiter:
     assert found.g[-3:].tolist() == [[0.25, -0.5, 1.015625]] * 3
 
 
-def test_linear_acceleration_and_gyroscope_are_not_taken(tmp_path: Path) -> None:
-    header = "time,gyro_x,gyro_y,gyro_z,linear_acc_x,linear_acc_y,linear_acc_z"
-    path = written(tmp_path, header + "\n" + f"{stamp(0)},0,0,1,0,0,1\n" * 9)
-    with pytest.raises(UnreadableError, match="--columns"):
-        read(path)
-
-
-def test_two_accelerometers_are_asked_about(tmp_path: Path) -> None:
-    header = "acc_left_x,acc_left_y,acc_left_z,acc_right_x,acc_right_y,acc_right_z"
-    path = written(tmp_path, header + "\n" + "0,0,1,1,0,0\n" * 9)
-    with pytest.raises(UnreadableError, match="several groups"):
-        read(path, rate_hz=30.0)
-    found = read(path, rate_hz=30.0, columns=("acc_right_x", "acc_right_y", "ACC_RIGHT_Z"))
-    assert found.g.tolist() == [[1, 0, 0]] * 9
-
-
 def test_columns_by_number_and_time_by_name(tmp_path: Path) -> None:
     path = written(tmp_path, table(",", "when,a,b,c"))
     check(path, columns=("1", "b", "3"), time_column="when")
@@ -163,17 +147,6 @@ def test_unknown_columns_are_named_with_the_known_ones(tmp_path: Path, said: dic
         UsageError, match=r"is not a column of this file; its columns are 0 to 3 \(time, x, y, z\)"
     ):
         read(written(tmp_path, table(",", "time,x,y,z")), **said)
-
-
-def test_one_column_twice_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="twice"):
-        read(written(tmp_path, table(",", "time,x,y,z")), columns=("x", "x", "z"))
-
-
-def test_a_column_of_text_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path, "x,y,z,label\n" + "0,0,1,walk\n" * 9)
-    with pytest.raises(UnreadableError, match=r"column 3 \('label'\) does not hold numbers"):
-        read(path, rate_hz=30.0, columns=("x", "y", "label"))
 
 
 @pytest.mark.parametrize("text", ["", "\n\n", "a,b,c\n", "prose\n" * 99, "1,2\n" * 99, "{}\n"])
