@@ -230,7 +230,7 @@ def gaps_and_clocks() -> Iterator[Table]:
         "newest row first",
         {"time": millis()[::-1]},
         three("*", G[::-1]),
-        refused="sampling rate cannot be found",
+        refused="rate cannot be found",
     )
 
 

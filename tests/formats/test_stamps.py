@@ -20,6 +20,7 @@ from accelcal_cli.formats.tables.hdf5 import TrackRows
 from tests.formats import make_hdf5
 from tests.formats.make_csv import START_US
 from tests.formats.make_opal import add_sensor
+from tests.formats.reading import Read
 
 SECOND = 1_000_000
 NOTE = "several rows share a time stamp; they were spread evenly until the next one"
@@ -38,7 +39,7 @@ def hdf5(folder: Path, stamps: Sequence[int], rate_hz: float) -> Path:
     return make_hdf5.write(folder / "a.h5", datasets | times, about)
 
 
-def after_start(found: make_hdf5.Read) -> list[int]:
+def after_start(found: Read) -> list[int]:
     return (found.times - START_US).tolist()
 
 

@@ -23,9 +23,10 @@ from accelcal_cli.formats.tables import PARQUET
 from accelcal_cli.parquet import thrift
 from tests.cli.run import exit_code, run, run_process
 from tests.formats.cuts import every_byte, table_cuts
-from tests.formats.make_hdf5 import START_US, Read, even_times
+from tests.formats.make_hdf5 import START_US, even_times
 from tests.formats.make_hdf5 import read as read_of
 from tests.formats.make_parquet import make, table
+from tests.formats.reading import Read
 from tests.formats.table_values import ROWS, TIMES, values
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
 

@@ -12,7 +12,8 @@ from accelcal_cli.core.written_times import order_in, read_date
 from accelcal_cli.formats.tables.cells import year_first
 from accelcal_cli.formats.tables.dates import date_texts, find_order
 from accelcal_cli.formats.tables.text import lines as csv_lines
-from tests.formats.make_csv import Read, read, written
+from tests.formats.make_csv import read, written
+from tests.formats.reading import Read
 
 DAY_FIRST = datetime(2024, 4, 3)
 FORMS = {"dmy": "%d{0}%m{0}%Y", "mdy": "%m{0}%d{0}%Y", "ymd": "%Y{0}%m{0}%d"}

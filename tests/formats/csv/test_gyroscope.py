@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats.tables import CSV as FORMAT
 from tests.formats.make_csv import written
@@ -125,10 +125,6 @@ def test_columns_without_names_are_numbered(tmp_path: Path) -> None:
     assert turns(written(tmp_path, text), **words) == (None, "")
     found, _ = turns(written(tmp_path, text), **words, gyro_columns=("5", "4", "3"), gyro_unit="deg/s")
     assert found is not None and (found == on_grid(RATES)[:, ::-1]).all()
-    with pytest.raises(UsageError, match="--gyro-columns names one column twice"):
-        turns(written(tmp_path, text), **words, gyro_columns=("5", "5", "3"))
-    with pytest.raises(UsageError, match="--gyro-columns '9' is not a column"):
-        turns(written(tmp_path, text), **words, gyro_columns=("5", "9", "3"))
 
 
 def test_of_several_sensors_the_one_at_the_place_of_the_acceleration(tmp_path: Path) -> None:
@@ -177,18 +173,6 @@ def test_a_row_without_a_rate_is_left_out(tmp_path: Path, chunk_samples: int) ->
     assert breaks == [100, 101]
 
 
-def test_one_that_is_missing_often_is_not_read(tmp_path: Path) -> None:
-    """Logs of several sensors leave cells empty; the acceleration matters more."""
-    lines = table("x,y,z,gyro_x_dps,gyro_y_dps,gyro_z_dps").splitlines()
-    lines[2] = ",".join(lines[2].split(",")[:3]) + ",,,"
-    path = written(tmp_path, "\n".join(lines) + "\n")
-    found, told = turns(path, unit="g")
-    assert found is None
-    assert told == "the gyroscope is not read: 1 of the first 60 rows have no value of it"
-    with FORMAT.open(path, ReadOptions(rate_hz=50.0, unit="g")) as reader:
-        assert sum(map(len, reader.chunks(1000))) == 60
-
-
 @pytest.mark.parametrize(
     "names",
     [
@@ -202,12 +186,3 @@ def test_what_is_none(tmp_path: Path, names: str) -> None:
     found, told = turns(written(tmp_path, table(names)), unit="g")
     assert found is None
     assert told == "" or "its unit is not known" in told
-
-
-def test_the_acceleration_is_the_same_with_and_without(tmp_path: Path) -> None:
-    path = written(tmp_path, table("x,y,z,gyro_x_dps,gyro_y_dps,gyro_z_dps"))
-    both = []
-    for unit in (None, "none"):
-        with FORMAT.open(path, ReadOptions(rate_hz=50.0, unit="g", gyro_unit=unit)) as reader:
-            both.append(np.concatenate([chunk.counts for chunk in reader.chunks(13)]))
-    assert (both[0] == both[1]).all()

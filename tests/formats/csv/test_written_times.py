@@ -21,7 +21,8 @@ from accelcal_cli.core.written_times import (
 )
 from accelcal_cli.formats.tables.text.dialect import Normaliser
 from tests.cli.run import exit_code
-from tests.formats.make_csv import Read, read, written
+from tests.formats.make_csv import read, written
+from tests.formats.reading import Read
 
 FIRST = datetime(2024, 3, 14, 10, 41, 40)
 """When the recordings of these tests begin: 400 rows at 10 Hz, of which some lie behind the next minute."""
