@@ -46,9 +46,6 @@ def on_grid(rates: np.ndarray) -> np.ndarray:
     ("names", "factor"),
     [
         ("ax,ay,az,gx [deg/s],gy [deg/s],gz [deg/s]", 1.0),
-        ("acc_x,acc_y,acc_z,gyro_x_dps,gyro_y_dps,gyro_z_dps", 1.0),
-        ("acc_x,acc_y,acc_z,gyr_x_rad_s,gyr_y_rad_s,gyr_z_rad_s", pi / 180),
-        ("x,y,z,Gyroscope X (deg/s),Gyroscope Y (deg/s),Gyroscope Z (deg/s)", 1.0),
         ("Accel X,Accel Y,Accel Z,Gyro X deg/sec,Gyro Y deg/sec,Gyro Z deg/sec", 1.0),
         ("accX,accY,accZ,gyroRotationX(rad/s),gyroRotationY(rad/s),gyroRotationZ(rad/s)", pi / 180),
         ("gFx,gFy,gFz,wx (rad/s),wy (rad/s),wz (rad/s)", pi / 180),

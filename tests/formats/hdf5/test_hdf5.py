@@ -521,26 +521,6 @@ def test_cut_at_every_byte_it_gives_true_rows_or_our_error(
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.nightly
-@every_byte
-def test_a_changed_byte_never_gives_anything_but_rows_or_our_error(
-    path: Path, capfd: pytest.CaptureFixture[str], step: int
-) -> None:
-    extras = {"time": START_US + 10_000 * np.arange(40), "temperature": np.full(40, 20.0)}
-    numbers = about(units=None, start_time=START_US)
-    write(path, {"accel": counts(40), **extras}, numbers, chunks=(8, 3), compression="gzip")
-    data = path.read_bytes()
-    for place in range(0, len(data), min(101, 23 * step)):
-        mutant = bytearray(data)
-        mutant[place] ^= 0xFF
-        path.write_bytes(mutant)
-        try:
-            read(path)
-        except (UnreadableError, UsageError) as error:
-            assert str(path) in str(error)
-    assert capfd.readouterr() == ("", "")
-
-
 def test_a_damaged_heap_of_texts_does_not_hang(path: Path) -> None:
     write(path, {"accel": counts()}, about())
     data = bytearray(path.read_bytes())
