@@ -188,7 +188,13 @@ def rates_and_numbers() -> Iterator[Table]:
         refused="is not a whole number",
     )
     wide = changed(IN_UNIT["counts"][:, 0], slice(7, 8), -(2**40))
-    yield timed("a count of 41 bits", {**three("*", "counts"), "x": wide}, lsb_per_g=256.0)
+    yield timed(
+        "a count of 41 bits",
+        {**three("*", "counts"), "x": wide},
+        lsb_per_g=256.0,
+        says_codes=["out_of_range"],
+        says_breaks=[7],
+    )
     yield timed("gauss", three("% [G]"), refused=UNNAMED)
     yield timed("rotation rates as x y z", three("% (dps)"), refused=UNNAMED)
     yield timed("cm/s2", three("a* (cm/s2)", "cm/s2"))
@@ -200,10 +206,22 @@ def rates_and_numbers() -> Iterator[Table]:
 def gaps_and_clocks() -> Iterator[Table]:
     xyz, lost = three("*"), slice(HALF, HALF + 20)
     y = slice(HALF // 2, HALF // 2 + 10)
-    yield timed("rows without y", {**xyz, "y": changed(G[:, 1], y, np.nan)})
-    yield timed("a value out of range", {**xyz, "x": changed(G[:, 0], slice(HALF, HALF + 1), 500)})
-    yield table("gap of 10 s", {"time": jumping(10_000)}, xyz)
-    yield table("clock goes back 10 s", {"time": jumping(-10_000)}, xyz)
+    yield timed(
+        "rows without y",
+        {**xyz, "y": changed(G[:, 1], y, np.nan)},
+        says_codes=["missing_value"],
+        says_rows=ROWS - 10,
+    )
+    yield timed(
+        "a value out of range",
+        {**xyz, "x": changed(G[:, 0], slice(HALF, HALF + 1), 500)},
+        says_codes=["out_of_range"],
+        says_breaks=[HALF],
+    )
+    yield table("gap of 10 s", {"time": jumping(10_000)}, xyz, says_codes=["clock_gap"], says_breaks=[HALF])
+    yield table(
+        "clock goes back 10 s", {"time": jumping(-10_000)}, xyz, says_codes=["clock_back"], says_breaks=[HALF]
+    )
     yield table(
         "rows without values before a gap", {"time": jumping(10_000)}, three("*", changed(G, lost, np.nan))
     )
@@ -215,15 +233,27 @@ def gaps_and_clocks() -> Iterator[Table]:
         refused="usable values|none of its",
     )
     shared = three("*", np.where(np.arange(ROWS)[:, np.newaxis] % 3 == 0, G, np.nan))
-    yield table("one row in three has values", {"time": seconds(75)}, shared, says_rate_hz=25.0)
+    yield table(
+        "one row in three has values", {"time": seconds(75)}, shared, says_rate_hz=25.0, says_codes=[]
+    )
     untimed = changed(changed(seconds(), slice(50, 52), np.nan), slice(99, 100), 1e30)
-    yield table("rows without a time", {"time": untimed}, xyz)
+    yield table(
+        "rows without a time",
+        {"time": untimed},
+        xyz,
+        says_codes=["missing_value", "impossible_time"],
+        says_breaks=[50, 97],
+    )
     uneven = micros(100) + np.rint(RANDOM.normal(0, 5000, ROWS)).astype(np.int64)
     yield table("jitter", {"time_us": uneven}, xyz, says_rate_hz=100.0)
     jumps = micros(100) + 40_000 * (np.arange(ROWS) >= 100) - 13_000 * (np.arange(ROWS) >= 200)
     gone = three("*", changed(G, slice(300, 301), np.nan))
     yield table(
-        "jumps of the clock and a lost row", {"time_us": jumps + 40_000 * (np.arange(ROWS) > 300)}, gone
+        "jumps of the clock and a lost row",
+        {"time_us": jumps + 40_000 * (np.arange(ROWS) > 300)},
+        gone,
+        says_breaks=[100, 200, 300],
+        says_clock_jumps=[100, 200],
     )
     yield table("counter of 16 bits", {"ms": (40_000 + 20 * np.arange(ROWS)) % 65_536}, xyz)
     yield table(
@@ -269,7 +299,13 @@ def times() -> Iterator[Table]:
     )
     odd = iso()
     odd[[100, 150, 151]] = "junk", "", ""
-    yield table("texts that are no times", {"time": odd}, xyz)
+    yield table(
+        "texts that are no times",
+        {"time": odd},
+        xyz,
+        says_codes=["bad_line", "missing_value"],
+        says_breaks=[100, 149],
+    )
     yield table(
         "times of no known form",
         {"time": np.char.mod("%d~s", np.arange(ROWS))},
@@ -315,7 +351,12 @@ def channels() -> Iterator[Table]:
     fahrenheit = np.round(WARM * 1.8 + 32, 2)
     yield timed("Fahrenheit", xyz, {"Temperature (F)": fahrenheit}, says_has_temperature=True)
     yield timed("T", xyz, {"T": WARM}, says_has_temperature=True)
-    yield timed("temperature with holes", xyz, {"temperature": changed(WARM, slice(100, 200), np.nan)})
+    yield timed(
+        "temperature with holes",
+        xyz,
+        {"temperature": changed(WARM, slice(100, 200), np.nan)},
+        says_codes=["missing_value"],
+    )
     yield timed("gyroscope in dps", acc, three("gyro_*_dps", RATES))
     yield timed("gyroscope in rad/s", three("acc_* (g)"), three("gyro_* (rad/s)", RATES))
     holes = changed(changed(RATES, slice(HALF + 1, HALF + 9, 2), np.nan), slice(9, 10), 40_000)

@@ -110,7 +110,8 @@ def differences(folder: Path, name: str, kind: str) -> dict[str, str]:
     made, text = TABLES[name], expected(name)
     if kind == REFERENCE:
         wanted = right(made)
-        found = text | {"refused": refusal(text, made), "rest_g": rest(text)}
+        codes = [code for code, *_ in text.get("problems", [])]
+        found = text | {"refused": refusal(text, made), "rest_g": rest(text), "codes": codes}
     else:
         wanted, found = text, read(CONTAINERS[kind].file(folder, made), made, kind)
         if ("error" in wanted) != ("error" in found):
