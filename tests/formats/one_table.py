@@ -232,10 +232,11 @@ def gaps_and_clocks() -> Iterator[Table]:
         unit="g",
         refused="usable values|none of its",
     )
-    shared = three("*", np.where(np.arange(ROWS)[:, np.newaxis] % 3 == 0, G, np.nan))
-    yield table(
-        "one row in three has values", {"time": seconds(75)}, shared, says_rate_hz=25.0, says_codes=[]
-    )
+    own = np.arange(ROWS) % 3 == 0
+    own[600:1200] = False
+    shared = three("*", np.where(own[:, np.newaxis], G, np.nan))
+    yield table("one row in three has values", {"time": seconds(75)}, shared, says_rate_hz=25.0,
+                says_rows=600, says_breaks=[200])  # fmt: skip
     untimed = changed(changed(seconds(), slice(50, 52), np.nan), slice(99, 100), 1e30)
     yield table(
         "rows without a time",
