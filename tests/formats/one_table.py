@@ -280,6 +280,9 @@ def times() -> Iterator[Table]:
     yield table("elapsed_s", {"elapsed_s": seconds(start_s=0)}, xyz, says_stamped=False)
     yield table("s", {"s": seconds(start_s=0)}, xyz, says_stamped=False)
     yield table("no times", xyz, rate_hz=50.0, says_rate_hz=50.0)
+    gone = three("*", changed(G, slice(HALF, HALF + 2), np.nan))
+    yield table("no times and no values", gone, rate_hz=50.0, says_breaks=[HALF],
+                says_codes=["no_start_time", "missing_value"])  # fmt: skip
     yield table("no times and no rate", xyz, refused="--time-column, or give the sampling rate with --rate")
     ticks, asked = {"time": np.arange(ROWS)}, "may be seconds or milliseconds; give the right --rate"
     yield table("seconds or milliseconds", ticks, xyz, refused=asked)
