@@ -30,6 +30,7 @@ from accelcal_cli.pipeline.jobs import Request
 from tests.cli.run import run
 from tests.cli.studies import rows
 from tests.formats import make_csv, make_cwa, make_hdf5
+from tests.formats.reading import Read
 
 FIRST: dict[str, tuple[str, str | None]] = {
     "actigraph_30hz_12h.csv.gz": ("2017-10-30T15:00:00", "UTC"),
@@ -246,7 +247,7 @@ def table(path: Path, stamps: list[str], bad: int | None = None) -> Path:
     return path
 
 
-def utc_us(found: make_csv.Read | make_hdf5.Read) -> list[int]:
+def utc_us(found: Read) -> list[int]:
     """Its times as the Parquet file has them."""
     about = found.recording
     offset_s = utc_offset_s(about.timezone, about.start_us or 0)

@@ -27,6 +27,7 @@ from accelcal_cli.core.errors import UsageError
 from tests.cli.run import assert_one_line, run, verify
 from tests.device_recordings import edit
 from tests.formats import make_csv, make_hdf5
+from tests.formats.reading import Read
 from tests.recordings import directions, good_csv, good_raw, still_counts
 
 Capture = pytest.CaptureFixture[str]
@@ -41,7 +42,7 @@ def us(moment: datetime) -> int:
     return (moment - EPOCH) // timedelta(microseconds=1)
 
 
-def utc_us(found: make_csv.Read) -> list[int]:
+def utc_us(found: Read) -> list[int]:
     """Its times as the Parquet file has them."""
     offset_s = utc_offset_s(found.recording.timezone, int(found.times[0]))
     assert offset_s is not None

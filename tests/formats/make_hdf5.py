@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -11,10 +9,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from accelcal_cli.core.formats import Format, ReadOptions
-from accelcal_cli.core.recording import Chunk, Problem, Recording
+from accelcal_cli.core.formats import Format
 from accelcal_cli.formats.tables import HDF5
 from tests.formats.expected import Expected
+from tests.formats.reading import Read, read_all
 
 START = "2024-03-04T00:00:00"
 START_US = 1_709_510_400_000_000
@@ -57,54 +55,6 @@ def write(
     return path
 
 
-@dataclass(frozen=True)
-class Read:
-    """Everything that a recording gives."""
-
-    recording: Recording
-    counts: np.ndarray
-    times: np.ndarray
-    breaks: list[int]
-    problems: list[Problem]
-    temperature: np.ndarray | None
-    gyro: np.ndarray | None
-
-    @property
-    def g(self) -> np.ndarray:
-        return self.counts / self.recording.lsb_per_g
-
-    @property
-    def codes(self) -> list[str]:
-        return [problem.code for problem in self.problems]
-
-    def same_as(self, other: Read) -> bool:
-        pairs = [
-            (self.counts, other.counts),
-            (self.times, other.times),
-            (self.temperature, other.temperature),
-            (self.gyro, other.gyro),
-        ]
-        alike = all(one is two or np.array_equal(one, two) for one, two in pairs)
-        return alike and self.breaks == other.breaks and self.problems == other.problems
-
-
 def read(path: Path, chunk_samples: int = 1000, form: Format = HDF5, **options: Any) -> Read:
     """All of a recording, with the chunks joined."""
-    with form.open(path, ReadOptions(**options)) as reader:
-        return joined(reader.recording, reader.chunks(chunk_samples))
-
-
-def joined(recording: Recording, stream: Iterable[Chunk]) -> Read:
-    """Chunks put together."""
-    chunks = list(stream)
-    warm = [chunk.temperature_mc for chunk in chunks]
-    gyro = [chunk.gyro_counts for chunk in chunks]
-    return Read(
-        recording,
-        np.concatenate([chunk.counts for chunk in chunks]),
-        np.concatenate([chunk.clock.times(0, len(chunk)) for chunk in chunks]),
-        [chunk.first_sample + int(row) for chunk in chunks for row in chunk.breaks],
-        [problem for chunk in chunks for problem in chunk.problems],
-        np.concatenate(warm) if recording.has_temperature else None,
-        np.concatenate(gyro) if recording.gyro_dps_per_lsb else None,
-    )
+    return read_all(path, form, chunk_samples, **options)

@@ -44,14 +44,14 @@ class Table:
 
     Attributes:
         columns: (n,) numbers or texts by the names of their columns, in the order of a text file.
-        refused: True if it must not be read with these options.
+        refused: a pattern of the error with its hint if it must not be read with these options.
         says: what `Recording` must say of it, where a rule of tables decides that.
     """
 
     name: str
     columns: Columns
     options: ReadOptions = field(default_factory=ReadOptions)
-    refused: bool = False
+    refused: str | None = None
     says: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -137,7 +137,7 @@ def written(form: str) -> Column:
 # --- tables of all kinds --------------------------------------------------------------------------------
 
 
-def table(name: str, *parts: Columns, refused: bool = False, **options: Any) -> Table:
+def table(name: str, *parts: Columns, refused: str | None = None, **options: Any) -> Table:
     """A table of columns in this order; `says_...` are what its recording must say, others are options."""
     says = {key.removeprefix("says_"): options.pop(key) for key in [*options] if key.startswith("says_")}
     columns = {title: values for part in parts for title, values in part.items()}
@@ -167,10 +167,36 @@ def rates_and_numbers() -> Iterator[Table]:
     yield timed("whole mg, named", three("% [mg]", "whole mg"), says_lsb_per_g=1000.0)
     yield timed("whole mg, no unit", three("*", "whole mg"), says_lsb_per_g=1000.0)
     yield timed("counts with their scale", three("*", "counts"), lsb_per_g=256.0, says_lsb_per_g=256.0)
-    yield timed("counts without a scale", three("*", "counts"), refused=True)
+    yield timed(
+        "counts without a scale",
+        three("*", "counts"),
+        refused=r"\(256 would fit",
+    )
     yield timed("counts above zero", three("*", "ten bits"), lsb_per_g=102.0, says_lsb_per_g=102.0)
-    yield timed("gauss", three("% [G]"), refused=True)
-    yield timed("rotation rates as x y z", three("% (dps)"), refused=True)
+    yield timed(
+        "counts above zero without a scale",
+        three("*", "ten bits"),
+        refused="--zero 512 --lsb-per-g",
+    )
+    yield timed(
+        "averages of counts", three("*", on_grid(G * 256, 4)), lsb_per_g=256.0, says_lsb_per_g=2.0**24
+    )
+    yield timed(
+        "fractions of counts",
+        three("*", on_grid(G * 9999, 4)),
+        lsb_per_g=256.0,
+        refused="is not a whole number",
+    )
+    wide = changed(IN_UNIT["counts"][:, 0], slice(7, 8), -(2**40))
+    yield timed(
+        "a count of 41 bits",
+        {**three("*", "counts"), "x": wide},
+        lsb_per_g=256.0,
+        says_codes=["out_of_range"],
+        says_breaks=[7],
+    )
+    yield timed("gauss", three("% [G]"), refused=UNNAMED)
+    yield timed("rotation rates as x y z", three("% (dps)"), refused=UNNAMED)
     yield timed("cm/s2", three("a* (cm/s2)", "cm/s2"))
     yield timed("m/s2", three("a* (m/s^2)", "m/s2"))
     texts = {name: np.array([f"{cell:.12f}" for cell in cells.tolist()]) for name, cells in xyz.items()}
@@ -180,22 +206,70 @@ def rates_and_numbers() -> Iterator[Table]:
 def gaps_and_clocks() -> Iterator[Table]:
     xyz, lost = three("*"), slice(HALF, HALF + 20)
     y = slice(HALF // 2, HALF // 2 + 10)
-    yield timed("rows without y", {**xyz, "y": changed(G[:, 1], y, np.nan)})
-    yield timed("a value out of range", {**xyz, "x": changed(G[:, 0], slice(HALF, HALF + 1), 500)})
-    yield table("gap of 10 s", {"time": jumping(10_000)}, xyz)
-    yield table("clock goes back 10 s", {"time": jumping(-10_000)}, xyz)
+    yield timed(
+        "rows without y",
+        {**xyz, "y": changed(G[:, 1], y, np.nan)},
+        says_codes=["missing_value"],
+        says_rows=ROWS - 10,
+    )
+    yield timed(
+        "a value out of range",
+        {**xyz, "x": changed(G[:, 0], slice(HALF, HALF + 1), 500)},
+        says_codes=["out_of_range"],
+        says_breaks=[HALF],
+    )
+    yield table("gap of 10 s", {"time": jumping(10_000)}, xyz, says_codes=["clock_gap"], says_breaks=[HALF])
+    yield table(
+        "clock goes back 10 s", {"time": jumping(-10_000)}, xyz, says_codes=["clock_back"], says_breaks=[HALF]
+    )
     yield table(
         "rows without values before a gap", {"time": jumping(10_000)}, three("*", changed(G, lost, np.nan))
     )
     yield timed("no values at first", three("*", changed(G, slice(0, 100), np.nan)))
+    yield timed(
+        "no values that can be",
+        three("*", G + 500),
+        unit="g",
+        refused="usable values|none of its",
+    )
+    own = np.arange(ROWS) % 3 == 0
+    own[600:1200] = False
+    shared = three("*", np.where(own[:, np.newaxis], G, np.nan))
+    yield table("one row in three has values", {"time": seconds(75)}, shared, says_rate_hz=25.0,
+                says_rows=600, says_breaks=[200])  # fmt: skip
+    untimed = changed(changed(seconds(), slice(50, 52), np.nan), slice(99, 100), 1e30)
+    yield table(
+        "rows without a time",
+        {"time": untimed},
+        xyz,
+        says_codes=["missing_value", "impossible_time"],
+        says_breaks=[50, 97],
+    )
+    uneven = micros(100) + np.rint(RANDOM.normal(0, 5000, ROWS)).astype(np.int64)
+    yield table("jitter", {"time_us": uneven}, xyz, says_rate_hz=100.0)
+    jumps = micros(100) + 40_000 * (np.arange(ROWS) >= 100) - 13_000 * (np.arange(ROWS) >= 200)
+    gone = three("*", changed(G, slice(300, 301), np.nan))
+    yield table(
+        "jumps of the clock and a lost row",
+        {"time_us": jumps + 40_000 * (np.arange(ROWS) > 300)},
+        gone,
+        says_breaks=[100, 200, 300],
+        says_clock_jumps=[100, 200],
+    )
     yield table("counter of 16 bits", {"ms": (40_000 + 20 * np.arange(ROWS)) % 65_536}, xyz)
-    yield table("newest row first", {"time": millis()[::-1]}, three("*", G[::-1]), refused=True)
+    yield table(
+        "newest row first",
+        {"time": millis()[::-1]},
+        three("*", G[::-1]),
+        refused="rate cannot be found",
+    )
 
 
 def times() -> Iterator[Table]:
     xyz = three("*")
     days = 719_529 + START_S / DAY_S + np.arange(ROWS) / 50 / DAY_S
     yield table("whole seconds", {"time": seconds().astype(np.int64)}, xyz, says_rate_hz=50.0)
+    yield from shared_stamps()
     yield table("written", {"timestamp": iso()}, xyz)
     yield table("written, UTC in the name", {"Timestamp UTC": iso()}, xyz, says_timezone="UTC")
     yield table("written with Z", {"timestamp": iso("Z")}, xyz, says_timezone="UTC")
@@ -206,8 +280,73 @@ def times() -> Iterator[Table]:
     yield table("elapsed_s", {"elapsed_s": seconds(start_s=0)}, xyz, says_stamped=False)
     yield table("s", {"s": seconds(start_s=0)}, xyz, says_stamped=False)
     yield table("no times", xyz, rate_hz=50.0, says_rate_hz=50.0)
-    yield timed("rate against the times", xyz, rate_hz=25.0, refused=True)
+    gone = three("*", changed(G, slice(HALF, HALF + 2), np.nan))
+    yield table("no times and no values", gone, rate_hz=50.0, says_breaks=[HALF],
+                says_codes=["no_start_time", "missing_value"])  # fmt: skip
+    yield table("no times and no rate", xyz, refused="--time-column, or give the sampling rate with --rate")
+    ticks, asked = {"time": np.arange(ROWS)}, "may be seconds or milliseconds; give the right --rate"
+    yield table("seconds or milliseconds", ticks, xyz, refused=asked)
+    yield table("milliseconds by the rate", ticks, xyz, rate_hz=1000.0, says_rate_hz=1000.0)
+    yield table("neither by the rate", ticks, xyz, rate_hz=30.0, refused="does not fit 30 Hz")
+    still = {"time": np.full(ROWS, START_S)}
+    yield table("a clock that stands still", still, xyz, refused="2024-03-04T10:00:00.* in each of the first")
+    yield timed("rate against the times", xyz, rate_hz=25.0, refused="50 Hz, not 25 Hz")
     yield table("days as MATLAB counts them", {"time": days}, xyz)
+    yield table("written as MATLAB does", {"time": written("{d}-Mar-{y} {H}")}, xyz)
+    yield table("written as UK Biobank does", {"time": iso("+0100 [Europe/Paris]")}, xyz, says_timezone="UTC")
+    late = np.array([one.replace("-04 ", "-14 ") for one in iso().tolist()])
+    yield table(
+        "a day above 12", {"time": np.array([f"{t[8:10]}/{t[5:7]}/{t[:4]}{t[10:]}" for t in late])}, xyz
+    )
+    yield table(
+        "numbers of seconds as texts", {"time": np.char.mod("%.2f", seconds())}, xyz, says_timezone="UTC"
+    )
+    odd = iso()
+    odd[[100, 150, 151]] = "junk", "", ""
+    yield table(
+        "texts that are no times",
+        {"time": odd},
+        xyz,
+        says_codes=["bad_line", "missing_value"],
+        says_breaks=[100, 149],
+    )
+    yield table(
+        "times of no known form",
+        {"time": np.char.mod("%d~s", np.arange(ROWS))},
+        xyz,
+        refused="not written as .* --time-format",
+    )
+    both = {"time": millis(), "utc": millis() + DAY_S * 1000}
+    yield table("two times", both, xyz, refused="several columns may be the time .*--time-column")
+    yield table("one of two times", both, xyz, time_column="time", says_start_us=START_S * 10**6)
+    for name, in_s in COUNTERS.items():
+        ticks = np.rint(np.arange(ROWS) / 50 * in_s).astype(np.int64)
+        time = {name: ticks if in_s > 1 else np.arange(ROWS) / 50}
+        yield table(f"counter {name}", time, xyz, says_rate_hz=50.0, says_start_us=None)
+
+
+UNNAMED = "no column has a name known for acceleration"
+COUNTERS = {
+    **{"micros": 1e6, "millis": 1e3, "seconds": 1, "elapsed": 1e3, "elapsed_ms": 1e3, "Timestamp (us)": 1e6},
+    **{"timestamp_millis": 1e3, "time_micros": 1e6, "time [ms]": 1e3, "Time since start in ms": 1e3},
+}
+"""Names of columns that count from the start, and how often in a second."""
+
+
+def shared_stamps() -> Iterator[Table]:
+    """Tables whose rows share stamps, which are spread, around gaps too."""
+    trying = [7, 10, 10, 3, 10, 95, 10, 0, 0, 10, 10, 1, 10, 10, 4]
+    for name, sizes, step, missing in (
+        ("seconds", trying, 1, []),
+        ("seconds, some of them missing", trying, 1, [0, 50, 51, 130]),
+        ("seconds of 25 rows", [13, *[25, 26, 24] * 4, 8], 1, [3, 77]),
+        ("minutes", [40, 120, 120, 119, 120, 70], 60, []),
+        ("pairs", [2, 2, 2, 1, 2, 2, 0, 0, 2, 2], 1, []),
+        ("hardly shared", [1, 2, 1, 1, 2, 1, 1, 2], 1, []),
+    ):
+        stamps = START_S + step * np.repeat(np.arange(len(sizes)), sizes).astype(float)
+        stamps[missing] = np.nan
+        yield table(f"shared: {name}", {"time": stamps}, three("*", G[: len(stamps)]))
 
 
 def channels() -> Iterator[Table]:
@@ -216,9 +355,19 @@ def channels() -> Iterator[Table]:
     fahrenheit = np.round(WARM * 1.8 + 32, 2)
     yield timed("Fahrenheit", xyz, {"Temperature (F)": fahrenheit}, says_has_temperature=True)
     yield timed("T", xyz, {"T": WARM}, says_has_temperature=True)
-    yield timed("temperature with holes", xyz, {"temperature": changed(WARM, slice(100, 200), np.nan)})
+    yield timed(
+        "temperature with holes",
+        xyz,
+        {"temperature": changed(WARM, slice(100, 200), np.nan)},
+        says_codes=["missing_value"],
+    )
     yield timed("gyroscope in dps", acc, three("gyro_*_dps", RATES))
     yield timed("gyroscope in rad/s", three("acc_* (g)"), three("gyro_* (rad/s)", RATES))
+    holes = changed(changed(RATES, slice(HALF + 1, HALF + 9, 2), np.nan), slice(9, 10), 40_000)
+    moved = changed(G, slice(HALF, HALF + 9, 2), np.nan)
+    yield timed("either sensor without values", three("acc_*", moved), three("gyro_*_dps", holes))
+    rare = three("gyro_*_dps", changed(RATES, slice(0, 99), np.nan))
+    yield timed("gyroscope often without values", acc, rare, says_gyro_dps_per_lsb=None)
     yield timed("gyroscope without a unit", three("a*"), three("g*", RATES), says_gyro_dps_per_lsb=None)
 
 
@@ -226,15 +375,22 @@ def columns() -> Iterator[Table]:
     xyz, pqr = three("*"), dict(zip("pqr", G.T, strict=True))
     yield timed("columns by number", pqr, columns=("1", "2", "3"))
     yield timed("columns by name", pqr, columns=("p", "q", "r"))
-    yield timed("left and right", three("Acc%_L"), three("Acc%_R", on_grid(G * 1.01)), refused=True)
+    yield timed(
+        "left and right",
+        three("Acc%_L"),
+        three("Acc%_R", on_grid(G * 1.01)),
+        refused="--columns AccX_L,AccY_L,AccZ_L",
+    )
     pairs = {"time": np.repeat(millis()[:HALF], 2), "sensor": np.array(["left", "right"] * HALF)}
-    yield table("column of sensors", pairs, xyz, refused=True)
+    yield table("column of sensors", pairs, xyz, refused="--sensor left or --sensor right")
     yield table("one of two sensors", pairs, xyz, sensor="left", says_rate_hz=50.0)
     yield timed("activities", {"activity": np.repeat(["walk", "sit", "stand", "lie"], ROWS // 4)}, xyz)
     yield timed("without gravity", three("userAcceleration.*", on_grid(RANDOM.normal(0, 0.1, (ROWS, 3)))),
-                refused=True)  # fmt: skip
+                refused="--columns")  # fmt: skip
     steps = np.abs(np.rint(G * 300)).astype(np.int64)
-    yield timed("counts of epochs", {f"Axis{axis + 1}": steps[:, axis] for axis in range(3)}, refused=True)
+    yield timed(
+        "counts of epochs", {f"Axis{axis + 1}": steps[:, axis] for axis in range(3)}, refused="epochs"
+    )
 
 
 # --- heads as people write them -------------------------------------------------------------------------
@@ -247,7 +403,7 @@ def heads() -> Iterator[Table]:
     for names in ("userAcceleration.*", "linear_acceleration_*"):
         moves = on_grid(RANDOM.normal(0, 0.1, (ROWS, 3)))
         time = {"ts": millis()}
-        yield table(head_name(names, time), time, three(names, moves), refused=True)
+        yield table(head_name(names, time), time, three(names, moves), refused="--columns")
 
 
 def head_name(names: str, time: Columns) -> str:
@@ -320,7 +476,12 @@ def options() -> Iterator[Table]:
     form = {"time": written("{d}|{m}|{y} {H}")}
     yield table("--time-format of letters", form, xyz, time_format="%d|%m|%Y %H:%M:%S.%f")
     yield table("--date-format mdy", {"time": written("{m}/{d}/{y} {H}")}, xyz, date_format="mdy")
-    yield table("no --date-format", {"time": written("{d}/{m}/{y} {H}")}, xyz, refused=True)
+    yield table(
+        "no --date-format",
+        {"time": written("{d}/{m}/{y} {H}")},
+        xyz,
+        refused="dmy or mdy",
+    )
     yield timed("--gyro-unit deg/s", acc, gyro, gyro_unit="deg/s", says_gyro_dps_per_lsb=(2.0**-16,) * 3)
     yield timed("--gyro-unit rad/s", acc, gyro, gyro_unit="rad/s")
     yield timed("--gyro-unit none", acc, gyro, gyro_unit="none", says_gyro_dps_per_lsb=None)
@@ -331,7 +492,12 @@ def options() -> Iterator[Table]:
     pairs = {"time": np.repeat(plain[:HALF], 2), "id": number}
     yield table("--sensor of numbers", pairs, xyz, sensor="9")
     yield table("--sensor by column", pairs, xyz, sensor="id=7")
-    yield timed("--columns of no column", xyz, columns=("x", "y", "w"), refused=True)
+    yield timed("--columns of one column twice", xyz, columns=("x", "x", "z"), refused="twice")
+    yield timed("--columns of texts", xyz, {"label": np.full(ROWS, "walk")}, columns=("x", "y", "label"),
+                refused="does not hold numbers")  # fmt: skip
+    yield timed("--gyro-columns of no column", xyz, pqr, gyro_columns=("p", "q", "w"), refused="'w' is not")
+    yield timed("--gyro-columns of one twice", xyz, pqr, gyro_columns=("p", "p", "r"), refused="column twice")
+    yield timed("--columns of no column", xyz, columns=("x", "y", "w"), refused="'w' is not a column")
 
 
 # --- exports of vendors whose facts are in names --------------------------------------------------------
@@ -346,14 +512,19 @@ def vendors() -> Iterator[Table]:
         yield table(f"activPAL of {bits} bits", {"Time": days, "Index": index}, three("%", counts),
                     says_lsb_per_g=float(scale))  # fmt: skip
     skipping = index + (index > 5)
-    yield table("activPAL, compressed", {"Time": days, "Index": skipping}, three("%", counts), refused=True)
+    yield table(
+        "activPAL, compressed",
+        {"Time": days, "Index": skipping},
+        three("%", counts),
+        refused="it is compressed",
+    )
     stamps = iso(between="T")
     for epoch, time in (("epoc (ms)", "timestamp (+0100)"), ("epoch (ms)", "time (01:00)")):
         three_times = {epoch: millis(), time: stamps, "elapsed (s)": seconds(start_s=0)}
         yield table(f"MetaWear, {epoch}", three_times, three("*-axis (g)"))
     polar = {"Phone timestamp": stamps, "sensor timestamp [ns]": 7 * 10**17 + 1000 * micros(start_s=0)}
     yield table("Polar, acceleration", polar, three("% [mg]", "whole mg"))
-    yield table("Polar, magnetometer", polar, three("% [G]"), refused=True)
+    yield table("Polar, magnetometer", polar, three("% [G]"), refused=UNNAMED)
     yield table("mHealth", {"HEADER_TIME_STAMP": iso()}, three("%"))
     ticks = {"PacketCounter": index, "SampleTimeFine": 2_268_972_329 + 200 * index}
     free = three("FreeAcc_%", on_grid(RANDOM.normal(0, 0.1, (ROWS, 3))))
@@ -366,13 +537,13 @@ def of_phones() -> Iterator[Table]:
     linear = three("a*", moves)
     yield table("Physics Toolbox", {"time": seconds(start_s=0)}, three("gF*"), linear, three("w*", RATES))
     for name, values, refused in (
-        ("TotalAcceleration", IN_UNIT["m/s2"], False), ("Accelerometer", moves, True),
-        ("AccelerometerUncalibrated", G, False),
+        ("TotalAcceleration", IN_UNIT["m/s2"], None), ("Accelerometer", moves, "TotalAcceleration"),
+        ("AccelerometerUncalibrated", G, None),
     ):  # fmt: skip
         both = {"time": 1000 * micros(), "seconds_elapsed": seconds(start_s=0)}
         backwards = dict(zip("zyx", values.T[::-1], strict=True))
         yield table(f"Sensor Logger, {name}", both, backwards, refused=refused)
-    for kind, values, refused in (("", IN_UNIT["m/s2"], False), ("Linear ", moves, True)):
+    for kind, values, refused in (("", IN_UNIT["m/s2"], None), ("Linear ", moves, "without gravity.*with g")):
         length = {f"Absolute {kind.lower()}acceleration (m/s^2)": np.linalg.norm(values, axis=1)}
         names = three(f"{kind}Acceleration * (m/s^2)", values)
         title = f"phyphox, {kind or 'with '}g"

@@ -16,8 +16,8 @@ from accelcal_cli.formats import find_format
 from accelcal_cli.pipeline.options import field_values
 from tests.cli.run import run
 from tests.formats import make_mat
-from tests.formats.make_hdf5 import Read
 from tests.formats.make_hdf5 import read as read_of
+from tests.formats.reading import Read
 from tests.formats.table_values import values
 
 Variables = dict[str, Any]

@@ -20,9 +20,9 @@ from accelcal_cli.formats import find_format
 from accelcal_cli.formats.tables.arrays import Array, ArrayRows, StoredBytes, array_path
 from accelcal_cli.formats.tables.tracks import TEXT, Track
 from tests.formats import make_mat
-from tests.formats.make_hdf5 import Read
 from tests.formats.make_hdf5 import read as read_of
 from tests.formats.make_npz import archive, member
+from tests.formats.reading import Read
 from tests.formats.table_values import ROWS, values
 
 MOST_BYTES, MOST_SECONDS = 100_000_000, 2.0

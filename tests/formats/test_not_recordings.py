@@ -125,3 +125,10 @@ def test_48_9_an_activpal_recording_says_what_to_export(tmp_path: Path) -> None:
         UnreadableError, match=r"an activPAL's recording.*uncompressed raw acceleration as csv"
     ):
         find_format(tmp_path / "a.datx", ReadOptions())
+
+
+def test_t20_a_workbook_is_to_be_saved_as_csv(tmp_path: Path) -> None:
+    path = tmp_path / "a.xls"
+    path.write_bytes(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600))
+    with pytest.raises(UnreadableError, match="save its sheet as CSV"):
+        find_format(path, ReadOptions())

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gzip
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +11,19 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from pyarrow import feather
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import EACH, ReadOptions
 from accelcal_cli.formats import open_recording
 from accelcal_cli.formats.tables import roles, tracks
 from accelcal_cli.formats.tables.text import source as text
-from tests.formats import make_npz
+from tests.formats import one_table
+from tests.formats.one_table import CONTAINERS, Columns
 
 RNG = np.random.default_rng(46)
 START_US = 1_709_548_900_000_000
 PERIOD_US = 40_000
 ROWS = 1500
-
-Columns = dict[str, Any]
 
 
 def stream(
@@ -60,91 +56,13 @@ def without(table: Columns, name: str) -> Columns:
     return {key: values for key, values in table.items() if key != name}
 
 
-def csv_bytes(table: Columns, delimiter: str = ",", comma: bool = False, seconds: bool = False) -> bytes:
-    """A table as text, times in seconds or milliseconds since 1970."""
-
-    def cell(name: str, value: Any) -> str:
-        if name == "time":
-            return f"{value / 1e6:.3f}" if seconds else str(int(value) // 1000)
-        text = f"{value:.5f}" if isinstance(value, float) else str(value)
-        return text.replace(".", ",") if comma and isinstance(value, float) else text
-
-    names = list(table)
-    rows = zip(*(table[name].tolist() for name in names), strict=True)
-    lines = [delimiter.join(names)]
-    lines += [
-        delimiter.join(cell(name, value) for name, value in zip(names, row, strict=True)) for row in rows
-    ]
-    return ("\n".join(lines) + "\n").encode()
+TEXTS = ("csv", "csv.gz", "semicolons", "parquet", "feather", "npz", "h5")
+NUMBERS = (*TEXTS, "mat")
 
 
-def as_csv(path: Path, table: Columns) -> Path:
-    path.write_bytes(csv_bytes(table))
-    return path
-
-
-def as_gzip(path: Path, table: Columns) -> Path:
-    path.write_bytes(gzip.compress(csv_bytes(table, seconds=True)))
-    return path
-
-
-def as_semicolons(path: Path, table: Columns) -> Path:
-    path.write_bytes(csv_bytes(table, ";", comma=True))
-    return path
-
-
-def arrow(table: Columns) -> pa.Table:
-    columns = {name: pa.array(values) for name, values in table.items()}
-    if "time" in columns:
-        columns["time"] = columns["time"].cast(pa.timestamp("us", "UTC"))
-    return pa.table(columns)
-
-
-def as_parquet(path: Path, table: Columns) -> Path:
-    pq.write_table(arrow(table), path, row_group_size=700)
-    return path
-
-
-def as_feather(path: Path, table: Columns) -> Path:
-    feather.write_feather(arrow(table), path, chunksize=600)
-    return path
-
-
-def seconds_since_1970(table: Columns) -> Columns:
-    return {**table, "time": table["time"] / 1e6} if "time" in table else table
-
-
-def as_npz(path: Path, table: Columns) -> Path:
-    return make_npz.write(path, {**seconds_since_1970(table), "unit": "g"}, packed=True)
-
-
-def as_hdf5(path: Path, table: Columns) -> Path:
-    with h5py.File(path, "w") as file:
-        for name, values in seconds_since_1970(table).items():
-            text = values.dtype.kind == "U"
-            data = file.create_dataset(name, data=[str(one) for one in values] if text else values)
-            if name in "xyz":
-                data.attrs["units"] = "g"
-    return path
-
-
-def as_mat(path: Path, table: Columns) -> Path:
-    scipy_io = pytest.importorskip("scipy.io")
-    scipy_io.savemat(path, {**seconds_since_1970(table), "unit": "g"}, do_compression=True)
-    return path
-
-
-Writer = Callable[[Path, Columns], Path]
-TEXTS: dict[str, Writer] = {
-    "a.csv": as_csv,
-    "b.csv.gz": as_gzip,
-    "c.txt": as_semicolons,
-    "a.parquet": as_parquet,
-    "a.feather": as_feather,
-    "a.npz": as_npz,
-    "a.h5": as_hdf5,
-}
-NUMBERS: dict[str, Writer] = {**TEXTS, "a.mat": as_mat}
+def written(folder: Path, kind: str, columns: Columns, name: str = "table") -> Path:
+    """A table in a container."""
+    return CONTAINERS[kind].file(folder, one_table.table(name, columns), name)
 
 
 def read(path: Path, chunk_samples: int = 256, **options: Any) -> tuple[Any, np.ndarray, np.ndarray]:
@@ -191,7 +109,7 @@ SEVERAL["three, packets of ten"] = {name: values[order] for name, values in pack
 @pytest.mark.parametrize("name", TEXTS)
 def test_verdicts_13_several_sensors_in_one_table_are_refused(tmp_path: Path, name: str, kind: str) -> None:
     table = SEVERAL[kind]
-    path = TEXTS[name](tmp_path / name, table)
+    path = written(tmp_path, name, table)
     rate = {} if "time" in table else {"rate_hz": 25.0}
     column = next(key for key in table if key not in ("time", *"xyz"))
     first, second = dict.fromkeys(table[column].tolist()) if kind[:5] != "three" else ("n1", "n2")
@@ -210,13 +128,12 @@ def test_verdicts_13_several_sensors_in_one_table_are_refused(tmp_path: Path, na
 @pytest.mark.parametrize("name", NUMBERS)
 @pytest.mark.parametrize("table", [by_time(ONE_TWO), ONE_TWO], ids=["in turn", "stacked"])
 def test_numbers_tell_sensors_apart_as_well(tmp_path: Path, name: str, table: Columns) -> None:
-    path = NUMBERS[name](tmp_path / name, table)
+    path = written(tmp_path, name, table)
     assert "'sensor' has 1, 2" in refusal(path)
     assert len(read(path, sensor="2")[1]) == ROWS
 
 
 ONE = without(stream("one", 3000), "sensor")
-SECOND = np.arange(3000) // 25
 NOT_SEVERAL = {
     "constant": ("sensor", np.full(3000, "left")),
     "constant number": ("id", np.full(3000, 7)),
@@ -239,16 +156,16 @@ NOT_SEVERAL = {
 
 
 @pytest.mark.parametrize("kind", NOT_SEVERAL)
-@pytest.mark.parametrize("name", ["a.csv", "a.parquet"])
+@pytest.mark.parametrize("name", ["csv", "parquet"])
 def test_verdicts_13_what_is_one_recording_stays_one(tmp_path: Path, name: str, kind: str) -> None:
     column, values = NOT_SEVERAL[kind]
-    plain, _, times = read(TEXTS[name](tmp_path / f"p{name}", ONE))
-    found, counts, own = read(TEXTS[name](tmp_path / name, with_column(ONE, column, values)))
+    plain, _, times = read(written(tmp_path, name, ONE, "plain"))
+    found, counts, own = read(written(tmp_path, name, with_column(ONE, column, values)))
     assert (len(counts), found.rate_hz, found.start_us) == (3000, plain.rate_hz, plain.start_us)
     assert np.array_equal(own, times)
 
 
-@pytest.mark.parametrize("name", ["a.csv", "a.parquet"])
+@pytest.mark.parametrize("name", ["csv", "parquet"])
 @pytest.mark.parametrize("column", ["activity", "q", "light_level"])
 def test_shared_or_repeated_stamps_do_not_make_sensors_of_labels(
     tmp_path: Path, name: str, column: str
@@ -261,25 +178,23 @@ def test_shared_or_repeated_stamps_do_not_make_sensors_of_labels(
     again = {**ONE, "time": ONE["time"] - 30_000_000 * (np.arange(3000) >= 1700)}
     for number, times in enumerate((seconds, pairs, again)):
         for values in (flicker, label):
-            path = TEXTS[name](tmp_path / f"{number}{name}", with_column(times, column, values))
+            path = written(tmp_path, name, with_column(times, column, values), str(number))
             assert len(read(path)[1]) == 3000
 
 
 def test_sections_of_one_device_may_begin_again(tmp_path: Path) -> None:
     """Trials that count from their own start are labels; the same times for two values of `q` are not."""
-    times = np.tile(np.arange(1000), 3) * PERIOD_US
+    times = np.tile(np.arange(1000), 3) * PERIOD_US / 1e6
     table = {**ONE, "time": times}
     for name, refused in (("trial", False), ("day", False), ("q", True), ("subject", True)):
-        data = csv_bytes(with_column(table, name, np.repeat(["a", "b", "c"], 1000)), seconds=True)
-        path = tmp_path / "a.csv"
-        path.write_bytes(data)
+        path = written(tmp_path, "csv", with_column(table, name, np.repeat(["a", "b", "c"], 1000)))
         if refused:
             assert f"column '{name}' has a, b, c" in refusal(path)
         else:
             assert len(read(path)[1]) == 3000
 
 
-@pytest.mark.parametrize("name", ["a.csv", "b.csv.gz", "a.parquet", "a.npz"])
+@pytest.mark.parametrize("name", ["csv", "csv.gz", "parquet", "npz"])
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("kind", ["stacked", "in turn", "later"])
 def test_sensors_behind_the_head_are_found_in_the_pass(
@@ -292,7 +207,7 @@ def test_sensors_behind_the_head_are_found_in_the_pass(
     if kind == "later":
         right = stream("right", 3000, 9_000_000_000)
     table = stacked(left, right) if kind != "in turn" else by_time(stacked(left, right))
-    path = TEXTS[name](tmp_path / name, table)
+    path = written(tmp_path, name, table)
     with open_recording(path, ReadOptions(unit="g")) as reader:
         reader.threads = threads
         with pytest.raises(UnreadableError, match="'sensor' has left, right and perhaps more"):
@@ -306,22 +221,22 @@ def test_people_with_sensors_are_chosen_by_both(tmp_path: Path) -> None:
         for who in ("s1", "s2")
         for side in ("left", "right")
     ]
-    for name, writer in (("a.csv", as_csv), ("a.parquet", as_parquet)):
-        path = writer(tmp_path / name, stacked(*parts))
+    for name in ("csv", "parquet"):
+        path = written(tmp_path, name, stacked(*parts))
         assert "--sensor s1 or --sensor s2" in refusal(path)
         assert "--sensor s2,left or --sensor s2,right" in refusal(path, sensor="s2")
         assert len(read(path, sensor="s2,right")[1]) == 600
 
 
 def test_all_rows_can_be_read_as_those_of_one_sensor(tmp_path: Path) -> None:
-    for name in ("a.csv", "a.parquet"):
-        assert len(read(TEXTS[name](tmp_path / name, LEFT_RIGHT), sensor="all")[1]) == 2 * ROWS
+    for name in ("csv", "parquet"):
+        assert len(read(written(tmp_path, name, LEFT_RIGHT), sensor="all")[1]) == 2 * ROWS
 
 
 def test_a_sensor_that_is_not_there_is_refused_with_those_that_are(tmp_path: Path) -> None:
-    for name in ("a.csv", "a.parquet"):
+    for name in ("csv", "parquet"):
         with pytest.raises(UsageError, match=r"no row is of the sensor 'up'; .*sensor has left, right"):
-            read(TEXTS[name](tmp_path / name, LEFT_RIGHT), sensor="up")
+            read(written(tmp_path, name, LEFT_RIGHT), sensor="up")
 
 
 def test_gyroscope_and_temperature_are_those_of_the_sensor(tmp_path: Path) -> None:
@@ -330,8 +245,8 @@ def test_gyroscope_and_temperature_are_those_of_the_sensor(tmp_path: Path) -> No
     for axis in "xyz":
         table[f"gyro_{axis}_dps"] = np.where(right, 30.0, -10.0)
     table["temperature_c"] = np.where(right, 25.0, 20.0)
-    for name in ("a.csv", "a.parquet"):
-        path = TEXTS[name](tmp_path / name, table)
+    for name in ("csv", "parquet"):
+        path = written(tmp_path, name, table)
         with open_recording(path, ReadOptions(unit="g", sensor="right")) as reader:
             for chunk in reader.chunks(300):
                 assert set(chunk.temperature_mc.tolist()) <= {25_000}
@@ -340,8 +255,8 @@ def test_gyroscope_and_temperature_are_those_of_the_sensor(tmp_path: Path) -> No
 
 def test_latin_letters_quotes_and_blanks_are_values_too(tmp_path: Path) -> None:
     table = by_time(stacked(stream("Müller, A", name="person"), stream("b", name="person")))
-    path = tmp_path / "a.csv"
-    path.write_bytes(csv_bytes(table, ";").decode().replace("Müller, A", '"Müller, A"').encode("latin-1"))
+    path = written(tmp_path, "semicolons", table)
+    path.write_bytes(path.read_text("utf-8").replace("Müller, A", '"Müller, A"').encode("latin-1"))
     assert "--sensor 'Müller, A'" in refusal(path)
     assert len(read(path, sensor="Müller, A")[1]) == ROWS
 
@@ -359,7 +274,7 @@ def listed(path: Path, within: str | None = None, **options: Any) -> tuple[str, 
 @pytest.mark.parametrize("name", TEXTS)
 def test_t1_each_lists_the_sensors_of_a_table(tmp_path: Path, name: str, kind: str) -> None:
     table = SEVERAL[kind]
-    path = TEXTS[name](tmp_path / name, table)
+    path = written(tmp_path, name, table)
     rate = {} if "time" in table else {"rate_hz": 25.0}
     column = next(key for key in table if key not in ("time", *"xyz"))
     values = sorted(set(table[column].tolist()))
@@ -378,7 +293,7 @@ def test_t1_each_finds_a_sensor_that_comes_late_whatever_other_columns_hold(
     table = stacked(*(stream(value, rows, name="subject") for value in (1, 2)))
     table = with_column(table, "packet", np.arange(2 * rows))
     table = with_column(table, "trial", np.arange(2 * rows) // 500 % 4)
-    path = NUMBERS[name](tmp_path / name, table)
+    path = written(tmp_path, name, table)
     assert listed(path) == ("subject=1", "subject=2")
     _, counts, _ = read(path, sensor="subject=2")
     expected = np.stack([table[axis][rows:] for axis in "xyz"], axis=1)
@@ -390,7 +305,7 @@ def test_t1_each_of_several_people_with_several_sensors(tmp_path: Path, name: st
     both = by_time(LEFT_RIGHT)
     table = stacked(*({**both, "person": np.full(2 * ROWS, person)} for person in ("P1", "P2")))
     only = stacked(table, {**stream("left"), "person": np.full(ROWS, "P3")})
-    path = TEXTS[name](tmp_path / name, only)
+    path = written(tmp_path, name, only)
     (column,) = {one.partition("=")[0] for one in listed(path)}
     found = {one: listed(path, within=one) for one in listed(path)}
     if column == "person":
@@ -410,9 +325,9 @@ def test_t1_each_of_several_people_with_several_sensors(tmp_path: Path, name: st
     "value", ["all", "each", "a, b", "x=1", "sensor=a", "ü m/s", "50%", "#2 (left)", "'q'"]
 )
 def test_t1_a_value_of_any_characters_is_chosen_by_its_column(tmp_path: Path, name: str, value: str) -> None:
-    if "," in value and TEXTS[name] in (as_csv, as_gzip, as_semicolons):
-        pytest.skip("there a comma ends a cell or is a decimal mark")
-    path = TEXTS[name](tmp_path / name, by_time(stacked(stream(value), stream("other"))))
+    if "," in value and name in ("csv", "csv.gz"):
+        pytest.skip("there a comma ends a cell")
+    path = written(tmp_path, name, by_time(stacked(stream(value), stream("other"))))
     assert set(listed(path)) == {f"sensor={value}", "sensor=other"}
     assert len(read(path, sensor=f"sensor={value}")[1]) == ROWS
 
@@ -421,7 +336,7 @@ def test_t1_a_value_of_any_characters_is_chosen_by_its_column(tmp_path: Path, na
 def test_t1_each_leaves_a_table_of_one_sensor_alone(tmp_path: Path, name: str) -> None:
     labels = with_column(without(stream("A"), "sensor"), "activity", np.repeat(["walk", "sit", "lie"], 500))
     for number, table in enumerate((stream("A"), without(stream("A"), "sensor"), labels)):
-        path = TEXTS[name](tmp_path / f"{number}{name}", table)
+        path = written(tmp_path, name, table, str(number))
         assert listed(path) == ()
         assert len(read(path, sensor=EACH)[1]) == ROWS
 
@@ -429,13 +344,13 @@ def test_t1_each_leaves_a_table_of_one_sensor_alone(tmp_path: Path, name: str) -
 def test_t1_rows_without_a_value_are_of_nobody(tmp_path: Path) -> None:
     table = by_time(LEFT_RIGHT)
     table["sensor"] = np.where(np.arange(2 * ROWS) % 100 < 2, "", table["sensor"])
-    path = as_csv(tmp_path / "a.csv", table)
+    path = written(tmp_path, "csv", table)
     assert listed(path) == ("sensor=left", "sensor=right")
 
 
 def test_t1_a_sensor_of_a_device_is_a_device_of_its_own(tmp_path: Path) -> None:
     """Sensors that share the serial of their file are not pooled, and do not borrow from each other."""
-    path = as_hdf5(tmp_path / "a.h5", by_time(LEFT_RIGHT))
+    path = written(tmp_path, "h5", by_time(LEFT_RIGHT))
     with h5py.File(path, "a") as file:
         file.attrs["serial"] = "X7"
     assert read(path, sensor="left")[0].device.serial == "X7 (sensor left)"
@@ -445,8 +360,8 @@ def test_t1_a_sensor_of_a_device_is_a_device_of_its_own(tmp_path: Path) -> None:
 def test_t1_a_table_of_several_sensors_in_an_archive_is_a_recording(tmp_path: Path) -> None:
     """Its sensors are listed; it is not set aside where another table is beside it."""
     names = {
-        "table.csv": csv_bytes(by_time(LEFT_RIGHT)),
-        "one.csv": csv_bytes(without(stream("A"), "sensor")),
+        "table.csv": one_table.text(one_table.table("several", by_time(LEFT_RIGHT))),
+        "one.csv": one_table.text(one_table.table("one", without(stream("A"), "sensor"))),
     }
     for number in (1, 2):
         path = tmp_path / f"{number}.zip"
@@ -482,7 +397,7 @@ def test_of_very_many_columns_the_most_telling_are_watched(
     table = by_time(stacked(stream(1), stream(2)))
     table = with_column(table, "a", np.arange(len(table["x"])))
     with pytest.raises(UnreadableError, match="column 'sensor'"):
-        read(as_npz(tmp_path / "a.npz", table))
+        read(written(tmp_path, "npz", table))
 
 
 def test_a_column_of_half_floats_divides_nothing(tmp_path: Path) -> None:

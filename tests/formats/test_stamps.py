@@ -1,4 +1,4 @@
-"""Rows that share a stamp: HDF5 files and text files give them the same times. The oracle is done by hand."""
+"""Rows that share a stamp, wherever rows are cut, or entered, or lost."""
 
 from __future__ import annotations
 
@@ -17,18 +17,13 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats._stamps import LOST, NO_TIME, Pace, SharedStamps
 from accelcal_cli.formats.tables import HDF5, OPAL
 from accelcal_cli.formats.tables.hdf5 import TrackRows
-from tests.formats import make_csv, make_hdf5
+from tests.formats import make_hdf5
 from tests.formats.make_csv import START_US
 from tests.formats.make_opal import add_sensor
+from tests.formats.reading import Read
 
 SECOND = 1_000_000
 NOTE = "several rows share a time stamp; they were spread evenly until the next one"
-
-MISSING = -1
-"""A row whose time is missing."""
-
-TRYING = [7, 10, 10, 3, 10, 95, 10, 0, 0, 10, 10, 1, 10, 10, 4]
-"""A file of 10 Hz that begins within a second, and has a short group, a stopped clock and gaps."""
 
 
 def seconds(sizes: Sequence[int]) -> list[int]:
@@ -36,82 +31,16 @@ def seconds(sizes: Sequence[int]) -> list[int]:
     return [second for second, size in enumerate(sizes) for _ in range(size)]
 
 
-def hdf5(folder: Path, stamps: Sequence[int], rate_hz: float | None = None, step: int = 1) -> Path:
-    """Rows with these stamps, in seconds since the start times `step`."""
-    values = np.array([np.nan if s == MISSING else START_US / SECOND + s * step for s in stamps])
-    counts = np.tile(np.array([0, 0, 1000], np.int16), (len(stamps), 1))
+def hdf5(folder: Path, stamps: Sequence[int], rate_hz: float) -> Path:
+    """Rows with these stamps, in seconds since the start."""
     about = make_hdf5.about(sample_rate=rate_hz, units="mg", lsb_per_g=None, start_time=None)
-    return make_hdf5.write(folder / "a.h5", {"accel": counts, "time": values}, about)
+    datasets = {"accel": np.tile(np.array([0, 0, 1000], np.int16), (len(stamps), 1))}
+    times = {"time": START_US / SECOND + np.array(stamps, float)}
+    return make_hdf5.write(folder / "a.h5", datasets | times, about)
 
 
-def text(folder: Path, stamps: Sequence[int], step: int = 1) -> Path:
-    cells = ["" if s == MISSING else make_csv.stamp(s * step * SECOND) for s in stamps]
-    return make_csv.written(folder, "time,x,y,z\n" + "".join(f"{cell},0,0,1\n" for cell in cells))
-
-
-def after_start(found: make_csv.Read | make_hdf5.Read) -> list[int]:
+def after_start(found: Read) -> list[int]:
     return (found.times - START_US).tolist()
-
-
-def test_rows_of_an_hdf5_file_that_share_whole_seconds_are_spread_as_in_a_text_file(tmp_path: Path) -> None:
-    sizes = [2, 4, 4, 3, 4, 5, 4, 1]
-    times = [500_000, 750_000]
-    times += [1_000_000, 1_250_000, 1_500_000, 1_750_000, 2_000_000, 2_250_000, 2_500_000, 2_750_000]
-    times += [3_000_000, 3_333_333, 3_666_667, 4_000_000, 4_250_000, 4_500_000, 4_750_000]
-    times += [5_000_000, 5_200_000, 5_400_000, 5_600_000, 5_800_000]
-    times += [6_000_000, 6_250_000, 6_500_000, 6_750_000, 7_000_000]
-    found = make_hdf5.read(hdf5(tmp_path, seconds(sizes), 4.0))
-    assert after_start(found) == times == after_start(make_csv.read(text(tmp_path, seconds(sizes)), unit="g"))
-    assert (found.breaks, found.codes) == ([], [])
-    assert found.recording.notes == (
-        "x, y, z: column 0 ('accel')",
-        "unit: mg",
-        "time: column 1 ('time'), in s since 1970",
-        NOTE,
-    )
-    assert found.recording.start_us == START_US + 500_000
-    assert found.recording.duration_s == 6.5 + 0.25
-
-
-def test_whole_seconds_of_an_hdf5_file_around_a_gap(tmp_path: Path) -> None:
-    found = make_hdf5.read(hdf5(tmp_path, seconds([4, 4, 4, 3, 0, 0, 0, 0, 1, 4, 4])))
-    gap = [3_000_000, 3_250_000, 3_500_000, 8_750_000, 9_000_000]
-    assert after_start(found)[12:17] == gap
-    assert (found.breaks, found.codes) == ([15], ["clock_gap"])
-
-
-@pytest.mark.parametrize(
-    ("sizes", "missing", "step"),
-    [
-        (TRYING, [], 1),
-        (TRYING, [0, 50, 51, 130], 1),
-        ([25] * 8, [], 1),
-        ([13, *[25, 26, 24] * 4, 8], [3, 77], 1),
-        ([40, 120, 120, 119, 120, 70], [], 60),
-        ([2, 2, 2, 1, 2, 2, 0, 0, 2, 2], [], 1),
-        ([1, 2, 1, 1, 2, 1, 1, 2], [], 1),
-    ],
-)
-def test_the_same_rows_have_the_same_times_in_hdf5_and_in_text(
-    tmp_path: Path, sizes: list[int], missing: list[int], step: int
-) -> None:
-    stamps = [MISSING if row in missing else second for row, second in enumerate(seconds(sizes))]
-    found = make_hdf5.read(hdf5(tmp_path, stamps, step=step), 37)
-    expected = make_csv.read(text(tmp_path, stamps, step=step))
-    assert after_start(found) == after_start(expected)
-    assert found.recording.start_us == expected.recording.start_us
-    assert (NOTE in found.recording.notes) == (NOTE in expected.recording.notes) == bool(np.median(sizes) > 1)
-
-
-@pytest.mark.parametrize("chunk_samples", [1, 2, 9, 10, 11, 37, 150])
-def test_spread_times_of_an_hdf5_file_do_not_depend_on_the_chunk_size(
-    tmp_path: Path, chunk_samples: int
-) -> None:
-    stamps = [MISSING if row in {0, 50, 51, 130} else second for row, second in enumerate(seconds(TRYING))]
-    path = hdf5(tmp_path, stamps, 10.0)
-    whole = make_hdf5.read(path)
-    assert {"clock_gap", "clock_back", "missing_value"} <= set(whole.codes)
-    assert make_hdf5.read(path, chunk_samples).same_as(whole)
 
 
 @given(

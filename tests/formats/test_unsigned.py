@@ -5,16 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import h5py
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
-import scipy.io
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
-from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.formats import open_recording
 from accelcal_cli.formats._unsigned import FOUND_ZERO, sphere_of_rest, zero_of
 from tests.cli.run import exit_code
 from tests.formats.make_csv import read, written
@@ -92,30 +86,6 @@ def test_t10_any_other_zero_is_asked(tmp_path: Path) -> None:
         read(path, zero=338)
     with pytest.raises(UsageError, match="--zero is for counts, not for values in mg"):
         read(path, zero=338, unit="mg")
-
-
-@pytest.mark.parametrize("name", ["a.parquet", "a.npz", "a.mat", "a.h5"])
-@pytest.mark.parametrize("kind", ["uint16", "int32", "uint64", "float32"])
-def test_t10_tables_of_columns_and_arrays_likewise(tmp_path: Path, name: str, kind: str) -> None:
-    counts, path = converted(32768, 4096, 16), tmp_path / name
-    values, time = counts.astype(kind), EPOCH_S + np.arange(len(counts)) / RATE_HZ
-    if name == "a.parquet":
-        pq.write_table(pa.table({"time": time, **dict(zip("xyz", values.T, strict=True))}), path)
-    elif name == "a.npz":
-        np.savez(path, acc=values, time=time)
-    elif name == "a.mat":
-        scipy.io.savemat(path, {"acc": values, "time": time})
-    else:
-        with h5py.File(path, "w") as file:
-            file["acc"], file["time"] = values, time
-    for options in (ReadOptions(lsb_per_g=4096), ReadOptions(lsb_per_g=4096, zero=32768)):
-        with open_recording(path, options) as reader:
-            rows = np.concatenate([chunk.counts for chunk in reader.chunks(700)])
-            said = FOUND_ZERO.format(32768) in reader.recording.notes
-        assert np.array_equal(rows, counts - 32768)
-        assert said == (options.zero is None)
-    with pytest.raises(UnreadableError, match="--zero 32768 --lsb-per-g 41"):
-        open_recording(path, ReadOptions())
 
 
 def test_t10_signed_values_that_happen_to_be_positive_stay_as_they_are(tmp_path: Path) -> None:

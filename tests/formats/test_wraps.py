@@ -10,8 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.formats import open_recording
 from accelcal_cli.formats._stamps import LOST, NO_TIME
 from accelcal_cli.formats._wraps import DAY_US, HOUR_US, RunningOn, Wraps, find_wraps
 from tests.formats.make_csv import read, written
@@ -107,19 +105,3 @@ def test_t3_a_csv_counter_of_16_bits_is_no_gap(tmp_path: Path) -> None:
         assert found.breaks == [] and found.codes.count("clock_wrapped") == 5
     assert next(one.place for one in found.problems if one.code == "clock_wrapped") == "before line 1641"
     assert found.recording.duration_s is None or abs(found.recording.duration_s - 360) < 1
-
-
-@pytest.mark.parametrize("kind", [np.uint16, np.int32, np.float64])
-def test_t3_a_table_counter_of_16_bits_is_no_gap(tmp_path: Path, kind: type) -> None:
-    xyz = np.tile([0.1, 0.05, 0.98], (ROWS, 1)) + 0.01 * np.random.RandomState(1).randn(ROWS, 3)
-    ticks = 40 * np.arange(ROWS) % 65_536
-    path = tmp_path / "a.npz"
-    np.savez(path, time_ms=ticks.astype(kind), acc=xyz)
-    with open_recording(path, ReadOptions()) as reader:
-        for samples in (777, 1_000_000):
-            chunks = [*reader.chunks(samples)]
-            times = np.concatenate([chunk.time_us for chunk in chunks])
-            assert (times == 40_000 * np.arange(ROWS)).all()
-            assert sum(len(chunk.breaks) for chunk in chunks) == 0
-            told = [one for chunk in chunks for one in chunk.problems if one.code == "clock_wrapped"]
-            assert sum(one.count for one in told) == 5

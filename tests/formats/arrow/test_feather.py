@@ -20,9 +20,9 @@ from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.formats import find_format
 from accelcal_cli.formats.tables import FEATHER, PARQUET, arrow, tracks
 from tests.formats.cuts import every_byte, table_cuts
-from tests.formats.make_hdf5 import Read
 from tests.formats.make_hdf5 import read as read_of
 from tests.formats.make_parquet import table
+from tests.formats.reading import Read
 from tests.formats.table_values import ROWS, TIMES, values
 
 

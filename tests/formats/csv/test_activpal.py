@@ -53,11 +53,6 @@ def test_the_scale_that_the_user_states_keeps_the_zero(tmp_path: Path) -> None:
     assert found.recording.lsb_per_g == 64.0
 
 
-def test_a_compressed_export_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UnreadableError, match=r"it is compressed.*export the uncompressed csv"):
-        read(written(tmp_path, HEADER + rows(VALUES, skip=3)))
-
-
 def test_other_counts_are_doubted(tmp_path: Path) -> None:
     with pytest.raises(UnreadableError, match="its unit is in doubt"):
         read(written(tmp_path, HEADER + rows([[127, 127, 131]] * 12)))

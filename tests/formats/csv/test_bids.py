@@ -14,7 +14,8 @@ from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats.tables import CSV as FORMAT
 from accelcal_cli.studies.discovery import Where, files
-from tests.formats.make_csv import GRID, Read, read
+from tests.formats.make_csv import GRID, read
+from tests.formats.reading import Read
 
 STEM = "sub-01_ses-a_task-rest_tracksys-imu"
 VALUES = np.array([(0.25 * row, -0.5, 9.75 + row / 64) for row in range(30)])

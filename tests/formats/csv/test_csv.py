@@ -11,8 +11,7 @@ import pytest
 from accelcal_cli.core.errors import NoRecordingError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.formats.tables import CSV as FORMAT
-from accelcal_cli.formats.tables.text import lines as csv_lines
-from tests.formats.make_csv import GRID, make, read, stamp, written
+from tests.formats.make_csv import GRID, make, read, written
 
 RNG = np.random.default_rng(3)
 COUNTS = RNG.integers(-2048, 2048, (500, 3)).astype(np.int16)
@@ -28,35 +27,12 @@ def rows_of(path: Path, columns: tuple[int, ...]) -> np.ndarray:
     return np.loadtxt(path, delimiter=",", skiprows=1, usecols=columns, max_rows=200_000)
 
 
-def test_values_and_times_are_exact(tmp_path: Path) -> None:
-    truth = make(tmp_path, COUNTS, 100.0, 256.0)
-    found = read(truth.path)
-    assert np.array_equal(found.counts, COUNTS.astype(np.int32) * (GRID // 256))
-    assert np.array_equal(found.times, truth.times_us)
-    assert found.recording.rate_hz == 100.0
-    assert found.recording.start_us == truth.times_us[0]
-    assert found.recording.duration_s == 5.0
-    assert found.recording.timezone is None
-    assert (found.breaks, found.problems) == ([], [])
-
-
 @pytest.mark.parametrize(
     "rate", [1.5625, 12.5, 30.0, 31.25, 33 + 1 / 3, 50.0, 75.0, 85.7, 99.2, 99.6, 102.4, 1000.0]
 )
 def test_rate_is_found_from_the_stamps(tmp_path: Path, rate: float) -> None:
     truth = make(tmp_path, COUNTS, rate, 256.0)
     assert read(truth.path).recording.rate_hz == pytest.approx(rate, rel=1e-5)
-
-
-@pytest.mark.parametrize("chunk_samples", [1, 7, 100, 499, 500, 100_000])
-@pytest.mark.parametrize("piece", [1, 50, 1000, 1 << 18])
-def test_chunks_do_not_depend_on_their_size(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk_samples: int, piece: int
-) -> None:
-    truth = make(tmp_path, COUNTS[:60], 100.0, 256.0)
-    whole = read(truth.path)
-    monkeypatch.setattr(csv_lines, "PIECE_BYTES", piece)
-    assert read(truth.path, chunk_samples).same_as(whole)
 
 
 def test_chunks_can_be_read_twice_and_previewed(tmp_path: Path) -> None:
@@ -76,20 +52,6 @@ def test_end_byte_reaches_the_end_of_plain_and_packed_files(tmp_path: Path) -> N
             assert ends == sorted(ends)
             assert ends[-1] == path.stat().st_size == reader.recording.total_bytes
     assert read(packed).same_as(read(plain))
-
-
-@pytest.mark.parametrize(
-    ("unit", "size", "per_g"),
-    [("g", 1.0, 1.0), ("mg", 1000.0, 1000.0), ("m/s2", STANDARD_GRAVITY, STANDARD_GRAVITY)],
-)
-def test_units_are_told_by_the_length_of_gravity(
-    tmp_path: Path, unit: str, size: float, per_g: float
-) -> None:
-    values = [(0.1 * size, 0.2 * size, size * (0.9 + row / 1000)) for row in range(50)]
-    text = "".join(f"{stamp(row * 10_000)},{x!r},{y!r},{z!r}\n" for row, (x, y, z) in enumerate(values))
-    found = read(written(tmp_path, "time,x,y,z\n" + text))
-    assert np.array_equal(found.counts, np.rint(np.array(values) / per_g * GRID))
-    assert f"unit: {unit} (judged by the length of gravity)" in found.recording.notes
 
 
 def test_idle_zeros_do_not_hide_the_unit(tmp_path: Path) -> None:
@@ -137,24 +99,6 @@ def test_whole_numbers_of_mg_are_counts_of_one_mg(tmp_path: Path) -> None:
     assert np.array_equal(broken.counts[1], np.rint(np.array([10, -20.5, 990]) * GRID / 1000))
 
 
-@pytest.mark.parametrize(
-    ("header", "unit"),
-    [
-        ("x [mg],y [mg],z [mg]", "mg"),
-        ("acc_x (m/s^2),acc_y (m/s^2),acc_z (m/s^2)", "m/s2"),
-        ("accel_x_mg,accel_y_mg,accel_z_mg", "mg"),
-        ("Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)", "g"),
-        ("Accelerometer X [G],Accelerometer Y [G],Accelerometer Z [G]", "g"),
-        ("acc_x [Gal],acc_y [Gal],acc_z [Gal]", "cm/s2"),
-        ("acc_x [mm/s2],acc_y [mm/s2],acc_z [mm/s2]", "mm/s2"),
-        ("x [ft/s^2],y [ft/s^2],z [ft/s^2]", "ft/s2"),
-    ],
-)
-def test_units_are_read_from_the_header(tmp_path: Path, header: str, unit: str) -> None:
-    found = read(written(tmp_path, f"{header}\n" + "3,3,3\n" * 9), rate_hz=30.0)
-    assert f"unit: {unit}" in found.recording.notes
-
-
 @pytest.mark.parametrize("unit", ["deg/s", "dps", "G", "gauss", "uT", "V", "mV", "degrees", "rad/s", "m/s"])
 def test_axes_in_a_unit_of_another_quantity_are_no_acceleration(tmp_path: Path, unit: str) -> None:
     names = ",".join(f"{axis} [{unit}]" for axis in "xyz")
@@ -169,19 +113,6 @@ def test_axes_in_a_unit_of_another_quantity_are_no_acceleration(tmp_path: Path, 
 def test_options_must_be_positive(tmp_path: Path, said: dict[str, float]) -> None:
     with pytest.raises(UsageError, match="is not a positive number"):
         read(written(tmp_path, "0,0,1\n" * 9), **said)
-
-
-def test_missing_temperatures_hold_the_last_one(tmp_path: Path) -> None:
-    cells = ["", "", "30.5", "", "nan", "30.25", "", "1e9", ""]
-    text = "".join(f"{stamp(row * 10_000)},0,0,1,{cell}\n" for row, cell in enumerate(cells))
-    path = written(tmp_path, "time,x,y,z,temperature_c\n" + text)
-    found = read(path, 2)
-    assert found.temperature is not None
-    assert found.temperature.tolist() == [30500] * 5 + [30250] * 4
-    assert len(found.counts) == 9
-    (problem,) = found.problems
-    assert (problem.code, problem.count, problem.sample) == ("missing_value", 7, 0)
-    assert problem.told == ("7 rows without a temperature: the last one before holds, from line 2 on")
 
 
 def test_sniffing_knows_text_of_numbers_from_everything_else(tmp_path: Path) -> None:

@@ -12,7 +12,8 @@ from accelcal_cli.core.written_times import order_in, read_date
 from accelcal_cli.formats.tables.cells import year_first
 from accelcal_cli.formats.tables.dates import date_texts, find_order
 from accelcal_cli.formats.tables.text import lines as csv_lines
-from tests.formats.make_csv import Read, read, written
+from tests.formats.make_csv import read, written
+from tests.formats.reading import Read
 
 DAY_FIRST = datetime(2024, 4, 3)
 FORMS = {"dmy": "%d{0}%m{0}%Y", "mdy": "%m{0}%d{0}%Y", "ymd": "%Y{0}%m{0}%d"}
@@ -43,6 +44,9 @@ def test_what_can_be_read_in_two_ways_needs_the_users_word(tmp_path: Path, order
         UnreadableError, match=r"line 2: .* can be read as dmy or mdy; .*--date-format dmy or"
     ):
         read(path)
+    two = path.read_text().replace(" ", ",").replace("time", "date,time")
+    with pytest.raises(UnreadableError, match="can be read as dmy or mdy"):
+        read(written(tmp_path, two, "two.csv"))
     check(read(path, date_format=order), DAY_FIRST)
     other = {"dmy": "mdy", "mdy": "dmy"}[order]
     check(read(path, date_format=other), datetime(2024, 3, 4))
@@ -118,7 +122,16 @@ def test_a_date_of_another_kind_is_named_by_its_line(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("words", "order"),
-    [("M/d/yyyy", "mdy"), ("dd.MM.yyyy", "dmy"), ("yyyy-MM-dd", "ymd"), ("d MMM yyyy", "dmy"), ("yy", None)],
+    [
+        ("M/d/yyyy", "mdy"),
+        ("dd.MM.yyyy", "dmy"),
+        ("yyyy-MM-dd", "ymd"),
+        ("d MMM yyyy", "dmy"),
+        ("yy", None),
+        ("dddd, d MMMM yyyy", "dmy"),
+        ("gg yyyy. MM. dd.", "ymd"),
+        ("HH", None),
+    ],
 )
 def test_patterns(words: str, order: str | None) -> None:
     assert order_in(words) == order
@@ -134,9 +147,12 @@ def test_patterns(words: str, order: str | None) -> None:
         ("1/2/202", "dmy", None),
         ("0/1/2024", "dmy", None),
         ("today", "dmy", None),
+        ("04-Mar-24", "ymd", "2004-03-24"),
+        ("04-Mar-24", None, "2024-03-04"),
+        ("04/03/2024", None, None),
     ],
 )
-def test_reading_one_date(text: str, order: str, iso: str | None) -> None:
+def test_reading_one_date(text: str, order: str | None, iso: str | None) -> None:
     found = read_date(text, order)
     assert (found and found.isoformat()) == iso
 

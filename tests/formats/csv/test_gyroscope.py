@@ -5,16 +5,13 @@ from __future__ import annotations
 from math import pi
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats.tables import CSV as FORMAT
 from tests.formats.make_csv import written
-from tests.formats.make_hdf5 import read as read_hdf5
-from tests.formats.make_hdf5 import write
 
 RANDOM = np.random.default_rng(3)
 ACCEL = RANDOM.normal((0.1, -0.2, 0.97), 0.02, (60, 3))
@@ -49,9 +46,6 @@ def on_grid(rates: np.ndarray) -> np.ndarray:
     ("names", "factor"),
     [
         ("ax,ay,az,gx [deg/s],gy [deg/s],gz [deg/s]", 1.0),
-        ("acc_x,acc_y,acc_z,gyro_x_dps,gyro_y_dps,gyro_z_dps", 1.0),
-        ("acc_x,acc_y,acc_z,gyr_x_rad_s,gyr_y_rad_s,gyr_z_rad_s", pi / 180),
-        ("x,y,z,Gyroscope X (deg/s),Gyroscope Y (deg/s),Gyroscope Z (deg/s)", 1.0),
         ("Accel X,Accel Y,Accel Z,Gyro X deg/sec,Gyro Y deg/sec,Gyro Z deg/sec", 1.0),
         ("accX,accY,accZ,gyroRotationX(rad/s),gyroRotationY(rad/s),gyroRotationZ(rad/s)", pi / 180),
         ("gFx,gFy,gFz,wx (rad/s),wy (rad/s),wz (rad/s)", pi / 180),
@@ -71,18 +65,6 @@ def test_a_line_of_units_below_the_names(tmp_path: Path) -> None:
     found, _ = turns(written(tmp_path, text))
     assert found is not None
     assert np.abs(found[:, ::-1] - on_grid(RATES)).max() <= 1
-
-
-def test_phyphox(tmp_path: Path) -> None:
-    names = [f'"Acceleration {axis} (m/s^2)"' for axis in "xyz"] + [
-        f'"Gyroscope {axis} (rad/s)"' for axis in "xyz"
-    ]
-    lines = [",".join(['"Time (s)"', *names])]
-    for row, (accel, rates) in enumerate(zip(ACCEL * 9.80665, RATES * pi / 180, strict=True)):
-        lines.append(",".join(f"{cell:.9E}" for cell in (row / 50, *accel, *rates)))
-    found, _ = turns(written(tmp_path, "\n".join(lines) + "\n", "Raw Data.csv"))
-    assert found is not None
-    assert np.abs(found - on_grid(RATES)).max() <= 2
 
 
 def test_actigraph(tmp_path: Path) -> None:
@@ -108,18 +90,6 @@ def test_actigraph(tmp_path: Path) -> None:
         (chunk,) = reader.chunks(1000)
     assert (chunk.gyro_counts == on_grid(RATES)).all()
     assert chunk.temperature_mc is not None and set(chunk.temperature_mc) == {25_500}
-
-
-def test_the_same_counts_as_in_hdf5(tmp_path: Path) -> None:
-    """Both files hold decimal fractions of the same values."""
-    path = tmp_path / "a.h5"
-    write(path, {"accel": ACCEL, "gyro": RATES * pi / 180}, {"sample_rate": 50.0, "units": "g"})
-    with h5py.File(path, "r+") as file:
-        file["gyro"].attrs["units"] = "rad/s"
-    other = read_hdf5(path).gyro
-    found, _ = turns(written(tmp_path, table("x,y,z,gx,gy,gz", factor=pi / 180)), unit="g", gyro_unit="rad/s")
-    assert found is not None and other is not None
-    assert (found == other).all()
 
 
 def test_a_unit_that_nothing_states_is_asked_for(tmp_path: Path) -> None:
@@ -152,10 +122,6 @@ def test_columns_without_names_are_numbered(tmp_path: Path) -> None:
     assert turns(written(tmp_path, text), **words) == (None, "")
     found, _ = turns(written(tmp_path, text), **words, gyro_columns=("5", "4", "3"), gyro_unit="deg/s")
     assert found is not None and (found == on_grid(RATES)[:, ::-1]).all()
-    with pytest.raises(UsageError, match="--gyro-columns names one column twice"):
-        turns(written(tmp_path, text), **words, gyro_columns=("5", "5", "3"))
-    with pytest.raises(UsageError, match="--gyro-columns '9' is not a column"):
-        turns(written(tmp_path, text), **words, gyro_columns=("5", "9", "3"))
 
 
 def test_of_several_sensors_the_one_at_the_place_of_the_acceleration(tmp_path: Path) -> None:
@@ -204,18 +170,6 @@ def test_a_row_without_a_rate_is_left_out(tmp_path: Path, chunk_samples: int) ->
     assert breaks == [100, 101]
 
 
-def test_one_that_is_missing_often_is_not_read(tmp_path: Path) -> None:
-    """Logs of several sensors leave cells empty; the acceleration matters more."""
-    lines = table("x,y,z,gyro_x_dps,gyro_y_dps,gyro_z_dps").splitlines()
-    lines[2] = ",".join(lines[2].split(",")[:3]) + ",,,"
-    path = written(tmp_path, "\n".join(lines) + "\n")
-    found, told = turns(path, unit="g")
-    assert found is None
-    assert told == "the gyroscope is not read: 1 of the first 60 rows have no value of it"
-    with FORMAT.open(path, ReadOptions(rate_hz=50.0, unit="g")) as reader:
-        assert sum(map(len, reader.chunks(1000))) == 60
-
-
 @pytest.mark.parametrize(
     "names",
     [
@@ -229,12 +183,3 @@ def test_what_is_none(tmp_path: Path, names: str) -> None:
     found, told = turns(written(tmp_path, table(names)), unit="g")
     assert found is None
     assert told == "" or "its unit is not known" in told
-
-
-def test_the_acceleration_is_the_same_with_and_without(tmp_path: Path) -> None:
-    path = written(tmp_path, table("x,y,z,gyro_x_dps,gyro_y_dps,gyro_z_dps"))
-    both = []
-    for unit in (None, "none"):
-        with FORMAT.open(path, ReadOptions(rate_hz=50.0, unit="g", gyro_unit=unit)) as reader:
-            both.append(np.concatenate([chunk.counts for chunk in reader.chunks(13)]))
-    assert (both[0] == both[1]).all()

@@ -42,10 +42,6 @@ def test_a_jump_of_the_clock_is_told_from_lost_rows(tmp_path: Path, chunk_sample
     assert jumps(path, chunk_samples) == ([10, 20, 31], [10, 20])
 
 
-def test_a_row_that_is_left_out_makes_a_break_of_another_kind(tmp_path: Path) -> None:
-    assert jumps(written(tmp_path, table([10] * 20, bad=7))) == ([7], [])
-
-
 def stamps(seed: int, deviation_us: float = 0, lost_a_second: float = 0, stalls: bool = False) -> np.ndarray:
     """Return times of three minutes at 100 Hz as a phone may stamp them."""
     draw = np.random.default_rng(seed)

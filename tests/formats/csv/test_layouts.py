@@ -47,10 +47,6 @@ def test_decimal_commas(tmp_path: Path, delimiter: str) -> None:
     check(written(tmp_path, table(delimiter, delimiter.join(("time", "x", "y", "z")), decimal=",")))
 
 
-def test_decimal_commas_in_times_too(tmp_path: Path) -> None:
-    check(written(tmp_path, table(";", "time;x;y;z").replace(".", ",")))
-
-
 @pytest.mark.parametrize(
     "header",
     [
@@ -76,48 +72,47 @@ def test_headers(tmp_path: Path, header: str) -> None:
     check(written(tmp_path, table(",", header)), **options)
 
 
-def test_byte_order_mark_before_rows(tmp_path: Path) -> None:
-    check(written(tmp_path, "\ufeff" + table(",")))
-
-
-def test_quoted_cells(tmp_path: Path) -> None:
-    lines = table(",", "time,x,y,z").splitlines()
-    quoted = "\n".join(",".join(f'"{cell}"' for cell in line.split(",")) for line in lines)
-    check(written(tmp_path, quoted + "\n"))
-
-
-def test_date_and_time_split_by_the_delimiter_of_blanks(tmp_path: Path) -> None:
-    check(written(tmp_path, table(" ").replace("T", " ")))
-
-
-def test_columns_in_any_order_beside_others(tmp_path: Path) -> None:
+def in_any_order() -> str:
     lines = ["gyro_x,z,label,y,time,x,gyro_y,gyro_z"]
-    for number, (x, y, z) in enumerate(ROWS):
-        lines.append(f"7,{z},walk,{y},{stamp(number * 10_000)},{x},8,9")
-    check(written(tmp_path, "\n".join(lines) + "\n"))
+    lines += [f"7,{z},walk,{y},{stamp(row * 10_000)},{x},8,9" for row, (x, y, z) in enumerate(ROWS)]
+    return "\n".join(lines) + "\n"
 
 
-def test_row_names_before_and_empty_cells_behind(tmp_path: Path) -> None:
-    lines = table(",").splitlines()
-    numbered = "\n".join(["time,x,y,z", *(f"{number},{line}" for number, line in enumerate(lines, 1))])
-    check(written(tmp_path, numbered + "\n"))
-    check(written(tmp_path, "time,x,y,z\n" + "".join(f"{line},\n" for line in lines)))
+def of_androsensor() -> str:
+    """All sensors in a row, the times at its end."""
+    kinds = ("ACCELEROMETER", "GRAVITY", "LINEAR ACCELERATION")
+    names = [f"{kind} {axis} (g)" for kind in kinds for axis in "XYZ"]
+    lines = [";".join([*names, "Time since start in ms ", "YYYY-MO-DD HH-MI-SS_SSS"])]
+    for row, (x, y, z) in enumerate(ROWS):
+        lines.append(f"{x};{y};{z};0;0;1;0;0;0;{row * 10};2024-03-04 00:00:00:{row * 10:03d}")
+    return "\n".join(lines) + "\n"
 
 
-def test_linear_acceleration_and_gyroscope_are_not_taken(tmp_path: Path) -> None:
-    header = "time,gyro_x,gyro_y,gyro_z,linear_acc_x,linear_acc_y,linear_acc_z"
-    path = written(tmp_path, header + "\n" + f"{stamp(0)},0,0,1,0,0,1\n" * 9)
-    with pytest.raises(UnreadableError, match="--columns"):
-        read(path)
+NAMED = table(",", "time,x,y,z").splitlines()
+LAYOUTS = {
+    "a mark before rows": "\ufeff" + table(","),
+    "quoted cells": "".join(",".join(f'"{cell}"' for cell in line.split(",")) + "\n" for line in NAMED),
+    "date and time split by blanks": table(" ").replace("T", " "),
+    "decimal commas in times too": table(";", "time;x;y;z").replace(".", ","),
+    "any order": in_any_order(),
+    "AndroSensor": of_androsensor(),
+    "names of rows": "\n".join([NAMED[0], *(f"{row},{line}" for row, line in enumerate(NAMED[1:], 1)), ""]),
+    "empty cells behind": "\n".join([NAMED[0], *(f"{line}," for line in NAMED[1:]), ""]),
+}
 
 
-def test_two_accelerometers_are_asked_about(tmp_path: Path) -> None:
-    header = "acc_left_x,acc_left_y,acc_left_z,acc_right_x,acc_right_y,acc_right_z"
-    path = written(tmp_path, header + "\n" + "0,0,1,1,0,0\n" * 9)
-    with pytest.raises(UnreadableError, match="several groups"):
-        read(path, rate_hz=30.0)
-    found = read(path, rate_hz=30.0, columns=("acc_right_x", "acc_right_y", "ACC_RIGHT_Z"))
-    assert found.g.tolist() == [[1, 0, 0]] * 9
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_layouts(tmp_path: Path, layout: str) -> None:
+    check(written(tmp_path, LAYOUTS[layout]))
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t", " "])
+def test_whole_numbers_first_and_decimal_commas_later(tmp_path: Path, delimiter: str) -> None:
+    lines = ["x,y,z"] + ["0,0,1"] * 20_000
+    later = ["0,25;-0,5;1,015625"] * 3
+    text = "\n".join([*(line.replace(",", delimiter) for line in lines), *later, ""]).replace(";", delimiter)
+    found = read(written(tmp_path, text), 4000, rate_hz=100.0)
+    assert found.g[-3:].tolist() == [[0.25, -0.5, 1.015625]] * 3
 
 
 def test_columns_by_number_and_time_by_name(tmp_path: Path) -> None:
@@ -154,17 +149,6 @@ def test_unknown_columns_are_named_with_the_known_ones(tmp_path: Path, said: dic
         read(written(tmp_path, table(",", "time,x,y,z")), **said)
 
 
-def test_one_column_twice_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="twice"):
-        read(written(tmp_path, table(",", "time,x,y,z")), columns=("x", "x", "z"))
-
-
-def test_a_column_of_text_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path, "x,y,z,label\n" + "0,0,1,walk\n" * 9)
-    with pytest.raises(UnreadableError, match=r"column 3 \('label'\) does not hold numbers"):
-        read(path, rate_hz=30.0, columns=("x", "y", "label"))
-
-
 @pytest.mark.parametrize("text", ["", "\n\n", "a,b,c\n", "prose\n" * 99, "1,2\n" * 99, "{}\n"])
 def test_files_without_rows_are_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(UnreadableError, match="no rows of three or more numbers"):
@@ -191,12 +175,6 @@ def test_latin1_in_names_and_unused_cells(tmp_path: Path) -> None:
     found = read(written(tmp_path, text.encode("latin-1")))
     assert found.temperature is not None
     assert found.temperature.tolist() == [30500, 30500]
-
-
-def test_a_temperature_in_fahrenheit_is_converted(tmp_path: Path) -> None:
-    path = written(tmp_path, "time,x,y,z,temp [F]\n" + f"{stamp(0)},0,0,1,86\n{stamp(10_000)},0,0,1,86\n")
-    found = read(path).temperature
-    assert found is not None and found.tolist() == [30_000, 30_000]
 
 
 LOG = "a line of a log without numbers\n"

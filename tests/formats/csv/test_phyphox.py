@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accelcal_cli.core.errors import UnreadableError
 from tests.formats.make_csv import GRID, read, written
 
 NAMES = ["Time (s)", *(f"Acceleration {axis} (m/s^2)" for axis in "xyz"), "Absolute acceleration (m/s^2)"]
@@ -34,8 +33,3 @@ def test_all_its_ways_to_write_numbers(tmp_path: Path, delimiter: str, decimal: 
     assert found.times.tolist() == [row * 10_000 for row in range(12)]
     assert found.codes == ["no_start_time"]
     assert found.recording.notes[0] == "an export of phyphox"
-
-
-def test_linear_acceleration_is_refused_and_the_right_experiment_named(tmp_path: Path) -> None:
-    with pytest.raises(UnreadableError, match=r'without gravity.*"Acceleration \(with g\)"'):
-        read(written(tmp_path, table(linear="Linear "), "Raw Data.csv"))

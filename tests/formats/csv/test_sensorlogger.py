@@ -36,11 +36,6 @@ def test_total_acceleration_is_read_from_z_to_x(tmp_path: Path) -> None:
     assert about.notes[0] == "an export of Sensor Logger"
 
 
-def test_uncalibrated_acceleration_of_ios_is_in_g(tmp_path: Path) -> None:
-    found = read(written(tmp_path, HEADER + rows(VALUES / STANDARD_GRAVITY)))
-    assert np.array_equal(found.counts, COUNTS)
-
-
 def wearing(length: float) -> np.ndarray:
     """Return acceleration of the wearer alone, in any unit."""
     return np.random.RandomState(3).normal(0, length, (60, 3))

@@ -21,7 +21,8 @@ from accelcal_cli.formats.tables import tracks as tables
 from accelcal_cli.formats.tables.hdf5 import Hdf5Source, TrackRows
 from accelcal_cli.formats.tables.header import As
 from accelcal_cli.formats.tables.tracks import Track
-from tests.formats.make_hdf5 import Read, about, joined, write
+from tests.formats.make_hdf5 import about, write
+from tests.formats.reading import Read, joined
 
 ROWS, CHUNK = 40_000, 6000
 
@@ -51,7 +52,11 @@ OTHERS = [pytest.param(dtype, marks=pytest.mark.nightly) for dtype in ("f8", ">i
 @pytest.mark.parametrize("shuffle", [False, True])
 @pytest.mark.parametrize("dtype", ["<i2", ">i4", "<f4", *OTHERS])
 @pytest.mark.parametrize("shape", ["wide", "transposed", "columns"])
-def test_chunks_are_unpacked_as_they_were_packed(path: Path, shuffle: bool, dtype: str, shape: str) -> None:
+@pytest.mark.parametrize("block", [1000, 65_536], ids=["in parts", "whole"])
+def test_chunks_are_unpacked_as_they_were_packed(
+    path: Path, monkeypatch: pytest.MonkeyPatch, shuffle: bool, dtype: str, shape: str, block: int
+) -> None:
+    monkeypatch.setattr(hdf5_reader, "BLOCK_ROWS", block)
     packed: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": shuffle}
     values = counts().astype(dtype)
     if shape == "columns":
@@ -91,7 +96,11 @@ CHANGES: dict[str, Callable[[bytes], tuple[int, bytes]]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_a_chunk_that_is_not_as_the_others_gives_what_it_holds_or_is_lost(path: Path, change: str) -> None:
+@pytest.mark.parametrize("block", [1000, 65_536], ids=["in parts", "whole"])
+def test_a_chunk_that_is_not_as_the_others_gives_what_it_holds_or_is_lost(
+    path: Path, monkeypatch: pytest.MonkeyPatch, change: str, block: int
+) -> None:
+    monkeypatch.setattr(hdf5_reader, "BLOCK_ROWS", block)
     write(path, {"accel": counts()}, about(lsb_per_g=4096.0), chunks=(CHUNK, 3), compression="gzip")
     overwrite(path, 2 * CHUNK, CHANGES[change])
     got = streamed(path)

@@ -14,9 +14,10 @@ from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.formats import find_format
 from accelcal_cli.formats.tables import OPAL
 from tests.formats.cuts import cuts, every_byte
-from tests.formats.make_hdf5 import START_US, Read, about, even_times, write
+from tests.formats.make_hdf5 import START_US, about, even_times, write
 from tests.formats.make_hdf5 import read as read_any
 from tests.formats.make_opal import GRAVITY, GRID, make, make_old
+from tests.formats.reading import Read
 
 ROWS = 300
 RATE_HZ = 128.0

@@ -17,9 +17,10 @@ from accelcal_cli.formats import find_format
 from accelcal_cli.formats.tables import HDF5
 from accelcal_cli.formats.tables import MAT as FORMAT
 from tests.formats.cuts import every_byte, table_cuts
-from tests.formats.make_hdf5 import START_US, Read
+from tests.formats.make_hdf5 import START_US
 from tests.formats.make_hdf5 import read as read_of
 from tests.formats.make_mat import CELL, OPAQUE, array, element, file_of, make, matrix, write
+from tests.formats.reading import Read
 from tests.formats.table_values import ROWS, TIMES, values
 
 

@@ -13,10 +13,11 @@ from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats.tables import NPZ as FORMAT
 from tests.cli.run import run
 from tests.formats.cuts import every_byte, table_cuts
-from tests.formats.make_hdf5 import START_US, Read
+from tests.formats.make_hdf5 import START_US
 from tests.formats.make_hdf5 import read as read_of
 from tests.formats.make_npz import archive, make, member, write
 from tests.formats.make_parquet import make as make_parquet
+from tests.formats.reading import Read
 from tests.formats.table_values import ROWS, TIMES, values
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
 
