@@ -170,7 +170,8 @@ class Assembler:
         """Keep what is wrong with the first line of each stretch that is not rows, however rows were cut."""
         bad = rows.fault == Fault.LINE
         if rows.bad:
-            begins = np.flatnonzero(bad & ~np.concatenate([[self._in_bad], bad[:-1]])) if len(bad) else []
+            before = np.concatenate([[self._in_bad], bad])[:-1].astype(np.bool_)
+            begins = np.flatnonzero(bad & ~before)
             lines = [*rows.line[begins].tolist()] or [next(iter(rows.bad))] * (not self._bad)
             self._bad |= {line: rows.bad[line] for line in lines[: SINGLE + 1 - len(self._bad)]}
         self._in_bad = bool(bad[-1]) if len(bad) else self._in_bad
