@@ -155,12 +155,16 @@ class ArrayRows:
         rows = min(map(len, parts)) // self._step
         dtype = stored.newbyteorder("=") if track.dtype == TEXT else track.dtype
         values = np.zeros((stop - start, track.width), dtype)
+        good = np.arange(stop - start) < rows
         for first, part in zip(range(0, track.width, across), parts, strict=True):
-            numbers = np.frombuffer(part, stored, rows * across)
-            values[:rows, first : first + across] = numbers.reshape(rows, across)
+            numbers = np.frombuffer(part, stored, rows * across).reshape(rows, across)
+            if stored.kind == "f" and dtype.kind in "iu":  # no whole number stands for NaN
+                known = np.abs(numbers) < np.iinfo(dtype).max
+                numbers, good[:rows] = np.where(known, numbers, 0), good[:rows] & known.all(axis=1)
+            values[:rows, first : first + across] = numbers
         if dtype.kind == "U":
             replace_no_letters(values)
-        return values, np.arange(stop - start) < rows
+        return values, good
 
     def _texts(self, values: NDArray[Any]) -> Any:
         """Return texts as an array of Arrow (n,), null where empty."""

@@ -74,6 +74,22 @@ def test_what_scipy_writes(path: Path, packed: bool) -> None:
     assert found.temperature is not None and (found.temperature == 20_000).all()
 
 
+def test_whole_numbers_that_are_stored_as_none_are_lost(path: Path) -> None:
+    """The class of the array is int16, and its element holds doubles, two of which no int16 can be."""
+    stored = np.round(values() * 100)
+    stored[[5, 9], [0, 2]] = np.nan, 1e30
+    parts = element(9, stored.astype("<f8").tobytes("F"))
+    path.write_bytes(
+        file_of([array(10, stored.shape, "acc", parts), matrix("lsb_per_g", 100.0), matrix("fs", 50.0)])
+    )
+    found = read(path)
+    assert [(one.code, one.sample, one.count) for one in found.problems if one.code == "bad_page"] == [
+        ("bad_page", 5, 1),
+        ("bad_page", 8, 1),
+    ]
+    assert (found.g == np.delete(stored, [5, 9], axis=0) / 100).all()
+
+
 def test_doubles_that_are_stored_in_fewer_bytes(path: Path) -> None:
     counts = np.rint(values() * 100)
     path.write_bytes(
