@@ -76,7 +76,7 @@ READERS = {
     "reviewer: validation": (["docs/evaluation.md#real-recordings"], "mg"),
     "reviewer: other tools": (["docs/compared.md"], "GGIR"),
     "contributor: build and layers": (["CONTRIBUTING.md", "docs/architecture.md"], "cli"),
-    "anyone: what an upgrade changes": (["CHANGELOG.md", "docs/study.md#upgrading"], "--keep-older"),
+    "anyone: what an upgrade changes": (["CHANGELOG.md", "docs/study.md#upgrading"], "made again"),
 }
 """Links from README to the answer of each reader, and words of the answer."""
 

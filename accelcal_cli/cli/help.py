@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 GROUPS: dict[str, tuple[str, ...]] = {
-    "Which files": ("include", "exclude", "newer_than", "settle", "retry_failed", "keep_older"),
+    "Which files": ("include", "exclude", "newer_than", "settle", "retry_failed"),
     "Output": (
         "output_dir", "out", "output", "form", "html", "as_json", "as_json_", "as_csv", "as_what", "tsv",
         "full", "long", "report_only", "effect", "windows", "draws", "keep_refused", "precision_mg",

@@ -19,7 +19,7 @@ from accelcal_cli.core.system import (
     keep_freed_memory,
     take_over_process,
 )
-from accelcal_cli.core.version import build_version
+from accelcal_cli.core.version import __version__
 
 
 class LazyGroup(click.Group):
@@ -119,7 +119,7 @@ Options and examples of a command: accelcal calibrate --help"""
 def _show_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> None:
     """Print the version with its commit and end; a build or a checkout is asked for it only then."""
     if asked and not ctx.resilient_parsing:
-        click.echo(f"accelcal, version {build_version()}")
+        click.echo(f"accelcal, version {__version__}")
         ctx.exit()
 
 

@@ -155,8 +155,6 @@ class TerminalObserver:
 @click.option("--decisions", type=FILE, metavar="FILE",
               help="Table of decisions on recordings.  [default: decisions.csv in OUT]")  # fmt: skip
 @click.option("--log", type=FILE, metavar="FILE", help="Add a log of this run to FILE.")
-@click.option("--keep-older", is_flag=True,
-              help="Keep results of earlier versions of accelcal with the same options.")  # fmt: skip
 @click.option("--prune", is_flag=True,
               help="Remove results whose recording is gone (with --dry-run, only show them).")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Show what would be done without doing it.")
@@ -278,14 +276,9 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         borrow=values["borrow"],
         prune=values["prune"],
         decisions=values["decisions"],
-        keep_older=values["keep_older"],
         takeover_s=None if values["takeover"] is None else values["takeover"] * 60,
     )
-    study = with_learnt_prior(study)
-    if study.keep_older and study.replacing:
-        text = "--keep-older does not go with --pool, --borrow or a learnt --prior, which compare results"
-        raise UsageError(text, hint="omit one of them")
-    return study
+    return with_learnt_prior(study)
 
 
 def _seconds(moment: datetime | None) -> float | None:
@@ -325,7 +318,7 @@ def _preview(study: Study, values: dict[str, Any]) -> int:
 
 
 def _with_why(state: str, why: str | None) -> str:
-    """Return a state, for a recording that is calibrated again with the reason: `todo (made by 0.2.0)`."""
+    """Return a state, for a recording that is calibrated again with the reason: `todo (made by 1.0.0)`."""
     return f"{state} ({why})" if why and state == "todo" else state
 
 

@@ -143,9 +143,9 @@ class Settings:
         model: `auto`, or the model (9, 6, 3) that the user insists on.
         prior: knowledge of sensors before any point is seen (docs/prior.md). `population` is that of DEFAULT;
             `none`: the simplest model that held-out postures support; `study`, `device`: learnt from other
-            recordings, and part of the report. Older reports had none.
+            recordings, and part of the report.
         recalibrate: `auto`, as in DEFAULT: the calibration follows a sensor that changes while it records
-            (docs/change.md); `never`: a change is only reported. Older reports did neither.
+            (docs/change.md); `never`: a change is only reported.
         temperature: True if a slope per axis may be fitted when the recording has temperature.
         stillness: rule of stillness, a key of STILLNESS, which sets the next five.
         segment_seconds: length of a window [s] (F II.B.1: 5 s; van Hees et al. 2014: 10 s; G 4.4:
@@ -158,9 +158,9 @@ class Settings:
             across the other two passes a rule that looks at one).
         adaptive: numbers of rule `adaptive`; None for the others.
         other_stillness: True if the other axes and then rule `both` are tried where profile `paper` refuses a
-            recording by its axis; the rule in the report is the one that was used. Older reports lack it.
+            recording by its axis; the rule in the report is the one that was used.
         longest_gap_s: longest gap, or step back of the clock, that a window may span [s]; together they are
-            no longer than the window. 0, as in older reports: none (docs/stillness.md; phones lose up to
+            no longer than the window. 0: none (docs/stillness.md; phones lose up to
             0.2 s at a time, and what is still before and after half a second hardly moved in between).
         cells_per_g: orientation cells per g on each axis (measured: 20; 10 leaves a bias).
         norm_low_g, norm_high_g: bounds of a plausible still window's |mean| [g].

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from accelcal_cli.core.identity import identity
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT
-from accelcal_cli.core.version import __version__
 from accelcal_cli.devices import table
 from accelcal_cli.devices.findings import (
     DeviceGroup,
@@ -163,7 +163,7 @@ def as_json(review: Review, devices: tuple[DeviceReview, ...]) -> dict[str, Any]
         for (model, name), known in review.kinds.items()
     ]
     return {
-        "accelcal_version": __version__,
+        **identity("devices"),
         "recordings": len(review.records) + review.records.nameless,
         "without_serial": review.records.nameless,
         "failed_without_serial": review.records.failed,

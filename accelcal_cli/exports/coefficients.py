@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import partial
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Any
 
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.identity import identity
 from accelcal_cli.core.version import __version__
 from accelcal_cli.exports.degrees import NAMES, WARMEST_AT_START_C, Degrees, degrees_of, why_none
 from accelcal_cli.output.coefficients import (
@@ -145,24 +145,11 @@ def read_exported(path: Path) -> ExportedReport:
         return ExportedReport(path, recording, windows_s, whole, errors, whole, errors, place)
     simple = without_misalignment(found)
     if simple is None:
-        text, hint = _why_none(report, whole)
-        raise UsageError(text, path=path, hint=hint)
+        orientations = "was calibrated on known orientations, and " if whole.model == FULL_GAIN else ""
+        text = f"{orientations}has no fit without misalignment"
+        raise UsageError(text, path=path, hint="export the calibrated data (--to csv), or use --to json")
     simple_errors = record(ErrorsView, report["without_misalignment"])
     return ExportedReport(path, recording, windows_s, whole, errors, simple, simple_errors, place)
-
-
-def _why_none(report: dict[str, Any], whole: Calibration) -> tuple[str, str]:
-    """Return why a calibration with misalignment comes without a simple one, and what to do."""
-    data = "export the calibrated data (--to csv), or use --to json"
-    if whole.model == FULL_GAIN:
-        return "was calibrated on known orientations, and has no fit without misalignment", data
-    if "without_misalignment" not in report:
-        version = f"{report['accelcal_version']}, which did not fit without misalignment"
-        again = "calibrate its recording again with --force"
-        borrowed = "coefficients" in report or "pool" in report
-        hint = f"{again}, after that of its coefficients" if borrowed else again
-        return f"was written by a version ({version})", hint
-    return "has no fit without misalignment", data
 
 
 def ggir(reports: Sequence[ExportedReport]) -> str:
@@ -240,7 +227,7 @@ def as_json(path: Path) -> str:
     names = ("path", "sha256", "device", "factory_calibration")
     recording = {name: report["recording"][name] for name in names if name in report["recording"]}
     shown = {
-        "accelcal_version": __version__,
+        **identity("coefficients"),
         "report": {"path": printable(path), "sha256": found.document.sha256},
         "recording": recording,
         "outcome": report["outcome"],
@@ -271,8 +258,8 @@ def cost(one: ExportedReport) -> str | None:
     if with_it.holdout is not None and without.holdout is not None:
         means_mg = without.holdout.after_mg.mean, with_it.holdout.after_mg.mean
         parts.append("held-out error {:.2f} mg instead of {:.2f} mg".format(*means_mg))
-    if with_it.error_everywhere is not None and without.error_everywhere is not None:
-        means_mg = without.error_everywhere.mean, with_it.error_everywhere.mean
+    if with_it.calibration_error_mg is not None and without.calibration_error_mg is not None:
+        means_mg = without.calibration_error_mg.mean, with_it.calibration_error_mg.mean
         parts.insert(0, "calibration error {:.2f} mg instead of {:.2f} mg".format(*means_mg))
     price = ", ".join(parts) or "the loss of accuracy is unknown, because there is too little stillness"
     models = f"{one.simple.model} ({one.whole.model} without misalignment)"

@@ -169,7 +169,7 @@ def _widths(calibration: CalibrationView) -> str:
 
 
 def _errors(report: ReportView, known: KnownOrientationsView | None) -> list[str]:
-    everywhere, holdout = report.error_everywhere, report.holdout
+    everywhere, holdout = report.calibration_error_mg, report.holdout
     if known is not None and known.unchecked is not None:
         return ["Its error is not known: no data were held out."]
     sentences = []

@@ -18,18 +18,17 @@ from accelcal_cli.core.calibration import PARAMETER_NAMES, UPPER_NAMES, Calibrat
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.gyroscope import EQUATION, Bias, Gyroscope, TurnHoldout
+from accelcal_cli.core.identity import DRAWS, INTEGERS, REPORT, SAMPLES, identity
 from accelcal_cli.core.local_time import ZoneChange, zone_of_times
 from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, Arithmetic, Fit, PointSet, predicted_seconds
 from accelcal_cli.core.reasons import significant
 from accelcal_cli.core.recording import Problem, Recording
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import EffectiveSettings
-from accelcal_cli.core.version import __version__
 from accelcal_cli.output.advice import completed, of_rows
 from accelcal_cli.output.coefficients import EQUATION as DRAWS_EQUATION
 from accelcal_cli.output.coefficients import coefficients_json
 from accelcal_cli.output.files import json_text
-from accelcal_cli.output.report_reading import SCHEMA_VERSION
 from accelcal_cli.output.report_view import ReportRecording
 from accelcal_cli.output.words import sentence
 
@@ -404,8 +403,7 @@ def document(
     """Put the sections of a report into their order; `windows` is the object `fit.windows`."""
     verdict = data.judgement
     return {
-        "schema_version": SCHEMA_VERSION,
-        "accelcal_version": __version__,
+        **identity(REPORT),
         "recording": recording.as_json(),
         "settings": data.settings.as_json(),
         "outcome": str(verdict.outcome),
@@ -435,7 +433,7 @@ def parquet_metadata(data: ReportInput) -> dict[str, Any]:
     report = build(data)
     refusal = {name: report[name] for name in ("outcome", "reason", "values", "message")}
     return {
-        "accelcal_version": __version__,
+        **identity(SAMPLES),
         "calibration": data.taken.get("calibration") or calibration_json(verdict, data.optimizer),
         "recording": _recording(data).as_json(),
         **{name: data.taken[name] for name in ("gyroscope",) if name in data.taken},
@@ -520,7 +518,7 @@ def integers_json(data: ReportInput, points: PointSet) -> dict[str, Any] | None:
         return None
     scale, penalty = points.temperature, verdict.penalty
     return {
-        "accelcal_version": __version__,
+        **identity(INTEGERS),
         "sha256": data.sha256,
         "fraction_bits": FRACTION_BITS,
         "weight_one": WEIGHT_ONE,
@@ -543,7 +541,7 @@ def draws_json(data: ReportInput, number: int) -> dict[str, Any]:
     verdict = data.judgement
     drawn = verdict.draws(number, data.sha256)
     return {
-        "accelcal_version": __version__,
+        **identity(DRAWS),
         "sha256": data.sha256,
         "asked_for": number,
         "calibration": calibration_json(verdict, data.optimizer),

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.errors import printable
+from accelcal_cli.core.identity import REPORT, identity
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout
-from accelcal_cli.core.version import __version__
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.advice import completed
 from accelcal_cli.output.report_reading import Document, report_schema
@@ -187,8 +187,7 @@ def failed_document(path: Path, exit_code: int, message: str) -> dict[str, Any]:
     document: dict[str, Any] = dict.fromkeys(schema["required"])
     recording = dict.fromkeys(schema["properties"]["recording"]["required"])
     return document | {
-        "schema_version": schema["properties"]["schema_version"]["const"],
-        "accelcal_version": __version__,
+        **identity(REPORT),
         "recording": recording | {"path": reports.file_name(path)},
         "outcome": "failed",
         "reason": failure_code(exit_code),

@@ -1,7 +1,7 @@
 """A report as typed, frozen records, for all who read one: pages, tables, the terminal, other commands.
 
 Fields have the names of the report's keys; docs/outputs.md says what each of them means. A field with a
-default is one that reports of earlier versions, or of other kinds, may lack.
+default is one that reports of some kinds lack.
 """
 
 from __future__ import annotations
@@ -84,16 +84,13 @@ class CalibrationView:
     temperature: TemperatureView | None
     optimizer: Mapping[str, Any]
     gravity: Mapping[str, Any]
-    course: Mapping[str, Any] | None = None
-    standard_errors: Mapping[str, float] | None = None
+    course: Mapping[str, Any] | None
+    standard_errors: Mapping[str, float] | None
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationErrorView:
-    """`calibration_error_mg`: expected error over all orientations [mg].
-
-    Reports of schema version 2 have `sphere_mg` instead, which holds the scatter of rests, too.
-    """
+    """`calibration_error_mg`: expected error over all orientations [mg]."""
 
     mean: float
     ci95: Sequence[float]
@@ -104,10 +101,10 @@ class CalibrationErrorView:
 
 @dataclass(frozen=True, slots=True)
 class FactorView:
-    """`holdout.improvement_factor`: error before over error after; reports before 0.3.0 have no interval."""
+    """`holdout.improvement_factor`: error before over error after."""
 
     value: float
-    ci95: Sequence[float] | None = None
+    ci95: Sequence[float] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +156,7 @@ class TrialView:
     model: str
     after_mg: float | None
     reason: str | None
-    values: Mapping[str, Any] = field(default_factory=dict)
+    values: Mapping[str, Any]
     prior: str | None = None
 
 
@@ -171,7 +168,7 @@ class ChangeView:
     unchecked: str | None
     at: str | None
     size_mg: float | None
-    holdout: Mapping[str, Any] | None = None
+    holdout: Mapping[str, Any] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,10 +222,10 @@ class HealthView:
     clipped_samples_before: int
     clipped_samples_after: int | None
     rate_hz_measured: float | None
-    lost_bytes: int | None = None
-    lost_percent: float | None = None
-    missing_bytes: int | None = 0
-    clock: ClockView | None = None
+    lost_bytes: int
+    lost_percent: float
+    missing_bytes: int | None
+    clock: ClockView | None
     rest: RestView | None = None
 
 
@@ -356,7 +353,7 @@ class LeftOutMember:
     path: str
     sha256: str
     reason: str
-    values: Mapping[str, Any] = field(default_factory=dict)
+    values: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -398,12 +395,6 @@ class ErrorsView:
 
     holdout: HoldoutView | None = None
     calibration_error_mg: CalibrationErrorView | None = None
-    sphere_mg: CalibrationErrorView | None = None
-
-    @property
-    def error_everywhere(self) -> CalibrationErrorView | None:
-        """Error over all orientations, with the scatter of rests in reports of earlier versions."""
-        return self.calibration_error_mg or self.sphere_mg
 
 
 @dataclass(frozen=True, slots=True)
@@ -419,12 +410,7 @@ class ProvenanceView:
 
 @dataclass(frozen=True, slots=True)
 class ReportView:
-    """A report of any kind: whole and valid, as checked against the schema or built by this version.
-
-    Attributes:
-        reason: code of the outcome's reason; empty in reports of earlier versions.
-        cautions, advice: None in reports of earlier versions.
-    """
+    """A report of any kind: whole and valid, as checked against the schema or built by this version."""
 
     accelcal_version: str
     recording: ReportRecording
@@ -437,27 +423,21 @@ class ReportView:
     coverage: CoverageView
     models_tried: tuple[TrialView, ...]
     file_health: HealthView
-    reason: str = ""
-    values: Mapping[str, Any] = field(default_factory=dict)
-    notes: tuple[Reason, ...] = ()
-    cautions: tuple[Reason, ...] | None = None
-    advice: tuple[Reason, ...] | None = None
-    calibration_error_mg: CalibrationErrorView | None = None
-    rest_scatter_mg: float | None = None
-    sphere_mg: CalibrationErrorView | None = None
-    change: ChangeView | None = None
-    misfits: tuple[MisfitView, ...] | None = None
+    reason: str
+    values: Mapping[str, Any]
+    notes: tuple[Reason, ...]
+    cautions: tuple[Reason, ...]
+    advice: tuple[Reason, ...]
+    calibration_error_mg: CalibrationErrorView | None
+    rest_scatter_mg: float | None
+    change: ChangeView | None
+    misfits: tuple[MisfitView, ...] | None
     poses: tuple[PoseView, ...] | None = None
     known_orientations: KnownOrientationsView | None = None
     gyroscope: GyroscopeView | None = None
     pool: PoolView | None = None
     effect: Mapping[str, Any] | None = None
     provenance: ProvenanceView = ProvenanceView()
-
-    @property
-    def error_everywhere(self) -> CalibrationErrorView | None:
-        """Error over all orientations, with the scatter of rests in reports of earlier versions."""
-        return self.calibration_error_mg or self.sphere_mg
 
     def setting(self, name: str, default: float) -> float:
         """Return a number among the settings; the default where the report has none."""

@@ -246,7 +246,6 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "borrowed": "The coefficients are those of {path} (sha256 {sha256}, device {device}). {errors_here}",
     "pooled": "The coefficients were fitted to {recordings} recordings of device {serial} together. {pool} "
     "{errors_here}",
-    "earlier_verdict": lambda values: f"An earlier version said: {values['message'].rstrip('.')}.",
     "poses_calibrated": "Model 12: {norm_before_mg:mg} mg before, {norm_after_mg:mg} mg after, on held-out "
     "orientations, and with the direction {before_mg:mg} and {after_mg:mg} mg.{unchecked_faces}",
     "poses_unchecked": "Model 12 was fitted to {orientations:n orientation}, and nothing was held out: its "
@@ -531,13 +530,13 @@ def explained(reason: Reason, notes: Sequence[Reason] = ()) -> str:
 
 
 def message(report: ReportView) -> str:
-    """Return why a report's outcome is what it is, in sentences; older reports have only these."""
-    return explained(Reason(report.reason, report.values), report.notes) if report.reason else report.message
+    """Return why a report's outcome is what it is, in sentences."""
+    return explained(Reason(report.reason, report.values), report.notes)
 
 
 def error_sentence(report: ReportView) -> str:
     """Return the number to quote, in a sentence."""
-    everywhere, holdout, known = report.error_everywhere, report.holdout, report.known_orientations
+    everywhere, holdout, known = report.calibration_error_mg, report.holdout, report.known_orientations
     if everywhere is not None:
         low, high = everywhere.ci95
         return (

@@ -359,15 +359,15 @@ def sphere(data: TimeSeries, report: ReportView) -> Figure | None:
     halves = (svg.Hemisphere(1, 190, 176, 130), svg.Hemisphere(-1, 570, 176, 130))
     body = [_half(half, filled) for half in halves]
     body += _faces(halves, report.coverage.subsets)
-    if report.error_everywhere is not None:
-        body.append(_least_certain(halves, report.error_everywhere.worst_direction_at))
+    if report.calibration_error_mg is not None:
+        body.append(_least_certain(halves, report.calibration_error_mg.worst_direction_at))
     body.append(label(WIDTH / 2, 350, SHADES, "soft", "middle"))
     number_of = 2 * len(svg.all_cells())
     missing = empty_subsets(report.coverage.subsets)
     named = f"Missing: {listed(missing)}." if missing else "It was still near −1, 0 and +1 g on each axis."
     title = "Orientations in which the device was still"
     text = f"The device was still in {len(filled)} of {number_of} equal areas of the sphere. {named}"
-    if report.error_everywhere is not None:
+    if report.calibration_error_mg is not None:
         text += " The cross marks the orientation in which the calibration is least certain."
     return Figure("sphere", title, svg.figure("sphere", title, text, 362, body), text)
 

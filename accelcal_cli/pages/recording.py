@@ -13,7 +13,7 @@ from typing import Any
 
 from accelcal_cli.core.errors import counted
 from accelcal_cli.core.reasons import Reason
-from accelcal_cli.output.advice import cautions, page_verdict
+from accelcal_cli.output.advice import page_verdict
 from accelcal_cli.output.methods import bibtex, methods_paragraph, references
 from accelcal_cli.output.numbers import millionths, number
 from accelcal_cli.output.report_view import (
@@ -320,7 +320,7 @@ def _known_orientations(report: ReportView) -> KnownOrientationsPart | None:
     head = ["Axis", "Where", "Shows [mg] (SD)", "Calibrated [mg] (SD)"]
     caption = "Rolls about a level axis, on which gravity should be 0"
     return KnownOrientationsPart(
-        " ".join(sentence(one) for one in cautions(report) if one.code.endswith("checks_poses")) or None,
+        " ".join(sentence(one) for one in report.cautions if one.code.endswith("checks_poses")) or None,
         _poses(report.poses),
         PageTable(caption, head, rolls, (0, 1)) if rolls else None,
     )

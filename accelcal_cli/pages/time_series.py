@@ -95,13 +95,12 @@ def time_series(quality: Mapping[str, Any], report: ReportView) -> TimeSeries:
     counts = {name: _numbers(rows, name, length) for name in COUNTS}
     when = ("before",) if rows.get("after_mg") is None else ("before", "after")
     start, spans = _spans(times, counts, _rate(quality), report.recording)
-    known = [name for name in when if isinstance(rows.get(f"{name}_off_mg"), dict)]
     return TimeSeries(
         start=start,
         spans=spans,
         rows=counts,
         errors={name: _table(rows, f"{name}_mg", SIZE, length) for name in when},
-        off={name: _table(rows, f"{name}_off_mg", OFF, length) for name in known},
+        off={name: _table(rows, f"{name}_off_mg", OFF, length) for name in when},
         temperature=_column(rows, "temperature_c", length),
         worn=_worn(rows, length),
         times=times,

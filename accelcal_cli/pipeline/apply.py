@@ -8,7 +8,7 @@ the test.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -144,7 +144,7 @@ class DonorCoefficients(Judge):
         notes, cautions = ([Reason(**one) for one in report.get(name, ())] for name in ("notes", "cautions"))
         return Judgement(
             Outcome(report["outcome"]),
-            reason_in(report),
+            Reason(report["reason"], report["values"]),
             found.coverage,
             (),
             self.donor.calibration,
@@ -358,13 +358,6 @@ def _origin_reason(donor: Coefficients, holdout: Holdout | None) -> Reason:
         device=printable(device),
         **errors_here(holdout),
     )
-
-
-def reason_in(report: Mapping[str, Any]) -> Reason:
-    """Return the reason of a report's outcome; of an earlier version's, its message."""
-    if "reason" in report:
-        return Reason(report["reason"], report["values"])
-    return Reason.of("earlier_verdict", message=printable(report["message"]))
 
 
 def errors_here(holdout: Holdout | None) -> dict[str, Any]:

@@ -12,13 +12,13 @@ import numpy as np
 
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import printable
+from accelcal_cli.core.identity import identity
 from accelcal_cli.core.local_time import zone_changes, zone_of_times
 from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import DEFAULT, NO_PRIOR, Settings
-from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import Fitting, postures
 from accelcal_cli.judge.refusal import advised, damage_verdict, strict_if_odd
@@ -184,7 +184,7 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
     """Return the inspection as a JSON object."""
     recording, facts, prediction = inspection.recording, inspection.facts, inspection.prediction
     return {
-        "accelcal_version": __version__,
+        **identity("inspection"),
         "recording": {
             "path": printable(recording.path),
             "bytes": recording.total_bytes,
@@ -241,7 +241,7 @@ def failed_json(path: Path, exit_code: int, message: str) -> dict[str, Any]:
     """Return the object of a file that cannot be read: the same keys, null where nothing is known."""
     prediction = {"outcome": "failed", "reason": failure_code(exit_code), "values": {"exit_code": exit_code}}
     return {
-        "accelcal_version": __version__,
+        **identity("inspection"),
         "recording": dict.fromkeys(RECORDING) | {"path": printable(path)},
         **dict.fromkeys(("file_health", "read", "values")),
         "prediction": prediction

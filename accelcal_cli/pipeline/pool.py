@@ -27,7 +27,7 @@ from accelcal_cli.output.report_kinds import TAKEN, Member, PoolInput, build_poo
 from accelcal_cli.output.report_reading import Document, check_sections
 from accelcal_cli.output.report_view import PoolView, record
 from accelcal_cli.pipeline import procedures
-from accelcal_cli.pipeline.apply import errors_here, reason_in
+from accelcal_cli.pipeline.apply import errors_here
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.outputs import prepare
@@ -214,12 +214,13 @@ class PoolCoefficients(Judge):
 
 
 def _reason(document: Document, holdout: Holdout | None) -> Reason:
-    view = record(PoolView, document.report["pool"])
+    report = document.report
+    view = record(PoolView, report["pool"])
     return Reason.of(
         "pooled",
         recordings=len(view.recordings),
         serial=printable(view.serial),
-        pool=reason_in(document.report),
+        pool=Reason(report["reason"], report["values"]),
         **errors_here(holdout),
     )
 

@@ -193,7 +193,7 @@ def _from_values(values: dict[str, Any], form: str) -> ReportSettings:
 
 
 def _unused(read: Mapping[str, Any], options: ReadOptions, form: str) -> tuple[str, ...]:
-    """Return the options that mean nothing, which reports of before 0.3.0 name like any other."""
+    """Return the options that mean nothing for the recording."""
     named = read.get(UNUSED, [])
     if not isinstance(named, list) or not {*map(str, named)} <= ReadOptions.__dataclass_fields__.keys():
         raise ValueError(f"input.{UNUSED} cannot be {str(named)[:80]!r}")

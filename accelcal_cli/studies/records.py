@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import IO, Any, Protocol
 
 from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.identity import LEDGER, can_be_read, identity
 from accelcal_cli.output.files import open_plain, replacing
 from accelcal_cli.pipeline.jobs import FileStamp, Job, file_stamp
 from accelcal_cli.pipeline.options import StatedOption
@@ -258,7 +259,7 @@ class Ledger:
 
 
 def _line(entry: Entry) -> str:
-    text = json.dumps({one.name: getattr(entry, one.name) for one in fields(entry)})
+    text = json.dumps(identity(LEDGER) | {one.name: getattr(entry, one.name) for one in fields(entry)})
     return f"{_checksum(text.encode())} {text}\n"
 
 
@@ -306,7 +307,8 @@ def _parsed(line: bytes, texts: dict[str, str]) -> Entry | None:
         return None
     try:
         saved: dict[str, Any] = _shared(json.loads(text), texts)
-        if not all(isinstance(saved[name], str) for name in ("name", "asked", "round")):
+        named = all(isinstance(saved[name], str) for name in ("name", "asked", "round"))
+        if not (named and can_be_read(saved, LEDGER)):
             return None
         why = saved.get("why")
         if not isinstance(saved["row"] or {}, dict) or not isinstance(saved["again"], bool):

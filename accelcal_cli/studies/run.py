@@ -133,7 +133,7 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         if study.collect and planned.waiting and not planned.done:
             text = f"no results of {counted(len(planned.waiting), 'recording')} were found for these options"
             raise UsageError(text, hint="run the parts first, or give --collect the options used for them")
-        for text in (*planned.notes, *said_before(planned.why, keep_older=study.keep_older)):
+        for text in (*planned.notes, *said_before(planned.why)):
             observer.note(printable(text))
         _refuse_pruning(study, planned, _orphans(study, planned, ()) if study.prune else [])
         LOG.info("planned: %s", planned.counts())

@@ -108,7 +108,6 @@ class Study:
         pool_of_caller: the executor of the calling program that does the work; None for processes here.
         prune: whether results whose recording is gone are removed.
         decisions: file of what people decided about recordings; None: decisions.csv in OUT, if it is there.
-        keep_older: whether results of earlier versions stay where files and options are the same.
         takeover_s: silence after which a run of another host is taken to have ended; None if never.
     """
 
@@ -128,7 +127,6 @@ class Study:
     takeover_s: float | None = None
     prune: bool = False
     decisions: Path | None = None
-    keep_older: bool = False
     here: bool = False
     pool_of_caller: Pool | None = None
 

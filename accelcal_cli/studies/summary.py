@@ -16,13 +16,15 @@ from typing import IO, TYPE_CHECKING, Any
 
 from accelcal_cli.core.calibration import PARAMETER_NAMES
 from accelcal_cli.core.errors import counted, printable
+from accelcal_cli.core.identity import STUDY, identity
 from accelcal_cli.core.local_time import UNKNOWN, UTC
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.recording import METADATA_KEY
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output import files
-from accelcal_cli.output.advice import MILD, cautions, page_verdict
+from accelcal_cli.output.advice import MILD, page_verdict
 from accelcal_cli.output.decisions import Merged
 from accelcal_cli.output.files import json_text, replacing, write_text
 from accelcal_cli.output.report_kinds import failure_code
@@ -174,7 +176,7 @@ def of_report(
     verdict = {
         "outcome": str(view.outcome),
         "reason": view.reason or None,
-        "cautions": " ".join(one.code for one in cautions(view)) or None,
+        "cautions": " ".join(one.code for one in view.cautions) or None,
         "message": view.message,
         "accelcal_version": view.accelcal_version,
         "prior": view.settings.get("prior"),
@@ -207,7 +209,7 @@ def _use(report: ReportView) -> dict[str, str | None]:
     """Return whether to use a recording, and why not, or why with care."""
     verdict, why = page_verdict(report), None
     if verdict.level != "good":
-        doubts = () if verdict.level == "bad" else cautions(report)
+        doubts = () if verdict.level == "bad" else report.cautions
         why = next((sentence(one) for one in doubts if one.code not in MILD), verdict.reason)
     return {"use": USES[verdict.level], "why": why and printable(why)}
 
@@ -247,7 +249,7 @@ def _errors(report: ReportView) -> dict[str, Any]:
         return before
     after = {"after_mg": holdout.after_mg.mean, "ci95_low_mg": low, "ci95_high_mg": high}
     ratio = {"improvement_percent": holdout.improvement_percent} | factor_columns(holdout)
-    return before | after | ratio | error_columns(report.error_everywhere)
+    return before | after | ratio | error_columns(report.calibration_error_mg)
 
 
 def _change(report: ReportView) -> dict[str, Any]:
@@ -407,7 +409,7 @@ class Summary:
     def counts(self) -> dict[str, Any]:
         """Return the content of `study.json`."""
         return {
-            "accelcal_version": __version__,
+            **identity(STUDY),
             "recordings": len(self.rows),
             "copies": self.copies,
             "outcomes": self.outcomes(),
@@ -449,7 +451,8 @@ def _write_parquet(rows: Sequence[Mapping[str, Any]], file: IO[bytes]) -> None:
     import pyarrow.parquet as pq
 
     kinds = dict.fromkeys(COLUMNS, "float64") | dict.fromkeys(TEXT, "string") | dict.fromkeys(WHOLE, "int64")
-    schema = pa.schema([pa.field(column, kind) for column, kind in kinds.items()])
+    about = {METADATA_KEY: json.dumps(identity(STUDY))}
+    schema = pa.schema([pa.field(column, kind) for column, kind in kinds.items()], about)
     with pq.ParquetWriter(file, schema, compression="zstd") as writer:
         for first in range(0, len(rows), TOGETHER):
             writer.write_table(_table(rows[first : first + TOGETHER], schema))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from accelcal_cli.core.identity import STUDY, identity
+from accelcal_cli.core.recording import METADATA_KEY
 from accelcal_cli.studies.summary import COLUMNS, TEXT, WHOLE
 
 BEGIN = datetime(2024, 3, 4, 12)
@@ -68,7 +71,8 @@ def write(out: Path, rows: list[dict[str, Any]]) -> Path:
         pa.array([row.get(name) for row in rows], kind) for name, kind in zip(COLUMNS, kinds, strict=True)
     ]
     with (out / "study.parquet").open("wb") as file:
-        pq.write_table(pa.table(arrays, names=list(COLUMNS)), file)
+        about = {METADATA_KEY: json.dumps(identity(STUDY))}
+        pq.write_table(pa.table(arrays, names=list(COLUMNS), metadata=about), file)
     return out
 
 

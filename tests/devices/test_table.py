@@ -92,11 +92,14 @@ def test_a_table_that_is_none(tmp_path: Path) -> None:
         with pytest.raises(UnreadableError, match="cannot be read"):
             read(tmp_path, NOW_S)
     pq.write_table(pa.table({"path": ["a"]}), path)
-    with pytest.raises(UnreadableError, match="is not the table of a study: it has no column outcome"):
+    with pytest.raises(UnreadableError, match="is not the table of a study of accelcal; name"):
         read(tmp_path, NOW_S)
     whole = pq.read_table(write(tmp_path, [fitted("A", 0)]) / "study.parquet")
     pq.write_table(whole.drop_columns([name for name in COLUMNS if name.startswith("se_")]), path)
-    with pytest.raises(UnreadableError, match="by an earlier version, without standard errors; run"):
+    with pytest.raises(UnreadableError, match="it has no column se_k_xx"):
+        read(tmp_path, NOW_S)
+    pq.write_table(whole.replace_schema_metadata(None), path)
+    with pytest.raises(UnreadableError, match="was made by a development version of accelcal; run"):
         read(tmp_path, NOW_S)
     for name in ("k_xx", "path"):
         wrong = pa.array([5 if name in TEXT else "five"])

@@ -201,19 +201,12 @@ def course(report: dict[str, Any]) -> None:
     report["calibration"]["course"] = {"between": "jumps", "knots": [{"sample": 0, **knot}]}
 
 
-def version(report: dict[str, Any]) -> None:
-    report["accelcal_version"] = "0.1.0"
-    del report["without_misalignment"]
-
-
 def kind(report: dict[str, Any]) -> None:
     report["recording"]["format"] = "points"
 
 
 REFUSED = {
     "follows a sensor that changed while it recorded": course,
-    "was written by a version (0.1.0, which did not fit without misalignment); calibrate its recording "
-    "again with --force": version,
     "is of a table of points": kind,
     "has no fit without misalignment": lambda report: report.update(without_misalignment=None),
 }

@@ -15,10 +15,7 @@ from accelcal_cli.core.results import Holdout
 from accelcal_cli.core.statistics import ratio_uncertainty95
 from accelcal_cli.judge.model_ladder import of_postures
 from accelcal_cli.output.report import factor_json
-from accelcal_cli.output.report_reading import fault, read_document, report_schema, schema_of_version
-from accelcal_cli.output.report_view import report_view
 from tests.cli.run import run_process
-from tests.device_recordings import donor
 from tests.recordings import good_raw
 
 
@@ -63,24 +60,6 @@ def test_verdicts_10_the_interval_holds_the_ratio_in_95_of_100_recordings() -> N
         assert by is not None
         held += 1 / by < (before.mean() / after.mean()) / 15 < by
     assert 925 < held < 975
-
-
-def test_verdicts_10_a_factor_of_an_earlier_schema_is_read(tmp_path: Path) -> None:
-    path = donor(tmp_path, warm=True)
-    report: dict[str, Any] = json.loads(path.read_text())
-    number = report["holdout"]["improvement_factor"]["value"]
-    report |= {"schema_version": 2, "accelcal_version": "0.2.0"}
-    report["holdout"]["improvement_factor"] = number
-    report["without_misalignment"]["holdout"]["improvement_factor"] = 2.5
-    path.write_text(json.dumps(report))
-    now = read_document(path).report
-    view = report_view(now)
-    assert view.holdout is not None and view.holdout.improvement_factor is not None
-    assert (view.holdout.improvement_factor.value, view.holdout.improvement_factor.ci95) == (number, None)
-    assert now["without_misalignment"]["holdout"]["improvement_factor"] == {"value": 2.5}
-    for schema, sound in ((schema_of_version("0.2.0"), True), (report_schema(), False)):
-        part = schema["properties"]["holdout"]
-        assert (fault(now["holdout"], part) is None) == sound
 
 
 def test_verdicts_10_it_stands_in_line_table_json_and_page(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any, get_args, get_type_hints
 import pytest
 
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.output.report_reading import LATER, report_schema
+from accelcal_cli.output.report_reading import report_schema
 from accelcal_cli.output.report_view import ReportView, report_view
 from tests.device_recordings import donor
 
@@ -52,8 +52,7 @@ def test_fields_are_keys_of_the_schema(place: str, kind: type[Any], schemas: lis
         default = field.default is not MISSING or field.default_factory is not MISSING
         assert all(field.name in schema["properties"] for schema in schemas)
         needed = all(field.name in schema.get("required", ()) for schema in schemas)
-        later = f"{place}.{field.name}".removeprefix(".") in LATER
-        assert default or (needed and not later), "a report may lack it"
+        assert default or needed, "a report may lack it"
 
 
 def test_a_report_is_read_with_its_numbers(tmp_path: Path) -> None:
@@ -66,23 +65,3 @@ def test_a_report_is_read_with_its_numbers(tmp_path: Path) -> None:
     assert view.recording.as_json() == report["recording"]
     assert view.setting("max_error_mg", 1.0) == report["settings"]["max_error_mg"]
     assert view.setting("profile", 1.0) == view.setting("no such", 1.0) == 1.0
-
-
-def parts_of(value: Any, names: list[str]) -> Iterator[dict[str, Any]]:
-    """Find the objects at the end of a path of keys, in lists too."""
-    for one in value if isinstance(value, list) else [value]:
-        if isinstance(one, dict):
-            yield from parts_of(one.get(names[0]), names[1:]) if names else [one]
-
-
-def test_an_older_report_lacks_what_came_later(tmp_path: Path) -> None:
-    report = json.loads(donor(tmp_path, warm=True).read_text())
-    for place in LATER:
-        *outer, name = place.split(".")
-        for part in parts_of(report, outer):
-            part.pop(name, None)
-    view = report_view(report)
-    assert (view.reason, view.values, view.notes, view.cautions, view.advice) == ("", {}, (), None, None)
-    assert view.error_everywhere is view.rest_scatter_mg is None
-    assert view.sphere_mg is view.change is view.misfits is view.file_health.rest is None
-    assert view.coverage.saturated == () and view.recording.time_zone is None

@@ -181,10 +181,6 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "decisions_contradict": [{"recording": "a.cwa", "rows": [2, 5], "use": "no"}],
     "decisions_more": [{"number": 12}],
     "donor": [{"path": "a.cwa", "why": {"code": "not_less", "values": WORSE_HERE}}],
-    "earlier_verdict": [
-        {"message": "no model improves on the 4.5 mg of the raw data"},
-        {"message": "It is good."},
-    ],
     "error_may_reach": [{"high_mg": 12.34, "everywhere": everywhere} for everywhere in (False, True)],
     "factory_calibration_differs": [{"applied_here": here} for here in (False, True)],
     "few_orientations_differ_in_temperature": [{}],
