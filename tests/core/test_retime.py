@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-import accelcal_cli
+import accelcal
 from accelcal_cli.core.clock import (
     Clock,
     JoinedClock,
@@ -254,4 +254,4 @@ def test_a_file_beside_the_recording_may_say_it(tmp_path: Path, capsys: Capture,
     told = json.loads(run(capsys, "inspect", path, "--json").out)["recording"]
     assert told["start_time"] == "2024-03-04T17:59:55.000000+09:00"
     (tmp_path / "a.toml").unlink()
-    assert accelcal_cli.read(path, rate=25, start=NOON).recording.start_us == us(NOON)
+    assert accelcal.read(path, rate=25, start=NOON).recording.start_us == us(NOON)
