@@ -92,7 +92,7 @@ def test_python_reads_them(frozen: Path) -> None:
     report = frozen / "out" / "a.calibration.json"
     assert accelcal.Calibration(report)([0.0, 0.0, 1.0], 25.0).shape == (3,)
     assert accelcal.apply(report, [[0.0, 0.0, 1.0]], 25.0).shape == (1, 3)
-    assert "a.raw" in accelcal.export(report, to="ggir")
+    assert "a.raw" in accelcal.export(report, to="json")
 
 
 def test_each_file_states_what_it_is_and_by_which_version(frozen: Path) -> None:
