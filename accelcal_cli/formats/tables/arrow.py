@@ -401,13 +401,14 @@ class ParquetTable(ArrowTable):
         self._find(path, schema, [group.num_rows for group in groups])
         wide = any(group.total_byte_size > WHOLE_BYTES for group in groups)
         self._how = {"buffer_size": PAGES_BYTES} if wide else {}
-        about_it = json_object((schema.metadata or {}).get(METADATA_KEY))
-        self.is_ours = is_ours(about_it)
+        ours = (schema.metadata or {}).get(METADATA_KEY)
+        self.is_ours, about_it = ours is not None, json_object(ours)
         if self.is_ours and not {"time", *"xyz", "validity"} <= set(schema.names):
             hint = "use `accelcal fit` for still windows"
             raise NoRecordingError("is a table that accelcal wrote, not a recording", path=path, hint=hint)
         if self.is_ours:
-            refuse_other(about_it, SAMPLES, path)
+            if is_ours(about_it):  # not damaged
+                refuse_other(about_it, SAMPLES, path)
             rate = json_object(about_it.get("recording")).get("sample_rate_hz")
             self.around |= {"sample_rate": rate, "time_zone": None}
             self.calibrated = calibrated_of(about_it)
