@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import sys
 from collections.abc import Iterator, Sequence
@@ -40,6 +41,7 @@ from accelcal_cli.studies.study import Study, shard, with_learnt_prior
 from accelcal_cli.studies.summary import Summary
 
 if TYPE_CHECKING:
+    from accelcal_cli.studies.study import ExecutorHolder
     from accelcal_cli.studies.task import TaskResult
 
 
@@ -168,6 +170,8 @@ class TerminalObserver:
               help="Remove the lock of a run that you know to have ended, and do nothing else.")  # fmt: skip
 @click.option("--collect", is_flag=True, help="Merge the results of all shards.")
 @click.option("--dask", metavar="ADDRESS", help="Use the Dask cluster of this scheduler (or scheduler.json).")
+@click.option("--executor", metavar="MODULE:CALLABLE",
+              help="Use the concurrent.futures executor that CALLABLE returns.")  # fmt: skip
 @click.option(
     "--pool", type=OneOf(["device"]),
     help="Calibrate all recordings of a device together, and apply the result to each of them.",
@@ -210,12 +214,7 @@ def _run(study: Study, values: dict[str, Any]) -> int:
     """Carry out a study, and make its pages if they are wanted; returns the exit code."""
     from accelcal_cli.studies.run import run
 
-    if (
-        study.dask is None
-        and study.jobs is not None
-        and study.jobs > workers(study.jobs)
-        and not values["quiet"]
-    ):
+    if study.jobs is not None and study.jobs > workers(study.jobs) and not values["quiet"]:
         exit_codes.say(f"--jobs {study.jobs} is more than CPUs and memory allow ({workers(study.jobs)})")
     with contextlib.ExitStack() as stack:
         observer = TerminalObserver(values, stack)
@@ -273,7 +272,7 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         retry_failed=values["retry_failed"],
         shard=shard(values["shard"]),
         collect=values["collect"],
-        dask=values["dask"],
+        executor=_executor(values),
         pool=values["pool"] is not None,
         borrow=values["borrow"],
         prune=values["prune"],
@@ -286,6 +285,20 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         text = "--keep-older does not go with --pool, --borrow or a learnt --prior, which compare results"
         raise UsageError(text, hint="omit one of them")
     return study
+
+
+def _executor(values: dict[str, Any]) -> ExecutorHolder | None:
+    """Return what holds the executor that the options name; None for processes of this machine."""
+    address, name = values["dask"], values["executor"]
+    if address is not None and name is not None:
+        raise UsageError("--dask and --executor both choose who does the work", hint="give one of them")
+    if address is None and name is None:
+        return None
+    from accelcal_cli.studies.executors import dask_executor, named_executor
+
+    if name is not None:
+        return functools.partial(named_executor, name)
+    return functools.partial(dask_executor, address)
 
 
 def _seconds(moment: datetime | None) -> float | None:

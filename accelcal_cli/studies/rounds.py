@@ -88,16 +88,14 @@ class Round:
 
 
 def common_of(study: Study, recordings: int = MANY) -> Common:
-    """Return what the tasks of a study share; a cluster counts its threads itself."""
-    elsewhere = study.dask is not None or study.pool_of_caller is not None
-    threads = 1 if elsewhere else system.threads(workers_of(study, recordings))
+    """Return what the tasks of a study share; how many threads an executor has is its own affair."""
+    threads = 1 if study.executor is not None else system.threads(workers_of(study, recordings))
     return Common(study.out, replace(study.request, threads=threads, replaces_gone=True), study.asked())
 
 
 def workers_of(study: Study, recordings: int) -> int:
     """Return the number of processes of this machine that work on a number of recordings at a time."""
-    wanted = study.jobs if study.dask is None else None
-    return min(wanted or system.workers(recordings), max(1, recordings))
+    return min(study.jobs or system.workers(recordings), max(1, recordings))
 
 
 def ledger_of(study: Study) -> Ledger:

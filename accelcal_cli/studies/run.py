@@ -10,7 +10,7 @@ import functools
 import logging
 import time
 from collections import ChainMap
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence, Set
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -19,17 +19,15 @@ from typing import Any, Protocol
 from accelcal_cli.core.door import is_folder, is_there, matching
 from accelcal_cli.core.errors import LockedError, OutputError, UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.core.version import __version__
 from accelcal_cli.output.decisions import Merged
-from accelcal_cli.output.files import disk_errors, looking_at, sweep, sweep_host, sweep_of
+from accelcal_cli.output.files import disk_errors, looking_at, sweep, sweep_left
 from accelcal_cli.output.study_words import copied
 from accelcal_cli.output.words import clause
 from accelcal_cli.pipeline.outputs import withdraw
 from accelcal_cli.studies import lock, summary
 from accelcal_cli.studies.borrowing import BORROWING
-from accelcal_cli.studies.cluster import Cluster, Notify, WorkerRequirements, calibrate_in_user_folder, code
 from accelcal_cli.studies.discovery import SUMMARY, Left, as_if_alone, places, refuse_foreign
-from accelcal_cli.studies.in_process import Futures, InProcess, must_stay
+from accelcal_cli.studies.executors import done_by, done_here, must_stay, work_for
 from accelcal_cli.studies.lock import Lease
 from accelcal_cli.studies.orphans import Orphan, orphans, prune, refuse_too_many
 from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools
@@ -39,13 +37,12 @@ from accelcal_cli.studies.records import (
     FAILED,
     OWN,
     Entry,
-    Executor,
     Finished,
     Item,
     Ledger,
-    ProgressDelta,
     RecordingState,
     TaskFunction,
+    TaskProgress,
     shared_row,
 )
 from accelcal_cli.studies.rounds import (
@@ -85,13 +82,12 @@ class WorkObserver(Protocol):
     def advance(self, bytes_done: float) -> None:
         """Called with the number of further bytes that are done."""
 
-    @property
-    def note(self) -> Callable[[str], None]:
-        """Called with a line for the user."""
-
 
 class StudyObserver(WorkObserver, Protocol):
     """Receives what happens while a study runs."""
+
+    def note(self, text: str) -> None:
+        """Called with a line for the user."""
 
     def finished(self, item: Item, result: TaskResult) -> None:
         """Called with a recording's last result: it is done, was done before, or failed."""
@@ -137,7 +133,7 @@ def run(study: Study, observer: StudyObserver) -> Summary:
             observer.note(printable(text))
         _refuse_pruning(study, planned, _orphans(study, planned, ()) if study.prune else [])
         LOG.info("planned: %s", planned.counts())
-        _tidy(planned, lease)
+        _tidy(study, planned)
         study_run = StudyRun(study, ledger, observer, planned, lease)
         study_run.run()
         result = _summary(study, planned, study_run)
@@ -209,12 +205,11 @@ def unlock(study: Study) -> lock.Lock | None:
     return found
 
 
-def _tidy(planned: Plan, lease: Lease) -> None:
-    """Remove temporary files of killed runs of this host, and of runs of other hosts that were taken over."""
+def _tidy(study: Study, planned: Plan) -> None:
+    """Remove temporary files of runs that were killed, on this machine or another."""
     sweep_folders()
     outputs = [path for item in (*planned.todo, *planned.waiting) for path in item.job.outputs]
-    for path, lost in lease.lost.items():
-        sweep_host([*outputs, *map(path.with_suffix, (".lock", ".ledger", *SUMMARY))], lost)
+    sweep_left([*outputs, *map(study.lock.with_suffix, (".lock", ".ledger", *SUMMARY))])
 
 
 def _waiting(study: Study, planned: Plan, ledger: Ledger) -> list[Entry]:
@@ -447,17 +442,19 @@ def results(
     observer.begin([task.item for task in tasks])
     texts: dict[str, str] = {}
     began: dict[str, float] = {}
+    reached: dict[str, float] = {}
     ordered = sorted(tasks, key=lambda task: (-task.item.size, task.item.name))
 
     def moved(task: Task, part: float) -> None:
-        if part < 1 and task.item.name not in began:
-            began[task.item.name] = time.monotonic()
-            LOG.info("begun: %s (%d bytes)", task.item.name, task.item.size)
+        name = task.item.name
+        if part < 1 and name not in began:
+            began[name] = time.monotonic()
+            LOG.info("begun: %s (%d bytes)", name, task.item.size)
         check()
-        observer.advance(part * task.item.size)
+        observer.advance((part - reached.get(name, 0.0)) * task.item.size)
+        reached[name] = part
 
-    executor = executor_for(study, work, len(tasks), moved, observer.note)
-    with contextlib.closing(executor.run(ordered)) as ended:
+    with contextlib.closing(_done(study, work, ordered, moved)) as ended:
         for one in ended:
             result = _result(one)
             _log_end(one.task.item.name, result, began)
@@ -481,52 +478,32 @@ def _result(ended: Finished) -> TaskResult:
         result: TaskResult = ended.result
         return result
     task: Task = ended.task
-    tidy(task)
+    for path in task.item.job.outputs:
+        with contextlib.suppress(OSError):
+            sweep(path)
     code = NO_MEMORY if ended.lacking else BUG
     return TaskResult(task.failure(code, ended.fault, again=ended.retry))
 
 
-def executor_for(
-    study: Study,
-    work: TaskFunction,
-    recordings: int,
-    on_progress: ProgressDelta,
-    notify: Notify,
-) -> Executor:
-    """Return processes of this machine, this process, the caller's pool, or the cluster that was named.
+def _done(
+    study: Study, work: TaskFunction, tasks: list[Any], on_progress: TaskProgress
+) -> Generator[Finished, None, None]:
+    """Have tasks done, several at a time; the failure of one does not affect the others.
 
-    A cluster finds the own results only: later rounds, which compare recordings, are done here.
+    An executor finds the own results only: later rounds, which compare recordings, are done on this machine.
     """
-    if study.pool_of_caller is not None:
-        return Futures(study.pool_of_caller, work, on_progress)
-    if study.here or must_stay():
-        return InProcess(work, on_progress)
-    if study.dask is None or work is not calibrated:
-        return ProcessPool(work, workers_of(study, recordings), study.timeout_s, PRELOAD, on_progress)
-    cwd = Path.cwd()
-    mark = cwd / study.lock  # there while the study runs, and unlike any other run's
-    folders = tuple(cwd / folder for folder in study.where.folders)
-    requirements = WorkerRequirements(__version__, code(), folders, mark, mark.read_text("utf-8"))
-    calibrate = functools.partial(calibrate_in_user_folder, cwd)
-    return Cluster(
-        study.dask, calibrate, requirements, study.jobs, study.timeout_s, on_progress, notify, tidy
-    )
+    if study.executor is not None and work is calibrated:
+        with study.executor() as executor:
+            yield from done_by(executor, work_for(study), tasks, on_progress)
+    elif study.in_process or must_stay():
+        yield from done_here(work, tasks, on_progress)
+    else:
+        number = workers_of(study, len(tasks))
+        yield from ProcessPool(work, number, study.timeout_s, PRELOAD, on_progress).run(tasks)
 
 
-def tidy(task: Task, lost: str | None = None) -> None:
-    """Remove temporary files of killed processes of this machine, and of `lost` on another one."""
-    for path in task.item.job.outputs:
-        with contextlib.suppress(OSError):
-            sweep(path)
-            if lost is not None:
-                sweep_of(path, lost)
-
-
-class _Noting:
-    """Passes lines for the user on, and nothing else."""
-
-    def __init__(self, note: Callable[[str], None]) -> None:
-        self.note = note
+class _Unwatched:
+    """Observer of work that nobody watches."""
 
     def begin(self, items: Sequence[Item]) -> None:
         """See `WorkObserver`."""
@@ -553,7 +530,7 @@ def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str],
     if not is_folder(existing):
         raise OutputError("cannot be made: a file is in its place", path=existing)
     ledger = ledger_of(study)
-    planned = plan(study, ledger, lambda tasks: results(study, listed, tasks, _Noting(note), lambda: None))
+    planned = plan(study, ledger, lambda tasks: results(study, listed, tasks, _Unwatched(), lambda: None))
     for text in planned.notes:
         note(printable(text))
     known = StudyState({item.name: RecordingState(item, entry, entry) for item, entry in planned.done})

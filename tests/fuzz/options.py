@@ -66,7 +66,7 @@ GIVEN = {
 }
 """What makes sense, for some of the options and arguments."""
 
-LEFT_OUT = ("dask", "jobs", "days", "timeout", "settle", "cases")
+LEFT_OUT = ("dask", "executor", "jobs", "days", "timeout", "settle", "cases")
 """Options that reach other machines, or make a run as long as they say."""
 
 SHORT = {
