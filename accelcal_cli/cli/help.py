@@ -20,7 +20,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "quiet", "verbose", "help",
     ),
     "Other recordings of the device": ("registry", "borrow", "pool"),
-    "Running": ("jobs", "dry_run", "timeout", "log", "shard", "collect", "dask", "executor", "takeover",
+    "Running": ("jobs", "dry_run", "timeout", "log", "shard", "collect", "dask", "executor",
                 "unlock", "prune"),
     "Reading the file": (
         "format", "unit", "lsb_per_g", "zero", "rate_hz", "columns", "time_column", "sensor", "layout",

@@ -20,7 +20,6 @@ from accelcal_cli.cli.options import (
     FILE,
     OneOf,
     Positive,
-    Within,
     precision_option,
     request_of,
     study_options,
@@ -35,7 +34,6 @@ from accelcal_cli.output.words import clause, sentence
 from accelcal_cli.pipeline.jobs import refuse_dash
 from accelcal_cli.pipeline.options import json_value
 from accelcal_cli.studies.discovery import Where
-from accelcal_cli.studies.lock import LEAST_SILENCE_S
 from accelcal_cli.studies.records import FAILED, Item
 from accelcal_cli.studies.study import Study, shard, with_learnt_prior
 from accelcal_cli.studies.summary import Summary
@@ -164,8 +162,6 @@ class TerminalObserver:
 @click.option("--dry-run", is_flag=True, help="Show what would be done without doing it.")
 @click.option("--shard", metavar="I/N",
               help="Process part I of N only; `slurm`: the part of this job array task.")  # fmt: skip
-@click.option("--takeover", type=Within(LEAST_SILENCE_S / 60, 1e4), metavar="MINUTES",
-              help="Take over if the run on another host has not responded for MINUTES.")  # fmt: skip
 @click.option("--unlock", is_flag=True,
               help="Remove the lock of a run that you know to have ended, and do nothing else.")  # fmt: skip
 @click.option("--collect", is_flag=True, help="Merge the results of all shards.")
@@ -278,7 +274,6 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         prune=values["prune"],
         decisions=values["decisions"],
         keep_older=values["keep_older"],
-        takeover_s=None if values["takeover"] is None else values["takeover"] * 60,
     )
     study = with_learnt_prior(study)
     if study.keep_older and study.replacing:

@@ -118,9 +118,8 @@ def run(study: Study, observer: StudyObserver) -> Summary:
     except OSError as error:
         raise OutputError(f"cannot be made ({error.strerror or error})", path=study.out) from error
     base = study.shard.basename
-    patience = None if study.takeover_s is None else lock.Patience(study.takeover_s, observer.note)
     with (
-        lock.locked(study.lock, lambda: _other_locks(study), patience) as lease,
+        lock.locked(study.lock, lambda: _other_locks(study)) as lease,
         closing(ledger_of(study)) as ledger,
     ):
         planned = plan(study, ledger, functools.partial(_sensors, study, observer, lease, ledger))
@@ -161,7 +160,7 @@ def _sensors(
     study: Study, observer: StudyObserver, lease: Lease, ledger: Ledger, tasks: Sequence[SensorsTask]
 ) -> Iterator[tuple[Item, TaskResult]]:
     """Have the sensors of files listed, and keep them."""
-    for item, result in results(study, listed, tasks, observer, lease.check):
+    for item, result in results(study, listed, tasks, observer):
         if not result.entry.failed:
             lease.confirm()
             ledger.add(result.entry)
@@ -342,7 +341,7 @@ class StudyRun:
     def _calibrate(self, items: Sequence[Item]) -> None:
         common = common_of(self.study, len(items))
         tasks = [CalibrationTask(item, common) for item in items]
-        for item, result in results(self.study, calibrated, tasks, self._observer, self.lease.check):
+        for item, result in results(self.study, calibrated, tasks, self._observer):
             self.worked.add(item.name)
             self._remember(result.entry)
             self._own(item, result)
@@ -380,7 +379,7 @@ class StudyRun:
         todo, taken = self._planner.of(one, tasks)
         for task, entry in taken:
             self._take(one, task.item, TaskResult(entry, up_to_date=True))
-        for item, result in results(self.study, one.work, todo, self._observer, self.lease.check):
+        for item, result in results(self.study, one.work, todo, self._observer):
             self._remember(result.entry)
             self._take(one, item, result)
             self.worked |= set() if one.of_pools else {item.name}
@@ -430,13 +429,8 @@ def results(
     work: TaskFunction,
     tasks: Sequence[Any],
     observer: WorkObserver,
-    check: Callable[[], None],
 ) -> Iterator[tuple[Item, TaskResult]]:
-    """Have tasks done, the largest first, so that the last to end is a small one.
-
-    Args:
-        check: called at each progress of a task; an error that it raises ends the work.
-    """
+    """Have tasks done, the largest first, so that the last to end is a small one."""
     if not tasks:
         return
     observer.begin([task.item for task in tasks])
@@ -450,7 +444,6 @@ def results(
         if part < 1 and name not in began:
             began[name] = time.monotonic()
             LOG.info("begun: %s (%d bytes)", name, task.item.size)
-        check()
         observer.advance((part - reached.get(name, 0.0)) * task.item.size)
         reached[name] = part
 
@@ -530,7 +523,7 @@ def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str],
     if not is_folder(existing):
         raise OutputError("cannot be made: a file is in its place", path=existing)
     ledger = ledger_of(study)
-    planned = plan(study, ledger, lambda tasks: results(study, listed, tasks, _Unwatched(), lambda: None))
+    planned = plan(study, ledger, lambda tasks: results(study, listed, tasks, _Unwatched()))
     for text in planned.notes:
         note(printable(text))
     known = StudyState({item.name: RecordingState(item, entry, entry) for item, entry in planned.done})

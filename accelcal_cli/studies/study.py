@@ -112,7 +112,6 @@ class Study:
         prune: whether results whose recording is gone are removed.
         decisions: file of what people decided about recordings; None: decisions.csv in OUT, if it is there.
         keep_older: whether results of earlier versions stay where files and options are the same.
-        takeover_s: silence after which a run of another host is taken to have ended; None if never.
     """
 
     where: Where
@@ -129,7 +128,6 @@ class Study:
     pool: bool = False
     borrow: bool = False
     prior: str | None = None
-    takeover_s: float | None = None
     prune: bool = False
     decisions: Path | None = None
     keep_older: bool = False
