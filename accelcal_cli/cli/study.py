@@ -284,16 +284,14 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
 
 def _executor(values: dict[str, Any]) -> ExecutorHolder | None:
     """Return what holds the executor that the options name; None for processes of this machine."""
+    from accelcal_cli.studies.executors import dask_executor, named_executor
+
     address, name = values["dask"], values["executor"]
     if address is not None and name is not None:
         raise UsageError("--dask and --executor both choose who does the work", hint="give one of them")
-    if address is None and name is None:
-        return None
-    from accelcal_cli.studies.executors import dask_executor, named_executor
-
     if name is not None:
         return functools.partial(named_executor, name)
-    return functools.partial(dask_executor, address)
+    return None if address is None else functools.partial(dask_executor, address)
 
 
 def _seconds(moment: datetime | None) -> float | None:

@@ -227,7 +227,9 @@ def done_by(
             task, tries = given.pop(future := ended.get())
             if (fault := _fault(future)) is None:
                 on_progress(task, 1.0)
-                yield _finished(task, future.result())
+                result = future.result()
+                stopped = isinstance(result, str)
+                yield Finished(task, fault=result) if stopped else Finished(task, result=result)
             elif tries < TRIES:
                 give(task, tries + 1)
             else:
@@ -235,13 +237,8 @@ def done_by(
     finally:
         discard(work.mark)
         wait([future for future in given if not future.cancel()])
-        left = [task for task, _ in given.values()]
-        sweep_left([path for task in left for path in task.item.job.outputs], wait_s=GRACE_S)
-        sweep_left(path for task in tasks for path in task.item.job.outputs)
-
-
-def _finished(task: CalibrationTask, result: TaskResult | str) -> Finished:
-    return Finished(task, fault=result) if isinstance(result, str) else Finished(task, result=result)
+        outputs = [path for task in tasks for path in task.item.job.outputs]
+        sweep_left(outputs, wait_s=GRACE_S if given else 0.0)
 
 
 def _fault(future: Future[Any]) -> str | None:

@@ -73,18 +73,14 @@ TABLE_S, TABLE_TIMES = 5.0, 20.0
 """Shortest time between updates of the table while a study runs, [s] and as a multiple of an update's."""
 
 
-class WorkObserver(Protocol):
-    """Receives how far the work is."""
+class StudyObserver(Protocol):
+    """Receives what happens while a study runs."""
 
     def begin(self, items: Sequence[Item]) -> None:
         """Called before these recordings are worked on."""
 
     def advance(self, bytes_done: float) -> None:
         """Called with the number of further bytes that are done."""
-
-
-class StudyObserver(WorkObserver, Protocol):
-    """Receives what happens while a study runs."""
 
     def note(self, text: str) -> None:
         """Called with a line for the user."""
@@ -428,12 +424,13 @@ def results(
     study: Study,
     work: TaskFunction,
     tasks: Sequence[Any],
-    observer: WorkObserver,
+    observer: StudyObserver | None = None,
 ) -> Iterator[tuple[Item, TaskResult]]:
     """Have tasks done, the largest first, so that the last to end is a small one."""
     if not tasks:
         return
-    observer.begin([task.item for task in tasks])
+    if observer is not None:
+        observer.begin([task.item for task in tasks])
     texts: dict[str, str] = {}
     began: dict[str, float] = {}
     reached: dict[str, float] = {}
@@ -444,7 +441,8 @@ def results(
         if part < 1 and name not in began:
             began[name] = time.monotonic()
             LOG.info("begun: %s (%d bytes)", name, task.item.size)
-        observer.advance((part - reached.get(name, 0.0)) * task.item.size)
+        if observer is not None:
+            observer.advance((part - reached.get(name, 0.0)) * task.item.size)
         reached[name] = part
 
     with contextlib.closing(_done(study, work, ordered, moved)) as ended:
@@ -495,16 +493,6 @@ def _done(
         yield from ProcessPool(work, number, study.timeout_s, PRELOAD, on_progress).run(tasks)
 
 
-class _Unwatched:
-    """Observer of work that nobody watches."""
-
-    def begin(self, items: Sequence[Item]) -> None:
-        """See `WorkObserver`."""
-
-    def advance(self, bytes_done: float) -> None:
-        """See `WorkObserver`."""
-
-
 def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str], Left, dict[str, str]]:
     """Return what a run would do with each recording: `todo`, `waiting`, or the outcome that it has.
 
@@ -523,7 +511,7 @@ def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str],
     if not is_folder(existing):
         raise OutputError("cannot be made: a file is in its place", path=existing)
     ledger = ledger_of(study)
-    planned = plan(study, ledger, lambda tasks: results(study, listed, tasks, _Unwatched()))
+    planned = plan(study, ledger, lambda tasks: results(study, listed, tasks))
     for text in planned.notes:
         note(printable(text))
     known = StudyState({item.name: RecordingState(item, entry, entry) for item, entry in planned.done})
