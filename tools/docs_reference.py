@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli.help import GROUPS
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.main import cli as accelcal
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -59,7 +59,7 @@ What each function does and when to use it is described in [From Python](../pyth
 
 def commands() -> Iterator[str]:
     """Yield the page of all commands."""
-    yield "# Commands\n\nEvery command with its options, as `accelcal COMMAND --help` shows them.\n"
+    yield "# Commands\n\nEvery command with its options, as `accelcal COMMAND --help-all` shows them.\n"
     context = click.Context(accelcal, info_name="accelcal")
     for name in accelcal.list_commands(context):
         command = accelcal.get_command(context, name)
@@ -85,21 +85,11 @@ def _command(command: click.Command, context: click.Context) -> Iterator[str]:
             if part is not None:
                 yield from _command(part, click.Context(part, info_name=name, parent=context))
         return
-    records = {
-        one.name: record
-        for one in command.get_params(context)
-        if isinstance(one, click.Option)
-        and "--help" not in one.opts
-        and (record := one.get_help_record(context))
-    }
-    grouped = {name for names in GROUPS.values() for name in names}
-    own = tuple(name for name in records if name not in grouped)
-    for title, names in {"Options": own, **GROUPS}.items():
-        rows = [records[name] for name in names if name in records]
-        if rows:
-            yield f"**{title}**\n\n| option | meaning |\n|---|---|"
-            yield from (f"| `{option}` | {_cell(text)} |" for option, text in rows)
-            yield ""
+    assert isinstance(command, Command)
+    for title, rows in command.sections(context, everything=True):
+        yield f"**{title}**\n\n| option | meaning |\n|---|---|"
+        yield from (f"| `{option}` | {_cell(text)} |" for option, text in rows)
+        yield ""
 
 
 def _text(text: str | None) -> str:

@@ -39,7 +39,7 @@ from accelcal_cli.pipeline.registry import apply as apply_best
 @options.printing_options
 @options.reading_options
 @options.parts_option
-@options.limit_options
+@options.error_option
 @options.gravity_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Apply known coefficients to each RECORDING; `-` reads standard input.

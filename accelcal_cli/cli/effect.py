@@ -64,7 +64,7 @@ ONLY_FOR_PROGRAMS = ("raw_bias_low", "raw_bias_high")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
 @options.reading_options
 @options.parts_option
-@options.limit_options
+@options.error_option
 @options.method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Show how the calibration of each RECORDING changes measures of activity; `-` reads standard input.

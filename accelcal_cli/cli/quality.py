@@ -52,7 +52,7 @@ WORN = {True: "yes", False: "no", None: "-"}
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
 @options.reading_options
 @options.parts_option
-@options.limit_options
+@options.error_option
 @options.method_options
 def command(recording: Path, **values: Any) -> int:
     """Check, hour by hour, whether a calibration still fits RECORDING; `-` reads standard input.

@@ -169,7 +169,7 @@ FIGURES = {
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
-@options.reading_options
+@options.laboratory_reading_options
 @options.fitting_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate each RECORDING by every stillness rule and compare the results.

@@ -395,7 +395,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "rows_without_values": "{empty_percent:.1f} % of the rows hold no values ({empty_rows:n row}), as where "
     "the device was not worn. They count as gaps.",
     "unlikely_year": "The recording begins in {start:time}, as if its clock was never set or overflowed. "
-    "Correct its times with --shift. The calibration does not need them.",
+    "Correct its times with -R shift=SECONDS. The calibration does not need them.",
     "clock_reset": "The clock was reset: it jumps from {before:time} to {after:time} at sample {sample} "
     "({resets:n reset} in all). Times on one side of that are wrong. The calibration does not need them.",
     "scatter_over_limit": "The still windows scatter by {scatter_mg:mg} mg. Check --stillness.",
@@ -435,7 +435,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "use_optimizer": "Use --optimizer {optimizer}: the points are good enough for it.",
     "use_default_profile": "Use --profile default, which needs no full subsets.",
     "copy_again": "Copy the file again from the device.",
-    "allow_damage": "To use what is left, allow more damage with --max-damage.",
+    "allow_damage": "To use what is left, allow more damage with -R max_damage=PERCENT.",
     "omit_strict": "To use the calibration provisionally, omit --strict.",
     "rest_on_faces": "Rest the device exactly on its faces, on a level surface.",
     "check_references": "Check the references and their times.",

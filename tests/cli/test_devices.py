@@ -171,7 +171,15 @@ def test_one_serial_of_two_makers_is_two_devices(tmp_path: Path, capsys: Capture
 
 @pytest.mark.parametrize(
     "words",
-    [["--json", "--csv"], ["--drift-mg", 0], ["--reference-c", "nan"], ["--drift-mg", "x"], ["extra"]],
+    [
+        ["--json", "--csv"],
+        ["--limit", "drift_mg=0"],
+        ["--reference-c", "nan"],
+        ["--limit", "drift_mg=x"],
+        ["--limit", "drift"],
+        ["--limit", "x=1"],
+        ["extra"],
+    ],
 )
 def test_wrong_words(tmp_path: Path, capsys: Capture, words: list) -> None:
     ran = run(capsys, "devices", write(tmp_path, MIXED), *words)

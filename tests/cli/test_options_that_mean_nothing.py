@@ -39,7 +39,7 @@ def report(path: Path) -> dict[str, Any]:
     [
         (("--unit", "mg"), "--unit", "raw"),
         (("--columns", "x,y,z"), "--columns", "raw"),
-        (("--time-column", "t", "--date-format", "dmy"), "--time-column and --date-format", "raw"),
+        (("-R", "time_column=t", "-R", "date_format=dmy"), "-R time_column and -R date_format", "raw"),
         (("--sensor", "imu"), "--sensor", "raw"),
     ],
 )

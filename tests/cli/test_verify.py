@@ -67,7 +67,9 @@ def test_a_report_with_any_settings_is_reproduced(
 
 def test_text_options_a_moved_recording_and_the_line(tmp_path: Path, capsys: Capture) -> None:
     path = write_csv(tmp_path / "a.csv", still_counts(directions(20)))
-    run(capsys, "calibrate", "--model", 6, path, "--columns", "y,z,x", "--unit", "g", "--time-column", "time")
+    run(
+        capsys, "calibrate", "--model", 6, path, "--columns", "y,z,x", "--unit", "g", "-R", "time_column=time"
+    )
     report, moved = tmp_path / "a.calibration.json", tmp_path / "moved.csv"
     path.rename(moved)
     ran = run(capsys, "verify", report, moved)

@@ -87,7 +87,7 @@ def test_t8_texts_that_are_no_times_lose_their_rows(tmp_path: Path, form: str) -
 def test_t8_a_form_is_asked_for_where_dates_have_two_orders(tmp_path: Path) -> None:
     texts = [f"{moment.replace(day=4):%d/%m/%Y %H:%M:%S.%f}" for moment in moments()]
     path = write(tmp_path / "a.parquet", "when", texts)
-    with pytest.raises(UnreadableError, match="dmy or mdy; say which with --date-format"):
+    with pytest.raises(UnreadableError, match="dmy or mdy; say which with -R date_format"):
         read(path, time_column="when")
     assert read(path, time_column="when", date_format="dmy")[1][0] == BEGIN_US - 10 * 86_400_000_000
     _, times, _ = read(path, time_column="when", time_format="%d/%m/%Y %H:%M:%S.%f")
@@ -125,6 +125,6 @@ def test_t8_such_a_name_is_known_and_asked_about_beside_another(tmp_path: Path, 
     assert read(write(tmp_path / "a.parquet", name, ticks))[0].start_us == BEGIN_US
     made = as_columns(name, ticks + 86_400_000).append_column("time", pa.array(ticks))
     pq.write_table(made, tmp_path / "b.parquet")
-    with pytest.raises(UnreadableError, match=r"several columns may be the time .*--time-column"):
+    with pytest.raises(UnreadableError, match=r"several columns may be the time .*-R time_column"):
         read(tmp_path / "b.parquet")
     assert read(tmp_path / "b.parquet", time_column="time")[0].start_us == BEGIN_US

@@ -62,7 +62,7 @@ def test_a_column_of_times_as_texts_is_named(path: Path) -> None:
     for options in ({}, {"rate_hz": 50.0}):
         with pytest.raises(UnreadableError, match="the time '0 s' is not written as") as refused:
             read(path, **options)
-        assert "--time-column none and --rate" in (refused.value.hint or "")
+        assert "-R time_column=none and --rate" in (refused.value.hint or "")
     assert read(path, rate_hz=50.0, time_column="none").codes == ["no_start_time"]
 
 

@@ -421,8 +421,8 @@ def test_what_the_user_says_of_a_gyroscope(path: Path) -> None:
     assert got.gyro is not None and (got.gyro == counts(seed=6).astype(int) * 4096).all()
     got = read(path, lsb_per_dps=16.4, gyro_unit="none")
     assert got.gyro is None
-    assert "the gyroscope is not read (--gyro-unit none)" in got.recording.notes
-    with pytest.raises(UsageError, match="--gyro-columns"):
+    assert "the gyroscope is not read (-R gyro_unit=none)" in got.recording.notes
+    with pytest.raises(UsageError, match="-R gyro_columns"):
         read(path, gyro_columns=("gyro", "w", "w"))
 
 
@@ -554,7 +554,7 @@ def test_rows_without_a_time_are_left_out(path: Path) -> None:
 def test_times_of_an_unknown_unit_are_refused_and_can_be_left_aside(path: Path, values: np.ndarray) -> None:
     stamped(path, values, start_time=START)
     with pytest.raises(
-        (UnreadableError, UsageError), match=r"--time-column none|100 Hz, the times of its rows"
+        (UnreadableError, UsageError), match=r"-R time_column=none|100 Hz, the times of its rows"
     ):
         read(path)
     assert (read(path, time_column="none").times == even_times(ROWS, 100.0)).all()
@@ -563,7 +563,7 @@ def test_times_of_an_unknown_unit_are_refused_and_can_be_left_aside(path: Path, 
 def test_several_time_datasets_are_refused_and_one_can_be_chosen(path: Path) -> None:
     times = START_US + 10_000 * np.arange(ROWS)
     write(path, {"accel": counts(), "time": times, "timestamp": times + 5}, about(start_time=None))
-    with pytest.raises(UnreadableError, match=r"'time'.*'timestamp'.*--time-column"):
+    with pytest.raises(UnreadableError, match=r"'time'.*'timestamp'.*-R time_column"):
         read(path)
     assert read(path, time_column="timestamp").times[0] == START_US + 5
     with pytest.raises(UsageError, match="one column"):
