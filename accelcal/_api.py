@@ -397,7 +397,7 @@ def effect(
     parts: bool = False,
     **options: Unpack[CalibrationOptions],
 ) -> dict[str, Any]:
-    """Compute what calibration changes in a recording's measures of activity, as `accelcal effect` does.
+    """Compute what calibration changes in a recording's measures of activity, as `calibrate --effect` does.
 
     Args:
         source: as in `calibrate`.
@@ -408,7 +408,7 @@ def effect(
         options: those of `calibrate`.
 
     Returns:
-        what `accelcal effect --json` prints: `recording`, `outcome`, `message` and `effect`, whose `versions`
+        `recording`, `outcome`, `message` and, as in a report, `effect`, whose `versions`
         have the measures of the raw and the calibrated values (docs/effect.md).
 
     Raises:

@@ -144,12 +144,14 @@ LIMITS = {
 """Limits of the rules, and what each means."""
 
 
-def known_limits() -> dict[str, Named]:
-    """Return the limits that can be set, by name."""
-    return {
+def known_rules() -> dict[str, Named]:
+    """Return the numbers of the rules that can be set, by name."""
+    limits = {
         name: Named("N", f"{text}  [default: {getattr(Rules(), name):g}]", Positive())
         for name, text in LIMITS.items()
     }
+    text = "Temperature at which offsets are compared.  [default: the median of each device's recordings]"
+    return limits | {"reference_c": Named("C", text, Within(-100, 200))}
 
 
 @click.command(
@@ -165,14 +167,10 @@ def known_limits() -> dict[str, Named]:
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print one CSV table with a row for each recording.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing on stderr.")
-@click.option("--limit", "limits", type=NameValue(known_limits), multiple=True,
-              help="Set a limit of a rule (--help-all lists them).")  # fmt: skip
+@click.option("--rule", "rules", type=NameValue(known_rules), multiple=True,
+              help="Set a number of the rules (--help-all lists them).")  # fmt: skip
 @click.option("--registry", type=FILE, metavar="FILE.json",
               help="Add the good calibrations to this registry, which is made if it is missing.")  # fmt: skip
-@click.option(
-    "--reference-c", type=Within(-100, 200), metavar="C",
-    help="Temperature at which offsets are compared.  [default: the median of each device's recordings]",
-)  # fmt: skip
 def command(out: Path, **values: Any) -> int:
     """Show how the devices of a study drift, which of them need service, and why.
 
@@ -189,7 +187,7 @@ def command(out: Path, **values: Any) -> int:
         exit_codes.say(added(out, values["registry"]))
         if is_registry(out):
             return exit_codes.OK
-    reviewed = review(out, Rules(**dict(values["limits"]), reference_c=values["reference_c"]), time.time())
+    reviewed = review(out, Rules(**dict(values["rules"])), time.time())
     devices = _chosen(reviewed, values["device"], out)
     exit_codes.show(_shown(reviewed, devices, values))
     if not values["quiet"]:

@@ -368,6 +368,7 @@ def _decorate(options: list[Callable[[Any], Any]]) -> Callable[[Command], Comman
 
 
 place_options = _decorate(_PLACES)
+measuring_options = _decorate([_REPORT_ONLY, _EFFECT])
 printing_options = _decorate(_PRINTING)
 stream_options = _decorate([*_reading(), _named_option(*DAMAGE)])
 reading_options = _decorate([*_reading(), _named_option(*DAMAGE), _CHUNK])
@@ -472,7 +473,7 @@ def _calibrating(command: Command) -> Command:
     limits = (recalibrate_option, error_option, strict_option)
     for decorator in (*limits, registry_option, config_option, printing_options):
         command = decorator(command)
-    return _REPORT_ONLY(_KEEP_REFUSED(_INTEGERS(_EFFECT(command))))
+    return measuring_options(_KEEP_REFUSED(_INTEGERS(command)))
 
 
 def request_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) -> Request:

@@ -32,7 +32,10 @@ from accelcal_cli.pipeline.jobs import (
     spooled,
 )
 
-ALWAYS_SAID = ("cut_short", "nothing_checks_poses", "roll_alone_checks_poses", "worse_here", "much_left")
+ALWAYS_SAID = (
+    *("cut_short", "nothing_checks_poses", "roll_alone_checks_poses"),
+    *("worse_here", "much_left", "no_longer_fits"),
+)
 """Codes of cautions that even a quiet run prints."""
 
 

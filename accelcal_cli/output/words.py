@@ -208,15 +208,13 @@ def _rolled(values: Values) -> str:
     return f"Rolled with {values['axis']} level, {values['axis']} shows {shown}."
 
 
-def _fits(values: Values) -> str:
-    """Say how well a calibration fits along time, or from when to when it no longer does."""
-    error, new = f"error is {mg(values['error_mg'])} mg", values["new_mg"]
-    better = "" if new is None else f" A new calibration would leave {mg(new)} mg."
-    if "stretches" in values:
-        return f"Its {error} (on held-out data, in {values['stretches']} stretches of time).{better}"
+def _no_longer_fits(values: Values) -> str:
+    """Say from when to when coefficients do not fit."""
+    error, new = mg(values["error_mg"]), mg(values["new_mg"])
     since, until = (_to_second(values[name]) for name in ("since", "until"))
     span = f"From {since}" if since else "From the beginning"
-    return f"{span} {f'to {until}' if until else 'on'} its {error}.{better} Find new coefficients."
+    span += f" to {until}" if until else " on"
+    return f"{span} their error is {error} mg. A new calibration would leave {new} mg. Find new coefficients."
 
 
 def _to_second(time: str | None) -> str:
@@ -375,15 +373,10 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "too_few_turns": "There are only {turns:n turn} of at least {least_deg:g} degrees from one rest to "
     "another within 30 s, and {needed} are needed.",
     "turns_miss_an_axis": "The turns do not span all axes: there are hardly any about {axis}.",
-    # whether a calibration still fits
-    "still_fits": _fits,
-    "no_longer_fits": _fits,
-    "error_rises": "From {since:time} on its error is {error_mg:mg} mg, before that {before_mg:mg} mg. That "
-    "is too short to tell a change of the sensor from a new orientation.",
-    "never_fits": "Its error is {error_mg:mg} mg in {orientations:n orientation}, over the limit of "
-    "{limit_mg:g} mg. Find new coefficients.",
-    "fits_held_out": "Its error is {error_mg:mg} mg in {orientations:n orientation} (95 % interval up to "
-    "{high_mg:mg} mg). It was not checked over time.",
+    # whether coefficients of another recording fit all the time
+    "no_longer_fits": _no_longer_fits,
+    "error_rises": "From {since:time} on their error is {error_mg:mg} mg, before that {before_mg:mg} mg. "
+    "That is too short to tell a change of the sensor from a new orientation.",
     # no change was looked for
     "too_short": "The recording is too short to show a change of the sensor.",
     "too_many_cells": "The recording holds too many orientations and temperatures to compare them over time.",
@@ -435,7 +428,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "use_optimizer": "Use --optimizer {optimizer}: the points are good enough for it.",
     "use_default_profile": "Use --profile default, which needs no full subsets.",
     "copy_again": "Copy the file again from the device.",
-    "allow_damage": "To use what is left, allow more damage with -R max_damage=PERCENT.",
+    "allow_damage": "To use what is left, allow more damage, such as -R max_damage=70.",
     "omit_strict": "To use the calibration provisionally, omit --strict.",
     "rest_on_faces": "Rest the device exactly on its faces, on a level surface.",
     "check_references": "Check the references and their times.",

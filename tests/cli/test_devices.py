@@ -86,9 +86,8 @@ def test_one_device_in_full(tmp_path: Path, capsys: Capture) -> None:
     told = json.loads(run(capsys, "devices", tmp_path, "--device", "17440", "--json").out)
     assert [device["serial"] for device in told["devices"]] == ["17440"]
     assert "offsets at 28.5 C" in run(capsys, "devices", tmp_path, "--device", "warm").lines
-    assert (
-        "offsets at 20.0 C" in run(capsys, "devices", tmp_path, "--device", "warm", "--reference-c", 20).lines
-    )
+    at_20 = run(capsys, "devices", tmp_path, "--device", "warm", "--rule", "reference_c=20")
+    assert "offsets at 20.0 C" in at_20.lines
     unknown = run(capsys, "devices", tmp_path, "--device", "17441")
     assert (unknown.code, unknown.out) == (2, "")
     assert_one_line(
@@ -173,11 +172,11 @@ def test_one_serial_of_two_makers_is_two_devices(tmp_path: Path, capsys: Capture
     "words",
     [
         ["--json", "--csv"],
-        ["--limit", "drift_mg=0"],
-        ["--reference-c", "nan"],
-        ["--limit", "drift_mg=x"],
-        ["--limit", "drift"],
-        ["--limit", "x=1"],
+        ["--rule", "drift_mg=0"],
+        ["--rule", "reference_c=nan"],
+        ["--rule", "drift_mg=x"],
+        ["--rule", "drift"],
+        ["--rule", "x=1"],
         ["extra"],
     ],
 )
