@@ -414,7 +414,6 @@ def effect(
     Raises:
         AccelcalError: it cannot be read, the options do not go together, or the coefficients are not for it.
     """
-    from accelcal_cli.activity_effect import as_json
     from accelcal_cli.activity_effect import effect as measured
 
     if isinstance(epoch, bool) or not isinstance(epoch, int | np.integer):
@@ -434,4 +433,4 @@ def effect(
         joined=parts,
     )
     given = as_file(source)
-    return _as_written(as_json(measured(given.job.source, request, int(epoch), source=given.path)))
+    return _as_written(measured(given.job.source, request, int(epoch), source=given.path))
