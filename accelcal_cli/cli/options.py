@@ -351,10 +351,7 @@ _KEEP_REFUSED = click.option(
 )
 _EFFECT = click.option("--effect", is_flag=True, help="Also report ENMO, MAD and MVPA, raw and calibrated.")
 _INTEGERS = click.option(
-    "--integers",
-    cls=Rare,
-    is_flag=True,
-    help="Also write the points and the result of each fit as fixed-point integers.",
+    "--integers", cls=Rare, is_flag=True, help="Also write points and fits as fixed-point integers."
 )
 
 
@@ -409,16 +406,10 @@ def registry_of(values: dict[str, Any]) -> list[RegistryEntry] | None:
     return None if path is None else read_registry(path)
 
 
-config_option = click.option(
-    "--config", type=FILE, metavar="FILE.toml",
-    help="Reading options by file name.",
-)  # fmt: skip
+config_option = click.option("--config", type=FILE, metavar="FILE.toml", help="Reading options by file name.")
 
 
-parts_option = click.option(
-    "--parts", is_flag=True,
-    help="RECORDING is a folder of parts of one recording.",
-)  # fmt: skip
+parts_option = click.option("--parts", is_flag=True, help="RECORDING is a folder of parts of one recording.")
 
 
 def recordings_of(recordings: tuple[Path, ...], values: dict[str, Any]) -> list[Path]:
