@@ -22,21 +22,19 @@ MADE = "accelcal_cli/core/_build.txt"
 
 
 def version() -> str:
-    """Return `0.3.0` of a tagged commit `v0.3.0` or without git, else such as `0.3.0.dev5+g9e2152a`."""
+    """Return `1.0.0` of a tagged commit `v1.0.0`, else such as `1.0.0.dev5+g9e2152a`."""
     if (ROOT / MADE).exists():
         return (ROOT / MADE).read_text("ascii").strip()
-    (release,) = re.findall(
-        r'^__version__ = "(.*)"$', (ROOT / "accelcal_cli/core/version.py").read_text(), re.M
-    )
+    (stated,) = re.findall(r'^STATED = "(.*)"$', (ROOT / "accelcal_cli/core/version.py").read_text(), re.M)
     top, commit = git("rev-parse", "--show-toplevel"), git("rev-parse", "--short=7", "HEAD")
     if not commit or Path(top).resolve() != ROOT:
-        return release
+        return str(stated)
     changed = git("status", "--porcelain", "--untracked-files=no")
-    if f"v{release}" in git("tag", "--points-at", "HEAD").split() and not changed:
-        return release
+    if f"v{stated}" in git("tag", "--points-at", "HEAD").split() and not changed:
+        return str(stated)
     last = git("describe", "--tags", "--abbrev=0", "--match", "v*")
     number = git("rev-list", "--count", f"{last}..HEAD" if last else "HEAD")
-    return f"{release}.dev{number or 0}+g{commit}{'.dirty' if changed else ''}"
+    return f"{stated.removesuffix('.dev0')}.dev{number or 0}+g{commit}{'.dirty' if changed else ''}"
 
 
 def git(*words: str) -> str:

@@ -397,7 +397,7 @@ def effect(
     parts: bool = False,
     **options: Unpack[CalibrationOptions],
 ) -> dict[str, Any]:
-    """Compute what calibration changes in a recording's measures of activity, as `accelcal effect` does.
+    """Compute what calibration changes in a recording's measures of activity, as `calibrate --effect` does.
 
     Args:
         source: as in `calibrate`.
@@ -408,13 +408,12 @@ def effect(
         options: those of `calibrate`.
 
     Returns:
-        what `accelcal effect --json` prints: `recording`, `outcome`, `message` and `effect`, whose `versions`
+        `recording`, `outcome`, `message` and, as in a report, `effect`, whose `versions`
         have the measures of the raw and the calibrated values (docs/effect.md).
 
     Raises:
         AccelcalError: it cannot be read, the options do not go together, or the coefficients are not for it.
     """
-    from accelcal_cli.activity_effect import as_json
     from accelcal_cli.activity_effect import effect as measured
 
     if isinstance(epoch, bool) or not isinstance(epoch, int | np.integer):
@@ -434,4 +433,4 @@ def effect(
         joined=parts,
     )
     given = as_file(source)
-    return _as_written(as_json(measured(given.job.source, request, int(epoch), source=given.path)))
+    return _as_written(measured(given.job.source, request, int(epoch), source=given.path))

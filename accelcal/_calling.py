@@ -17,12 +17,14 @@ from accelcal_cli.core.errors import AccelcalError, counted
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import PoseSettings, Settings, setting_of
 from accelcal_cli.core.system import folder_start
-from accelcal_cli.pipeline.options import field_values, option_fields
+from accelcal_cli.pipeline.options import GIVEN_VALUE, field_values, not_given, option_fields
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 OPTION = re.compile(r"--([a-z][a-z-]*)(?: ([A-Z]+\b|[\w./-]+))?")
+
+NAMED = re.compile(rf"-R ([a-z_]+){GIVEN_VALUE}")
 
 COMMAND = re.compile(r"\baccelcal [a-z-]+ ")
 """A command to be typed in a terminal; options of its clause stay as they are."""
@@ -101,10 +103,18 @@ def _worded(text: str) -> str:
         folder, out = shlex.split(found[1])[0], found[2]
         return f"accelcal.study({folder!r}, {out!r})"
 
+    def named(found: re.Match[str]) -> str:
+        name, value = found[1], (found[2] or "").removeprefix("=")
+        if value == "true":
+            return f"{name}=True"
+        plain = not value or value.isupper() or _is_number(value)
+        return "=".join(filter(None, [name, value if plain else repr(value.strip("'"))]))
+
+    def worded(clause: str) -> str:
+        return OPTION.sub(keyword, NAMED.sub(named, SHORT.sub("", clause)))
+
     clauses = [STUDY.sub(study, clause) for clause in text.split("; ")]
-    return "; ".join(
-        one if COMMAND.search(one) else OPTION.sub(keyword, SHORT.sub("", one)) for one in clauses
-    )
+    return "; ".join(one if COMMAND.search(one) else worded(one) for one in clauses)
 
 
 def _is_number(text: str) -> bool:
@@ -117,5 +127,4 @@ def values_of(options: Mapping[str, Any], *kinds: type) -> dict[str, Any]:
     Raises:
         TypeError, UsageError: see `field_values`.
     """
-    nothing: dict[str, Any] = {name: None for _, name in option_fields(ReadOptions, Settings).values()}
-    return nothing | {"no_temperature": False, "force_timezone": False} | field_values(options, *kinds)
+    return not_given(ReadOptions, Settings) | field_values(options, *kinds)

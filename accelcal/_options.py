@@ -16,13 +16,13 @@ class ReadingOptions(TypedDict, total=False):
     """How a recording is read."""
 
     format: str | None
-    """Format of the recording (default: recognised by its content)."""
+    """Format, if the content does not show it."""
 
     rate: float | None
-    """[Hz] Sampling rate (above 0, at most 100000)."""
+    """[Hz] Sampling rate, if the file has no times (above 0, at most 100000)."""
 
     unit: Literal["g", "mg", "m/s2", "counts"] | None
-    """Unit of the raw values."""
+    """Unit, if the file does not state it."""
 
     lsb_per_g: float | None
     """Counts per g (above 0, at most 1e+09)."""
@@ -32,7 +32,7 @@ class ReadingOptions(TypedDict, total=False):
     1.07374e+09)."""
 
     columns: Columns | None
-    """Columns of x, y and z: names, or numbers from 0. One name, if it holds all three."""
+    """Names of the columns, or numbers from 0."""
 
     time_column: str | None
     """Column of the times."""
@@ -44,7 +44,7 @@ class ReadingOptions(TypedDict, total=False):
     """Form of a table's times, in strptime codes: '%d/%m/%Y %H:%M:%S.%f'. Numbers: s, ms, us or ns."""
 
     timezone: str | None
-    """Time zone of the device's clock, if the file does not state one. Example: Europe/Berlin."""
+    """Time zone of its clock, such as Europe/Berlin."""
 
     force_timezone: bool | None
     """Use timezone even if a file states another zone."""
@@ -62,10 +62,10 @@ class ReadingOptions(TypedDict, total=False):
     """Time zone where the device was worn, if it differs from the zone its clock was set to."""
 
     layout: str | PathLike[str] | None
-    """Layout file (TOML) of a raw dump."""
+    """Layout of a raw dump."""
 
     sensor: str | None
-    """Which sensor to read, if the file contains several."""
+    """One of several sensors in the file."""
 
     gyro_columns: Columns | None
     """Columns of the gyroscope's x, y and z."""
@@ -81,20 +81,20 @@ class MethodOptions(ReadingOptions, total=False):
     """How a recording is read and fitted."""
 
     profile: Literal["default", "paper"] | None
-    """paper: the published procedure, with 18 points and 50 iterations (default: default)."""
+    """paper: the published procedure (default: default)."""
 
     optimizer: str | None
     """Optimizer that finds the parameters (default: fixed32)."""
 
     model: Literal["auto", "9", "6", "3"] | None
-    """Number of parameters to fit: 9, 6 or 3. A number turns the prior off (default: auto)."""
+    """Number of parameters (default: auto)."""
 
     recalibrate: Literal["auto", "never"] | None
     """auto: adapt the calibration when the sensor changes during the recording. never: only report the
     change (default: auto)."""
 
     no_temperature: bool | None
-    """Do not use the recording's temperature."""
+    """Leave temperature out."""
 
     stillness: Literal["both", "range", "deviation", "adaptive"] | None
     """Rule by which a window counts as still (default: both; profile paper: range, or both if no axis
@@ -114,12 +114,10 @@ class MethodOptions(ReadingOptions, total=False):
     profile paper: 0)."""
 
     max_error: float | None
-    """[mg] Limit: a calibrated recording has a smaller calibration error over all orientations (above 0,
-    at most 1e+06; default: 10.0)."""
+    """[mg] Limit of the calibration error (above 0, at most 1e+06; default: 10.0)."""
 
     strict: bool | None
-    """Refuse recordings that would only be provisional: probably better than the raw data, but not surely
-    below max_error."""
+    """Refuse provisional calibrations."""
 
     precision: float | None
     """[mg] Round values to steps of at most MG, for smaller files (0.001 to 1000; default: exact)."""
@@ -148,18 +146,14 @@ class CalibrationOptions(MethodOptions, total=False):
     """Options of `calibrate`."""
 
     prior: Literal["population", "none"] | None
-    """Prior knowledge used in the fit. population: typical sensors. none: no prior; fit only as many
-    parameters as the recording supports (default: population; none with model, profile paper, and
-    optimizers that cannot use a prior)."""
+    """none: fit only what the recording supports (default: population)."""
 
 
 class StudyOptions(MethodOptions, total=False):
     """Options of `study` for each recording."""
 
     prior: Literal["population", "none", "study", "device"] | None
-    """Prior knowledge used in the fit. population: typical sensors. none: no prior; fit only as many
-    parameters as the recording supports (default: population; none with model, profile paper, and
-    optimizers that cannot use a prior)."""
+    """none: fit only what the recording supports (default: population)."""
 
 
 class FitOptions(TypedDict, total=False):
@@ -169,10 +163,10 @@ class FitOptions(TypedDict, total=False):
     """Optimizer that finds the parameters (default: fixed32)."""
 
     model: Literal["auto", "9", "6", "3"] | None
-    """Number of parameters to fit: 9, 6 or 3. A number turns the prior off (default: auto)."""
+    """Number of parameters (default: auto)."""
 
     no_temperature: bool | None
-    """Do not use the recording's temperature."""
+    """Leave temperature out."""
 
     latitude: float | None
     """[degrees] Latitude of the place where the recording was made, for local gravity (-90 to 90)."""
@@ -181,17 +175,13 @@ class FitOptions(TypedDict, total=False):
     """[m] Altitude above sea level (-500 to 9000; default: 0)."""
 
     max_error: float | None
-    """[mg] Limit: a calibrated recording has a smaller calibration error over all orientations (above 0,
-    at most 1e+06; default: 10.0)."""
+    """[mg] Limit of the calibration error (above 0, at most 1e+06; default: 10.0)."""
 
     strict: bool | None
-    """Refuse recordings that would only be provisional: probably better than the raw data, but not surely
-    below max_error."""
+    """Refuse provisional calibrations."""
 
     prior: Literal["population", "none"] | None
-    """Prior knowledge used in the fit. population: typical sensors. none: no prior; fit only as many
-    parameters as the recording supports (default: population; none with model, profile paper, and
-    optimizers that cannot use a prior)."""
+    """none: fit only what the recording supports (default: population)."""
 
 
 class PoseOptions(ReadingOptions, total=False):
@@ -217,8 +207,7 @@ class PoseOptions(ReadingOptions, total=False):
     """[%] Refuse a recording if more of it is damaged (0 to 100; default: 50.0)."""
 
     max_error: float | None
-    """[mg] Limit: a calibrated recording has a smaller calibration error over all orientations (above 0,
-    at most 1e+06; default: 10.0)."""
+    """[mg] Limit of the calibration error (above 0, at most 1e+06; default: 10.0)."""
 
     latitude: float | None
     """[degrees] Latitude of the place where the recording was made, for local gravity (-90 to 90)."""

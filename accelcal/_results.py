@@ -27,7 +27,7 @@ from accelcal_cli.output.files import write_text
 from accelcal_cli.output.numbers import number
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.output.report_reading import read_document
-from accelcal_cli.output.report_view import ReportView, report_view
+from accelcal_cli.output.sections import ReportView, report_view
 from accelcal_cli.pipeline import export, jobs, survey
 from accelcal_cli.pipeline.calibrate import FirstPass
 from accelcal_cli.pipeline.calibrate import calibrate as run_job

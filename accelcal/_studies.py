@@ -6,11 +6,11 @@ import sys
 import warnings
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from contextlib import nullcontext
 from datetime import datetime
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Unpack, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 import numpy as np
 
@@ -46,15 +46,6 @@ LEAST_HZ = 1e-3
 """Lowest rate to resample to."""
 
 
-@runtime_checkable
-class DaskClient(Protocol):
-    """A client of dask.distributed."""
-
-    scheduler: Any
-
-    def get_executor(self) -> Executor: ...
-
-
 @public
 def study(
     folder: AnyPath | Sequence[AnyPath],
@@ -63,7 +54,7 @@ def study(
     include: Sequence[str] = (),
     exclude: Sequence[str] = (),
     jobs: int | None = None,
-    executor: str | Executor | DaskClient | None = None,
+    executor: Executor | None = None,
     timeout: float | None = None,
     borrow: bool = False,
     pool: bool = False,
@@ -85,8 +76,8 @@ def study(
         output: folder into which the outputs are written.
         include, exclude: patterns of files to process and to leave out, such as `*.cwa`.
         jobs: workers; None for as many as CPUs and memory allow, 1 for this process alone.
-        executor: what does the work instead: an executor of concurrent.futures, a client of Dask, or the
-            address of its scheduler.
+        executor: finds each recording's own result instead: any executor of concurrent.futures, such as
+            `client.get_executor()` of a Dask client.
         timeout: longest time for a recording [minutes].
         borrow: use the coefficients of the device's recording nearest in time where a recording cannot be
             calibrated well.
@@ -119,6 +110,8 @@ def study(
     from accelcal_cli.studies.discovery import Where
     from accelcal_cli.studies.run import run
 
+    if executor is not None and not isinstance(executor, Executor):
+        raise TypeError("executor is a concurrent.futures.Executor, such as client.get_executor() of Dask")
     folders = tuple(map(Path, [folder] if isinstance(folder, str | PathLike) else folder))
     values = values_of(options, ReadOptions, Settings)
     request = Request(
@@ -141,28 +134,14 @@ def study(
         borrow=borrow,
         pool=pool,
         decisions=None if decisions is None else Path(decisions),
-        here=jobs == 1 and timeout is None,
+        executor=None if executor is None else lambda: nullcontext(executor),
+        in_process=jobs == 1 and timeout is None,
     )
     with _Bar(progress) as bar:
-        run(with_learnt_prior(_worked_by(wanted, executor)), bar)
+        run(with_learnt_prior(wanted), bar)
     if html:
         report(output, force=force)
     return pd.read_parquet(Path(output) / "study.parquet")
-
-
-def _worked_by(wanted: Study, executor: str | Executor | DaskClient | None) -> Study:
-    """Return the study with the one who does its work."""
-    if executor is None:
-        return wanted
-    if isinstance(executor, str):
-        return replace(wanted, dask=executor, here=False)
-    if isinstance(executor, Executor):
-        return replace(wanted, pool_of_caller=executor)
-    if isinstance(executor, DaskClient):
-        return replace(wanted, dask=str(executor.scheduler.address), here=False)
-    raise TypeError(
-        "executor is the address of a Dask scheduler, a Dask client or a concurrent.futures.Executor"
-    )
 
 
 def _in_notebook() -> bool:

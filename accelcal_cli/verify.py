@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.declared import from_json
 from accelcal_cli.core.door import is_file, is_folder
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
+from accelcal_cli.core.identity import SAMPLES, identity
 from accelcal_cli.core.input_files import files_of, is_pattern
 from accelcal_cli.core.reasons import significant
 from accelcal_cli.core.settings import PoseSettings, Settings
@@ -29,16 +31,13 @@ from accelcal_cli.output.files import metadata_of, stored_schema
 from accelcal_cli.output.registry import held_in
 from accelcal_cli.output.report import ReportInput, build, result_json
 from accelcal_cli.output.report_reading import (
-    LATER,
     Document,
     check_sections,
     file_place,
     read_document,
-    release,
     section,
-    with_new_names,
 )
-from accelcal_cli.output.report_view import AppliedView, PoolView, record
+from accelcal_cli.output.sections import AppliedCoefficients, PoolSection
 from accelcal_cli.parquet import Column, ParquetSource
 from accelcal_cli.pipeline import calibrate, jobs
 from accelcal_cli.pipeline.apply import DonorCoefficients, relation_of
@@ -56,17 +55,6 @@ NOT_COMPARED = ("provenance", "accelcal_version")
 
 PROSE = ("message", "note")
 """Keys of sentences, wherever they stand, which no program compares; so are the notes on the recording."""
-
-EARLIER_PROSE = (
-    ("change", "unchecked"),
-    ("known_orientations", "unchecked"),
-    ("models_tried", "reason"),
-    ("pool", "left_out"),
-)
-"""Keys that hold sentences in reports of earlier schema versions, and codes now."""
-
-SAYS_TIME_ZONE = "0.2.0"
-"""Version from which on Parquet files say in which zone their times are."""
 
 DUMP = "raw"
 """Format whose recordings `--layout` describes; the sidecars of others are found by their names."""
@@ -236,11 +224,7 @@ def _verified(
 ) -> Verified:
     missing, unknown, then = made_with.missing, made_with.unknown, document.report
     _keep_paths(now, then)
-    _leave_out_later(now, then)
-    _leave_out_hours(now, then)
-    if document.first is not None:
-        _leave_out_earlier(now, then)
-    elsewhere = unknown if then["accelcal_version"] != __version__ else ()
+    elsewhere = (*missing, *unknown) if then["accelcal_version"] != __version__ else ()
     passed = tuple(f"settings.{name}" for name in elsewhere)
     keys = tuple(
         key
@@ -260,35 +244,6 @@ def _keep_paths(now: dict[str, Any], then: dict[str, Any]) -> None:
     for new, old, name in ((settings["input"], before["input"], "layout"), (settings, before, "poses")):
         if new.get(name) is not None and name in old:
             new[name] = old[name]
-
-
-def _leave_out_later(now: dict[str, Any], then: dict[str, Any]) -> None:
-    """Take out of a new report the keys that an earlier version could not write."""
-    for place, version in LATER.items():
-        *outer, name = place.split(".")
-        inner, before = section(now, *outer), section(then, *outer)
-        if name not in before and release(then["accelcal_version"]) < release(version):
-            inner.pop(name, None)
-
-
-def _leave_out_hours(now: dict[str, Any], then: dict[str, Any]) -> None:
-    """Take over `coverage.subsets_full_after_h` where it is not counted: earlier reports always have it."""
-    counted, before = section(now, "coverage"), section(then, "coverage")
-    if before and counted.get("subsets_full_after_h", 0) is None:
-        counted["subsets_full_after_h"] = before.get("subsets_full_after_h")
-
-
-def _leave_out_earlier(*pair: dict[str, Any]) -> None:
-    """Take out of two reports what an earlier schema version had, and sentences that are codes now."""
-    for report in pair:
-        for of in (report, section(report, "without_misalignment")):
-            of.pop("sphere_mg", None)
-        for outer, name in EARLIER_PROSE:
-            parts = report.get(outer)
-            for part in parts if isinstance(parts, list) else [parts]:
-                if isinstance(part, dict):
-                    part.pop(name, None)
-                    part.pop("values", None)
 
 
 def _compared(report: dict[str, Any], left_out: Sequence[str] = NOT_COMPARED) -> dict[str, Any]:
@@ -350,28 +305,21 @@ def check_parquet(
             )
         return None
     metadata = metadata_of(path, UnreadableError)
-    names = ("accelcal_version", "calibration", "recording", *({"gyroscope"} & {*metadata, *document.report}))
-    if document.first is not None:
-        metadata = metadata | {"calibration": with_new_names(metadata.get("calibration"))}
+    names = (*identity(SAMPLES), "calibration", "recording", *({"gyroscope"} & {*metadata, *document.report}))
     expected = {name: document.report.get(name) for name in names}
-    if "result" in metadata:  # not before 0.3
-        expected |= {"result": result_json(document.report)}
+    expected |= {"kind": SAMPLES, "result": result_json(document.report)}
     keys = (
         *differing(_compared(metadata, ()), _compared(expected, ())),
-        *_other_schema(path, columns_of(written[1]), document),
+        *_other_schema(path, columns_of(written[1])),
     )
     return ParquetCheck(path, keys, compare_values(*written, path) if values else None)
 
 
-def _other_schema(path: Path, columns: list[Column], document: Document) -> Iterator[str]:
+def _other_schema(path: Path, columns: list[Column]) -> Iterator[str]:
     """Find what is wrong with the file's schema: `time_zone`, columns, their types and units."""
     stored = stored_schema(path, UnreadableError)
-    if stored is None:
-        return
-    described_now, expected = described(stored), described(schema_of(columns, {}))
-    if release(document.report["accelcal_version"]) < release(SAYS_TIME_ZONE):
-        expected = expected | {"time_zone": described_now["time_zone"]}
-    yield from differing(described_now, expected)
+    if stored is not None:
+        yield from differing(described(stored), described(schema_of(columns, {})))
 
 
 def compare_values(run: RecordingRun, data: ReportInput, path: Path) -> Values:
@@ -438,8 +386,8 @@ def donor_of(document: Document, stated: Path | None) -> Coefficients | None:
     if "coefficients" not in document.report:
         return None
     check_sections(document, ("coefficients",))
-    used = record(AppliedView, document.report["coefficients"])
-    by_content = used.without_provenance
+    used = from_json(AppliedCoefficients, document.report["coefficients"])
+    by_content = bool(used.without_provenance)
     then = Path(used.path)
     sibling = document.path.parent / then.name
     original = document.path.parent / then if by_content else place_of(document, "coefficients") or then
@@ -497,8 +445,8 @@ def pool_of(document: Document) -> Document | None:
     if "pool" not in document.report:
         return None
     check_sections(document, ("pool",))
-    used = record(PoolView, document.report["pool"])
-    path = document.path.parent / used.path
+    used = from_json(PoolSection, document.report["pool"])
+    path = document.path.parent / (used.path or "")
     if not is_file(path):
         raise UsageError(f"was made with the pool {path}, which is missing", path=document.path)
     pool = read_document(path)

@@ -12,5 +12,5 @@ WORKERS = 20
 
 with SLURMCluster(cores=1, processes=1, memory="1GB", walltime="08:00:00") as cluster:
     cluster.adapt(minimum=1, maximum=WORKERS)
-    words = [*sys.argv[1:], "--dask", cluster.scheduler_address, "--jobs", str(WORKERS)]
+    words = [*sys.argv[1:], "--dask", cluster.scheduler_address]
     sys.exit(subprocess.call([sys.executable, "-m", "accelcal_cli", "study", words[0], "-d", *words[1:]]))

@@ -28,7 +28,6 @@ LONGEST = {
     "test_killed.py": 1,
     "test_interrupted.py": 1,
     "test_cluster.py": 2,
-    "test_cluster_tasks.py": 2,
     "test_real_recordings.py": 3,
 }
 """What begins first, so that no worker is left with it at the end, nor with a cluster for long."""

@@ -144,22 +144,27 @@ def test_points_may_be_in_any_table(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("given", [False, True], ids=["its own", "of a report"])
-def test_the_effect_is_that_of_the_command(given: bool, tmp_path: Path, capsys: Capture) -> None:
-    path, words, options = ROOT / "sample_data/recording.bin", ["--epoch", 60], {"epoch": 60}
+def test_the_effect_is_that_of_the_commands(given: bool, tmp_path: Path, capsys: Capture) -> None:
+    path, command = tmp_path / "in" / "recording.bin", ["calibrate"]
+    path.parent.mkdir()
+    shutil.copy(ROOT / "sample_data/recording.bin", path)  # without the truth
     if given:
         _, report = accelcal.calibrate(path, report_only=True).write(tmp_path)
-        words += ["--coefficients", str(report)]
-        found = accelcal.effect(path, coefficients=report, **options)
+        command = ["apply", "--coefficients", str(report)]
+        found = accelcal.effect(path, coefficients=report)
         with pytest.raises(accelcal.AccelcalError, match="min_distance_g is for the recording's own"):
             accelcal.effect(path, coefficients=report, min_distance_g=0.1)
     else:
-        words += ["--profile", "paper", "--stillness-axis", "y"]
-        found = accelcal.effect(path, profile="paper", stillness_axis="y", **options)
-    told = run(capsys, "effect", path, "--json", "-q", *words)
-    assert found == json.loads(told.out)
+        command += ["--model", "6", "--stillness", "range", "--stillness-axis", "y"]
+        found = accelcal.effect(path, model="6", stillness="range", stillness_axis="y")
     assert found["effect"]["versions"]["raw"]["enmo_mg"] > 0
     made = {"recording.calibration.json", "recording.quality.json"}
-    assert {one.name for one in tmp_path.iterdir()} == (made if given else set())
+    assert {one.name for one in tmp_path.iterdir()} == {"in", *(made if given else ())}
+    assert list(path.parent.iterdir()) == [path], "nothing is written"
+    out = tmp_path / "out"
+    told = json.loads(run(capsys, *command, path, "--effect", "--report-only", "--json", "-d", out).out)
+    assert (found["effect"], found["outcome"]) == (told["effect"], told["outcome"])
+    assert accelcal.effect(path, epoch=60)["effect"]["epoch_s"] == 60
 
 
 @pytest.mark.parametrize(

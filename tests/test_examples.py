@@ -62,12 +62,15 @@ def results_of_all(out: Path) -> dict[str, object]:
 def test_the_array_of_slurm_does_all_parts_and_the_sum(
     tmp_path: Path, accelcal: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As sbatch would run it: with its variables, and then without."""
+    """As sbatch would run it: with its variables, the first time after a machine went down; then without."""
     shell = tool("bash")
     folder, out = study_folder(tmp_path / "in dir", NAMES), tmp_path / "out dir"
     words = (shell, EXAMPLES / "accelcal.sbatch", folder, out)
+    out.mkdir()
+    (out / "study.1-of-2.lock").write_text('{"host": "one that went down", "pid": 1}')
     for task in ("1", "2"):
         array = {"SLURM_ARRAY_TASK_ID": task, "SLURM_ARRAY_TASK_MIN": "1", "SLURM_ARRAY_TASK_COUNT": "2"}
+        array |= {"SLURM_RESTART_COUNT": "1"} if task == "1" else {}
         assert says(*words, "--no-temperature", ACCELCAL=str(accelcal), **array)[0] == 0
     code, said = says(*words, "--no-temperature", ACCELCAL=str(accelcal))
     assert (code, "2 recordings (2 unchanged): 2 calibrated" in said) == (0, True)

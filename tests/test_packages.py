@@ -6,8 +6,8 @@ import re
 import tomllib
 from pathlib import Path
 
-import accelcal_cli
 import hatch_build
+from accelcal_cli.core.version import STATED
 from tools.oldest import oldest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -30,7 +30,7 @@ def as_conda(requirement: str) -> str:
 
 
 def test_versions_are_that_of_the_package() -> None:
-    assert re.findall(r"^version: (.*)$", CITATION, re.MULTILINE) == [accelcal_cli.__version__]
+    assert re.findall(r"^version: (.*)$", CITATION, re.MULTILINE) == [STATED]
     assert '\n  version: ${{ env.get("VERSION") }}\n' in RECIPE  # of the project, with its commit
     assert RECIPE.splitlines()[1].startswith("# VERSION=$(python hatch_build.py) rattler-build ")
     assert (

@@ -66,4 +66,4 @@ def test_p6_every_option_is_a_keyword_with_a_line_of_help() -> None:
     assert {"rate", "unit", "prior", "stillness_axis", "temperature"} <= set(shown) and len(shown) > 40
     assert all(one.kind is one.KEYWORD_ONLY for name, one in shown.items() if name != "source")
     text = Path(ROOT / "accelcal/_options.py").read_text()
-    assert "[Hz] Sampling rate (above 0, at most 100000)." in text
+    assert "[Hz] Sampling rate, if the file has no times (above 0, at most 100000)." in text

@@ -158,7 +158,7 @@ def test_whole_revolutions_give_the_gyroscope_that_the_ferraris_method_gives(
     theirs = imucal.FerrarisCalibration(grav=G, expected_angle=-360).compute(
         imucal.FerrarisSignalRegions(**parts), RATE_HZ, from_acc_unit="m/s^2", from_gyr_unit="deg/s"
     )
-    ours = calibrated(capsys, real_data, tmp_path, "--gyro-unit", "deg/s")["gyroscope"]
+    ours = calibrated(capsys, real_data, tmp_path, "-R", "gyro_unit=deg/s")["gyroscope"]
     assert (ours["outcome"], ours["reason"]) == ("calibrated", "gyroscope_by_revolutions")
     assert ours["values"]["revolutions"] == 3 and ours["values"]["turns"] == 8
     scale = np.diag(np.linalg.inv(theirs.K_g @ theirs.R_g))

@@ -45,7 +45,7 @@ def test_each_reference_page_in_the_contents_is_made(tmp_path: Path) -> None:
 def test_the_reference_of_commands_has_every_option_and_example() -> None:
     text = "\n".join(reference().commands())
     assert "## accelcal calibrate" in text and "## accelcal evaluate segments" in text
-    assert "| `--unit [g|mg|m/s2|counts]` |" in text.replace("\\|", "|")
+    assert "| `--unit g|mg|m/s2|counts` |" in text.replace("\\|", "|")
     assert "\naccelcal calibrate recording.cwa\n" in text
 
 
@@ -76,7 +76,7 @@ READERS = {
     "reviewer: validation": (["docs/evaluation.md#real-recordings"], "mg"),
     "reviewer: other tools": (["docs/compared.md"], "GGIR"),
     "contributor: build and layers": (["CONTRIBUTING.md", "docs/architecture.md"], "cli"),
-    "anyone: what an upgrade changes": (["CHANGELOG.md", "docs/study.md#upgrading"], "--keep-older"),
+    "anyone: what an upgrade changes": (["CHANGELOG.md", "docs/study.md#upgrading"], "made again"),
 }
 """Links from README to the answer of each reader, and words of the answer."""
 

@@ -11,8 +11,9 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli.help import GROUPS
+from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.main import cli as accelcal
+from accelcal_cli.output.report_reading import report_schema
 
 ROOT = Path(__file__).resolve().parent.parent
 Node = Mapping[str, Any]
@@ -59,7 +60,7 @@ What each function does and when to use it is described in [From Python](../pyth
 
 def commands() -> Iterator[str]:
     """Yield the page of all commands."""
-    yield "# Commands\n\nEvery command with its options, as `accelcal COMMAND --help` shows them.\n"
+    yield "# Commands\n\nEvery command with its options, as `accelcal COMMAND --help-all` shows them.\n"
     context = click.Context(accelcal, info_name="accelcal")
     for name in accelcal.list_commands(context):
         command = accelcal.get_command(context, name)
@@ -85,21 +86,11 @@ def _command(command: click.Command, context: click.Context) -> Iterator[str]:
             if part is not None:
                 yield from _command(part, click.Context(part, info_name=name, parent=context))
         return
-    records = {
-        one.name: record
-        for one in command.get_params(context)
-        if isinstance(one, click.Option)
-        and "--help" not in one.opts
-        and (record := one.get_help_record(context))
-    }
-    grouped = {name for names in GROUPS.values() for name in names}
-    own = tuple(name for name in records if name not in grouped)
-    for title, names in {"Options": own, **GROUPS}.items():
-        rows = [records[name] for name in names if name in records]
-        if rows:
-            yield f"**{title}**\n\n| option | meaning |\n|---|---|"
-            yield from (f"| `{option}` | {_cell(text)} |" for option, text in rows)
-            yield ""
+    assert isinstance(command, Command)
+    for title, rows in command.sections(context, everything=True):
+        yield f"**{title}**\n\n| option | meaning |\n|---|---|"
+        yield from (f"| `{option}` | {_cell(text)} |" for option, text in rows)
+        yield ""
 
 
 def _text(text: str | None) -> str:
@@ -123,9 +114,7 @@ def files() -> Iterator[str]:
         "[What accelcal writes](../outputs.md) explains them in context.\n"
     )
     for title, name in (("NAME.calibration.json", "report"), ("NAME.quality.json", "quality")):
-        schema = json.loads(
-            resources.files("accelcal_cli.output").joinpath(f"{name}.schema.json").read_text("utf-8")
-        )
+        schema = report_schema() if name == "report" else _schema_of_quality()
         yield f"## `{title}`\n\n{_cell(schema.get('description', ''))}\n"
         for key, node in schema["properties"].items():
             yield f"### `{key}` ({name})\n\n{_sentence(node)}\n"
@@ -137,113 +126,18 @@ def files() -> Iterator[str]:
     yield from _study()
 
 
+def _schema_of_quality() -> Any:
+    return json.loads(
+        resources.files("accelcal_cli.output").joinpath("quality.schema.json").read_text("utf-8")
+    )
+
+
 def _study() -> Iterator[str]:
-    summary = import_module("accelcal_cli.studies.summary")
-    yield "## `study.csv` and `study.parquet`\n\n| column | meaning |\n|---|---|"
-    yield from (f"| `{column}` | {_cell(meaning_of(column))} |" for column in summary.COLUMNS)
-
-
-def meaning_of(column: str) -> str:
-    """Return the meaning of a column of a study's table; raises KeyError for one that is not described."""
-    if column.startswith("se_"):
-        return f"standard error of {column[3:]}"
-    if found := re.fullmatch(r"(k_[xyz]{2}|offset_[xyz]_g|slope_[xyz]_g_per_c)", column):
-        kinds = {"k": "entry of the gain matrix", "o": "offset [g]"}
-        kinds["s"] = "slope of the offset [g per degree C]"
-        return kinds[found[1][0]]
-    if found := re.fullmatch(r"(min|max)_([xyz])_g", column):
-        return f"{'lowest' if found[1] == 'min' else 'highest'} point on {found[2]} [g]"
-    if found := re.fullmatch(r"(enmo|mad|mvpa)_(low|high)_(mg|min)", column):
-        return f"{found[2]}er end of the 95 % interval of {found[1].upper()}"
-    return COLUMNS[column]
-
-
-COLUMNS = {
-    "path": "the recording, relative to the study's folder",
-    "use": "yes, with care, or no",
-    "why": "why not, or why with care",
-    "calibration_error_mg": "calibration error over all orientations [mg]",
-    "calibration_error_low_mg": "lower end of its 95 % interval",
-    "calibration_error_high_mg": "upper end of its 95 % interval",
-    "calibration_error_worst_mg": "the same error in the worst direction",
-    "calibration_error_before_mg": "error over all orientations before calibration [mg]",
-    "wear_hours": "hours in which the device was worn",
-    "filled_percent": "share of samples that the device filled without measuring [%]",
-    "device_serial": "serial number of the device",
-    "device_model": "model of the device",
-    "device_firmware": "version of its firmware",
-    "start_time": "time of the first sample by the device clock",
-    "decided_by": "the person who decided on its use",
-    "decided_at": "when that was decided",
-    "note": "remark of that person",
-    "result": "name of the result, by which a decision knows it",
-    "sensor": "the value of `--sensor`, if the file holds several recordings",
-    "outcome": "calibrated, provisional, reduced_model, already_good, borrowed, refused or failed",
-    "exit_code": "exit code that `calibrate` would have",
-    "reason": "code of the reason for the outcome",
-    "cautions": "codes of all cautions",
-    "message": "the reason in sentences",
-    "model": "model that was fitted",
-    "copy_of": "the recording with the same bytes that counts",
-    "borrowed_from": "the recording whose coefficients are used",
-    "pool": "report of the pool",
-    "pool_recordings": "number of recordings in the pool",
-    "windows_before_mg": "error of its own still windows before the pool's coefficients [mg]",
-    "windows_after_mg": "the same after them [mg]",
-    "own_outcome": "outcome of its own calibration, where another one took its place",
-    "own_message": "reason of its own calibration",
-    "own_after_mg": "held-out error of its own calibration [mg]",
-    "prior": "prior that was used",
-    "before_mg": "|r - 1| of held-out orientations before calibration [mg]",
-    "after_mg": "the same after calibration [mg]",
-    "ci95_low_mg": "lower end of the 95 % interval of after_mg",
-    "ci95_high_mg": "upper end of the 95 % interval of after_mg",
-    "improvement_percent": "error before in percent of the error after, so that 100 means no change",
-    "improvement_factor": "how many times smaller the held-out error became",
-    "improvement_factor_low": "lower end of its 95 % interval",
-    "improvement_factor_high": "upper end of its 95 % interval",
-    "postures": "number of orientations that were held out",
-    "points": "number of points that were held out",
-    "change": "change of the sensor during the recording",
-    "change_at": "when it changed",
-    "change_mg": "size of the change [mg]",
-    "misfits": "sensor errors outside the model that were found",
-    "gyroscope": "outcome of the gyroscope's calibration",
-    "gyro_before_deg": "error of gravity's direction after held-out turns, raw [degrees]",
-    "gyro_after_deg": "the same, calibrated [degrees]",
-    "gyro_pairs": "number of turns",
-    "enmo_raw_mg": "mean ENMO of the raw values [mg]",
-    "enmo_mg": "mean ENMO of the calibrated values [mg]",
-    "enmo_differs_mg": "mean difference of ENMO by epoch [mg]",
-    "mad_mg": "mean MAD, calibrated [mg]",
-    "mvpa_raw_min": "minutes of moderate to vigorous activity, raw",
-    "mvpa_min": "the same, calibrated",
-    "inactive_raw_min": "minutes of inactivity, raw",
-    "inactive_min": "the same, calibrated",
-    "format": "format of the file",
-    "time_zone": "what `time` in the Parquet file is in: UTC or unknown",
-    "duration_s": "length [s]",
-    "rate_hz": "sampling rate [Hz]",
-    "rate_hz_measured": "sampling rate by the time stamps [Hz]",
-    "lsb_per_g": "counts per g",
-    "range_g": "range of the sensor [g]",
-    "samples": "number of samples",
-    "gaps": "number of gaps",
-    "filled_samples": "samples that the device filled",
-    "clipped_samples_before": "raw samples at the end of the range",
-    "clipped_samples_after": "calibrated samples beyond the range",
-    "problems": "number of problems found in the file",
-    "cells": "number of points of the fit",
-    "condition_number": "condition number of the fit",
-    "reference_c": "temperature at which the offsets hold [degrees C]",
-    "lost_percent": "share of the file that is damaged or missing [%]",
-    "bytes": "size of the file",
-    "sha256": "SHA-256 of the file",
-    "accelcal_version": "version that made the result",
-    "parquet": "file of the calibrated values",
-    "report": "file of the report",
-}
-"""Meanings of the columns of a study's table that follow no pattern."""
+    columns = import_module("accelcal_cli.studies.columns")
+    for file, names in (("study.csv", columns.READ), ("study.parquet", columns.NAMES)):
+        yield f"## `{file}`\n\n| column | meaning |\n|---|---|"
+        yield from (f"| `{name}` | {_cell(columns.meaning_of(name))} |" for name in names)
+        yield ""
 
 
 def _sentence(node: Node) -> str:

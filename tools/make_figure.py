@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -95,22 +92,24 @@ def step(raw: pd.DataFrame) -> None:
     save(figure, "step.png")
 
 
-def enmo() -> None:
+def enmo(raw: pd.DataFrame) -> None:
     """Draw ENMO of the sample recording's epochs, raw and calibrated."""
-    with tempfile.TemporaryDirectory() as folder:
-        table = Path(folder, "epochs.csv")
-        words = ["effect", str(SAMPLE), "--epochs", str(table), "-q", "--json"]
-        subprocess.run([sys.executable, "-m", "accelcal_cli", *words], check=True, stdout=subprocess.DEVNULL)
-        rows = pd.read_csv(table)
-    hours = np.arange(len(rows)) * WINDOW_S / 3600
-    means = [rows[f"enmo_mg_{which}"].mean() for which in ("raw", "calibrated")]
-    figure, axes = two_panels(
-        (f"raw: {means[0]:.0f} mg on average", f"calibrated: {means[1]:.1f} mg on average"), "ENMO [mg]"
-    )
-    for axis, which, colour in zip(axes, ("raw", "calibrated"), ("tab:red", "tab:blue"), strict=True):
-        axis.plot(hours, rows[f"enmo_mg_{which}"], linewidth=0.8, color=colour)
+    both = [epochs_mg(table) for table in (raw, accelcal.calibrate(SAMPLE).to_pandas())]
+    hours = np.arange(len(both[0])) * WINDOW_S / 3600
+    before, after = (values.mean() for values in both)
+    titles = f"raw: {before:.0f} mg on average", f"calibrated: {after:.1f} mg on average"
+    figure, axes = two_panels(titles, "ENMO [mg]")
+    for axis, values, colour in zip(axes, both, ("tab:red", "tab:blue"), strict=True):
+        axis.plot(hours, values, linewidth=0.8, color=colour)
     axes[0].set_ylim(0, 150)
     save(figure, "enmo.png")
+
+
+def epochs_mg(table: pd.DataFrame) -> np.ndarray:
+    """Return ENMO [mg] of each window of a table of even rate."""
+    rows = WINDOW_S * RATE_HZ
+    over = np.maximum(np.linalg.norm(table[["x", "y", "z"]].to_numpy(np.float64), axis=1) - 1, 0)
+    return 1000 * over[: len(over) // rows * rows].reshape(-1, rows).mean(axis=1)
 
 
 def main() -> None:
@@ -118,7 +117,7 @@ def main() -> None:
     raw = accelcal.read(SAMPLE).to_pandas()
     before_after(raw)
     step(raw)
-    enmo()
+    enmo(raw)
 
 
 if __name__ == "__main__":

@@ -77,7 +77,7 @@ def made(head: str, title: str, kind: Any, names: Iterable[str], priors: tuple[s
 
 def entry(kind: Any, field: str, declared: Setting, option: Option, priors: tuple[str, ...]) -> str:
     """Return one key with its type, and with help, unit, default and bounds as its text."""
-    keyword = option.name.removeprefix("--").replace("-", "_")
+    keyword = option.keyword
     choices = priors if field == "prior" and priors else declared.choices
     of_field = kind.__dataclass_fields__[field]
     plain = str(of_field.type).removesuffix(" | None")

@@ -26,7 +26,7 @@ from accelcal_cli.pipeline.registry import apply as apply_best
     cls=Command,
     examples=(
         "apply --coefficients good.calibration.json night.cwa # a recording of the same device",
-        "apply --coefficients good.calibration.json nights/*.gt3x -d calibrated # several recordings",
+        "apply --coefficients march.calibration.json june.cwa --report-only # do they still fit?",
     ),
 )
 @options.place_options
@@ -36,18 +36,20 @@ from accelcal_cli.pipeline.registry import apply as apply_best
               help="Registry from `accelcal devices`, whose best calibration is applied.")  # fmt: skip
 @click.option("--any-device", is_flag=True, help="Accept recordings of any device.")
 @click.option("--no-temperature", is_flag=True, help="Use the coefficients at their reference temperature.")
+@options.measuring_options
 @options.printing_options
 @options.reading_options
 @options.parts_option
-@options.limit_options
+@options.error_option
 @options.gravity_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Apply known coefficients to each RECORDING; `-` reads standard input.
 
     The coefficients come from a report of this recording or of another one of the same device. With
     --registry they are those with the smallest expected error among the device's calibrations in FILE.json.
-    Writes NAME.calibrated.parquet and NAME.calibration.json, and prints the same line as `calibrate`. The
-    errors are measured on the recording's own still windows.
+    Writes NAME.calibrated.parquet, NAME.calibration.json and NAME.quality.json (error by hour), and prints
+    the same line as `calibrate`. The errors are measured on the recording's own still windows; a caution says
+    from when on the coefficients do not fit.
     """
     jobs = plan(list(recordings), values["output_dir"], values["output"])
     if (values["coefficients"] is None) == (values["registry"] is None):
@@ -61,6 +63,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         joined=values["parts"],
         settings=replace(with_values(DEFAULT, values), temperature=not values["no_temperature"]),
         chunk_samples=values["chunk_samples"],
+        report_only=values["report_only"],
+        effect=values["effect"],
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),
         coefficients=read_coefficients(path) if given else None,

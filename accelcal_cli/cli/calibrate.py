@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli.help import Command
+from accelcal_cli.cli.help import Command, Rare
 from accelcal_cli.cli.options import (
     FILE,
     calibrating_options,
@@ -40,18 +40,19 @@ MOST_DRAWS = 100_000
 @parts_option
 @click.option(
     "--windows",
+    cls=Rare,
     type=FILE,
     help="Also write a table of all still windows, and whether each was used, to this .parquet or .csv file.",
 )
-@click.option("--draws", type=click.IntRange(1, MOST_DRAWS), metavar="N",
+@click.option("--draws", cls=Rare, type=click.IntRange(1, MOST_DRAWS), metavar="N",
               help="Also write N plausible sets of coefficients to NAME.draws.json.")  # fmt: skip
-@click.option("--html", is_flag=True, help="Also write the report as an HTML page.")
+@click.option("--html", is_flag=True, help="Also write a page.")
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate each RECORDING; `-` reads standard input.
 
     For NAME.cwa, writes NAME.calibrated.parquet (data), NAME.calibration.json (report) and NAME.quality.json
     (error by hour) next to it. At a terminal, prints one sentence per recording; in a pipe or with --tsv,
-    tab-separated fields.
+    tab-separated fields. Exit code: 0 usable, 1 some not, 3 unreadable, 4 refused, 5 not written.
     """
     from accelcal_cli.pipeline.registry import calibrate  # it takes longer to load than to show --help
 

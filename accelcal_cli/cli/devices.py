@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import fields
+from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.help import Command
+from accelcal_cli.cli.help import Command, Named, NameValue
 from accelcal_cli.cli.options import FILE, Positive, Within
 from accelcal_cli.cli.output import aligned, refuse_both
 from accelcal_cli.core.errors import UsageError, counted, printable
@@ -142,18 +141,17 @@ LIMITS = {
     "damaged_percent": "Limit for the share of recordings that lost bytes to damage.",
     "least_days": "Shortest time span, in days, over which a drift is estimated.",
 }
-"""Help of the options that set the limits of the rules."""
+"""Limits of the rules, and what each means."""
 
 
-def limits(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add an option for each limit."""
-    for name, text in reversed(LIMITS.items()):
-        option = f"--{name.replace('_', '-')}"
-        default = getattr(Rules(), name)
-        command = click.option(
-            option, name, type=Positive(), default=default, show_default=True, metavar="N", help=text
-        )(command)
-    return command
+def known_rules() -> dict[str, Named]:
+    """Return the numbers of the rules that can be set, by name."""
+    limits = {
+        name: Named("N", f"{text}  [default: {getattr(Rules(), name):g}]", Positive())
+        for name, text in LIMITS.items()
+    }
+    text = "Temperature at which offsets are compared.  [default: the median of each device's recordings]"
+    return limits | {"reference_c": Named("C", text, Within(-100, 200))}
 
 
 @click.command(
@@ -169,13 +167,10 @@ def limits(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print one CSV table with a row for each recording.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing on stderr.")
-@limits
+@click.option("--rule", "rules", type=NameValue(known_rules), multiple=True,
+              help="Set a number of the rules (--help-all lists them).")  # fmt: skip
 @click.option("--registry", type=FILE, metavar="FILE.json",
               help="Add the good calibrations to this registry, which is made if it is missing.")  # fmt: skip
-@click.option(
-    "--reference-c", type=Within(-100, 200), metavar="C",
-    help="Temperature at which offsets are compared.  [default: the median of each device's recordings]",
-)  # fmt: skip
 def command(out: Path, **values: Any) -> int:
     """Show how the devices of a study drift, which of them need service, and why.
 
@@ -192,8 +187,7 @@ def command(out: Path, **values: Any) -> int:
         exit_codes.say(added(out, values["registry"]))
         if is_registry(out):
             return exit_codes.OK
-    rules = Rules(**{field.name: values[field.name] for field in fields(Rules)})
-    reviewed = review(out, rules, time.time())
+    reviewed = review(out, Rules(**dict(values["rules"])), time.time())
     devices = _chosen(reviewed, values["device"], out)
     exit_codes.show(_shown(reviewed, devices, values))
     if not values["quiet"]:

@@ -31,7 +31,6 @@ from accelcal_cli.core.system import clear_alarm, ending_signals, set_alarm
 
 OK = 0
 SOME_FAILED = 1
-DEGRADED = 1
 REFUSED = 4
 BUG = 70
 NO_MEMORY = 71

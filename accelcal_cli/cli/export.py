@@ -11,7 +11,7 @@ import click
 
 from accelcal_cli.cli import options
 from accelcal_cli.cli.exit_codes import OK, SOME_FAILED, of_all, of_failure, say, show
-from accelcal_cli.cli.help import Command
+from accelcal_cli.cli.help import AnyType, Command
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.door import is_folder
 from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
@@ -36,7 +36,7 @@ VALUES = ("gzip", "jobs", "resample", "smooth", "measured_only")
 """Options that not every form has."""
 
 
-class Width(options.AnyType):
+class Width(AnyType):
     """Option type: a number of samples, or `auto`, which is 0."""
 
     name = "samples"

@@ -14,7 +14,7 @@ from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import FILE, error_option, fitting_options, strict_option
 from accelcal_cli.cli.output import say_refused, show_result
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.output.report_view import report_view
+from accelcal_cli.output.sections import report_view
 from accelcal_cli.pipeline.jobs import JSON, refuse_misnamed, refuse_nameless, refuse_overwriting
 from accelcal_cli.pipeline.options import fit_settings
 from accelcal_cli.pipeline.outputs import refuse_report_of_another, save_report, with_provenance

@@ -46,7 +46,7 @@ CLOCKS_S_PER_DAY = 86.4
 @options.reading_options
 @options.config_option
 @options.parts_option
-@options.limit_options
+@options.error_option
 @options.strict_option
 @options.method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:

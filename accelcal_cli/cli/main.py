@@ -19,7 +19,7 @@ from accelcal_cli.core.system import (
     keep_freed_memory,
     take_over_process,
 )
-from accelcal_cli.core.version import build_version
+from accelcal_cli.core.version import __version__
 
 
 class LazyGroup(click.Group):
@@ -31,12 +31,14 @@ class LazyGroup(click.Group):
         parts: dict[str, str],
         modules: str,
         sections: dict[str, tuple[str, ...]] | None = None,
+        gone: dict[str, str] | None = None,
         **more: Any,
     ) -> None:
         """Bind `command` of the module whose name is `modules` and the part's, `_` for each hyphen."""
         super().__init__(*words, **more)
         self.sections = sections or {"Commands": tuple(parts)}
         self.parts = parts
+        self.gone = gone or {}
         self.modules = modules
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -54,7 +56,9 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find a command; one that does not exist may be a slip."""
+        """Find a command; one that does not exist may be gone, or a slip."""
+        if args[0] in self.gone:
+            ctx.fail(f"`{args[0]}` is now {self.gone[args[0]]}")
         if args[0] not in self.parts and (meant := similar_words(args[0], self.parts, 3)):
             ctx.fail(f"No such command {args[0]!r}. Did you mean {' or '.join(map(repr, meant))}?")
         return super().resolve_command(ctx, args)
@@ -77,15 +81,13 @@ class LazyGroup(click.Group):
 COMMANDS = {
     "calibrate": "Calibrate recordings; write calibrated data and a report for each.",
     "inspect": "Show the contents of a recording and predict its outcome.",
-    "apply": "Apply known coefficients to recordings of the same device.",
+    "apply": "Apply known coefficients to recordings of the same device; check whether they fit.",
     "fit": "Calibrate from still-window means found by another tool, such as GGIR.",
     "six-pose": "Calibrate from a six-position session: the device lies on each of its sides.",
     "watch": "Calibrate a recording while it grows.",
     "study": "Calibrate a folder of recordings, in parallel; resume an interrupted run.",
     "devices": "Show how the devices of a study drift, and which to service.",
     "report": "Create HTML pages with figures from reports or from a whole study.",
-    "quality": "Check, hour by hour, whether a calibration still fits a recording.",
-    "effect": "Show how a calibration changes measures of activity.",
     "verify": "Reproduce a report from its recording, bit for bit.",
     "export": "Export coefficients or calibrated data to GGIR, actipy, omconvert and others.",
     "evaluate": "Compare methods and stillness rules; reproduce the published tables.",
@@ -97,11 +99,17 @@ COMMANDS = {
 SECTIONS = {
     "Calibrate": ("calibrate", "inspect", "apply", "fit", "six-pose", "watch"),
     "Studies": ("study", "devices", "report"),
-    "Check": ("quality", "effect", "verify"),
+    "Check": ("verify",),
     "Export": ("export",),
     "Laboratory": ("evaluate", "simulate", "gravity"),
 }
 """Commands by purpose, the commonest first."""
+
+GONE = {
+    "effect": "accelcal calibrate RECORDING --effect --report-only (key `effect` of the report)",
+    "quality": "accelcal apply --coefficients NAME.calibration.json RECORDING --report-only",
+}
+"""What to type in place of commands that are gone."""
 
 
 FIRST_STEPS = """\
@@ -119,7 +127,7 @@ Options and examples of a command: accelcal calibrate --help"""
 def _show_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> None:
     """Print the version with its commit and end; a build or a checkout is asked for it only then."""
     if asked and not ctx.resilient_parsing:
-        click.echo(f"accelcal, version {build_version()}")
+        click.echo(f"accelcal, version {__version__}")
         ctx.exit()
 
 
@@ -128,6 +136,7 @@ def _show_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> 
     parts=COMMANDS,
     modules="accelcal_cli.cli.",
     sections=SECTIONS,
+    gone=GONE,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

@@ -6,7 +6,8 @@ The options of settings are made from what core/settings.py declares of each: na
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from functools import wraps
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -15,25 +16,33 @@ import click
 from click.shell_completion import CompletionItem
 
 from accelcal_cli.cli.exit_codes import say
+from accelcal_cli.cli.help import AnyType, Named, NameValue, Rare
 from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import UsageError, counted, did_you_mean
-from accelcal_cli.core.formats import ReadOptions, three_names
+from accelcal_cli.core.formats import ReadOptions, reading_option, three_names
 from accelcal_cli.core.input_files import may_be_archive, pattern_of
 from accelcal_cli.core.settings import LEARNT_PRIORS, Option, Setting, Settings, setting_of
 from accelcal_cli.formats import all_encoders, all_formats
 from accelcal_cli.optimize import all_optimizers
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, Request, real
-from accelcal_cli.pipeline.options import FolderRules, chosen_settings, folder_rules, read_options, read_rules
+from accelcal_cli.pipeline.options import (
+    FolderRules,
+    chosen_settings,
+    folder_rules,
+    named_fields,
+    named_values,
+    read_options,
+    read_rules,
+)
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 if TYPE_CHECKING:
     from accelcal_cli.output.registry import RegistryEntry
 
-    AnyType = click.ParamType[Any]
     AnyChoice = click.Choice[Any]
 else:  # older versions of click know no kinds of these
-    AnyType, AnyChoice = click.ParamType, click.Choice
+    AnyChoice = click.Choice
 
 
 LARGEST_SHOWN = 400.0
@@ -185,21 +194,26 @@ class Listed(AnyType):
 FILE = click.Path(path_type=Path, readable=False)
 
 
-def setting_option(kind: type, name: str, **words: Any) -> Callable[[Command], Command]:
+def setting_option(
+    kind: type, name: str, *, rare: bool | None = None, **words: Any
+) -> Callable[[Command], Command]:
     """Return the option that sets a field of a record; its value is None if it is not given.
 
     Args:
+        rare: whether only `--help-all` shows it; None: as the field's metadata say.
         words: arguments of click.option that override those from the field's metadata.
     """
     declared, default = setting_of(kind, name), kind.__dataclass_fields__[name].default  # type: ignore[attr-defined]
     option = declared.option
     assert option is not None
+    given: dict[str, Any] = {"cls": Rare if rare or (rare is None and option.rare) else None}
     if isinstance(default, bool):
-        return click.option(option.name, is_flag=True, help=option.help)
+        return click.option(option.name, is_flag=True, help=option.help, **given)
     shown = option.default or (f"{default:g}" if isinstance(default, float) else default)
     text = option.help if shown is None else f"{option.help}  [default: {shown}]"
     kind_of = _type_of(declared, option, whole=isinstance(default, int))
-    given = {"type": kind_of, "metavar": option.metavar, "help": text} | words
+    metavar = option.metavar or "|".join(declared.choices) or None
+    given |= {"type": kind_of, "metavar": metavar, "help": text} | words
     return click.option(option.name, name, **given)
 
 
@@ -214,8 +228,44 @@ def _type_of(declared: Setting, option: Option, *, whole: bool) -> AnyType | Non
     return None if low is None else Within(low, high)
 
 
-def _settings_options(*names: str) -> list[Callable[[Any], Any]]:
-    return [setting_option(Settings, name) for name in names]
+def _settings_options(*names: str, rare: bool | None = None) -> list[Callable[[Any], Any]]:
+    return [setting_option(Settings, name, rare=rare) for name in names]
+
+
+def _named_option(*fields: str, what: str = "Any other reading option") -> Callable[[Command], Command]:
+    """Return the option `-R NAME=VALUE`, whose values the command gets with those of its other options.
+
+    Args:
+        fields: of `Settings` that are given so.
+        what: which options these are, for the help.
+    """
+
+    def known() -> dict[str, Named]:
+        return {name: _named(*where) for name, where in named_fields(*fields).items()}
+
+    option = click.option(
+        "-R", "named", type=NameValue(known), multiple=True,
+        help=f"{what} (--help-all lists them).",
+    )  # fmt: skip
+
+    def decorator(command: Command) -> Command:
+        @wraps(command)
+        def with_named(*words: Any, named: Sequence[tuple[str, str]], **values: Any) -> Any:
+            return command(*words, **named_values(named, values, *fields))
+
+        return option(with_named)  # type: ignore[return-value]
+
+    return decorator
+
+
+def _named(kind: type, name: str) -> Named:
+    """Return how the help shows an option that is given by name."""
+    declared = setting_of(kind, name)
+    assert declared.option is not None
+    switch = isinstance(kind.__dataclass_fields__[name].default, bool)  # type: ignore[attr-defined]
+    kind_of = getattr(_READ_TYPES.get(name), "name", "").upper() or "N"
+    form = "true" if switch else "|".join(declared.choices) or declared.option.metavar or kind_of
+    return Named(form, declared.option.help)
 
 
 _READ_TYPES: dict[str, Any] = {
@@ -223,6 +273,9 @@ _READ_TYPES: dict[str, Any] = {
     "timezone": Name(_zones),
 }  # fmt: skip
 """Option types of reading options that their Settings do not state."""
+
+DAMAGE = ("max_damage_percent",)
+"""Settings that are given by name, as the rarer reading options are."""
 
 OWN_PRIORS = tuple(name for name in setting_of(Settings, "prior").choices if name not in LEARNT_PRIORS)
 """Priors that need no other recordings."""
@@ -235,52 +288,70 @@ _PLACES = [
 ]
 
 _PRINTING = [
-    click.option("--json", "as_json", is_flag=True, help="Print the reports as JSON, one object per line."),
-    click.option("--tsv", is_flag=True,
-                 help="Print tab-separated fields, even at a terminal."),
-    click.option("--force", is_flag=True,
-                 help="Redo outputs that are up to date; overwrite files that accelcal did not write."),
-    click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr."),
-    click.option("-v", "--verbose", is_flag=True, help="Print more on stderr."),
-]  # fmt: skip
+    click.option("--json", "as_json", is_flag=True, help="Print the reports, one JSON object a line."),
+    click.option("--tsv", is_flag=True, help="Print tab-separated fields at a terminal too."),
+    click.option("--force", is_flag=True, help="Redo what is up to date; overwrite foreign files."),
+    click.option("-q", "--quiet", is_flag=True, help="Say less: only errors."),
+    click.option("-v", "--verbose", is_flag=True, help="Say more."),
+]
 
-_READING = [
-    setting_option(ReadOptions, name, **({"type": _READ_TYPES[name]} if name in _READ_TYPES else {}))
-    for name in ReadOptions.__dataclass_fields__
-]
-_METHOD = [
-    *_settings_options("profile", "min_distance_g", "min_subset_points", "max_subset_points", "stillness"),
-    setting_option(Settings, "stillness_axes", type=Axis()),
-    *_settings_options("segment_seconds", "stillness_threshold_g", "longest_gap_s"),
-]
-_FITTING = [setting_option(Settings, "optimizer", type=OPTIMIZER), *_settings_options("model", "temperature")]
-_PRIOR = setting_option(Settings, "prior", type=OwnPrior(OWN_PRIORS))
-_ANY_PRIOR = setting_option(Settings, "prior", help=(
-    "Prior knowledge used in the fit. population: typical sensors. study: other devices of the model in this "
-    "study. device: also the device's other recordings. none: no prior; fit only as many parameters as the "
-    "recording supports.  [default: population]"
-))  # fmt: skip
+
+def _reading(*, shown: Sequence[str] | None = None) -> list[Callable[[Any], Any]]:
+    """Return the options of reading.
+
+    Args:
+        shown: those that are not rare; None: all.
+    """
+    return [
+        setting_option(
+            ReadOptions,
+            name,
+            rare=shown is not None and name not in shown,
+            **({"type": _READ_TYPES[name]} if name in _READ_TYPES else {}),
+        )
+        for name in ReadOptions.__dataclass_fields__
+        if not reading_option(name).by_name
+    ]
+
+
+_METHOD_ONLY = ("min_distance_g", "min_subset_points", "max_subset_points", "stillness")
+_WINDOWS = ("segment_seconds", "stillness_threshold_g", "longest_gap_s")
+_OPTIMIZER = setting_option(Settings, "optimizer", type=OPTIMIZER)
+_PRIOR = setting_option(Settings, "prior", type=OwnPrior(OWN_PRIORS), metavar="|".join(OWN_PRIORS))
+_ANY_PRIOR = setting_option(
+    Settings,
+    "prior",
+    metavar="NAME",
+    help="none, population, study (learn from its other devices) or device (also from the same device).  "
+    "[default: population]",
+)
 _GRAVITY = _settings_options("latitude", "altitude_m")
 
+
+def _method(*, rare: bool | None = None) -> list[Callable[[Any], Any]]:
+    """Return the options of the method, except the prior."""
+    return [
+        *_settings_options("profile", rare=rare),
+        *_settings_options(*_METHOD_ONLY),
+        setting_option(Settings, "stillness_axes", type=Axis()),
+        *_settings_options(*_WINDOWS),
+        _OPTIMIZER,
+        *_settings_options("model", "temperature", rare=rare),
+    ]
+
+
 _CHUNK = click.option(
-    "--chunk-samples", type=click.IntRange(1), default=DEFAULT_CHUNK_SAMPLES, show_default=True,
+    "--chunk-samples", cls=Rare, type=click.IntRange(1), default=DEFAULT_CHUNK_SAMPLES, show_default=True,
     metavar="N",
     help="Samples held in memory at a time. The result does not depend on it.",
 )  # fmt: skip
-_REPORT_ONLY = click.option("--report-only", is_flag=True, help="Write reports only, no calibrated data.")
+_REPORT_ONLY = click.option("--report-only", is_flag=True, help="Write no calibrated data.")
 _KEEP_REFUSED = click.option(
-    "--keep-refused", is_flag=True,
-    help="Write the raw data of a refused recording to NAME.uncalibrated.parquet, marked as raw.",
-)  # fmt: skip
-_EFFECT = click.option(
-    "--effect",
-    is_flag=True,
-    help="Also report how the calibration changes ENMO, MAD, MVPA and other measures.",
+    "--keep-refused", is_flag=True, help="Write raw data of refused recordings, marked as raw."
 )
+_EFFECT = click.option("--effect", is_flag=True, help="Also report ENMO, MAD and MVPA, raw and calibrated.")
 _INTEGERS = click.option(
-    "--integers",
-    is_flag=True,
-    help="Also write the points and the result of each fit as fixed-point integers.",
+    "--integers", cls=Rare, is_flag=True, help="Also write points and fits as fixed-point integers."
 )
 
 
@@ -294,26 +365,36 @@ def _decorate(options: list[Callable[[Any], Any]]) -> Callable[[Command], Comman
 
 
 place_options = _decorate(_PLACES)
+measuring_options = _decorate([_REPORT_ONLY, _EFFECT])
 printing_options = _decorate(_PRINTING)
-reading_options = _decorate([*_READING, _CHUNK])
-stream_options = _decorate(_READING)
+stream_options = _decorate([*_reading(), _named_option(*DAMAGE)])
+reading_options = _decorate([*_reading(), _named_option(*DAMAGE), _CHUNK])
+study_reading_options = _decorate([*_reading(shown=("timezone", "sensor")), _named_option(*DAMAGE), _CHUNK])
 chunk_option = _decorate([_CHUNK])
-limit_options = _decorate(_settings_options("max_damage_percent", "max_error_mg"))
 error_option = _decorate(_settings_options("max_error_mg"))
 strict_option = _decorate(_settings_options("strict"))
 precision_option = _decorate(_settings_options("precision_mg"))
 gravity_options = _decorate(_GRAVITY)
-fitting_options = _decorate([*_FITTING, _PRIOR, *_GRAVITY])
-method_options = _decorate([*_METHOD, *_FITTING, _PRIOR, *_GRAVITY])
-study_method_options = _decorate([*_METHOD, *_FITTING, _ANY_PRIOR, *_GRAVITY])
+fitting_options = _decorate([_OPTIMIZER, *_settings_options("model", "temperature"), _PRIOR, *_GRAVITY])
+method_options = _decorate([*_method(), _PRIOR, *_GRAVITY])
+study_method_options = _decorate([*_method(rare=True), _ANY_PRIOR, *_GRAVITY])
 recalibrate_option = _decorate(_settings_options("recalibrate"))
-comparing_options = _decorate([*_METHOD, *_settings_options("model", "temperature"), *_GRAVITY])
-"""Options of a method, without the optimizer and the prior."""
+
+_BY_NAME = _named_option(
+    *("stillness_axes", *_METHOD_ONLY[:3], *_WINDOWS, "latitude", "altitude_m"),
+    what="Any other option of `calibrate` for reading and judging",
+)
+"""Settings of a method that the laboratory takes by name."""
+
+_COMPARED = _settings_options("profile", "stillness", "model", "temperature")
+laboratory_reading_options = _decorate([_named_option(), _CHUNK])
+comparing_options = _decorate([_BY_NAME, _CHUNK, *_COMPARED])
+laboratory_options = _decorate([_BY_NAME, _CHUNK, *_COMPARED, _OPTIMIZER, _PRIOR])
 
 
 registry_option = click.option(
-    "--registry", type=FILE, metavar="FILE.json",
-    help="Registry of devices (`accelcal devices`), for recordings that cannot be calibrated by themselves.",
+    "--registry", cls=Rare, type=FILE, metavar="FILE.json",
+    help="Registry of devices, for refused recordings.",
 )  # fmt: skip
 
 
@@ -325,16 +406,10 @@ def registry_of(values: dict[str, Any]) -> list[RegistryEntry] | None:
     return None if path is None else read_registry(path)
 
 
-config_option = click.option(
-    "--config", type=FILE, metavar="FILE.toml",
-    help="Set reading options by file name, as in a study.toml.",
-)  # fmt: skip
+config_option = click.option("--config", type=FILE, metavar="FILE.toml", help="Reading options by file name.")
 
 
-parts_option = click.option(
-    "--parts", is_flag=True,
-    help="Read the files in each RECORDING (a folder, or a quoted pattern) as parts of one recording.",
-)  # fmt: skip
+parts_option = click.option("--parts", is_flag=True, help="RECORDING is a folder of parts of one recording.")
 
 
 def recordings_of(recordings: tuple[Path, ...], values: dict[str, Any]) -> list[Path]:
@@ -377,19 +452,19 @@ def rules_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) ->
 
 def calibrating_options(command: Command) -> Command:
     """Add the options that `request_of` needs, and those of printing."""
-    return _calibrating(method_options(command))
+    return _calibrating(method_options(reading_options(command)))
 
 
 def study_options(command: Command) -> Command:
     """Add what `calibrating_options` does, with the priors that a study learns."""
-    return _calibrating(study_method_options(command))
+    return _calibrating(study_method_options(study_reading_options(command)))
 
 
 def _calibrating(command: Command) -> Command:
-    limits = (recalibrate_option, limit_options, strict_option)
-    for decorator in (*limits, registry_option, config_option, reading_options, printing_options):
+    limits = (recalibrate_option, error_option, strict_option)
+    for decorator in (*limits, registry_option, config_option, printing_options):
         command = decorator(command)
-    return _REPORT_ONLY(_KEEP_REFUSED(_INTEGERS(_EFFECT(command))))
+    return measuring_options(_KEEP_REFUSED(_INTEGERS(command)))
 
 
 def request_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) -> Request:

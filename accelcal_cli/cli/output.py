@@ -16,9 +16,9 @@ from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printab
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output import words
-from accelcal_cli.output.advice import LIMIT_MG, RAW_SETTLED, advice, cautions, doubts
+from accelcal_cli.output.advice import LIMIT_MG, RAW_SETTLED, doubts
 from accelcal_cli.output.numbers import formatted, mg, percent, times_smaller
-from accelcal_cli.output.report_view import ReportView, error_columns, factor_columns
+from accelcal_cli.output.sections import ReportView
 from accelcal_cli.output.words import outcome_words, parameters_of
 from accelcal_cli.pipeline.jobs import (
     PAGE_SUFFIX,
@@ -31,8 +31,12 @@ from accelcal_cli.pipeline.jobs import (
     no_progress,
     spooled,
 )
+from accelcal_cli.studies.columns import error_columns, factor_columns
 
-ALWAYS_SAID = ("cut_short", "nothing_checks_poses", "roll_alone_checks_poses", "worse_here", "much_left")
+ALWAYS_SAID = (
+    *("cut_short", "nothing_checks_poses", "roll_alone_checks_poses"),
+    *("worse_here", "much_left", "no_longer_fits"),
+)
 """Codes of cautions that even a quiet run prints."""
 
 
@@ -68,7 +72,7 @@ def show_result(
         low, high = holdout.ci95_mg
         row |= {"after_mg": holdout.after_mg.mean, "ci95_low_mg": low, "ci95_high_mg": high}
         row |= {"improvement_percent": holdout.improvement_percent} | factor_columns(holdout)
-    row |= error_columns(report.error_everywhere if calibrated else None)
+    row |= error_columns(report.calibration_error_mg if calibrated else None)
     remarks = () if values.get("quiet", False) else _remarks(report)
     show_row(row, source, written, values, remarks, up_to_date=up_to_date)
 
@@ -76,8 +80,8 @@ def show_result(
 def _remarks(report: ReportView) -> tuple[str, ...]:
     """Return what to be aware of in a result, and what to do about a refusal."""
     if report.outcome == Outcome.REFUSED:
-        return tuple(f"What to do: {words.sentence(one)}" for one in advice(report))
-    return tuple(f"Caution: {words.sentence(one)}" for one in cautions(report))
+        return tuple(f"What to do: {words.sentence(one)}" for one in report.advice)
+    return tuple(f"Caution: {words.sentence(one)}" for one in report.cautions)
 
 
 def show_row(
@@ -347,7 +351,7 @@ def _in_all(code: str, stem: str, numbers: list[str]) -> str:
 
 def _grave(report: ReportView) -> list[Reason]:
     """Return what even a quiet run says against a result."""
-    return [one for one in cautions(report) if one.code in ALWAYS_SAID]
+    return [one for one in report.cautions if one.code in ALWAYS_SAID]
 
 
 def _caution(result: Result, values: dict[str, Any]) -> str | None:
@@ -361,7 +365,7 @@ def _why_refused(report: ReportView) -> str:
     """Return why a recording was refused, with grave cautions and the first two pieces of advice."""
     grave = _grave(report)
     cut = any(one.code == "cut_short" for one in grave)  # whose sentence has that advice
-    ways = [one for one in advice(report) if not (cut and one.code == "copy_again")]
+    ways = [one for one in report.advice if not (cut and one.code == "copy_again")]
     return " ".join([report.message, *map(words.sentence, [*grave, *ways[:2]])])
 
 

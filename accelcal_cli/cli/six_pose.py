@@ -47,7 +47,7 @@ from accelcal_cli.six_pose.run import session_of, six_pose
 @options.setting_option(PoseSettings, "longest_gap_s")
 @options.setting_option(PoseSettings, "face_degrees")
 @options.reading_options
-@options.limit_options
+@options.error_option
 @options.gravity_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate from a six-position session, in which the device lies on each of its six sides.

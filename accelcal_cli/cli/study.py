@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import sys
 from collections.abc import Iterator, Sequence
@@ -14,12 +15,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.help import Command
+from accelcal_cli.cli.help import Command, Rare
 from accelcal_cli.cli.options import (
     FILE,
     OneOf,
     Positive,
-    Within,
     precision_option,
     request_of,
     study_options,
@@ -34,12 +34,12 @@ from accelcal_cli.output.words import clause, sentence
 from accelcal_cli.pipeline.jobs import refuse_dash
 from accelcal_cli.pipeline.options import json_value
 from accelcal_cli.studies.discovery import Where
-from accelcal_cli.studies.lock import LEAST_SILENCE_S
 from accelcal_cli.studies.records import FAILED, Item
 from accelcal_cli.studies.study import Study, shard, with_learnt_prior
 from accelcal_cli.studies.summary import Summary
 
 if TYPE_CHECKING:
+    from accelcal_cli.studies.study import ExecutorHolder
     from accelcal_cli.studies.task import TaskResult
 
 
@@ -138,55 +138,52 @@ class TerminalObserver:
     ),
 )
 @click.argument("folders", nargs=-1, required=True, type=FILE)
-@click.option("-d", "--output-dir", "out", type=FILE, required=True, help="Folder for the outputs.")
-@click.option("--include", multiple=True, metavar="GLOB", help="Process only these files, such as '*.cwa'.")
-@click.option("--exclude", multiple=True, metavar="GLOB", help="Skip these files, such as 'pilot/*'.")
+@click.option("-d", "--output-dir", "out", type=FILE, required=True, metavar="OUT",
+              help="Folder for the outputs.")  # fmt: skip
+@click.option("--include", multiple=True, metavar="GLOB", help="Only these files, such as '*.cwa'.")
+@click.option("--exclude", multiple=True, metavar="GLOB", help="Not these files, such as 'pilot/*'.")
 @click.option("-j", "--jobs", type=click.IntRange(1, 1024), metavar="N",
-              help="Number of workers.  [default: as many as CPUs and memory allow]")  # fmt: skip
+              help="Number of workers.  [default: by CPUs and memory]")  # fmt: skip
 @click.option("--timeout", type=Positive(1e6), metavar="MINUTES", help="Time limit for each recording.")
 @click.option("--settle", type=Positive(), metavar="SECONDS",
               help="Skip files modified within the last SECONDS.")  # fmt: skip
-@click.option("--newer-than", type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S"]), metavar="DATE",
+@click.option("--newer-than", cls=Rare, metavar="DATE",
+              type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S"]),
               help="Process only files modified since DATE.")  # fmt: skip
-@click.option("--retry-failed", is_flag=True, help="Retry recordings that failed, even if unchanged.")
-@click.option("--all-failures", is_flag=True,
-              help="With -q, also report failures and refusals from earlier runs.")  # fmt: skip
-@click.option("--html", is_flag=True, help="Create study.html and a page for each recording that changed.")
-@click.option("--decisions", type=FILE, metavar="FILE",
+@click.option("--retry-failed", is_flag=True, help="Try unchanged failed recordings again.")
+@click.option("--all-failures", is_flag=True, help="With -q, also those of earlier runs.")
+@click.option("--html", is_flag=True, help="Also write study.html and a page for each.")
+@click.option("--decisions", cls=Rare, type=FILE, metavar="FILE",
               help="Table of decisions on recordings.  [default: decisions.csv in OUT]")  # fmt: skip
-@click.option("--log", type=FILE, metavar="FILE", help="Add a log of this run to FILE.")
-@click.option("--keep-older", is_flag=True,
-              help="Keep results of earlier versions of accelcal with the same options.")  # fmt: skip
-@click.option("--prune", is_flag=True,
-              help="Remove results whose recording is gone (with --dry-run, only show them).")  # fmt: skip
-@click.option("--dry-run", is_flag=True, help="Show what would be done without doing it.")
-@click.option("--shard", metavar="I/N",
+@click.option("--log", type=FILE, metavar="FILE", help="Add a dated log of this run.")
+@click.option("--prune", is_flag=True, help="Remove results whose recording is gone.")
+@click.option("--dry-run", is_flag=True, help="Show what would be done, and why.")
+@click.option("--shard", cls=Rare, metavar="I/N",
               help="Process part I of N only; `slurm`: the part of this job array task.")  # fmt: skip
-@click.option("--takeover", type=Within(LEAST_SILENCE_S / 60, 1e4), metavar="MINUTES",
-              help="Take over if the run on another host has not responded for MINUTES.")  # fmt: skip
-@click.option("--unlock", is_flag=True,
-              help="Remove the lock of a run that you know to have ended, and do nothing else.")  # fmt: skip
-@click.option("--collect", is_flag=True, help="Merge the results of all shards.")
-@click.option("--dask", metavar="ADDRESS", help="Use the Dask cluster of this scheduler (or scheduler.json).")
+@click.option("--unlock", is_flag=True, help="Remove the lock of a run that has ended.")
+@click.option("--collect", cls=Rare, is_flag=True, help="Merge the results of all shards.")
+@click.option("--executor", cls=Rare, metavar="MODULE:CALLABLE",
+              help="Use the concurrent.futures executor that CALLABLE returns.")  # fmt: skip
 @click.option(
-    "--pool", type=OneOf(["device"]),
-    help="Calibrate all recordings of a device together, and apply the result to each of them.",
+    "--dask", cls=Rare, metavar="ADDRESS", help="Use the Dask cluster of this scheduler (or scheduler.json)."
+)
+@click.option(
+    "--pool", cls=Rare, type=OneOf(["device"]),
+    help="Calibrate the recordings of a device together.",
 )  # fmt: skip
 @click.option(
     "--borrow",
     is_flag=True,
-    help="If a recording cannot be calibrated well, use the coefficients of the recording of the same device "
-    "nearest in time, provided that they reduce the error on its own still periods.",
+    help="Use coefficients of the same device where needed.",
 )
 @precision_option
 @study_options
 def command(folders: tuple[Path, ...], **values: Any) -> int:
-    """Calibrate all recordings in each FOLDER and its subfolders, in parallel.
+    """Calibrate all recordings below each FOLDER into OUT, with study.csv (a row for each).
 
-    The outputs mirror the folder structure below the folder given with -d, where study.csv, study.parquet and
-    study.json are also written. A second run processes only what is new, changed or unfinished. One line is
-    printed for each recording, as by `calibrate`; with -q, only new failures and refusals are shown.
-    A run that was interrupted is resumed by the same command.
+    Run it again: only new, changed and unfinished recordings are processed. OUT/decisions.csv holds people's
+    decisions, FOLDER/study.toml reading options by file name. Prints a line for each recording, as
+    `calibrate` does; with -q, only new failures and refusals.
     """
     from accelcal_cli.studies.rounds import overlooked  # what runs a study takes longer to load than --help
 
@@ -210,12 +207,7 @@ def _run(study: Study, values: dict[str, Any]) -> int:
     """Carry out a study, and make its pages if they are wanted; returns the exit code."""
     from accelcal_cli.studies.run import run
 
-    if (
-        study.dask is None
-        and study.jobs is not None
-        and study.jobs > workers(study.jobs)
-        and not values["quiet"]
-    ):
+    if study.jobs is not None and study.jobs > workers(study.jobs) and not values["quiet"]:
         exit_codes.say(f"--jobs {study.jobs} is more than CPUs and memory allow ({workers(study.jobs)})")
     with contextlib.ExitStack() as stack:
         observer = TerminalObserver(values, stack)
@@ -273,19 +265,25 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         retry_failed=values["retry_failed"],
         shard=shard(values["shard"]),
         collect=values["collect"],
-        dask=values["dask"],
+        executor=_executor(values),
         pool=values["pool"] is not None,
         borrow=values["borrow"],
         prune=values["prune"],
         decisions=values["decisions"],
-        keep_older=values["keep_older"],
-        takeover_s=None if values["takeover"] is None else values["takeover"] * 60,
     )
-    study = with_learnt_prior(study)
-    if study.keep_older and study.replacing:
-        text = "--keep-older does not go with --pool, --borrow or a learnt --prior, which compare results"
-        raise UsageError(text, hint="omit one of them")
-    return study
+    return with_learnt_prior(study)
+
+
+def _executor(values: dict[str, Any]) -> ExecutorHolder | None:
+    """Return what holds the executor that the options name; None for processes of this machine."""
+    from accelcal_cli.studies.executors import dask_executor, named_executor
+
+    address, name = values["dask"], values["executor"]
+    if address is not None and name is not None:
+        raise UsageError("--dask and --executor both choose who does the work", hint="give one of them")
+    if name is not None:
+        return functools.partial(named_executor, name)
+    return None if address is None else functools.partial(dask_executor, address)
 
 
 def _seconds(moment: datetime | None) -> float | None:
@@ -325,7 +323,7 @@ def _preview(study: Study, values: dict[str, Any]) -> int:
 
 
 def _with_why(state: str, why: str | None) -> str:
-    """Return a state, for a recording that is calibrated again with the reason: `todo (made by 0.2.0)`."""
+    """Return a state, for a recording that is calibrated again with the reason: `todo (made by 1.0.0)`."""
     return f"{state} ({why})" if why and state == "todo" else state
 
 

@@ -50,7 +50,7 @@ KINDS = ("arrow", "csv")
               help="Form of the rows: Arrow IPC stream or CSV.  [default: csv for .csv and `-`]")  # fmt: skip
 @options.recalibrate_option
 @options.method_options
-@options.limit_options
+@options.error_option
 @options.precision_option
 @options.stream_options
 def command(recording: Path, **values: Any) -> int:

@@ -23,11 +23,8 @@ PARAMETER_NAMES = ("k_xx", "k_yy", "k_zz", "k_yx", "k_zx", "k_zy", "ox", "oy", "
 """K (lower triangular), offsets [g], temperature slopes of the offsets [g per degree C].
 
 k_RC is the entry of K in row R, column C: what multiplies C in the equation of R. F writes kxy for k_yx,
-kxz for k_zx, kyz for k_zy, and so did reports of schema version 1.
+kxz for k_zx, kyz for k_zy.
 """
-
-FIRST_NAMES = {f"k{column}{row}": f"k_{row}{column}" for row in "xyz" for column in "xyz"}
-"""Names of the entries of K by the names that F and reports of schema version 1 use."""
 
 UPPER_NAMES = ("k_xy", "k_xz", "k_yz")
 """Entries of K above its diagonal: only known orientations determine them."""

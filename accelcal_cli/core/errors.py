@@ -14,8 +14,10 @@ NO_BYTES = re.compile("[\ud800-\udc7f\udd00-\udfff]")
 """Halves of characters that stand for no byte of a file name; JSON text may hold them."""
 
 
-FORMULA = re.compile(r"[=@\uff1d\uff20\uff0b\uff0d\t\r\n]|[+-](?![0-9.eE+-]*$)")
-"""Beginnings of cells that spreadsheets would calculate or swallow; numbers are excluded."""
+FORMULA = re.compile(
+    r"[=@\uff1d\uff20\uff0b\uff0d\t\r\n]|[+-](?![0-9.eE+-]*$)|0[0-9]+$|[0-9]{16,}$|[0-9]+[eE][0-9]+$"
+)
+"""Cells that spreadsheets would calculate, swallow or show otherwise, such as 007; numbers are excluded."""
 
 ENVIRONMENT_ERRNOS = frozenset(
     getattr(errno, name)
@@ -52,7 +54,7 @@ def printable(path: Path | str, *, kept: str = "") -> str:
 
 
 def spreadsheet_cell(value: Any) -> Any:
-    """Return a value, with an apostrophe before a text that a spreadsheet would take for a formula."""
+    """Return a value, with an apostrophe before a text that a spreadsheet would calculate or change."""
     return f"'{value}" if isinstance(value, str) and FORMULA.match(value) else value
 
 

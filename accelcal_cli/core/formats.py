@@ -68,33 +68,35 @@ class ReadOptions:
 
     format: str | None = setting(
         None,
-        option=Option("--format", "Format of the recording.", "NAME", default="recognised by its content"),
+        option=Option("--format", "Format, if the content does not show it.", "NAME"),
     )
-    rate_hz: float | None = setting(None, 1e-3, 100_000, Option("--rate", "Sampling rate.", "HZ", above=0))
-    unit: str | None = setting(None, option=Option("--unit", "Unit of the raw values."), choices=UNIT_CHOICES)
+    rate_hz: float | None = setting(
+        None, 1e-3, 100_000, Option("--rate", "Sampling rate, if the file has no times.", "HZ", above=0)
+    )
+    unit: str | None = setting(
+        None, option=Option("--unit", "Unit, if the file does not state it."), choices=UNIT_CHOICES
+    )
     lsb_per_g: float | None = setting(None, 1e-9, 10**9, Option("--lsb-per-g", "Counts per g.", "N", above=0))
     zero: int | None = setting(
         None,
         -(2**30),
         2**30,
-        Option("--zero", "Count that means 0 g in a table, such as 512 for a 10-bit converter.", "N"),
+        Option("-R zero", "Count that means 0 g in a table, such as 512 for a 10-bit converter.", "N"),
     )
     columns: tuple[str, str, str] | None = setting(
         None,
-        option=Option(
-            "--columns", "Columns of x, y and z: names, or numbers from 0. One name, if it holds all three."
-        ),
+        option=Option("--columns", "Names of the columns, or numbers from 0."),
     )
-    time_column: str | None = setting(None, option=Option("--time-column", "Column of the times.", "NAME"))
+    time_column: str | None = setting(None, option=Option("-R time_column", "Column of the times.", "NAME"))
     date_format: str | None = setting(
         None,
-        option=Option("--date-format", "Order of day, month and year in dates such as 04/03/2024."),
+        option=Option("-R date_format", "Order of day, month and year in dates such as 04/03/2024."),
         choices=("dmy", "mdy", "ymd"),
     )
     time_format: str | None = setting(
         None,
         option=Option(
-            "--time-format",
+            "-R time_format",
             "Form of a table's times, in strptime codes: '%d/%m/%Y %H:%M:%S.%f'. Numbers: s, ms, us or ns.",
             "FORM",
         ),
@@ -103,50 +105,50 @@ class ReadOptions:
         None,
         option=Option(
             "--timezone",
-            "Time zone of the device's clock, if the file does not state one. Example: Europe/Berlin.",
+            "Time zone of its clock, such as Europe/Berlin.",
             "ZONE",
         ),
     )
     force_timezone: bool = setting(
-        False, option=Option("--force-timezone", "Use --timezone even if a file states another zone.")
+        False, option=Option("-R force_timezone", "Use --timezone even if a file states another zone.")
     )
     start: str | None = setting(
-        None, option=Option("--start", "Start time, for files that do not contain one.", "ISO")
+        None, option=Option("-R start", "Start time, for files that do not contain one.", "ISO")
     )
     shift_s: float | None = setting(
         None,
         -1e9,
         1e9,
-        Option("--shift", "Add SECONDS to all times, to correct a clock that was wrong.", "SECONDS"),
+        Option("-R shift", "Add SECONDS to all times, to correct a clock that was wrong.", "SECONDS"),
     )
     configured_zone: str | None = setting(
         None,
         option=Option(
-            "--configured-zone", "Time zone that the device's clock was set to (with --worn-zone).", "ZONE"
+            "-R configured_zone", "Time zone that the device's clock was set to (with worn_zone).", "ZONE"
         ),
     )
     worn_zone: str | None = setting(
         None,
         option=Option(
-            "--worn-zone",
+            "-R worn_zone",
             "Time zone where the device was worn, if it differs from the zone its clock was set to.",
             "ZONE",
         ),
     )
-    layout: Path | None = setting(None, option=Option("--layout", "Layout file (TOML) of a raw dump."))
+    layout: Path | None = setting(None, option=Option("--layout", "Layout of a raw dump.", "FILE.toml"))
     sensor: str | None = setting(
-        None, option=Option("--sensor", "Which sensor to read, if the file contains several.", "NAME")
+        None, option=Option("--sensor", "One of several sensors in the file.", "NAME")
     )
     gyro_columns: tuple[str, str, str] | None = setting(
-        None, option=Option("--gyro-columns", "Columns of the gyroscope's x, y and z.")
+        None, option=Option("-R gyro_columns", "Columns of the gyroscope's x, y and z.")
     )
     gyro_unit: str | None = setting(
         None,
-        option=Option("--gyro-unit", "Unit of the gyroscope; none: do not read it."),
+        option=Option("-R gyro_unit", "Unit of the gyroscope; none: do not read it."),
         choices=("deg/s", "rad/s", "none"),
     )
     lsb_per_dps: float | None = setting(
-        None, 1e-9, 10**9, Option("--lsb-per-dps", "Counts of the gyroscope per deg/s.", "N", above=0)
+        None, 1e-9, 10**9, Option("-R lsb_per_dps", "Counts of the gyroscope per deg/s.", "N", above=0)
     )
 
     @property
@@ -159,7 +161,7 @@ class ReadOptions:
     @property
     def times(self) -> Retiming:
         """The user's statements about the times."""
-        by_user = "--timezone" if self.configured_zone is None else "--configured-zone"
+        by_user = "--timezone" if self.configured_zone is None else "-R configured_zone"
         zone = self.configured_zone or self.timezone
         shift_us = round((self.shift_s or 0) * MICROSECONDS)
         return Retiming(zone, by_user, self.force_timezone, self.start, shift_us, self.worn_zone)
@@ -196,11 +198,11 @@ def three_names(value: Any) -> list[str] | None:
     return names if len(names) == 3 and all(names) else None
 
 
-def option_name(name: str) -> str:
-    """Return the command-line option of a field of `ReadOptions`, such as `--time-column`."""
+def reading_option(name: str) -> Option:
+    """Return the option of a field of `ReadOptions`."""
     option = setting_of(ReadOptions, name).option
     assert option is not None
-    return option.name
+    return option
 
 
 def without(options: ReadOptions, names: Iterable[str]) -> ReadOptions:
@@ -211,9 +213,9 @@ def without(options: ReadOptions, names: Iterable[str]) -> ReadOptions:
 
 
 def mean_nothing(names: Sequence[str]) -> str:
-    """Return some options and a verb: `--unit and --columns do not apply`."""
+    """Return some options and a verb: `--unit and -R zero do not apply`."""
     verb = "does not apply" if len(names) == 1 else "do not apply"
-    return f"{listed([option_name(name) for name in names])} {verb}"
+    return f"{listed([reading_option(name).name for name in names])} {verb}"
 
 
 def unused_note(names: Sequence[str], format_name: str) -> str:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.declared import Key
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Counts
 
@@ -103,13 +104,13 @@ class TurnHoldout:
         mean_before, mean_after: means; rms_before, rms_after: root mean squares, in which a jolt counts most.
     """
 
-    before: float
-    after: float
-    ci95: tuple[float, float]
-    mean_before: float
-    mean_after: float
-    rms_before: float
-    rms_after: float
+    before: Annotated[float, Key("Median before calibration", significant=True, least=0)]
+    after: Annotated[float, Key("Median after calibration", significant=True, least=0)]
+    ci95: Annotated[tuple[float, float], Key("95 % interval of the latter", significant=True, least=0)]
+    mean_before: Annotated[float, Key("Mean before", significant=True, least=0)]
+    mean_after: Annotated[float, Key("Mean after", significant=True, least=0)]
+    rms_before: Annotated[float, Key("Root mean square before", significant=True, least=0)]
+    rms_after: Annotated[float, Key("Root mean square after", significant=True, least=0)]
 
 
 @dataclass(frozen=True, slots=True)

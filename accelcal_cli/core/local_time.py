@@ -38,8 +38,8 @@ NO_START = "no_start_time"
 
 FIRST_SAMPLES = 1
 ISO_HINT = "write it as 2024-03-04T10:00:00, with an offset such as +01:00 if it is known"
-STARTED = "it does not say when it began: {} was given with --start"
-SHIFTED = "{:+g} s were added to all times (--shift)"
+STARTED = "it does not say when it began: {} was given with -R start"
+SHIFTED = "{:+g} s were added to all times (-R shift)"
 WORN = "the clock was set in {there} and worn in {here}: times are those of {here}, {hours:+g} h"
 
 FOLLOWED = "clock_followed"
@@ -86,10 +86,10 @@ def _zone(recording: Recording, wanted: str | None, force: bool, omit: str) -> s
         return wanted if force else stated
     if not force:
         what = f"states its time zone, {stated}, which is not {wanted}"
-        hint = f"{omit}; or add --force-timezone if the file is wrong"
+        hint = f"{omit}; or add -R force_timezone=true if the file is wrong"
         raise UsageError(what, path=recording.path, hint=hint)
     if recording.has_offsets:
-        what = f"its times have offsets from UTC, which --force-timezone cannot replace with {wanted}"
+        what = f"its times have offsets from UTC, which -R force_timezone cannot replace with {wanted}"
         raise UsageError(what, path=recording.path, hint=f"{omit}; or write the times without offsets")
     return wanted
 
@@ -262,9 +262,11 @@ class Retiming:
         utc_offset_s(self.zone, 0)
         utc_offset_s(self.worn_zone, 0)
         if self.force and self.zone is None:
-            raise UsageError("--force-timezone has no zone to use", hint="give it with --timezone")
+            raise UsageError("-R force_timezone has no zone to use", hint="give it with --timezone")
         if self.by_option != "--timezone" and self.worn_zone is None:
-            raise UsageError("--configured-zone is for --worn-zone", hint="give that, too, or use --timezone")
+            raise UsageError(
+                "-R configured_zone is for -R worn_zone", hint="give that, too, or use --timezone"
+            )
         self.started()
 
     def started(self) -> StartTime | None:
@@ -277,7 +279,7 @@ class Retiming:
             return None
         start = written_start(self.start)
         if start is None:
-            raise UsageError(f"--start {self.start[:40]!r} is not a date and time", hint=ISO_HINT)
+            raise UsageError(f"-R start={self.start[:40]!r} is not a date and time", hint=ISO_HINT)
         return start
 
 
@@ -346,7 +348,7 @@ def retimed(reader: Reader, stated: Retiming) -> Reader:
     if stated.start is not None:
         found, by_us = _started(reader, stated)
     if stated.shift_us:
-        _need_start(found, "--shift")
+        _need_start(found, "-R shift")
         found = _moved(found, stated.shift_us, SHIFTED.format(stated.shift_us / 1e6))
         by_us += stated.shift_us
     found = in_its_zone(found, stated.zone, force=stated.force, option=stated.by_option)
@@ -368,7 +370,9 @@ def _moved(recording: Recording, by_us: int, note: str) -> Recording:
 def _need_start(recording: Recording, option: str) -> None:
     if recording.start_us is None:
         text = f"has no dates that {option} could change"
-        raise UsageError(text, path=recording.path, hint=f"omit {option}, or say with --start when it began")
+        raise UsageError(
+            text, path=recording.path, hint=f"omit {option}, or say with -R start=TIME when it began"
+        )
 
 
 def _started(reader: Reader, stated: Retiming) -> tuple[Recording, int]:
@@ -377,7 +381,7 @@ def _started(reader: Reader, stated: Retiming) -> tuple[Recording, int]:
     assert start is not None
     if recording.start_us is not None:
         shown = iso_time(recording.start_us, utc_offset_s(recording.timezone, recording.start_us))
-        hint = "--start is for files without dates; to correct the clock, use --shift"
+        hint = "-R start is for files without dates; to correct the clock, use -R shift=SECONDS"
         raise UsageError(f"states its own start, {shown}", path=recording.path, hint=hint)
     known = replace(recording, start_us=start.start_us, timezone=start.timezone or recording.timezone)
     note = STARTED.format(stated.start)
@@ -393,10 +397,10 @@ def _worn(recording: Recording, zone: str) -> tuple[Recording, int]:
 
     Its clock runs on with the offset that its own zone had at the start; so do the times of the other zone.
     """
-    _need_start(recording, "--worn-zone")
+    _need_start(recording, "-R worn_zone")
     there = recording.timezone
     if there is None:
-        hint = "say it with --configured-zone"
+        hint = "say it with -R configured_zone=ZONE"
         raise UsageError("does not say in which zone its clock was set", path=recording.path, hint=hint)
     start_us = recording.start_us or 0
     before_s = utc_offset_s(there, start_us) or 0

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import fsum
-from typing import Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 from accelcal_cli.core.calibration import Calibration, Correction
 from accelcal_cli.core.clock import ClockReset
+from accelcal_cli.core.declared import Key
 from accelcal_cli.core.local_time import ZoneChange
 from accelcal_cli.core.points import Fit, Penalty, Quietest, Saturated
 from accelcal_cli.core.reasons import Reason
@@ -32,9 +33,9 @@ class Outcome(StrEnum):
 class ErrorSummary:
     """Mean, median and 95th percentile of | |a| - 1 g | over postures [mg]."""
 
-    mean: float
-    median: float
-    p95: float
+    mean: Annotated[float, Key("Mean", digits=4, least=0)]
+    median: Annotated[float, Key("Median", digits=4, least=0)]
+    p95: Annotated[float, Key("95th percentile", digits=4, least=0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,10 +175,12 @@ class TimeHoldout:
         standard_error_mg: that of their difference.
     """
 
-    stretches: int
-    constant_mg: float
-    changing_mg: float | None = None
-    standard_error_mg: float | None = None
+    stretches: Annotated[int, Key("Number of stretches of time")]
+    constant_mg: Annotated[float, Key("Error of a constant sensor", "mg", significant=True)]
+    changing_mg: Annotated[float | None, Key("Error of a changing sensor", "mg", significant=True)] = None
+    standard_error_mg: Annotated[
+        float | None, Key("Standard error of their difference", "mg", significant=True)
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,14 +224,16 @@ class Misfit:
         found: True if the error falls so clearly that it is believed.
     """
 
-    kind: MisfitKind
-    unit: str
-    size: tuple[float, float, float]
-    standard_errors: tuple[float, float, float]
-    before_mg: float
-    after_mg: float
-    largest_mg: float
-    found: bool
+    kind: Annotated[MisfitKind, Key("Kind of behaviour")]
+    unit: Annotated[str, Key("Unit of its size")]
+    size: Annotated[tuple[float, float, float], Key("Size on x, y and z", significant=True)]
+    standard_errors: Annotated[
+        tuple[float, float, float], Key("Standard errors of the sizes", significant=True)
+    ]
+    before_mg: Annotated[float, Key("Held-out error without it", "mg", digits=4)]
+    after_mg: Annotated[float, Key("Held-out error with it", "mg", digits=4)]
+    largest_mg: Annotated[float, Key("Largest error that it makes at 1 g", "mg", significant=True)]
+    found: Annotated[bool, Key("True if it was found")]
 
 
 @dataclass(frozen=True, slots=True)

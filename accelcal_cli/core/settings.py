@@ -14,6 +14,9 @@ from accelcal_cli.core.gravity import Gravity
 SETTING = "setting"
 """Key of a field's metadata under which its Setting is found."""
 
+BY_NAME = "-R "
+"""Beginning of the names of options that are given as `-R NAME=VALUE`."""
+
 SIX_POSE = "six-pose"
 """Name of the profile in reports of known orientations."""
 
@@ -23,11 +26,13 @@ class Option:
     """The command-line option that sets a field.
 
     Attributes:
-        name: as it is typed, with `--no-` for one that switches off.
+        name: as it is typed, with `--no-` for one that switches off: `--unit`, or `-R zero` for one that is
+            given by name, as `-R zero=512`.
         metavar: name of its value in the help; None: by the type.
         default: the default as shown in the help; None: the field's own.
         bounds: narrower bounds for a typed number than for one in a report; None: the setting's.
         above: a typed number must only be above this, instead of the lower bound; None: the bound holds.
+        rare: only `--help-all` shows it.
     """
 
     name: str
@@ -36,6 +41,21 @@ class Option:
     default: str | None = None
     bounds: tuple[float, float] | None = None
     above: float | None = None
+    rare: bool = False
+
+    @property
+    def by_name(self) -> bool:
+        """True if it is given as `-R NAME=VALUE`."""
+        return self.name.startswith(BY_NAME)
+
+    @property
+    def keyword(self) -> str:
+        """Its name in files and in Python: `lsb_per_g`."""
+        return self.name.removeprefix(BY_NAME).removeprefix("--").replace("-", "_")
+
+    def with_value(self, text: str) -> str:
+        """Return the words to type: `--unit mg`, `-R zero=512`."""
+        return f"{self.name}{'=' if self.by_name else ' '}{text}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,9 +163,9 @@ class Settings:
         model: `auto`, or the model (9, 6, 3) that the user insists on.
         prior: knowledge of sensors before any point is seen (docs/prior.md). `population` is that of DEFAULT;
             `none`: the simplest model that held-out postures support; `study`, `device`: learnt from other
-            recordings, and part of the report. Older reports had none.
+            recordings, and part of the report.
         recalibrate: `auto`, as in DEFAULT: the calibration follows a sensor that changes while it records
-            (docs/change.md); `never`: a change is only reported. Older reports did neither.
+            (docs/change.md); `never`: a change is only reported.
         temperature: True if a slope per axis may be fitted when the recording has temperature.
         stillness: rule of stillness, a key of STILLNESS, which sets the next five.
         segment_seconds: length of a window [s] (F II.B.1: 5 s; van Hees et al. 2014: 10 s; G 4.4:
@@ -158,9 +178,9 @@ class Settings:
             across the other two passes a rule that looks at one).
         adaptive: numbers of rule `adaptive`; None for the others.
         other_stillness: True if the other axes and then rule `both` are tried where profile `paper` refuses a
-            recording by its axis; the rule in the report is the one that was used. Older reports lack it.
+            recording by its axis; the rule in the report is the one that was used.
         longest_gap_s: longest gap, or step back of the clock, that a window may span [s]; together they are
-            no longer than the window. 0, as in older reports: none (docs/stillness.md; phones lose up to
+            no longer than the window. 0: none (docs/stillness.md; phones lose up to
             0.2 s at a time, and what is still before and after half a second hardly moved in between).
         cells_per_g: orientation cells per g on each axis (measured: 20; 10 leaves a bias).
         norm_low_g, norm_high_g: bounds of a plausible still window's |mean| [g].
@@ -189,18 +209,18 @@ class Settings:
 
     profile: str = setting(
         "default",
-        option=Option("--profile", "paper: the published procedure, with 18 points and 50 iterations."),
+        option=Option("--profile", "paper: the published procedure."),
         choices=("default", "paper"),
     )
     optimizer: str = setting(
         "fixed32",
-        option=Option("--optimizer", "Optimizer that finds the parameters.", "NAME"),
+        option=Option("--optimizer", "Optimizer that finds the parameters.", "NAME", rare=True),
     )
     model: str = setting(
         "auto",
         option=Option(
             "--model",
-            "Number of parameters to fit: 9, 6 or 3. A number turns the prior off.",
+            "Number of parameters.",
         ),
         choices=("auto", "9", "6", "3"),
     )
@@ -208,9 +228,8 @@ class Settings:
         NO_PRIOR,
         option=Option(
             "--prior",
-            "Prior knowledge used in the fit. population: typical sensors. none: no prior; fit only as many "
-            "parameters as the recording supports.",
-            default="population; none with --model, --profile paper, and optimizers that cannot use a prior",
+            "none: fit only what the recording supports.",
+            default="population",
         ),
         choices=("population", NO_PRIOR, *LEARNT_PRIORS),
     )
@@ -221,18 +240,18 @@ class Settings:
             "auto: adapt the calibration when the sensor changes during the recording. never: only report "
             "the change.",
             default="auto",
+            rare=True,
         ),
         choices=("auto", NEVER),
     )
-    temperature: bool = setting(
-        True, option=Option("--no-temperature", "Do not use the recording's temperature.")
-    )
+    temperature: bool = setting(True, option=Option("--no-temperature", "Leave temperature out."))
     stillness: str = setting(
         "both",
         option=Option(
             "--stillness",
             "Rule by which a window counts as still.",
             default="both; profile paper: range, or both if no axis calibrates",
+            rare=True,
         ),
         choices=tuple(STILLNESS),
     )
@@ -240,7 +259,9 @@ class Settings:
         5.0,
         1e-6,
         3600,
-        Option("--segment-seconds", "Length of a window.", default="depends on --stillness", above=0),
+        Option(
+            "--segment-seconds", "Length of a window.", default="depends on --stillness", above=0, rare=True
+        ),
     )
     stillness_threshold_g: float | None = setting(
         0.12,
@@ -250,6 +271,7 @@ class Settings:
             "--stillness-threshold-g",
             f"Largest max - min in a still window (rules {', '.join(RANGE_RULES)}).",
             above=0,
+            rare=True,
         ),
     )
     stillness_deviation_g: float | None = setting(0.013, 1e-9, 4)
@@ -261,6 +283,7 @@ class Settings:
             "--stillness-axis",
             "Axis that --stillness range checks.",
             default="x; profile paper: the first that calibrates",
+            rare=True,
         ),
     )
     adaptive: Adaptive | None = None
@@ -274,6 +297,7 @@ class Settings:
             "Longest gap between time stamps that a window may span; 0 for none.",
             "SECONDS",
             default="0.5; profile paper: 0",
+            rare=True,
         ),
     )
     cells_per_g: int = setting(20, 1, 1000)
@@ -289,18 +313,14 @@ class Settings:
         1e6,
         Option(
             "--max-error",
-            "Limit: a calibrated recording has a smaller calibration error over all orientations.",
+            "Limit of the calibration error.",
             "MG",
             above=0,
         ),
     )
     strict: bool = setting(
         False,
-        option=Option(
-            "--strict",
-            "Refuse recordings that would only be provisional: probably better than the raw data, "
-            "but not surely below --max-error.",
-        ),
+        option=Option("--strict", "Refuse provisional calibrations."),
     )
     min_temperature_range_c: float = setting(2.0, 0, 1e3)
     temperature_block_c: float = setting(2.0, 1e-3, 1e3)
@@ -308,21 +328,26 @@ class Settings:
         None,
         1e-3,
         1000,
-        Option("--precision", "Round values to steps of at most MG, for smaller files.", "MG", "exact"),
+        Option(
+            "--precision", "Round values to steps of at most MG, for smaller files.", "MG", "exact", rare=True
+        ),
     )
     latitude: float | None = setting(
         None,
         -90,
         90,
         Option(
-            "--latitude", "Latitude of the place where the recording was made, for local gravity.", "DEGREES"
+            "--latitude",
+            "Latitude of the place where the recording was made, for local gravity.",
+            "DEGREES",
+            rare=True,
         ),
     )
     altitude_m: float | None = setting(
-        None, -500, 9000, Option("--altitude", "Altitude above sea level.", "METRES", "0")
+        None, -500, 9000, Option("--altitude", "Altitude above sea level.", "METRES", "0", rare=True)
     )
     max_damage_percent: float = setting(
-        50.0, 0, 100, Option("--max-damage", "Refuse a recording if more of it is damaged.", "PERCENT")
+        50.0, 0, 100, Option("-R max_damage", "Refuse a recording if more of it is damaged.", "PERCENT")
     )
     min_distance_g: float = setting(
         0.0,
@@ -332,19 +357,30 @@ class Settings:
             "--min-distance-g",
             "Smallest distance between two points (--profile paper only); 0 for no limit.",
             default="profile paper: 0.2",
+            rare=True,
         ),
     )
     min_subset_points: int = setting(
         2,
         1,
         100,
-        Option("--min-subset-points", "Minimum number of points per subset (--profile paper only).", "N"),
+        Option(
+            "--min-subset-points",
+            "Minimum number of points per subset (--profile paper only).",
+            "N",
+            rare=True,
+        ),
     )
     max_subset_points: int = setting(
         2,
         1,
         100,
-        Option("--max-subset-points", "Maximum number of points per subset (--profile paper only).", "N"),
+        Option(
+            "--max-subset-points",
+            "Maximum number of points per subset (--profile paper only).",
+            "N",
+            rare=True,
+        ),
     )
 
     @property

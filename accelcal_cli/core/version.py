@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import os
-from functools import cache
 
-__version__ = "0.3.0"
-"""The release: results of one release are the same, and a study compares no more than this."""
+STATED = "1.0.0.dev0"
+"""The release, or the one that is being developed."""
 
 
-@cache
 def build_version() -> str:
-    """Return the version with the commit that it was built from, such as `0.3.0.dev5+g9e2152a`.
+    """Return the version with the commit that it was built from, such as `1.0.0.dev5+g9e2152a`.
 
-    A build holds it (hatch_build.py). A checkout has that of its commit, read from its files; a release, and
-    an archive of the files alone, have the release.
+    A build holds it (hatch_build.py). A checkout has that of its commit, read from its files; an archive of
+    the files alone has no more than what is stated here.
     """
     here = os.path.dirname(os.path.abspath(__file__))  # noqa: PTH100, PTH120 (every start imports this)
     made = _line(os.path.join(here, "_build.txt"))  # noqa: PTH118
     if made is not None:
         return made
     commit = _commit(os.path.join(os.path.dirname(os.path.dirname(here)), ".git"))  # noqa: PTH118, PTH120
-    return __version__ if commit is None else f"{__version__}.dev0+g{commit[:7]}"
+    return STATED if commit is None else f"{STATED.removesuffix('.dev0')}.dev0+g{commit[:7]}"
 
 
 def _commit(git: str) -> str | None:
@@ -51,3 +49,7 @@ def _line(path: str) -> str | None:
             return file.readline().strip() or None
     except (OSError, ValueError):
         return None
+
+
+__version__ = build_version()
+"""Version of this build: results of one version are the same, and every output states it."""

@@ -8,7 +8,6 @@ from typing import Any
 
 from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import OutputError, UsageError, counted, printable
-from accelcal_cli.devices.table import NAME
 from accelcal_cli.output.registry import (
     RegistryEntry,
     entry_of,
@@ -17,6 +16,7 @@ from accelcal_cli.output.registry import (
     read_registry,
     write_registry,
 )
+from accelcal_cli.output.study_table import NAME, read_columns
 from accelcal_cli.pipeline.jobs import QUALITY_SUFFIX, REPORT_SUFFIX, refuse_misnamed
 
 
@@ -53,12 +53,9 @@ def _of_study(out: Path) -> Iterator[RegistryEntry]:
 
 def _reports(out: Path) -> list[str]:
     """Return the names of the reports in a study's table."""
-    import pyarrow.parquet as pq  # which --help does not need
-
     path = out / NAME
     if not is_file(path):
         hint = "give the folder that was given to `accelcal study` with -d, or a registry"
         raise UsageError("does not exist", path=path, hint=hint)
-    with path.open("rb") as source, pq.ParquetFile(source, pre_buffer=False) as file:
-        names: list[Any] = file.read(columns=["report"], use_threads=False)["report"].to_pylist()
+    names: list[Any] = read_columns(path, ["report"])["report"].to_pylist()
     return [name for name in names if isinstance(name, str)]

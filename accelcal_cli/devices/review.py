@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from accelcal_cli.core.identity import identity
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT
-from accelcal_cli.core.version import __version__
 from accelcal_cli.devices import table
 from accelcal_cli.devices.findings import (
     DeviceGroup,
@@ -137,7 +137,7 @@ def _reviewed(known: _Known, index: int, of_device: tuple[Trend, ...]) -> Device
 
 def _enough_recorded(records: table.Records, row: int) -> bool:
     """Return True if a refused recording had the orientations that a calibration needs."""
-    return bool(records.number["postures"][row] >= DEFAULT.min_postures)
+    return bool(records.number["orientations"][row] >= DEFAULT.min_postures)
 
 
 def _held_out(records: table.Records, rows: Sequence[int]) -> HeldOut | None:
@@ -163,7 +163,7 @@ def as_json(review: Review, devices: tuple[DeviceReview, ...]) -> dict[str, Any]
         for (model, name), known in review.kinds.items()
     ]
     return {
-        "accelcal_version": __version__,
+        **identity("devices"),
         "recordings": len(review.records) + review.records.nameless,
         "without_serial": review.records.nameless,
         "failed_without_serial": review.records.failed,

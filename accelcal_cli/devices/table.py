@@ -19,9 +19,10 @@ from accelcal_cli.core.door import is_file, is_folder, matching
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.output.report_view import ERROR_COLUMNS
+from accelcal_cli.output.study_table import NAME, read_columns
+from accelcal_cli.studies.columns import ERROR_COLUMNS
+from accelcal_cli.studies.columns import PARAMETERS as COLUMNS
 from accelcal_cli.studies.records import FAILED
-from accelcal_cli.studies.summary import PARAMETERS as COLUMNS
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -30,16 +31,16 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-NAME = "study.parquet"
 TEXT = (
     "path", "outcome", "reason", "message", "model", "format", "device_model", "device_serial",
     "device_firmware", "start_time", "sha256",
 )  # fmt: skip
-NUMBERS = ("before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "reference_c", "lost_percent")
 HIGH = ERROR_COLUMNS[2]
 """Column of the upper end of a recording's calibration error."""
-LATER = ("duration_s", "postures", HIGH)
-"""Numbers that count where they are there: earlier versions did not write all of them."""
+NUMBERS = (
+    "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "reference_c", "lost_percent", "duration_s",
+    "orientations", HIGH,
+)  # fmt: skip
 ERRORS = tuple(f"se_{name}" for name in COLUMNS)
 WANTED = (*TEXT, *NUMBERS, *COLUMNS, *ERRORS)
 LARGEST = 1e9
@@ -183,28 +184,13 @@ def read(out: Path, now_s: float) -> Records:
 
 def columns(path: Path) -> dict[str, Any]:
     """Read the requested columns: lists of text, arrays of numbers (NaN for none)."""
-    import pyarrow as pa  # which --help does not need
-    import pyarrow.parquet as pq
-
     _check_there(path)
+    table = read_columns(path, WANTED)
     try:
-        with path.open("rb") as source, pq.ParquetFile(source, pre_buffer=False) as file:
-            names = file.schema_arrow.names
-            missing = [name for name in WANTED if name not in names]
-            if missing:
-                raise _not_ours(path, names, missing)
-            twice = [name for name in (*WANTED, *LATER) if names.count(name) > 1]
-            if twice:
-                raise ValueError(f"it has more than one column {twice[0]}")
-            there = [name for name in LATER if name in names]
-            table = file.read(columns=[*WANTED, *there], use_threads=False)
         text = {name: _texts(table[name]) for name in TEXT}
-        numbers = {name: _floats(table[name]) for name in (*NUMBERS, *COLUMNS, *ERRORS, *there)}
-        none = np.full(table.num_rows, nan)
-    except (pa.ArrowException, OSError, ValueError, TypeError) as error:
-        reason = " ".join(str(error).split())
-        raise UnreadableError(f"cannot be read ({reason})", path=path, hint="run the study again") from error
-    return text | dict.fromkeys(LATER, none) | numbers
+        return text | {name: _floats(table[name]) for name in (*NUMBERS, *COLUMNS, *ERRORS)}
+    except ValueError as error:
+        raise UnreadableError(f"cannot be read ({error})", path=path, hint="run the study again") from error
 
 
 def _check_there(path: Path) -> None:
@@ -221,13 +207,6 @@ def _check_there(path: Path) -> None:
     if matching(folder, reports):
         hint += f"; for pages of single reports: accelcal report {shlex.quote(printable(folder))}/{reports}"
     raise UsageError(f"is not the output folder of a study: no {path.name}", path=folder, hint=hint)
-
-
-def _not_ours(path: Path, names: list[str], missing: list[str]) -> UnreadableError:
-    if all(name.startswith("se_") or name == "lost_percent" for name in missing) and "path" in names:
-        text = "was written by an earlier version, without standard errors"
-        return UnreadableError(text, path=path, hint="run the study again, with --force")
-    return UnreadableError(f"is not the table of a study: it has no column {missing[0]}", path=path)
 
 
 def _texts(column: pa.ChunkedArray) -> list[str | None]:
@@ -260,7 +239,7 @@ def records(table: dict[str, Any], latest_day: float) -> Records:
         devices,
         np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         {name: [table[name][row] for row in order] for name in TEXT},
-        {name: _possible(table[name][order]) for name in (*NUMBERS, *LATER)},
+        {name: _possible(table[name][order]) for name in NUMBERS},
         values,
         errors,
         np.array([days[row] for row in order], np.float64),

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import partial
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Any
 
 from accelcal_cli.core.calibration import Calibration
+from accelcal_cli.core.declared import from_json
 from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.identity import identity
 from accelcal_cli.core.version import __version__
 from accelcal_cli.exports.degrees import NAMES, WARMEST_AT_START_C, Degrees, degrees_of, why_none
 from accelcal_cli.output.coefficients import (
@@ -27,7 +28,7 @@ from accelcal_cli.output.coefficients import (
 )
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.report_reading import check_sections, file_place
-from accelcal_cli.output.report_view import ErrorsView, FitView, ReportRecording, record
+from accelcal_cli.output.sections import Errors, FitSection, RecordingSection
 
 ALIGNED = ("0", "3", "6", "3T", "6T")
 """Models without misalignment, which are exported as they are."""
@@ -87,12 +88,12 @@ class ExportedReport:
     """
 
     path: Path
-    recording: ReportRecording
+    recording: RecordingSection
     windows_s: float
     whole: Calibration
-    errors: ErrorsView
+    errors: Errors
     simple: Calibration
-    simple_errors: ErrorsView
+    simple_errors: Errors
     place: str | None = None
 
     @property
@@ -128,7 +129,7 @@ def read_exported(path: Path) -> ExportedReport:
     if recording.format in NO_RECORDING:
         text = f"is of {NO_RECORDING[recording.format]}, of which no other tool has a file"
         raise UsageError(text, path=path, hint="name reports of recordings, or use --to json")
-    if (recording.factory_calibration or {}).get("acceleration"):
+    if recording.factory_calibration is not None and recording.factory_calibration.acceleration is not None:
         text = (
             "is of counts of a bare sensor, to which other tools do not apply the maker's calibration first"
         )
@@ -139,30 +140,17 @@ def read_exported(path: Path) -> ExportedReport:
             path=path,
             hint="export the calibrated data (--to csv), or calibrate with --recalibrate never",
         )
-    windows_s = record(FitView, report["fit"]).windows["used"] * report["settings"]["segment_seconds"]
-    errors, place = record(ErrorsView, report), file_place(report, "recording")
+    windows_s = from_json(FitSection, report["fit"]).windows.used * report["settings"]["segment_seconds"]
+    errors, place = from_json(Errors, report), file_place(report, "recording")
     if whole.model in ALIGNED:
         return ExportedReport(path, recording, windows_s, whole, errors, whole, errors, place)
     simple = without_misalignment(found)
     if simple is None:
-        text, hint = _why_none(report, whole)
-        raise UsageError(text, path=path, hint=hint)
-    simple_errors = record(ErrorsView, report["without_misalignment"])
+        orientations = "was calibrated on known orientations, and " if whole.model == FULL_GAIN else ""
+        text = f"{orientations}has no fit without misalignment"
+        raise UsageError(text, path=path, hint="export the calibrated data (--to csv), or use --to json")
+    simple_errors = from_json(Errors, report["without_misalignment"])
     return ExportedReport(path, recording, windows_s, whole, errors, simple, simple_errors, place)
-
-
-def _why_none(report: dict[str, Any], whole: Calibration) -> tuple[str, str]:
-    """Return why a calibration with misalignment comes without a simple one, and what to do."""
-    data = "export the calibrated data (--to csv), or use --to json"
-    if whole.model == FULL_GAIN:
-        return "was calibrated on known orientations, and has no fit without misalignment", data
-    if "without_misalignment" not in report:
-        version = f"{report['accelcal_version']}, which did not fit without misalignment"
-        again = "calibrate its recording again with --force"
-        borrowed = "coefficients" in report or "pool" in report
-        hint = f"{again}, after that of its coefficients" if borrowed else again
-        return f"was written by a version ({version})", hint
-    return "has no fit without misalignment", data
 
 
 def ggir(reports: Sequence[ExportedReport]) -> str:
@@ -240,7 +228,7 @@ def as_json(path: Path) -> str:
     names = ("path", "sha256", "device", "factory_calibration")
     recording = {name: report["recording"][name] for name in names if name in report["recording"]}
     shown = {
-        "accelcal_version": __version__,
+        **identity("coefficients"),
         "report": {"path": printable(path), "sha256": found.document.sha256},
         "recording": recording,
         "outcome": report["outcome"],
@@ -271,8 +259,8 @@ def cost(one: ExportedReport) -> str | None:
     if with_it.holdout is not None and without.holdout is not None:
         means_mg = without.holdout.after_mg.mean, with_it.holdout.after_mg.mean
         parts.append("held-out error {:.2f} mg instead of {:.2f} mg".format(*means_mg))
-    if with_it.error_everywhere is not None and without.error_everywhere is not None:
-        means_mg = without.error_everywhere.mean, with_it.error_everywhere.mean
+    if with_it.calibration_error_mg is not None and without.calibration_error_mg is not None:
+        means_mg = without.calibration_error_mg.mean, with_it.calibration_error_mg.mean
         parts.insert(0, "calibration error {:.2f} mg instead of {:.2f} mg".format(*means_mg))
     price = ", ".join(parts) or "the loss of accuracy is unknown, because there is too little stillness"
     models = f"{one.simple.model} ({one.whole.model} without misalignment)"

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from accelcal_cli.core.recording import ThermometerWord
-from accelcal_cli.output.report_view import ReportRecording
+from accelcal_cli.output.sections import RecordingSection
 
 AXIVITY = "cwa"
 WORDS = {
@@ -44,18 +44,18 @@ class Degrees:
         return self.per_degree * celsius + self.zero
 
 
-def degrees_of(tool: str, recording: ReportRecording) -> Degrees | None:
+def degrees_of(tool: str, recording: RecordingSection) -> Degrees | None:
     """Return the degrees in which a tool reads a recording; None if it reads none, or unknown ones."""
     if recording.format in STATED[tool]:
         return Degrees()
     if recording.format != AXIVITY or recording.thermometer is None:
         return None
-    ours, theirs = ThermometerWord(**recording.thermometer), WORDS[tool]
+    ours, theirs = recording.thermometer, WORDS[tool]
     ratio = theirs.celsius_per_count / ours.celsius_per_count
     return Degrees(ratio, theirs.celsius_at_zero - ratio * ours.celsius_at_zero)
 
 
-def why_none(tool: str, recording: ReportRecording) -> str:
+def why_none(tool: str, recording: RecordingSection) -> str:
     """Return why a recording's temperature cannot be exported to a tool."""
     if recording.format == AXIVITY:
         return "the report does not say how it was read: calibrate the recording again with --force"

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, StampClock
 from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import UnreadableError, printable
+from accelcal_cli.core.identity import SAMPLES, refuse_other
 from accelcal_cli.core.local_time import UTC
 from accelcal_cli.core.recording import Validity
 from accelcal_cli.core.results import Outcome
@@ -243,6 +244,7 @@ def described_file(path: Path) -> CalibratedFile:
     from accelcal_cli.output.columns import described  # pyarrow
 
     metadata, schema = metadata_of(path, UnreadableError), stored_schema(path, UnreadableError)
+    refuse_other(metadata, SAMPLES, path)
     recording = section(metadata, "recording")
     if metadata.get("outcome") == Outcome.REFUSED:
         text = f"holds raw values, since its recording was refused ({metadata.get('message')})"

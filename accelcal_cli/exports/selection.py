@@ -16,12 +16,14 @@ from accelcal_cli.exports.coefficients import NO_RECORDING
 from accelcal_cli.output import decisions
 from accelcal_cli.output.files import looking_at
 from accelcal_cli.output.report_reading import check_sections, read_document
+from accelcal_cli.output.study_table import NAME as TABLE
+from accelcal_cli.output.study_table import read_columns
 from accelcal_cli.output.words import begun_small
 from accelcal_cli.pipeline.jobs import PARQUET_SUFFIX, REPORT_SUFFIX, parquet_of, report_of
 
-TABLE, SUMMARY = "study.parquet", "study.json"
+SUMMARY = "study.json"
 READ = ("path", "report", "message", "use", "why", "decided_by", "result")
-"""Columns of a study's table; earlier versions have only the first three."""
+"""Columns of a study's table."""
 SECTIONS = ("recording", "outcome", "message", "file_health")
 
 
@@ -83,7 +85,8 @@ def _of(path: Path, *, data: bool) -> Iterator[Selected]:
 
 def _of_folder(folder: Path, *, data: bool) -> Iterator[Selected]:
     """Yield a study's recordings: those of its table where there is one, or all whose reports lie there."""
-    rows = _rows(folder / TABLE)
+    table = folder / TABLE
+    rows = read_columns(table, READ).to_pylist() if is_file(table) else None
     known = None if rows is None else {row["report"]: row for row in rows}
     excluded = _excluded(folder, rows or [])
     for report in _reports_below(folder):
@@ -134,25 +137,6 @@ def _unless_refused(one: Selected) -> Selected:
     """Return a recording whose calibrated file does not matter."""
     refused = one.held is None or one.held["outcome"] == Outcome.REFUSED
     return one if refused else Selected(one.path, one.report, held=one.held)
-
-
-def _rows(table: Path) -> list[dict[str, Any]] | None:
-    """Return what a study's table says of each recording's report; None without one."""
-    if not is_file(table):
-        return None
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        with table.open("rb") as source, pq.ParquetFile(source, pre_buffer=False) as file:
-            there = [name for name in READ if name in file.schema_arrow.names]
-            rows: list[dict[str, Any]] = file.read(columns=there, use_threads=False).to_pylist()
-    except (pa.ArrowException, OSError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise UnreadableError(f"cannot be read ({reason})", path=table, hint="run the study again") from error
-    if not {"path", "report", "message"} <= {*there}:
-        raise UnreadableError("is not the table of a study", path=table, hint="name reports")
-    return [dict.fromkeys(READ) | row for row in rows]
 
 
 def of_report(report: Path, parquet: Path | None = None) -> Selected:

@@ -54,7 +54,7 @@ MIDDLES = tuple(1 << bits for bits in range(6, 31))
 EXACT = 1000
 """Radius [counts] from which on all digits are shown."""
 
-FOUND_ZERO = "0 g is at {} counts, around which rest lies (--zero says it)"
+FOUND_ZERO = "0 g is at {} counts, around which rest lies (-R zero says it)"
 
 Floats = NDArray[np.float64]
 
@@ -165,5 +165,5 @@ def _off_zero(sphere: Sphere, path: Path, lsb_per_g: float | None = None) -> Unr
     return UnreadableError(
         f"its values are counts above 0: at rest they lie {radius} counts from the middle {about}",
         path=path,
-        hint=f"give --zero {zero} --lsb-per-g {scale}, or the counts of 0 g and of 1 g in the data sheet",
+        hint=f"give -R zero={zero} --lsb-per-g {scale}, or the counts of 0 g and of 1 g in the data sheet",
     )

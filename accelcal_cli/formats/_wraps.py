@@ -33,7 +33,7 @@ LONG_US = 60 * MICROSECONDS
 READ_ON = "the times start again{jump}{repeated}: read as those of a clock that runs on"
 TWELVE_HOURS = (
     "the hours are those of a 12-hour clock without AM or PM{repeated}: read as those of a clock that runs on"
-    "; add --shift 43200 if its first time is in the afternoon"
+    "; add -R shift=43200 if its first time is in the afternoon"
 )
 HALF_DAYS_US = (DAY_US // 2, -DAY_US)
 

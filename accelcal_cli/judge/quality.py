@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import PointSet, TimedMeans
-from accelcal_cli.core.results import Change, Holdout
+from accelcal_cli.core.results import Change
 from accelcal_cli.core.statistics import interval95, mean, weighted_percentile
 from accelcal_cli.judge.change import LEAST_MG, ComparedErrors
 from accelcal_cli.judge.errors import applied
@@ -192,8 +192,3 @@ def _falls(compared: ComparedErrors, first: int, end: int) -> list[tuple[float, 
 def _fall_interval(pairs: list[tuple[float, float]]) -> tuple[float, float]:
     """Return the 95 % interval of the mean fall over stretches."""
     return interval95([given - unseen for given, unseen in pairs])
-
-
-def far_off(holdout: Holdout | None, limit_mg: float) -> bool:
-    """Return True if errors on postures that were not fitted are clearly beyond a limit."""
-    return holdout is not None and holdout.ci95[0] >= limit_mg

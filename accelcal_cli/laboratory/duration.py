@@ -216,8 +216,7 @@ FIGURES = {
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
-@options.reading_options
-@options.method_options
+@options.laboratory_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Show the calibration error over all orientations by hours of wear, for RECORDINGs or folders of them.
 

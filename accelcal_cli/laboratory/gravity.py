@@ -28,9 +28,9 @@ from accelcal_cli.core.calibration import Calibration, in_standard_g
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
 from accelcal_cli.core.gyroscope import Rest, RestRates, Turn, Turns
+from accelcal_cli.core.identity import identity
 from accelcal_cli.core.reasons import significant
 from accelcal_cli.core.statistics import mean
-from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.gyroscope import judge_gyroscope
 from accelcal_cli.judge.turning import TurningGravity
@@ -259,7 +259,7 @@ def _record(
         for row in residuals
     ]
     return {
-        "accelcal_version": __version__,
+        **identity("gravity"),
         "local_m_s2": _m_s2(plan.rest_g),
         **{name: values[name] for name in ("cases", "points", "noise_mg", "seed")},
         "method": label,

@@ -392,9 +392,8 @@ FIGURES = tuple(f"{axis}_{when}_mg" for axis in AXES for when in ("before", "aft
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
-@options.reading_options
+@options.laboratory_options
 @options.parts_option
-@options.method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Show how alike RECORDINGs are of devices that were moved together, raw and calibrated.
 

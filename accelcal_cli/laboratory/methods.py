@@ -238,7 +238,6 @@ PUBLISHED = ("Table 3 of Farago, Maczak, Gingl 2024 (own recordings)", "before m
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
-@options.reading_options
 @options.comparing_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Fit the same points of each RECORDING with every optimizer and judge them all by the same hold-out.

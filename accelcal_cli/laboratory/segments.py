@@ -9,7 +9,7 @@ the claim is compared with their true error.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
-from accelcal_cli.cli.help import Command
+from accelcal_cli.cli.help import Command, Named, NameValue
 from accelcal_cli.cli.output import aligned, each_recording
 from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.collect.table import read_table, windows_of
@@ -341,16 +341,26 @@ FIGURES = {
 }
 """Columns of the table and how their values are shown."""
 
-ERRORS = ("gain_percent", "misalignment_percent", "offset_mg", "one_misalignment_percent")
+ERRORS = {
+    "gain_percent": ("Their gains differ by up to this", 20),
+    "misalignment_percent": ("Their misalignments are up to this", 20),
+    "offset_mg": ("Their offsets are up to this", 500),
+    "one_misalignment_percent": ("One misalignment of each is this", 20),
+}
+"""Errors of the simulated sensors, with the largest that can be asked for."""
 
 
-def _error_option(name: str, unit: str, text: str, largest: int) -> Callable[[Any], Any]:
-    """Return the option that sets an error of the simulated sensors."""
+def known_errors() -> dict[str, Named]:
+    """Return the errors of the simulated sensors that can be set, by name."""
+    return {
+        name: Named("N", f"{text}.  [default: {_usual(name)}]", options.Within(0, largest))
+        for name, (text, largest) in ERRORS.items()
+    }
+
+
+def _usual(name: str) -> str:
     default = getattr(USUAL, name)
-    shown = "as the others" if default is None else f"{default:g}"
-    words = f"{text}, with --sensors.  [default: {shown}]"
-    option = f"--{name.replace('_', '-')}"
-    return click.option(option, type=options.Within(0, largest), metavar=unit, help=words)
+    return "as the others" if default is None else f"{default:g}"
 
 
 table_hours_option = click.option(
@@ -395,14 +405,11 @@ table_hours_option = click.option(
 @click.option(
     "--seed", type=click.IntRange(0), metavar="N", default=1, show_default=True, help="Seed of these sensors."
 )
-@_error_option("gain_percent", "PERCENT", "Their gains differ by up to this", 20)
-@_error_option("misalignment_percent", "PERCENT", "Their misalignments are up to this", 20)
-@_error_option("offset_mg", "MG", "Their offsets are up to this", 500)
-@_error_option("one_misalignment_percent", "PERCENT", "One misalignment of each is this", 20)
+@click.option("--errors", type=NameValue(known_errors), multiple=True,
+              help="Set an error of these sensors (--help-all lists them).")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print each segment as a JSON object on a line.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
-@options.reading_options
-@options.method_options
+@options.laboratory_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate segments of each RECORDING, and compare their error estimates with the rest of it.
 
@@ -445,12 +452,11 @@ def _found(still: Stillness, chosen: Settings, values: dict[str, Any]) -> Iterat
 
 def _simulation(values: dict[str, Any]) -> Simulation | None:
     """Return the simulation that is asked for, if any; raises UsageError for errors without sensors."""
-    errors = {name: values[name] for name in ERRORS if values[name] is not None}
+    errors = dict(values["errors"])
     if values["sensors"] is not None:
         return Simulation(values["sensors"], values["seed"], replace(USUAL, **errors))
     if errors:
-        name = next(iter(errors)).replace("_", "-")
-        raise UsageError(f"--{name} is of simulated sensors", hint="add --sensors, or omit it")
+        raise UsageError("--errors are of simulated sensors", hint="add --sensors, or omit them")
     return None
 
 

@@ -29,9 +29,9 @@ from accelcal_cli.cli.output import aligned, progress_bars
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import PARAMETER_NAMES
 from accelcal_cli.core.errors import DivergedError, UsageError
+from accelcal_cli.core.identity import identity
 from accelcal_cli.core.points import MICROCONTROLLERS, Fit, Operations, predicted_charge_mc, predicted_seconds
 from accelcal_cli.core.reasons import significant
-from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import jacobian
 from accelcal_cli.laboratory.cases import USUAL, Case, CasePlan, Method, Selection, make_case, methods
 from accelcal_cli.laboratory.descent import NAME, Convergence, DescentNumbers, Objective, convergence, descent
@@ -283,7 +283,7 @@ def _table(protocol: Protocol, plan: CasePlan, methods: tuple[Method, ...], step
 def as_json(protocol: Protocol, tables: Sequence[ErrorTable]) -> dict[str, Any]:
     """Return all results as JSON, errors of offsets in g; only `seconds_per_fit` varies by run."""
     return {
-        "accelcal_version": __version__,
+        **identity("simulation"),
         "protocol": asdict(protocol),
         "tables": [_table_json(table) for table in tables],
     }

@@ -152,7 +152,6 @@ PUBLISHED = ("Table 1 of Grammenos et al. 2018 (own recording)", "rolling mean",
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object per line.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
-@options.reading_options
 @options.comparing_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Show how much smaller a rolling mean or median makes the noise of each RECORDING at rest.

@@ -31,7 +31,6 @@ from accelcal_cli.judge.errors import deviations_mg, per_posture
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.numbers import formatted
-from accelcal_cli.output.report import rounded
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 from accelcal_cli.pipeline.options import fit_settings, read_options, recording_options
 from accelcal_cli.pipeline.procedures import fitting, make_method
@@ -169,7 +168,7 @@ FIGURES = {
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
-@options.reading_options
+@options.laboratory_reading_options
 @options.fitting_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate each RECORDING by every stillness rule and compare the results.
@@ -208,7 +207,7 @@ def _shown(results: dict[str, list[Row]], values: dict[str, Any]) -> str:
 def rows(comparison: Comparison) -> list[Row]:
     """Return a row for raw data and for each rule."""
     on = {
-        rule: {name: rounded(error) for name, error in errors.items()}
+        rule: {name: _rounded(error) for name, error in errors.items()}
         for rule, errors in comparison.errors_mg().items()
     }
     rows_of_rules = [
@@ -230,10 +229,10 @@ def _row(result: RuleResult, comparison: Comparison) -> Row:
         "postures": result.postures,
         "outcome": str(result.judgement.outcome),
         "model": None if calibration is None else calibration.model,
-        "before_mg": None if holdout is None else rounded(holdout.before.mean),
-        "after_mg": None if holdout is None else rounded(holdout.after.mean),
+        "before_mg": None if holdout is None else _rounded(holdout.before.mean),
+        "after_mg": None if holdout is None else _rounded(holdout.after.mean),
         "gain_error": None if gain is None else round(gain, 8),
-        "offset_error_mg": rounded(offset_mg),
+        "offset_error_mg": _rounded(offset_mg),
     }
 
 
@@ -252,3 +251,7 @@ def text(shown: list[Row]) -> str:
     ]
     head = ["rule", *(name.replace("_", " ") for name in columns)]
     return f"{aligned(head, first)}\n\n{aligned(['mg on the points of', *STILLNESS], cross)}"
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 4)

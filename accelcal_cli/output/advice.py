@@ -1,7 +1,6 @@
 """Cautions and advice that follow from a report: codes with values, none of which the judgement has given.
 
-`completed` adds them to a report that is being built. Reports of earlier versions have none; they are found
-in the same way when such a report is read.
+`completed` adds them to a report that is being built.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from accelcal_cli.output import words
 from accelcal_cli.output.known_faults import of_device
 from accelcal_cli.output.methods import held_out_sentence
 from accelcal_cli.output.numbers import number
-from accelcal_cli.output.report_view import ReportView, report_view
+from accelcal_cli.output.sections import ReportView, report_view
 
 LIMIT_MG = DEFAULT.max_error_mg
 """Limit [mg] of the 95 % interval of a good result, where a report's settings do not say."""
@@ -53,7 +52,7 @@ MILD = ("sides_unchecked", "not_converged", "rows_without_values", "unlikely_yea
 def completed(report: dict[str, Any], judgement: Judgement) -> dict[str, Any]:
     """Return a report with all its cautions, its advice and its message."""
     view = report_view(report)
-    of_file, given = _of_the_file(view), judgement.cautions  # which may be all those of an earlier report
+    of_file, given = _of_the_file(view), judgement.cautions  # which may be those of coefficients, too
     codes = [one.code for one in given]
     found = [
         *of_file,
@@ -68,22 +67,10 @@ def completed(report: dict[str, Any], judgement: Judgement) -> dict[str, Any]:
     }
 
 
-def cautions(report: ReportView) -> tuple[Reason, ...]:
-    """Return what speaks against trusting a result without a look."""
-    if report.cautions is not None:
-        return report.cautions
-    return (*_of_the_file(report), *_older_cautions(report), *_cautions(report))
-
-
-def advice(report: ReportView) -> tuple[Reason, ...]:
-    """Return what would make a refused recording one that can be used, as far as the report shows."""
-    return _advice(report) if report.advice is None else report.advice
-
-
 def is_doubtful(report: ReportView) -> bool:
     """Return True if a result is to be used with care."""
     unsure = report.outcome in (Outcome.BORROWED, Outcome.PROVISIONAL)
-    return unsure or any(one.code not in MILD for one in cautions(report))
+    return unsure or any(one.code not in MILD for one in report.cautions)
 
 
 def _cautions(report: ReportView) -> tuple[Reason, ...]:
@@ -92,14 +79,14 @@ def _cautions(report: ReportView) -> tuple[Reason, ...]:
         *of_device(report.recording.device),
         *_unchecked_poses(report),
         *_unconverged(report),
-        *doubts(*_interval(report), everywhere=report.error_everywhere is not None),
+        *doubts(*_interval(report), everywhere=report.calibration_error_mg is not None),
         *([Reason.of("sides_unchecked", sides=sides)] if sides else []),
     )
 
 
 def _of_the_file(report: ReportView) -> list[Reason]:
     health = report.file_health
-    lost = (health.lost_bytes or 0, health.lost_percent or 0.0)
+    lost = (health.lost_bytes, health.lost_percent)
     return of_file(health.missing_bytes, *lost, health.filled_samples, report.recording.samples)
 
 
@@ -139,42 +126,14 @@ def of_rows(facts: Facts) -> list[Reason]:
 
 
 def _unconverged(report: ReportView) -> list[Reason]:
-    optimizer = {} if report.calibration is None else report.calibration.optimizer
-    if optimizer.get("converged") is not False:
+    if report.calibration is None or report.calibration.optimizer.converged is not False:
         return []
-    return [Reason.of("not_converged", iterations=optimizer["iterations"])]
-
-
-def _older_cautions(report: ReportView) -> list[Reason]:
-    """Return the cautions that the judgement gives, as far as an older report has their values."""
-    found = []
-    change = report.change
-    if change is not None and change.kind != "none" and change.size_mg is not None:
-        followed = report.calibration is not None and report.calibration.course is not None
-        holdout = change.holdout or {}
-        values = {name: holdout.get(name) for name in ("constant_mg", "changing_mg")}
-        found.append(
-            Reason.of(
-                "sensor_changed",
-                kind=change.kind,
-                at=change.at,
-                size_mg=change.size_mg,
-                followed=followed,
-                **values,
-            )
-        )
-    for one in report.misfits or ():
-        if one.found:
-            size = {"size": one.size, "unit": one.unit, "largest_mg": one.largest_mg}
-            found.append(Reason.of("misfit", kind=one.kind, **size))
-    for axis in report.coverage.saturated:
-        found.append(Reason.of("axis_saturates", axis=axis.axis, at_g=axis.at_g))
-    return found
+    return [Reason.of("not_converged", iterations=report.calibration.optimizer.iterations)]
 
 
 def _interval(report: ReportView) -> tuple[float | None, float | None, float]:
     """Return the upper end of the error's 95 % interval, the error before, and the limit [mg]."""
-    everywhere, holdout = report.error_everywhere, report.holdout
+    everywhere, holdout = report.calibration_error_mg, report.holdout
     limit = report.setting("max_error_mg", LIMIT_MG)
     if report.calibration is None:
         return None, None, limit
@@ -217,7 +176,7 @@ def _unchecked_poses(report: ReportView) -> list[Reason]:
 def _advice(report: ReportView) -> tuple[Reason, ...]:
     """Return what else helps a refused recording; nothing for poses, or where a note explains its values."""
     explained = report.poses is not None or any(note.code in ODD_REST for note in report.notes)
-    if report.outcome != Outcome.REFUSED or explained or _is_damaged(report):
+    if report.outcome != Outcome.REFUSED or explained or report.reason == "damaged":
         return ()
     health, cells = report.file_health, report.coverage.cells
     if health.rest and not NEAR_ONE_G[0] < health.rest.median_g < NEAR_ONE_G[1]:
@@ -230,14 +189,6 @@ def _advice(report: ReportView) -> tuple[Reason, ...]:
     again = Reason("check_sensor" if report.reason == "constant_values" else "record_again")
     ways = _orientations(report) if cells else (again,)
     return ways if points else (*ways, Reason("other_coefficients"))
-
-
-def _is_damaged(report: ReportView) -> bool:
-    """Return True if a recording was refused for its damage; older reports have no code of that."""
-    lost = report.file_health.lost_percent or 0.0
-    return report.reason == "damaged" or (
-        not report.reason and lost > report.setting("max_damage_percent", 100)
-    )
 
 
 def _orientations(report: ReportView) -> tuple[Reason, ...]:
@@ -288,28 +239,28 @@ def page_verdict(report: ReportView) -> PageVerdict:
     meaning, reason = words.outcome_words(report.outcome), words.message(report)
     if report.outcome == Outcome.REFUSED:
         headline = "Refused: this recording could not be calibrated."
-        return PageVerdict("bad", headline, reason, (meaning.to_do, *map(words.sentence, advice(report))))
+        return PageVerdict("bad", headline, reason, (meaning.to_do, *map(words.sentence, report.advice)))
     doubtful = is_doubtful(report)
     opening = f"{'Use with care' if doubtful else 'Good'}: {meaning.headline or meaning.result}"
     return PageVerdict(
         "care" if doubtful else "good",
         f"{opening}.",
         _details(report) or reason,
-        (meaning.to_do, *map(words.sentence, cautions(report))),
+        (meaning.to_do, *map(words.sentence, report.cautions)),
         (words.error_sentence(report), *_meaning_of_error(report)),
     )
 
 
 def _details(report: ReportView) -> str:
     """Return what the box does not say of a calibrated recording: the held-out error, and the notes."""
-    if report.reason != "calibrated" or report.error_everywhere is None or report.holdout is None:
+    if report.reason != "calibrated" or report.calibration_error_mg is None or report.holdout is None:
         return ""
     return " ".join((held_out_sentence(report.holdout), *map(words.sentence, report.notes)))
 
 
 def _meaning_of_error(report: ReportView) -> Iterator[str]:
     """Yield the limit of the error, and its effect on ENMO (van Hees et al. 2013)."""
-    error = report.error_everywhere
+    error = report.calibration_error_mg
     if error is None:
         return
     yield f"The limit is {number(report.setting('max_error_mg', LIMIT_MG))} mg."

@@ -21,6 +21,7 @@ from accelcal_cli.core.calibration import (
     Correction,
     TemperatureScale,
 )
+from accelcal_cli.core.declared import from_json
 from accelcal_cli.core.errors import UnreadableError, printable
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import MODELS
@@ -29,7 +30,7 @@ from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import LEARNT_PRIORS
 from accelcal_cli.output.report_reading import Document, check_sections, damaged, read_document
-from accelcal_cli.output.report_view import AppliedView, record
+from accelcal_cli.output.sections import AppliedCoefficients
 
 EQUATION = "a = K (v + o + s (T - Tref))"
 STRETCH = (0.5, 2.0)
@@ -205,7 +206,7 @@ def _origin(document: Document) -> Origin:
     if section is None:
         version = str(document.report["accelcal_version"])
         return Origin(recording.path, recording.sha256, recording.device, version)
-    applied = record(AppliedView, section)
+    applied = from_json(AppliedCoefficients, section)
     return Origin(applied.recording_path, applied.recording_sha256, applied.device, applied.accelcal_version)
 
 

@@ -188,7 +188,7 @@ def _take(found: Decisions, number: int, cells: Mapping[str, str]) -> None:
 
 
 def _unescaped(cell: str) -> str:
-    """Return a cell without the apostrophe that keeps spreadsheets from calculating it."""
+    """Return a cell without the apostrophe that keeps spreadsheets from changing it."""
     return cell[1:] if cell[:1] == "'" and FORMULA.match(cell[1:]) else cell
 
 

@@ -40,6 +40,9 @@ WIDEST = 64
 OBEYED = re.compile("[\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 """Control characters and marks of direction that JSON texts may hold as they are."""
 
+WAIT_S = 0.05
+"""Interval [s] at which temporaries are looked for that other processes are to remove."""
+
 _LISTED: dict[Path, tuple[list[str], float]] = {}
 """Names of temporaries in each folder, and the time up to which they need not be listed again."""
 _MODES = {"rb": os.O_RDONLY, "r+b": os.O_RDWR, "a": os.O_WRONLY | os.O_APPEND | os.O_CREAT}
@@ -148,7 +151,7 @@ def _temporary_name(path: Path) -> Path:
         sweep(path)
     except OSError as error:
         raise output_error(error, path) from error
-    return path.with_name(f"{_start(path, owner())}{os.urandom(6).hex()}.tmp")
+    return path.with_name(f"{_start(path)}{owner()}.{os.urandom(6).hex()}.tmp")
 
 
 def owner() -> str:
@@ -156,11 +159,11 @@ def owner() -> str:
     return f"{host()}.{os.getpid()}"
 
 
-def _start(path: Path, whose: str) -> str:
-    """Return how an owner's temporaries of a file begin; a long name would leave no room for the rest."""
+def _start(path: Path) -> str:
+    """Return how the temporaries of a file begin; a long name would leave no room for the rest."""
     name, encoded = path.name, os.fsencode(path.name)
     short = name if len(encoded) <= LONG_NAME else hashlib.sha256(encoded).hexdigest()[:32]
-    return f".{short}.{whose}."
+    return f".{short}."
 
 
 def _create(path: Path) -> None:
@@ -169,31 +172,42 @@ def _create(path: Path) -> None:
 
 def sweep(path: Path) -> None:
     """Remove temporaries of this file whose process on this machine was killed; raises OSError."""
-    start = _start(path, host())
-    for name in _temporaries(path.parent):
-        process = name.removeprefix(start).split(".")[0]
-        if name.startswith(start) and process.isdigit() and not lives(int(process)):
+    for name, where, process in _owned(_temporaries(path.parent), [path]):
+        if where == host() and not lives(process):
             path.with_name(name).unlink(missing_ok=True)
 
 
-def sweep_of(path: Path, lost: str) -> None:
-    """Remove the temporaries of this file of an owner that is known to be gone; raises OSError."""
-    start = _start(path, lost)
-    for left in path.parent.iterdir():
-        if left.name.startswith(start) and left.suffix == ".tmp":
-            left.unlink(missing_ok=True)
+def sweep_left(paths: Iterable[Path], wait_s: float = 0.0) -> None:
+    """Remove temporaries of these files, of which nobody else may write one now, as far as the disk allows.
 
+    Those of living processes of this machine stay.
 
-def sweep_host(paths: Iterable[Path], lost: str) -> None:
-    """Remove the temporaries of these files of processes on another host that are known to be gone."""
-    below: dict[Path, list[str]] = {}
+    Args:
+        wait_s: longest wait for other processes to remove theirs.
+    """
+    below: dict[Path, list[Path]] = {}
     for path in paths:
-        below.setdefault(path.parent, []).append(_start(path, lost))
-    for folder, starts in below.items():
+        below.setdefault(path.parent, []).append(path)
+    end = time.monotonic() + wait_s
+    for folder, ours in below.items():
         with contextlib.suppress(OSError):
-            for name in _temporaries(folder):
-                if name.startswith(tuple(starts)):
+            while (left := _owned(_listed(folder), ours)) and time.monotonic() < end:
+                time.sleep(WAIT_S)
+            for name, where, process in left:
+                if where != host() or not lives(process):
                     (folder / name).unlink(missing_ok=True)
+
+
+def _owned(names: Iterable[str], paths: Sequence[Path]) -> list[tuple[str, str, int]]:
+    """Return those names that are temporaries of the files, each with host and process of its owner."""
+    found = []
+    starts = tuple(map(_start, paths)) if names else ()
+    for name in names:
+        start = next((one for one in starts if name.startswith(one)), "")
+        where, _, process = name.removeprefix(start).rsplit(".", 2)[0].rpartition(".")
+        if start and process.isdigit():
+            found.append((name, where, int(process)))
+    return found
 
 
 def _temporaries(folder: Path) -> list[str]:
@@ -205,10 +219,14 @@ def _temporaries(folder: Path) -> list[str]:
     now = time.monotonic()
     names, until = _LISTED.get(folder, ([], now))
     if now >= until:
-        with os.scandir(folder) as entries:
-            names = [entry.name for entry in entries if entry.name[0] == "." and entry.name.endswith(".tmp")]
+        names = _listed(folder)
         _LISTED[folder] = names, time.monotonic() + 100 * (time.monotonic() - now)
     return names
+
+
+def _listed(folder: Path) -> list[str]:
+    with os.scandir(folder) as entries:
+        return [entry.name for entry in entries if entry.name[0] == "." and entry.name.endswith(".tmp")]
 
 
 def _flush_folder(folder: Path) -> None:

@@ -6,7 +6,7 @@ from accelcal_cli.core.errors import counted
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.numbers import number, times_smaller
-from accelcal_cli.output.report_view import CalibrationView, HoldoutView, KnownOrientationsView, ReportView
+from accelcal_cli.output.sections import CalibrationSection, HoldoutSection, KnownOrientations, ReportView
 from accelcal_cli.output.words import corrections_of
 
 SOFTWARE = """@software{{accelcal,
@@ -97,8 +97,8 @@ def methods_paragraph(report: ReportView) -> str:
 
 def _windows(report: ReportView) -> str:
     """Say what the fit was made of, and whose idea that is."""
-    used, seconds = report.fit.windows.get("used"), report.setting("segment_seconds", 5.0)
-    still = "still windows" if not isinstance(used, int) else counted(used, "still window")
+    used, seconds = report.fit.windows.used, report.setting("segment_seconds", 5.0)
+    still = counted(used, "still window")
     points = counted(report.coverage.cells, "point")
     if report.known_orientations is not None:
         return (
@@ -125,7 +125,7 @@ def _rule(report: ReportView, seconds: float) -> str:
     )
 
 
-def _model(report: ReportView, calibration: CalibrationView) -> str:
+def _model(report: ReportView, calibration: CalibrationSection) -> str:
     """Give the equation with all its symbols, what it corrects, and whose it is."""
     equation, symbols = "a = K (v + o)", "K a 3 × 3 matrix, and o the offsets"
     source = FARAGO if report.known_orientations is None else BRAGGE
@@ -139,9 +139,9 @@ def _model(report: ReportView, calibration: CalibrationView) -> str:
     )
 
 
-def _fit(report: ReportView, calibration: CalibrationView) -> str:
+def _fit(report: ReportView, calibration: CalibrationSection) -> str:
     """Say what the parameters were fitted to, with what prior and by which optimizer."""
-    goal = f"gravity measures {calibration.gravity['local_g']:.5f} g in every orientation"
+    goal = f"gravity measures {calibration.gravity.local_g:.5f} g in every orientation"
     if report.known_orientations is not None:
         goal = f"the positions measure their known accelerations ({BRAGGE})"
     prior, text = report.settings.get("prior"), f"Its parameters were fitted so that {goal}"
@@ -152,10 +152,10 @@ def _fit(report: ReportView, calibration: CalibrationView) -> str:
         )
     elif prior not in (None, "none"):
         text += ", with a prior learnt from other recordings of the study"
-    return f"{text}, by accelcal's optimizer {calibration.optimizer['name']}."
+    return f"{text}, by accelcal's optimizer {calibration.optimizer.name}."
 
 
-def _widths(calibration: CalibrationView) -> str:
+def _widths(calibration: CalibrationSection) -> str:
     """Give the prior's width for each kind of parameter."""
     scale, misalignment, offset, slope = POPULATION.width[::3]
     widths = [
@@ -168,8 +168,8 @@ def _widths(calibration: CalibrationView) -> str:
     return ", ".join(widths)
 
 
-def _errors(report: ReportView, known: KnownOrientationsView | None) -> list[str]:
-    everywhere, holdout = report.error_everywhere, report.holdout
+def _errors(report: ReportView, known: KnownOrientations | None) -> list[str]:
+    everywhere, holdout = report.calibration_error_mg, report.holdout
     if known is not None and known.unchecked is not None:
         return ["Its error is not known: no data were held out."]
     sentences = []
@@ -184,7 +184,7 @@ def _errors(report: ReportView, known: KnownOrientationsView | None) -> list[str
     return sentences
 
 
-def held_out_sentence(holdout: HoldoutView) -> str:
+def held_out_sentence(holdout: HoldoutSection) -> str:
     """Return the errors on data that were held out of the fit, in a sentence."""
     factor = holdout.improvement_factor
     smaller = "" if factor is None else times_smaller(factor.value, factor.ci95)

@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.clock import iso_time
+from accelcal_cli.core.identity import QUALITY, identity
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet
 from accelcal_cli.core.results import Holdout, TimeRows
-from accelcal_cli.core.version import __version__
 from accelcal_cli.output.files import json_text
 from accelcal_cli.output.report import ReportInput
-
-SCHEMA_VERSION = 1
 
 UNITS = {
     "x": "0.001 g",
@@ -101,8 +99,7 @@ def quality_json(made: QualityInput) -> dict[str, Any]:
     data = made.data
     judgement, rate_hz = data.judgement, data.recording.rate_hz
     return {
-        "schema_version": SCHEMA_VERSION,
-        "accelcal_version": __version__,
+        **identity(QUALITY),
         "sha256": data.sha256,
         "outcome": str(judgement.outcome),
         "model": None if judgement.calibration is None else judgement.calibration.model,

@@ -16,18 +16,18 @@ from typing import Any
 
 from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.identity import OLD_REGISTRY, REGISTRY, REPORT, identity, refuse_other
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.coefficients import Coefficients, coefficients_in
 from accelcal_cli.output.files import json_text, parsed, write_text
-from accelcal_cli.output.report_reading import Document, document_bytes, load_report, section, upgraded
-from accelcal_cli.output.report_view import ReportView, report_view
+from accelcal_cli.output.report_reading import Document, document_bytes, load_report, section
+from accelcal_cli.output.sections import ReportView, report_view
 
-KIND, VERSION = "accelcal_registry", 1
 GOOD = (Outcome.CALIBRATED, Outcome.REDUCED_MODEL, Outcome.ALREADY_GOOD)
 
 KEPT = (
-    "schema_version", "accelcal_version", "recording", "settings", "outcome", "reason", "values", "message",
-    "notes", "cautions", "advice", "calibration", "without_misalignment", "calibration_error_mg",
+    "kind", "schema_version", "accelcal_version", "recording", "settings", "outcome", "reason", "values",
+    "message", "notes", "cautions", "advice", "calibration", "without_misalignment", "calibration_error_mg",
     "rest_scatter_mg", "change", "misfits", "holdout", "fit", "coverage", "models_tried", "file_health",
     "provenance",
 )  # fmt: skip
@@ -80,9 +80,11 @@ def entry_of(report_path: Path, quality_path: Path) -> RegistryEntry | None:
 
     Raises:
         OutputError: a file is there and cannot be read.
+        UnreadableError: the report is of another version, which this one does not read.
     """
-    report = load_report(report_path)
-    if report is None or (report := upgraded(report)).get("outcome") not in GOOD:
+    if (report := load_report(report_path)) is not None:
+        refuse_other(report, REPORT, report_path)
+    if report is None or report.get("outcome") not in GOOD:
         return None
     device = section(report, "recording", "device")
     borrowed = "coefficients" in report or "pool" in report
@@ -126,8 +128,7 @@ def read_registry(path: Path) -> list[RegistryEntry]:
         held = parsed(data.decode())
     except ValueError as error:
         raise UnreadableError(f"is not a registry of devices ({error})", path=path, hint=HOW) from error
-    if not isinstance(held, dict) or held.get(KIND) != VERSION:
-        raise UnreadableError("is not a registry of devices", path=path, hint=HOW)
+    refuse_other(held, REGISTRY, path)
     try:
         return [_entry(one, path) for device in held["devices"].values() for one in device]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -148,7 +149,8 @@ def is_registry(path: Path) -> bool:
     """Return True for a file that begins as a registry does, whatever comes then."""
     try:
         with path.open("rb") as file:
-            return f'"{KIND}"'.encode() in file.read(64)
+            start = file.read(64)
+            return any(f'"{word}"'.encode() in start for word in (REGISTRY, OLD_REGISTRY))
     except OSError:
         return False
 
@@ -174,8 +176,8 @@ def write_registry(path: Path, entries: Iterable[RegistryEntry]) -> None:
     devices: dict[str, list[Any]] = {}
     for one in merged(entries):
         devices.setdefault(one.order()[0], []).append(one.as_json())
-    text = json_text({KIND: VERSION, "devices": devices}, sort_keys=True, indent=1)
-    write_text(path, text + "\n")
+    ordered = json.loads(json.dumps(devices, sort_keys=True))  # whichever version wrote an entry
+    write_text(path, json_text(identity(REGISTRY) | {"devices": ordered}, indent=1) + "\n")
 
 
 def content_sha256(entries: Iterable[RegistryEntry]) -> str:

@@ -9,23 +9,22 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from accelcal_cli.core.declared import as_json
 from accelcal_cli.core.errors import printable
+from accelcal_cli.core.identity import REPORT, identity
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout
-from accelcal_cli.core.version import __version__
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.advice import completed
-from accelcal_cli.output.report_reading import Document, report_schema
-from accelcal_cli.output.report_view import ReportRecording
+from accelcal_cli.output.report_reading import FAILURES, Document, report_schema
+from accelcal_cli.output.sections import HealthSection, OwnWindows, RecordingSection, WindowUse
 
 FORMAT = "pool"
-FAILURES = {2: "wrong_usage", 3: "unreadable", 5: "not_written", 70: "bug", 71: "out_of_memory"}
-"""Codes of failures, by exit code."""
 TAKEN = (
     "calibration",
     "without_misalignment",
@@ -60,29 +59,22 @@ class PointsInput(reports.JudgedInput):
 
 def build_points(data: PointsInput) -> dict[str, Any]:
     """Return the report of a table of points without `provenance`."""
-    recording = ReportRecording(
+    recording = RecordingSection(
         path=reports.file_name(data.path),
         sha256=data.sha256,
         bytes=data.bytes,
         format="points",
         samples=data.rows,
     )
-    return completed(reports.document(recording, reports.FileHealth(), _windows(data), data), data.judgement)
-
-
-def _windows(data: PointsInput) -> dict[str, Any]:
-    none = ("moving", "filled", "clipped", "recovered", "joined", "repeated")
-    return {
-        "complete": data.rows,
-        **dict.fromkeys(none, 0),
-        "implausible": data.implausible,
-        "constant_left_out": 0,
-        "temperature_left_out": 0,
-        "saturated_left_out": 0,
-        "used": data.rows - data.implausible,
-        "raw_error_mg": reports.rounded(data.raw_error_mg),
-        "after_error_mg": reports.rounded(data.after_error_mg),
-    }
+    used = data.rows - data.implausible
+    windows = WindowUse(
+        complete=data.rows,
+        implausible=data.implausible,
+        used=used,
+        raw_error_mg=data.raw_error_mg,
+        after_error_mg=data.after_error_mg,
+    )
+    return completed(reports.document(recording, HealthSection(), windows, data), data.judgement)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,17 +106,15 @@ class PoolInput(reports.JudgedInput):
     example: Recording
     bytes: int
     samples: int
-    windows: reports.WindowUse
+    windows: WindowUse
     copies: Sequence[Member] = ()
     notes: Sequence[str] = ()
 
 
 def build_pool(data: PoolInput) -> dict[str, Any]:
     """Return the report of a pool without `provenance`."""
-    windows = {**asdict(data.windows), "raw_error_mg": None}
-    report = completed(
-        reports.document(_pool_recording(data), reports.FileHealth(), windows, data), data.judgement
-    )
+    report = reports.document(_pool_recording(data), HealthSection(), data.windows, data)
+    report = completed(report, data.judgement)
     device = data.example.device
     section = {
         "serial": device.serial,
@@ -138,9 +128,9 @@ def build_pool(data: PoolInput) -> dict[str, Any]:
     return {**report, "pool": section | copies}
 
 
-def _pool_recording(data: PoolInput) -> ReportRecording:
+def _pool_recording(data: PoolInput) -> RecordingSection:
     example, members = data.example, data.members
-    return ReportRecording(
+    return RecordingSection(
         path=printable(f"pool of {len(members)} recordings of device {example.device.serial}"),
         sha256=hashlib.sha256("".join(one.sha256 for one in members).encode()).hexdigest(),
         bytes=data.bytes,
@@ -163,11 +153,7 @@ def of_member(pool: Document, report: Path, holdout: Holdout | None) -> dict[str
     relative = Path(os.path.relpath(pool.path, report.parent)).as_posix()
     own = None
     if holdout is not None:
-        errors = {
-            "before_mg": reports.summary_json(holdout.before),
-            "after_mg": reports.summary_json(holdout.after),
-        }
-        own = {"points": holdout.points, "postures": holdout.postures, **errors}
+        own = as_json(OwnWindows(holdout.points, holdout.postures, holdout.before, holdout.after))
     pooled = pool.report["pool"]
     section = {**pooled, "path": printable(relative), "sha256": pool.content_sha256, "own_windows": own}
     return {**{name: pool.report.get(name) for name in TAKEN}, "pool": section}
@@ -187,8 +173,7 @@ def failed_document(path: Path, exit_code: int, message: str) -> dict[str, Any]:
     document: dict[str, Any] = dict.fromkeys(schema["required"])
     recording = dict.fromkeys(schema["properties"]["recording"]["required"])
     return document | {
-        "schema_version": schema["properties"]["schema_version"]["const"],
-        "accelcal_version": __version__,
+        **identity(REPORT),
         "recording": recording | {"path": reports.file_name(path)},
         "outcome": "failed",
         "reason": failure_code(exit_code),

@@ -1,6 +1,6 @@
-"""Reports read from their files: whole documents, their sections checked against the schema, older versions.
+"""Reports read from their files: whole documents, and their sections checked against the schema.
 
-`fault` knows the part of JSON Schema that report.schema.json uses; keys that the schema does not know are
+`fault` knows the part of JSON Schema that `report_schema` uses; keys that the schema does not know are
 passed over, since a later version may add some.
 """
 
@@ -11,117 +11,56 @@ import json
 import os
 import re
 import stat
-from collections.abc import Callable, Iterable, Iterator
-from copy import deepcopy
+import sys
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.calibration import FIRST_NAMES
+from accelcal_cli.core.declared import from_json, schema_of
 from accelcal_cli.core.door import look
 from accelcal_cli.core.errors import UnreadableError, unread
 from accelcal_cli.core.formats import EVERY_ROW
+from accelcal_cli.core.identity import REPORT, is_ours, refuse_other
+from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.files import looking_at, parsed
-from accelcal_cli.output.report_view import ReportRecording, record
+from accelcal_cli.output.sections import RecordingSection, ReportView
 
-SCHEMA_VERSION = 3
+FAILURES = {2: "wrong_usage", 3: "unreadable", 5: "not_written", 70: "bug", 71: "out_of_memory"}
+"""Codes of failures, by exit code."""
+
 LARGEST_BYTES = 64 << 20
 """Size of a file above which it cannot be a report, which has some thousand entries at most."""
 NAME_ONE = "name a report, NAME.calibration.json"
 
-LATER = {
-    "settings.precision_mg": "0.1.0",
-    "settings.max_damage_percent": "0.1.0",
-    "settings.min_distance_g": "0.2.0",
-    "settings.min_subset_points": "0.2.0",
-    "settings.max_subset_points": "0.2.0",
-    "settings.input.date_format": "0.1.0",
-    "coverage.distinct_orientations": "0.2.0",
-    "settings.input.force_timezone": "0.2.0",
-    "recording.time_zone": "0.2.0",
-    "file_health.clock": "0.1.0",
-    "file_health.clock.dst_change.followed": "0.2.0",
-    "file_health.lost_bytes": "0.1.0",
-    "file_health.lost_percent": "0.1.0",
-    "file_health.rest": "0.2.0",
-    "recording.thermometer": "0.3.0",
-    "holdout.improvement_factor": "0.2.0",
-    "holdout.improvement_factor.ci95": "0.3.0",
-    "without_misalignment.holdout.improvement_factor.ci95": "0.3.0",
-    "settings.prior": "0.2.0",
-    "calibration.optimizer.converged": "0.3.0",
-    "calibration_error_mg": "0.3.0",
-    "rest_scatter_mg": "0.3.0",
-    "settings.strict": "0.3.0",
-    "reason": "0.3.0",
-    "values": "0.3.0",
-    "notes": "0.3.0",
-    "cautions": "0.3.0",
-    "advice": "0.3.0",
-    "models_tried.values": "0.3.0",
-    "pool.left_out.values": "0.3.0",
-    "gyroscope.reason": "0.3.0",
-    "gyroscope.values": "0.3.0",
-    "without_misalignment": "0.2.0",
-    "without_misalignment.calibration_error_mg": "0.3.0",
-    "change": "0.2.0",
-    "misfits": "0.2.0",
-    "gyroscope": "0.2.0",
-    "settings.recalibrate": "0.2.0",
-    "settings.longest_gap_s": "0.2.0",
-    "settings.input.unused": "0.3.0",
-    "settings.other_stillness": "0.3.0",
-    "calibration.course": "0.2.0",
-    "fit.windows.temperature_left_out": "0.2.0",
-    "fit.windows.saturated_left_out": "0.2.0",
-    "coverage.saturated": "0.2.0",
-    "fit.windows.repeated": "0.2.0",
-    "coverage.subsets_full_after_h": "0.2.0",
-    "effect.left_out_percent": "0.3.0",
-    "effect.ci95": "0.3.0",
-    "effect.raw_bias": "0.3.0",
-    "effect.versions.raw.angle_deg": "0.3.0",
-    "effect.versions.without_misalignment.angle_deg": "0.3.0",
-    "effect.versions.calibrated.angle_deg": "0.3.0",
-    "file_health.missing_bytes": "0.3.0",
-}
-"""Keys that reports of versions before the given one may lack (docs/outputs.md)."""
-
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A report as its file has it: `sha256` of the file, and its content.
-
-    Attributes:
-        report: content with the names of this schema version.
-        first: content as the file has it, if that is of an earlier schema version; else None.
-    """
+    """A report as its file has it: `sha256` of the file, and its content."""
 
     path: Path
     sha256: str
     report: dict[str, Any]
-    first: dict[str, Any] | None = None
 
     @property
-    def recording(self) -> ReportRecording:
+    def recording(self) -> RecordingSection:
         """Section `recording`, once that has been checked."""
-        return record(ReportRecording, self.report["recording"])
+        return from_json(RecordingSection, self.report["recording"])
 
     @property
     def content_sha256(self) -> str:
         """SHA-256 of the content except `provenance`, as JSON with sorted keys."""
-        original = self.report if self.first is None else self.first
-        content = {name: value for name, value in original.items() if name != "provenance"}
+        content = {name: value for name, value in self.report.items() if name != "provenance"}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def read_document(path: Path) -> Document:
-    """Read a report of this schema version or an earlier one; its sections are not checked.
+    """Read a report; its sections are not checked.
 
     Raises:
-        UnreadableError: it cannot be read, is not JSON, or no report of ours that this version knows.
+        UnreadableError: it cannot be read, is not JSON, or is not a report that this version knows.
     """
     data = document_bytes(path)
     try:
@@ -131,17 +70,8 @@ def read_document(path: Path) -> Document:
         raise UnreadableError("is not UTF-8 text", path=path, byte_offset=start, hint=NAME_ONE) from error
     except ValueError as error:
         raise UnreadableError(f"is not valid JSON ({error})", path=path, hint=NAME_ONE) from error
-    if not isinstance(report, dict) or not {"accelcal_version", "schema_version"} <= report.keys():
-        raise UnreadableError("is not a report of accelcal", path=path, hint=NAME_ONE)
-    version, writer = report["schema_version"], report["accelcal_version"]
-    if version not in (1, 2, SCHEMA_VERSION) or isinstance(version, bool):
-        raise UnreadableError(
-            f"has schema version {version!r} (of accelcal {writer!r}), not one of 1 to {SCHEMA_VERSION}",
-            path=path,
-            hint="calibrate its recording again with this version, or use the version that wrote it",
-        )
-    now = upgraded(report)
-    return Document(path, hashlib.sha256(data).hexdigest(), now, None if now is report else report)
+    refuse_other(report, REPORT, path)
+    return Document(path, hashlib.sha256(data).hexdigest(), report)
 
 
 def document_bytes(path: Path) -> bytes:
@@ -162,7 +92,7 @@ def document_bytes(path: Path) -> bytes:
 
 def check_sections(document: Document, names: tuple[str, ...]) -> None:
     """Raise UnreadableError if sections of a report are missing or not what they should be."""
-    schema = schema_of_version(str(document.report["accelcal_version"]))
+    schema = report_schema()
     wrong = fault(
         document.report,
         {
@@ -200,7 +130,7 @@ def our_json(text: bytes) -> dict[str, Any] | None:
         report = parsed(text.decode())
     except ValueError:
         return None
-    return report if isinstance(report, dict) and "accelcal_version" in report else None
+    return report if is_ours(report) else None
 
 
 def section(report: dict[str, Any], *names: str) -> dict[str, Any]:
@@ -236,89 +166,74 @@ def load_report(path: Path) -> dict[str, Any] | None:
     return report if fault(report.get("recording"), asked) is None else None
 
 
-def upgraded(report: dict[str, Any]) -> dict[str, Any]:
-    """Return a report of an earlier schema version with this one's names; any other as it is.
-
-    What only this version has (reasons as codes, the error without the scatter of rests) stays missing; the
-    sentence on a model that was not used takes the place of its code.
-    """
-    version = report.get("schema_version")
-    if version not in (1, 2) or isinstance(version, bool):
-        return report
-    old = version == 1 and "calibration" in report
-    renamed: dict[str, Any] = {"calibration": with_new_names(report["calibration"])} if old else {}
-    tried = report.get("models_tried")
-    if isinstance(tried, list):
-        renamed["models_tried"] = [{"values": {}} | one if isinstance(one, dict) else one for one in tried]
-    renamed |= {"holdout": _with_factor(report["holdout"])} if "holdout" in report else {}
-    if simpler := section(report, "without_misalignment"):
-        renamed["without_misalignment"] = simpler | {"holdout": _with_factor(simpler.get("holdout"))}
-    return report | {"schema_version": SCHEMA_VERSION} | renamed
-
-
-def _with_factor(holdout: Any) -> Any:
-    """Return a `holdout` whose factor, a plain number before schema version 3, is an object."""
-    factor = holdout.get("improvement_factor") if isinstance(holdout, dict) else None
-    if not isinstance(factor, int | float):
-        return holdout
-    return holdout | {"improvement_factor": {"value": factor}}
-
-
-def with_new_names(calibration: Any) -> Any:
-    """Return the `calibration` of schema version 1 with today's names of the parameters."""
-    if not isinstance(calibration, dict):
-        return calibration
-    inner = {
-        name: _renamed(calibration[name]) for name in ("parameters", "standard_errors") if name in calibration
-    }
-    integers = section(calibration, "fixed_point")
-    if "parameters" in integers:
-        inner["fixed_point"] = {**integers, "parameters": _renamed(integers["parameters"])}
-    return calibration | inner
-
-
-def _renamed(named: Any) -> Any:
-    if not isinstance(named, dict):
-        return named
-    return {FIRST_NAMES.get(name, name): value for name, value in named.items()}
+IF_REFUSED = {"properties": {"outcome": {"const": str(Outcome.REFUSED)}}}
+IF_HELD_OUT = {
+    "properties": {"outcome": {"enum": ["calibrated", "provisional", "reduced_model", "already_good"]}}
+}
+HELD_OUT = [
+    {"properties": {"holdout": {"type": "object"}}},
+    {
+        "properties": {"known_orientations": {"required": ["unchecked"]}},
+        "required": ["known_orientations"],
+    },
+]
+CONDITIONS = [
+    {
+        "if": IF_REFUSED,
+        "then": {"properties": {"calibration": {"type": "null"}}},
+        "else": {"properties": {"calibration": {"type": "object"}}},
+    },
+    {"if": IF_HELD_OUT, "then": {"anyOf": HELD_OUT}},
+    {
+        "if": {"properties": {"outcome": {"const": str(Outcome.BORROWED)}}},
+        "then": {"required": ["coefficients"]},
+    },
+]
+"""The conditions that the outcome of a report sets for its sections."""
 
 
 @cache
 def report_schema() -> dict[str, Any]:
-    """Read the JSON Schema of the report."""
-    from importlib import resources  # most runs check no report
-
-    text = resources.files("accelcal_cli.output").joinpath("report.schema.json").read_text("utf-8")
-    schema: dict[str, Any] = json.loads(text)
-    return schema
-
-
-def release(version: Any) -> tuple[float, ...]:
-    """Return the sort key of a version; anything that is not a version sorts last."""
-    numbers = re.fullmatch(r"(\d{1,6})\.(\d{1,6})\.(\d{1,6})", str(version))
-    return (inf,) if numbers is None else tuple(map(int, numbers.groups()))
+    """Return the JSON Schema of the report, as `sections.py` declares it."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "accelcal calibration report",
+        "description": " ".join((ReportView.__doc__ or "").split()),
+        **schema_of(ReportView),
+        "allOf": CONDITIONS,
+        "$defs": {"failure": _failure_schema()},
+    }
 
 
-@lru_cache(8)
-def schema_of_version(version: str) -> dict[str, Any]:
-    """Return the schema of reports that a version of accelcal wrote, which may lack later keys."""
-    schema = deepcopy(report_schema())
-    for place, since in LATER.items():
-        *outer, name = place.split(".")
-        if release(version) < release(since):
-            for part in _objects(schema, outer):
-                part["required"] = [key for key in part.get("required", ()) if key != name]
-    return schema
-
-
-def _objects(schema: dict[str, Any], names: list[str]) -> Iterator[dict[str, Any]]:
-    """Find the schemas of the objects at the end of a path of keys."""
-    for choice in (*schema.get("anyOf", ()), *([schema["items"]] if "items" in schema else [])):
-        yield from _objects(choice, names)
-    if not names:
-        yield schema
-    elif names[0] in schema.get("properties", {}):
-        yield from _objects(schema["properties"][names[0]], names[1:])
+def _failure_schema() -> dict[str, Any]:
+    """Return the schema of what `--json` prints for a recording that has no report."""
+    report = schema_of(ReportView)
+    known, unknown = report["properties"], {"description": "Not known.", "type": "null"}
+    recording = known["recording"]
+    own = {
+        "recording": {
+            "description": "The recording, of which no more than the name is known.",
+            "type": "object",
+            "required": recording["required"],
+            "properties": {"path": recording["properties"]["path"]},
+            "additionalProperties": unknown,
+        },
+        "outcome": {"description": "Outcome.", "const": "failed"},
+        "reason": {"description": "Why it failed.", "enum": [*FAILURES.values(), "failed"]},
+        "values": {
+            "description": "The path as it was given, and the exit code of this recording.",
+            "type": "object",
+        },
+    }
+    same = ("kind", "schema_version", "accelcal_version", "message", "notes", "cautions", "advice")
+    return {
+        "description": "A line of `--json` for a recording that failed and has no report: the same keys, "
+        "null where nothing is known. It is never written into a file.",
+        "type": "object",
+        "required": report["required"],
+        "properties": {name: known[name] for name in same} | own,
+        "additionalProperties": unknown,
+    }
 
 
 _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
@@ -400,3 +315,7 @@ def _conditions(value: Any, schema: dict[str, Any], where: str) -> str | None:
 _CHECKS: tuple[Callable[[Any, dict[str, Any], str], str | None], ...] = (
     _plain_value, _parts, _any_of, _conditions,
 )  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(report_schema(), indent=1) + "\n")

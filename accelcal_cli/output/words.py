@@ -15,7 +15,7 @@ from accelcal_cli.core.errors import counted, listed, printable
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.output.file_words import FILES
 from accelcal_cli.output.numbers import mg, number, times_smaller
-from accelcal_cli.output.report_view import HoldoutView, ReportView
+from accelcal_cli.output.sections import HoldoutSection, ReportView
 
 Values = Mapping[str, Any]
 
@@ -208,15 +208,13 @@ def _rolled(values: Values) -> str:
     return f"Rolled with {values['axis']} level, {values['axis']} shows {shown}."
 
 
-def _fits(values: Values) -> str:
-    """Say how well a calibration fits along time, or from when to when it no longer does."""
-    error, new = f"error is {mg(values['error_mg'])} mg", values["new_mg"]
-    better = "" if new is None else f" A new calibration would leave {mg(new)} mg."
-    if "stretches" in values:
-        return f"Its {error} (on held-out data, in {values['stretches']} stretches of time).{better}"
+def _no_longer_fits(values: Values) -> str:
+    """Say from when to when coefficients do not fit."""
+    error, new = mg(values["error_mg"]), mg(values["new_mg"])
     since, until = (_to_second(values[name]) for name in ("since", "until"))
     span = f"From {since}" if since else "From the beginning"
-    return f"{span} {f'to {until}' if until else 'on'} its {error}.{better} Find new coefficients."
+    span += f" to {until}" if until else " on"
+    return f"{span} their error is {error} mg. A new calibration would leave {new} mg. Find new coefficients."
 
 
 def _to_second(time: str | None) -> str:
@@ -246,7 +244,6 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "borrowed": "The coefficients are those of {path} (sha256 {sha256}, device {device}). {errors_here}",
     "pooled": "The coefficients were fitted to {recordings} recordings of device {serial} together. {pool} "
     "{errors_here}",
-    "earlier_verdict": lambda values: f"An earlier version said: {values['message'].rstrip('.')}.",
     "poses_calibrated": "Model 12: {norm_before_mg:mg} mg before, {norm_after_mg:mg} mg after, on held-out "
     "orientations, and with the direction {before_mg:mg} and {after_mg:mg} mg.{unchecked_faces}",
     "poses_unchecked": "Model 12 was fitted to {orientations:n orientation}, and nothing was held out: its "
@@ -375,15 +372,10 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "too_few_turns": "There are only {turns:n turn} of at least {least_deg:g} degrees from one rest to "
     "another within 30 s, and {needed} are needed.",
     "turns_miss_an_axis": "The turns do not span all axes: there are hardly any about {axis}.",
-    # whether a calibration still fits
-    "still_fits": _fits,
-    "no_longer_fits": _fits,
-    "error_rises": "From {since:time} on its error is {error_mg:mg} mg, before that {before_mg:mg} mg. That "
-    "is too short to tell a change of the sensor from a new orientation.",
-    "never_fits": "Its error is {error_mg:mg} mg in {orientations:n orientation}, over the limit of "
-    "{limit_mg:g} mg. Find new coefficients.",
-    "fits_held_out": "Its error is {error_mg:mg} mg in {orientations:n orientation} (95 % interval up to "
-    "{high_mg:mg} mg). It was not checked over time.",
+    # whether coefficients of another recording fit all the time
+    "no_longer_fits": _no_longer_fits,
+    "error_rises": "From {since:time} on their error is {error_mg:mg} mg, before that {before_mg:mg} mg. "
+    "That is too short to tell a change of the sensor from a new orientation.",
     # no change was looked for
     "too_short": "The recording is too short to show a change of the sensor.",
     "too_many_cells": "The recording holds too many orientations and temperatures to compare them over time.",
@@ -395,7 +387,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "rows_without_values": "{empty_percent:.1f} % of the rows hold no values ({empty_rows:n row}), as where "
     "the device was not worn. They count as gaps.",
     "unlikely_year": "The recording begins in {start:time}, as if its clock was never set or overflowed. "
-    "Correct its times with --shift. The calibration does not need them.",
+    "Correct its times with -R shift=SECONDS. The calibration does not need them.",
     "clock_reset": "The clock was reset: it jumps from {before:time} to {after:time} at sample {sample} "
     "({resets:n reset} in all). Times on one side of that are wrong. The calibration does not need them.",
     "scatter_over_limit": "The still windows scatter by {scatter_mg:mg} mg. Check --stillness.",
@@ -435,7 +427,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "use_optimizer": "Use --optimizer {optimizer}: the points are good enough for it.",
     "use_default_profile": "Use --profile default, which needs no full subsets.",
     "copy_again": "Copy the file again from the device.",
-    "allow_damage": "To use what is left, allow more damage with --max-damage.",
+    "allow_damage": "To use what is left, allow more damage, such as -R max_damage=70.",
     "omit_strict": "To use the calibration provisionally, omit --strict.",
     "rest_on_faces": "Rest the device exactly on its faces, on a level surface.",
     "check_references": "Check the references and their times.",
@@ -531,13 +523,13 @@ def explained(reason: Reason, notes: Sequence[Reason] = ()) -> str:
 
 
 def message(report: ReportView) -> str:
-    """Return why a report's outcome is what it is, in sentences; older reports have only these."""
-    return explained(Reason(report.reason, report.values), report.notes) if report.reason else report.message
+    """Return why a report's outcome is what it is, in sentences."""
+    return explained(Reason(report.reason, report.values), report.notes)
 
 
 def error_sentence(report: ReportView) -> str:
     """Return the number to quote, in a sentence."""
-    everywhere, holdout, known = report.error_everywhere, report.holdout, report.known_orientations
+    everywhere, holdout, known = report.calibration_error_mg, report.holdout, report.known_orientations
     if everywhere is not None:
         low, high = everywhere.ci95
         return (
@@ -559,6 +551,6 @@ def error_sentence(report: ReportView) -> str:
     return "Its error is not known."
 
 
-def _times_smaller(holdout: HoldoutView) -> str:
+def _times_smaller(holdout: HoldoutSection) -> str:
     factor = holdout.improvement_factor
     return "" if factor is None else times_smaller(factor.value, factor.ci95)

@@ -17,7 +17,7 @@ from markupsafe import Markup
 from accelcal_cli.core.errors import counted, listed
 from accelcal_cli.core.statistics import weighted_percentile
 from accelcal_cli.output.numbers import number
-from accelcal_cli.output.report_view import ChangeView, ReportRecording, ReportView
+from accelcal_cli.output.sections import ChangeSection, RecordingSection, ReportView
 from accelcal_cli.pages import svg
 from accelcal_cli.pages.svg import LEFT, RIGHT, WIDTH, label, path
 from accelcal_cli.pages.time_series import TimeSeries
@@ -157,7 +157,7 @@ def _percentiles(
     return low, high
 
 
-def error_by_hour(data: TimeSeries, change: ChangeView | None) -> Figure | None:
+def error_by_hour(data: TimeSeries, change: ChangeSection | None) -> Figure | None:
     """Draw the mean error of each row, its 95th percentile, and where the sensor changed."""
     columns = [column for table in data.errors.values() for column in table.values()]
     values = [min(max(one, LEAST_MG), LARGEST_MG) for column in columns for one in column if one is not None]
@@ -186,7 +186,7 @@ def error_by_hour(data: TimeSeries, change: ChangeView | None) -> Figure | None:
     return Figure("error", title, svg.figure("error", title, text, 290, body), text)
 
 
-def _changed(data: TimeSeries, change: ChangeView | None) -> tuple[float | None, str]:
+def _changed(data: TimeSeries, change: ChangeSection | None) -> tuple[float | None, str]:
     """Return when the sensor changed, as seconds from the start, and a sentence."""
     at = None if change is None else change.at
     if at is None:
@@ -238,7 +238,7 @@ def _slope(x: Sequence[float], y: Sequence[float], weights: Sequence[float]) -> 
     return sum(w * (a - middle[0]) * (b - middle[1]) for w, a, b in both) / across if across else 0.0
 
 
-def timeline(data: TimeSeries, recording: ReportRecording) -> Figure | None:
+def timeline(data: TimeSeries, recording: RecordingSection) -> Figure | None:
     """Draw wear, stillness, gaps, and samples that are filled, clipped or damaged, along time."""
     if not data.spans:
         return None
@@ -286,17 +286,17 @@ def _box(data: TimeSeries, span: tuple[float, float], top: float, height: float)
     return f"M{svg.coordinate(left)} {svg.coordinate(top)}h{across}v{svg.coordinate(height)}h-{across}z"
 
 
-def _gap_lane(data: TimeSeries, recording: ReportRecording, top: float) -> str:
+def _gap_lane(data: TimeSeries, recording: RecordingSection, top: float) -> str:
     """Draw the gaps that the report lists."""
     ways, track = [], path(_box(data, (0, data.seconds), top + 2, 16), "lane-off")
     for gap in recording.gaps:
         try:
-            begun = datetime.fromisoformat(gap["start_time"]) - datetime.fromisoformat(data.times[0])
+            begun = datetime.fromisoformat(gap.start_time or "") - datetime.fromisoformat(data.times[0])
         except (ValueError, TypeError):
             continue
         seconds = begun.total_seconds()
-        if 0 <= seconds <= data.seconds and gap["seconds"] > 0:
-            ways.append(_box(data, (seconds, seconds + gap["seconds"]), top + 2, 16))
+        if 0 <= seconds <= data.seconds and gap.seconds > 0:
+            ways.append(_box(data, (seconds, seconds + gap.seconds), top + 2, 16))
     return track + path("".join(dict.fromkeys(ways)), "lane-bad")
 
 
@@ -307,7 +307,7 @@ def _worn_sentence(worn: int, known: int) -> str:
     return f"worn in {which} hours with enough data to tell"
 
 
-def _timeline_sentence(data: TimeSeries, recording: ReportRecording) -> str:
+def _timeline_sentence(data: TimeSeries, recording: RecordingSection) -> str:
     """Put the timeline into a sentence."""
     worn = Counter(data.worn)
     known = worn[True] + worn[False]
@@ -359,15 +359,15 @@ def sphere(data: TimeSeries, report: ReportView) -> Figure | None:
     halves = (svg.Hemisphere(1, 190, 176, 130), svg.Hemisphere(-1, 570, 176, 130))
     body = [_half(half, filled) for half in halves]
     body += _faces(halves, report.coverage.subsets)
-    if report.error_everywhere is not None:
-        body.append(_least_certain(halves, report.error_everywhere.worst_direction_at))
+    if report.calibration_error_mg is not None:
+        body.append(_least_certain(halves, report.calibration_error_mg.worst_direction_at))
     body.append(label(WIDTH / 2, 350, SHADES, "soft", "middle"))
     number_of = 2 * len(svg.all_cells())
     missing = empty_subsets(report.coverage.subsets)
     named = f"Missing: {listed(missing)}." if missing else "It was still near −1, 0 and +1 g on each axis."
     title = "Orientations in which the device was still"
     text = f"The device was still in {len(filled)} of {number_of} equal areas of the sphere. {named}"
-    if report.error_everywhere is not None:
+    if report.calibration_error_mg is not None:
         text += " The cross marks the orientation in which the calibration is least certain."
     return Figure("sphere", title, svg.figure("sphere", title, text, 362, body), text)
 

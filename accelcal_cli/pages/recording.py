@@ -13,17 +13,17 @@ from typing import Any
 
 from accelcal_cli.core.errors import counted
 from accelcal_cli.core.reasons import Reason
-from accelcal_cli.output.advice import cautions, page_verdict
+from accelcal_cli.output.advice import page_verdict
 from accelcal_cli.output.methods import bibtex, methods_paragraph, references
 from accelcal_cli.output.numbers import millionths, number
-from accelcal_cli.output.report_view import (
-    CalibrationView,
-    GyroscopeView,
-    LevelView,
-    PoseView,
+from accelcal_cli.output.sections import (
+    CalibrationSection,
+    GyroscopeSection,
+    Level,
+    PoseSection,
     ReportView,
-    RollView,
-    TrialView,
+    Roll,
+    TrialSection,
     report_view,
 )
 from accelcal_cli.output.words import PARAMETERS, clause, corrections_of, sentence
@@ -88,7 +88,7 @@ def page(report: Mapping[str, Any], quality: Mapping[str, Any] | None = None) ->
         figures=figures_of(data, view),
         subsets=_subsets(view),
         hours=None if data is None else PageTable(*hourly_table(data)),
-        still=bool(view.fit.windows.get("used")),
+        still=view.fit.windows.used > 0,
         coefficients=None if view.calibration is None else _coefficients(view.calibration),
         models=_models(view),
         misfits=_misfits(view),
@@ -166,7 +166,7 @@ def _subsets(report: ReportView) -> PageTable:
     return PageTable(caption, ["", "x", "y", "z"], rows)
 
 
-def _coefficients(calibration: CalibrationView) -> PageTable:
+def _coefficients(calibration: CalibrationSection) -> PageTable:
     errors = calibration.standard_errors or {}
     values = dict(calibration.parameters)
     if calibration.temperature is not None:
@@ -183,16 +183,16 @@ def _coefficients(calibration: CalibrationView) -> PageTable:
 def _activity(report: ReportView) -> PageTable | None:
     """Return measures of activity, raw and calibrated, if they were asked for."""
     effect = report.effect
-    if effect is None or "calibrated" not in effect["versions"]:
+    if effect is None:
         return None
-    intervals, biases = effect.get("ci95") or {}, effect.get("raw_bias") or {}
-    raw, calibrated = effect["versions"]["raw"], effect["versions"]["calibrated"]
+    intervals, biases = effect.ci95 or {}, effect.raw_bias or {}
+    raw, calibrated = effect.versions.raw, effect.versions.calibrated
     rows: Rows = []
     for name, text in ACTIVITY.items():
         interval, bias = intervals.get(name), biases.get(name)
         between = "–" if interval is None else " to ".join(map(number, interval))
-        off = "–" if bias is None else number(bias["value"])
-        rows.append([text, number(raw.get(name)), number(calibrated.get(name)), between, off])
+        off = "–" if bias is None else number(bias.value)
+        rows.append([text, number(getattr(raw, name)), number(getattr(calibrated, name)), between, off])
     head = ["Measure", "Raw", "Calibrated", "95 % interval", "Raw is off by"]
     return PageTable("Measures of activity, and how uncertain the calibration leaves them", head, rows)
 
@@ -212,7 +212,7 @@ def _models(report: ReportView) -> PageTable | None:
     return PageTable(caption, head, rows, (0, 1, 3)) if rows else None
 
 
-def _why(trial: TrialView) -> str:
+def _why(trial: TrialSection) -> str:
     """Return why a model was not taken, in words; empty if it could be."""
     return clause(Reason(trial.reason, trial.values)) if trial.reason else ""
 
@@ -260,7 +260,8 @@ def _share(part: int, whole: int) -> str:
 
 def _windows(report: ReportView) -> PageTable:
     counts = report.fit.windows
-    rows = [[text, str(counts[name])] for name, text in WINDOWS.items() if counts.get(name)]
+    numbers = {text: getattr(counts, name) for name, text in WINDOWS.items()}
+    rows = [[text, str(number)] for text, number in numbers.items() if number]
     return PageTable("Windows", ["", "Number"], rows)
 
 
@@ -315,18 +316,18 @@ def _known_orientations(report: ReportView) -> KnownOrientationsPart | None:
         return None
     rolls: Rows = [
         [roll.axis, _where(roll), _level(roll.level_mg.before), _level(roll.level_mg.after)]
-        for roll in report.known_orientations.rolls
+        for roll in report.known_orientations.rolls or ()
     ]
     head = ["Axis", "Where", "Shows [mg] (SD)", "Calibrated [mg] (SD)"]
     caption = "Rolls about a level axis, on which gravity should be 0"
     return KnownOrientationsPart(
-        " ".join(sentence(one) for one in cautions(report) if one.code.endswith("checks_poses")) or None,
+        " ".join(sentence(one) for one in report.cautions if one.code.endswith("checks_poses")) or None,
         _poses(report.poses),
         PageTable(caption, head, rolls, (0, 1)) if rolls else None,
     )
 
 
-def _poses(poses: tuple[PoseView, ...]) -> PageTable:
+def _poses(poses: tuple[PoseSection, ...]) -> PageTable:
     rows: Rows = [
         [
             str(one.face),
@@ -342,12 +343,12 @@ def _poses(poses: tuple[PoseView, ...]) -> PageTable:
     return PageTable(caption, head, rows, (0, 1, 2))
 
 
-def _where(one: PoseView | RollView) -> str:
+def _where(one: PoseSection | Roll) -> str:
     times = f"{one.start_s:.0f} to {one.end_s:.0f} s"
     return times if one.file is None else f"{one.file}, {times}"
 
 
-def _level(level: LevelView | None) -> str:
+def _level(level: Level | None) -> str:
     return "–" if level is None else f"{number(level.mean)} ({number(level.sd)})"
 
 
@@ -366,7 +367,7 @@ class GyroscopePart:
     errors: PageTable | None
 
 
-def _gyroscope(gyroscope: GyroscopeView) -> GyroscopePart:
+def _gyroscope(gyroscope: GyroscopeSection) -> GyroscopePart:
     verdict = "Calibrated: angular rates in the calibrated recording are corrected."
     if gyroscope.outcome == "refused":
         verdict = "Not calibrated: angular rates in the calibrated recording are as measured."
@@ -374,7 +375,7 @@ def _gyroscope(gyroscope: GyroscopeView) -> GyroscopePart:
     return GyroscopePart(verdict, gyroscope.message, coefficients, errors)
 
 
-def _gyroscope_coefficients(gyroscope: GyroscopeView) -> PageTable | None:
+def _gyroscope_coefficients(gyroscope: GyroscopeSection) -> PageTable | None:
     errors, bias = gyroscope.standard_errors, gyroscope.bias_dps
     if gyroscope.scale is None or bias is None:
         return None
@@ -398,7 +399,7 @@ def _gyroscope_coefficients(gyroscope: GyroscopeView) -> PageTable | None:
     return PageTable(f"Coefficients of {gyroscope.equation}", head, rows, (0, 1))
 
 
-def _gyroscope_errors(gyroscope: GyroscopeView) -> PageTable | None:
+def _gyroscope_errors(gyroscope: GyroscopeSection) -> PageTable | None:
     holdout, rest = gyroscope.holdout_deg, gyroscope.rest
     rows: Rows = []
     if holdout is not None:

@@ -6,7 +6,7 @@
   const NEAR = 14; // how far from a dot the pointer may be, in units of the figure
   const WORDS = { "": "", yes: "use", "with care": "with care", no: "exclude" }; // what people choose
   const FIELDS = ["recording", "use", "note", "who", "when", "result"]; // columns of decisions.csv
-  const FORMULA = /^(?:[=@\uff1d\uff20\uff0b\uff0d\t\r\n]|[+-](?![0-9.eE+-]*$))/; // as in core/errors.py
+  const FORMULA = /^(?:[=@\uff1d\uff20\uff0b\uff0d\t\r\n]|[+-](?![0-9.eE+-]*$)|0[0-9]+$|[0-9]{16,}$|[0-9]+[eE][0-9]+$)/; // as in core/errors.py
   const KEPT = `accelcal decisions ${location.pathname}`;
   const data = JSON.parse(document.getElementById("data").textContent);
   const $ = (id) => document.getElementById(id);

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from accelcal_cli.collect.cells import MAX_BLOCKS
 from accelcal_cli.collect.grid import MAX_POINTS
 from accelcal_cli.output.numbers import number
-from accelcal_cli.output.report_view import ReportRecording, ReportView
+from accelcal_cli.output.sections import RecordingSection, ReportView
 
 Value = float | None
 Column = list[Value]
@@ -95,13 +95,12 @@ def time_series(quality: Mapping[str, Any], report: ReportView) -> TimeSeries:
     counts = {name: _numbers(rows, name, length) for name in COUNTS}
     when = ("before",) if rows.get("after_mg") is None else ("before", "after")
     start, spans = _spans(times, counts, _rate(quality), report.recording)
-    known = [name for name in when if isinstance(rows.get(f"{name}_off_mg"), dict)]
     return TimeSeries(
         start=start,
         spans=spans,
         rows=counts,
         errors={name: _table(rows, f"{name}_mg", SIZE, length) for name in when},
-        off={name: _table(rows, f"{name}_off_mg", OFF, length) for name in known},
+        off={name: _table(rows, f"{name}_off_mg", OFF, length) for name in when},
         temperature=_column(rows, "temperature_c", length),
         worn=_worn(rows, length),
         times=times,
@@ -176,7 +175,7 @@ def _steps(quality: Mapping[str, Any]) -> list[float]:
 
 
 def _spans(
-    times: Sequence[str], rows: Mapping[str, list[float]], rate_hz: float, recording: ReportRecording
+    times: Sequence[str], rows: Mapping[str, list[float]], rate_hz: float, recording: RecordingSection
 ) -> tuple[datetime | None, list[tuple[float, float]]]:
     """Return when the rows begin and end, by their times where these ascend, else by their samples."""
     lengths = [samples / rate_hz for samples in rows["samples"]]

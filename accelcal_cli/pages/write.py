@@ -34,6 +34,7 @@ from accelcal_cli.output.report_reading import (
     read_document,
     report_schema,
 )
+from accelcal_cli.output.study_table import NAME, read_columns
 from accelcal_cli.output.study_words import in_words, of_device
 from accelcal_cli.pages import recording, study
 from accelcal_cli.pages.strips import MOST_STRIPS, states_of
@@ -120,7 +121,7 @@ def write_study_pages(out: Path, *, force: bool = False) -> PagesMade:
         OutputError: a page cannot be written, or there is a file of its name that is not ours.
     """
     reviewed = review(out, Rules(), time.time())
-    rows = _table_rows(out / table.NAME)
+    rows = read_columns(out / NAME, study.WANTED).to_pylist()
     made = PagesMade(out / STUDY_PAGE)
     reports = _reports(out, rows)
     links = [
@@ -175,21 +176,6 @@ def _origin(out: Path, reports: Sequence[Path]) -> list[tuple[str, str]]:
             if isinstance(moment, str):
                 found.append(("Newest result", moment[:16].replace("T", " ") + " UTC"))
     return found
-
-
-def _table_rows(path: Path) -> list[dict[str, Any]]:
-    """Read the columns that the page shows, row by row; None where an earlier version had none."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        with path.open("rb") as source, pq.ParquetFile(source, pre_buffer=False) as file:
-            there = [name for name in study.WANTED if name in file.schema_arrow.names]
-            rows: list[dict[str, Any]] = file.read(columns=there, use_threads=False).to_pylist()
-    except (pa.ArrowException, OSError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise UnreadableError(f"cannot be read ({reason})", path=path, hint="run the study again") from error
-    return [dict.fromkeys(study.WANTED) | row for row in rows]
 
 
 def _reports(out: Path, rows: Sequence[dict[str, Any]]) -> list[Path | None]:

@@ -129,22 +129,6 @@ class _ActivitySums:
         self.run = 0
 
 
-@dataclass(slots=True)
-class EpochTable:
-    """The epochs with a value that one feeding completed.
-
-    Attributes:
-        start_us: (m,) when each begins; rows: (m,) rows of it that were measured.
-        epochs: measures of each version.
-        drawn: those with each of K plausible calibrations, each (K, m).
-    """
-
-    start_us: Integers
-    rows: Integers
-    epochs: tuple[EpochMeasures, ...]
-    drawn: EpochMeasures
-
-
 @dataclass
 class ActivityMeter:
     """Measures several versions of one recording side by side.
@@ -179,8 +163,8 @@ class ActivityMeter:
 
     def feed(
         self, time_us: Integers, versions: Sequence[Axes], temperature_mc: NDArray[np.int32] | None = None
-    ) -> list[EpochTable]:
-        """Take in measured rows, x, y and z of each version [g], and return the epochs that they complete."""
+    ) -> None:
+        """Take in measured rows, x, y and z of each version [g]."""
         axes = [fixed(axis) for xyz in versions for axis in xyz]
         if self.drawn.draws:
             warm = np.zeros(len(time_us), np.int32) if temperature_mc is None else temperature_mc
@@ -190,32 +174,31 @@ class ActivityMeter:
         columns: list[NDArray[Any]] = [lengths(xyz) for xyz in versions]
         if self.drawn.draws:
             columns += [*versions[self.about], (warm / 1000).astype(np.float32)]
-        return [self._measure(epochs) for epochs in self._cut.feed(time_us, *columns)]
+        for epochs in self._cut.feed(time_us, *columns):
+            self._measure(epochs)
 
-    def finish(self) -> list[EpochTable]:
-        """End the recording, and return the epochs that this completes."""
+    def finish(self) -> None:
+        """End the recording."""
         for epochs in self._cut_angles.finish():
             self._turn(epochs)
-        tables = [self._measure(epochs) for epochs in self._cut.finish()]
+        for epochs in self._cut.finish():
+            self._measure(epochs)
         for sums in self._sums:
             sums.rest()
-        return tables
 
     def result(self) -> tuple[Activity, ...]:
         """Return the activity of each version, after `finish`."""
         return tuple(self._activity(sums) for sums in self._sums)
 
-    def _measure(self, epochs: WholeEpochs) -> EpochTable:
+    def _measure(self, epochs: WholeEpochs) -> None:
         valued = epochs.rows >= LEAST_MEASURED * self.epoch_s * self.rate_hz
         norms, values = epochs.columns[: self.versions], epochs.columns[self.versions :]
         measured = [EpochMeasures.of(length, epochs).select(valued) for length in norms]
         for sums, own in zip(self._sums, measured, strict=True):
             sums.add(own, measured[-1])
-        number, rows = epochs.number[valued], epochs.rows[valued]
-        self.epochs, self.short = self.epochs + len(number), self.short + int((~valued).sum())
-        self.rows += int(rows.sum())
-        drawn = self.drawn.add(epochs, values, valued)
-        return EpochTable(number * (self.epoch_s * MICROSECONDS), rows, tuple(measured), drawn)
+        self.epochs, self.short = self.epochs + int(valued.sum()), self.short + int((~valued).sum())
+        self.rows += int(epochs.rows[valued].sum())
+        self.drawn.add(epochs, values, valued)
 
     def _turn(self, epochs: WholeEpochs) -> None:
         valued = np.flatnonzero(epochs.rows >= LEAST_MEASURED * ANGLE_S * self.rate_hz)
@@ -312,15 +295,9 @@ class EffectMeter:
         self._left_out = dict.fromkeys(LEFT_OUT, 0)
         self._rows = 0
 
-    @property
-    def has_intervals(self) -> bool:
-        """True if the calibration's posterior is known."""
-        return bool(self._meter.drawn.draws)
-
-    def see(self, chunk: Chunk) -> list[EpochTable]:
-        """Take a chunk in, and return the epochs that it completes."""
+    def _see(self, chunk: Chunk) -> None:
         if not len(chunk):
-            return []
+            return
         self._rows += len(chunk)
         xyz, times = [one.transform.apply(chunk) for one in self.versions], chunk.time_us
         warm = chunk.temperature_mc
@@ -330,17 +307,17 @@ class EffectMeter:
             kept = chunk.validity == Validity.MEASURED
             xyz, times = [[axis[kept] for axis in one] for one in xyz], times[kept]
             warm = None if warm is None else warm[kept]
-        return self._meter.feed(times, xyz, warm)
+        self._meter.feed(times, xyz, warm)
 
     def watch(self, chunks: Iterable[Chunk]) -> Iterator[Chunk]:
         """Pass chunks on, and take them in."""
         for chunk in chunks:
-            self.see(chunk)
+            self._see(chunk)
             yield chunk
 
-    def finish(self) -> list[EpochTable]:
-        """End the recording, and return the epochs that this completes."""
-        return self._meter.finish()
+    def finish(self) -> None:
+        """End the recording."""
+        self._meter.finish()
 
     def result(self) -> dict[str, Any]:
         """Return the report's `effect` object, after `finish`."""

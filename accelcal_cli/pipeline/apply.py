@@ -8,7 +8,7 @@ the test.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.input_files import size_of
+from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome, WithoutMisalignment
@@ -46,6 +47,7 @@ from accelcal_cli.pipeline.calibrate import (
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.outputs import prepare
 from accelcal_cli.pipeline.procedures import Method, make_method
+from accelcal_cli.pipeline.quality import cautions_along_time
 from accelcal_cli.pipeline.report_settings import settings_from_report
 
 READING = ("unit", "columns", "sensor", "lsb_per_g", "zero", "layout_sha256")
@@ -144,12 +146,13 @@ class DonorCoefficients(Judge):
         notes, cautions = ([Reason(**one) for one in report.get(name, ())] for name in ("notes", "cautions"))
         return Judgement(
             Outcome(report["outcome"]),
-            reason_in(report),
+            Reason(report["reason"], report["values"]),
             found.coverage,
             (),
             self.donor.calibration,
             notes=(Reason("own_coefficients"), *notes),
             cautions=tuple(cautions),
+            without_misalignment=self._simpler(None),
         )
 
     def _borrowed_judgement(self, found: Survey) -> Judgement:
@@ -157,11 +160,20 @@ class DonorCoefficients(Judge):
         method = REREAD if self.relation is Relation.REREAD else UNSEEN
         holdout = held_out(found.points, calibration, settings.gravity, settings.posture_degrees, method)
         verdict = judged_elsewhere(self.donor, calibration, found, holdout, settings.max_error_mg)
+        if found.coverage.distinct_orientations >= settings.min_postures:
+            limit_mg, offset_s = settings.max_error_mg, found.facts.utc_offset_s
+            later = cautions_along_time(calibration, found.method.procedure, limit_mg, offset_s)
+            verdict = replace(verdict, cautions=(*verdict.cautions, *later))
+        return replace(verdict, without_misalignment=self._simpler(found.points, method))
+
+    def _simpler(self, points: PointSet | None, method: str = "") -> WithoutMisalignment | None:
+        """Return the donor's coefficients without misalignment, held out on some points."""
         if (simpler := without_misalignment(self.donor)) is None:
-            return verdict
-        used = at_reference(simpler, settings)
-        holdout = held_out(found.points, used, settings.gravity, settings.posture_degrees, method)
-        return replace(verdict, without_misalignment=WithoutMisalignment(used, holdout))
+            return None
+        settings, used = self.settings, at_reference(simpler, self.settings)
+        place = settings.gravity, settings.posture_degrees
+        holdout = None if points is None else held_out(points, used, *place, method)
+        return WithoutMisalignment(used, holdout)
 
     def _donor_sections(self) -> dict[str, Any]:
         """Return the sections of the donor's report that hold here, too."""
@@ -360,13 +372,6 @@ def _origin_reason(donor: Coefficients, holdout: Holdout | None) -> Reason:
     )
 
 
-def reason_in(report: Mapping[str, Any]) -> Reason:
-    """Return the reason of a report's outcome; of an earlier version's, its message."""
-    if "reason" in report:
-        return Reason(report["reason"], report["values"])
-    return Reason.of("earlier_verdict", message=printable(report["message"]))
-
-
 def errors_here(holdout: Holdout | None) -> dict[str, Any]:
     """Return the values of a reason that say how coefficients do on a recording's own points."""
     if holdout is None:
@@ -385,7 +390,7 @@ def _differences(donor: Coefficients, calibration: Calibration, recording: Recor
     found_there = then.sha256 == donor.origin.sha256
     if found_there and then.lsb_per_g not in (None, recording.lsb_per_g):
         notes.append(Reason("other_counts_per_g", {"here": recording.lsb_per_g, "there": then.lsb_per_g}))
-    bare = bool((then.factory_calibration or {}).get("acceleration"))
+    bare = then.factory_calibration is not None and then.factory_calibration.acceleration is not None
     if found_there and bare != recording.of_bare_sensor:
         notes.append(Reason.of("factory_calibration_differs", applied_here=not bare))
     if donor.calibration.temperature is not None and calibration.temperature is None:

@@ -106,24 +106,21 @@ class DrawnActivity:
         """Return it for values that a calibration gave."""
         return cls([] if used is None else [Affine.between(used, one) for one in draws])
 
-    def add(
-        self, epochs: WholeEpochs, columns: Sequence[Singles], valued: NDArray[np.bool_]
-    ) -> EpochMeasures:
-        """Take epochs in, and return the measures of those with a value, each (K, m).
+    def add(self, epochs: WholeEpochs, columns: Sequence[Singles], valued: NDArray[np.bool_]) -> None:
+        """Take in the measures of epochs with a value.
 
         Args:
             columns: x, y, z [g] and temperature [degrees C], each (n,).
         """
         names = ("enmo", "mad", "pim", "zcm")
         if not self.draws:
-            return EpochMeasures(*([np.empty((0, int(valued.sum())), np.int64)] * len(names)))
+            return
         parts = [self._measured(epochs, columns, part) for part in _blocks(epochs.rows)]
         whole = (np.hstack([getattr(one, name) for one in parts]) for name in names)
         found = EpochMeasures(*whole).select(valued)
         for name in names:
             getattr(self, name)[:] += getattr(found, name).sum(axis=1)
         self.active += (found.enmo >= round(MVPA_MG / MG)).sum(axis=1)
-        return found
 
     def totals(self) -> dict[str, Integers]:
         """Return the sums (K,) of each of FIGURES."""

@@ -110,12 +110,6 @@ class EpochMeasures:
         columns = (self.enmo, self.mad, self.pim, self.zcm)
         return EpochMeasures(*(column[..., which] for column in columns))
 
-    def ends(self) -> tuple[EpochMeasures, EpochMeasures]:
-        """Return the lowest and the highest of measures (K, m)."""
-        columns = (self.enmo, self.mad, self.pim, self.zcm)
-        lowest, highest = ([pick(column, axis=0) for column in columns] for pick in (np.min, np.max))
-        return EpochMeasures(*lowest), EpochMeasures(*highest)
-
 
 def _rounded_mean(total: Integers, rows: Integers) -> Integers:
     """Return means rounded to the nearest unit, halves up."""

@@ -10,15 +10,16 @@ from typing import Any
 
 import numpy as np
 
+from accelcal_cli.core import declared
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import printable
+from accelcal_cli.core.identity import identity
 from accelcal_cli.core.local_time import zone_changes, zone_of_times
 from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import DEFAULT, NO_PRIOR, Settings
-from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import Fitting, postures
 from accelcal_cli.judge.refusal import advised, damage_verdict, strict_if_odd
@@ -26,12 +27,12 @@ from accelcal_cli.judge.verdict import judge_calibrated
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.advice import of_file, of_rows
 from accelcal_cli.output.report import (
-    clock_json,
-    damage_json,
-    holdout_json,
+    clock_section,
+    holdout_section,
+    losses,
     notes_json,
-    problem_json,
-    rest_json,
+    problem_section,
+    rest_section,
 )
 from accelcal_cli.output.report_kinds import failure_code
 from accelcal_cli.output.words import explained
@@ -184,7 +185,7 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
     """Return the inspection as a JSON object."""
     recording, facts, prediction = inspection.recording, inspection.facts, inspection.prediction
     return {
-        "accelcal_version": __version__,
+        **identity("inspection"),
         "recording": {
             "path": printable(recording.path),
             "bytes": recording.total_bytes,
@@ -204,12 +205,12 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
             "notes": notes_json(recording, facts),
         },
         "file_health": {
-            "problems": [problem_json(problem) for problem in facts.problems],
+            "problems": [declared.as_json(problem_section(problem)) for problem in facts.problems],
             "filled_samples": facts.counts.filled_samples,
             "clipped_samples": facts.counts.clipped_samples_before,
             "rate_hz_measured": None if facts.rate_hz is None else round(facts.rate_hz, 6),
-            **damage_json(facts),
-            "clock": clock_json(recording, facts, whole=inspection.whole),
+            **losses(facts) | {"lost_percent": round(facts.lost_percent(), 4)},
+            "clock": declared.as_json(clock_section(recording, facts, whole=inspection.whole)),
         },
         "read": {
             "whole": inspection.whole,
@@ -225,7 +226,7 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
             "message": explained(prediction.reason, prediction.notes),
             "cautions": [one.as_json() for one in (*_of_the_file(facts), *prediction.cautions)],
             "advice": [one.as_json() for one in prediction.advice],
-            "holdout": None if prediction.holdout is None else holdout_json(prediction.holdout),
+            "holdout": declared.json_or_null(holdout_section(prediction.holdout)),
         },
     }
 
@@ -241,7 +242,7 @@ def failed_json(path: Path, exit_code: int, message: str) -> dict[str, Any]:
     """Return the object of a file that cannot be read: the same keys, null where nothing is known."""
     prediction = {"outcome": "failed", "reason": failure_code(exit_code), "values": {"exit_code": exit_code}}
     return {
-        "accelcal_version": __version__,
+        **identity("inspection"),
         "recording": dict.fromkeys(RECORDING) | {"path": printable(path)},
         **dict.fromkeys(("file_health", "read", "values")),
         "prediction": prediction
@@ -266,7 +267,7 @@ def _values(inspection: Inspection) -> dict[str, Any] | None:
             for time_us, row in values.first
         ],
         **{name: [round(v, 4) for v in getattr(values, name)] for name in ("low_g", "mean_g", "high_g")},
-        "rest": rest_json(facts.rest),
+        "rest": declared.json_or_null(rest_section(facts.rest)),
     }
 
 

@@ -24,7 +24,7 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
 from accelcal_cli.core.system import cpus, temporary_folder
 from accelcal_cli.formats import all_formats, is_export, refuse_unused, unused_options
-from accelcal_cli.output.report_view import ReportView, report_view
+from accelcal_cli.output.sections import ReportView, report_view
 from accelcal_cli.pipeline.options import FolderRules, StatedOption, stated_options, with_stated
 
 if TYPE_CHECKING:

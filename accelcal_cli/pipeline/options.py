@@ -28,13 +28,13 @@ from datetime import date
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 
 from accelcal_cli.core.door import has_file, is_same, is_there, look
 from accelcal_cli.core.errors import AccelcalError, UsageError, did_you_mean, printable
-from accelcal_cli.core.formats import COLUMNS, ReadOptions, option_name, three_names
+from accelcal_cli.core.formats import COLUMNS, ReadOptions, reading_option, three_names
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.input_files import read_toml
 from accelcal_cli.core.settings import (
@@ -61,6 +61,9 @@ LARGEST_FILE = 1 << 20
 CHECKED_ALONE = {"timezone", "start"}
 """Options whose text can be checked without the others."""
 
+GIVEN_VALUE = r"(=(?:'[^']*'|[\w:+./%-]+(?:,\w+)*))?"
+"""Pattern of the value of `-R NAME=VALUE` in a message, with its `=`."""
+
 PAPER_ONLY = ("min_distance_g", "min_subset_points", "max_subset_points")
 """Settings that only profile `paper` has."""
 
@@ -75,23 +78,73 @@ AnySettings = TypeVar("AnySettings", Settings, PoseSettings)
 
 @cache
 def option_fields(*kinds: type) -> dict[str, tuple[type, str]]:
-    """Return the record and the field that each option sets, by its name without dashes: `lsb_per_g`."""
+    """Return the record and the field that each option sets, by its name in files: `lsb_per_g`."""
     return {
-        option.name.removeprefix("--").replace("-", "_"): (kind, one.name)
+        option.keyword: (kind, one.name)
         for kind in kinds
         for one in fields(kind)
         if (option := setting_of(kind, one.name).option) is not None
     }
 
 
+def named_fields(*fields: str) -> dict[str, tuple[type, str]]:
+    """Return the options that `-R NAME=VALUE` gives: all of reading, and those of some fields of Settings."""
+    others = {name: where for name, where in option_fields(Settings).items() if where[1] in fields}
+    return option_fields(ReadOptions) | others
+
+
+def not_given(*kinds: type) -> dict[str, Any]:
+    """Return the values of all options of some records, by field, where none is given."""
+    nothing: dict[str, Any] = {name: None for _, name in option_fields(*kinds).values()}
+    return nothing | {"no_temperature": False, "force_timezone": False}
+
+
+def named_values(texts: Iterable[tuple[str, str]], values: Mapping[str, Any], *fields: str) -> dict[str, Any]:
+    """Return a command's values with those of options given by name, as `-R NAME=VALUE`.
+
+    Args:
+        texts: names and values.
+        values: of the command's other options.
+        fields: see `named_fields`.
+
+    Raises:
+        UsageError: a value is not possible, or another one is given, too.
+    """
+    known = named_fields(*fields)
+    found = not_given(ReadOptions) | dict.fromkeys(fields) | dict(values)
+    for name, text in texts:
+        typed = {name: _typed(*known[name], text)}
+        for field, value in _option_values(typed, known, f"-R {name}={text}: ").items():
+            if found[field] not in (None, False, value):
+                raise UsageError(f"{name} is given twice, with different values", hint="give one of them")
+            found[field] = value
+    return found
+
+
+def _typed(kind: type, name: str, text: str) -> Any:
+    """Return a text as the number or switch that a field holds; any other text as it is."""
+    hint = get_type_hints(kind)[name]
+    for one in {hint, *get_args(hint)} & {int, float}:
+        try:
+            return one(text)
+        except ValueError:
+            return text
+    return {"true": True, "false": False}.get(text, text) if hint is bool else text
+
+
 def field_values(options: Mapping[str, Any], *kinds: type) -> dict[str, Any]:
+    """Return the values of options given by keyword, by field; raises what `_field_values` raises."""
+    return _field_values(options, option_fields(*kinds))
+
+
+def _field_values(options: Mapping[str, Any], known: Mapping[str, tuple[type, str]]) -> dict[str, Any]:
     """Return the values of options given by keyword, by field, without those that are None.
 
     Raises:
         TypeError: an option does not exist, or has a value of another type.
         UsageError: a value is out of bounds, or not one of the choices.
     """
-    known, values = option_fields(*kinds), {}
+    values = {}
     for keyword, value in options.items():
         if keyword not in known:
             meant = did_you_mean(keyword, known)
@@ -133,7 +186,7 @@ def read_options(values: dict[str, Any]) -> ReadOptions:
         UsageError: a zone does not exist, or a name is not UTF-8 and could not stand in a report.
     """
     if values["timezone"] is not None and values["configured_zone"] is not None:
-        raise UsageError("--timezone and --configured-zone are the same", hint="give one of them")
+        raise UsageError("--timezone and -R configured_zone are the same", hint="give one of them")
     options = ReadOptions(**{name: values[name] for name in ReadOptions.__dataclass_fields__})
     options.times.check()
     columns = (*(values["columns"] or ()), *(values["gyro_columns"] or ()))
@@ -347,7 +400,7 @@ class FolderRules:
     def as_json(self) -> dict[str, Any]:
         """Return the tables by pattern, with the options' own names."""
         tables = {
-            pattern: {option_name(name)[2:]: json_value(value) for name, value in values.items()}
+            pattern: {reading_option(name).keyword: json_value(value) for name, value in values.items()}
             for pattern, values in self.tables
         }
         return {**({"exclude": list(self.exclude)} if self.exclude else {}), **tables}
@@ -362,23 +415,27 @@ class StatedOption:
     origin: str
 
     def __str__(self) -> str:
-        return f"{option_name(self.field)[2:]}={option_text(self.value)}"
+        return f"{reading_option(self.field).keyword}={option_text(self.value)}"
 
 
 @contextmanager
 def named_as_stated(said: Mapping[str, StatedOption]) -> Iterator[None]:
     """Let an error of the block name an option that a file states as it stands there, with the file.
 
-    `--timezone`, which nobody typed, becomes `timezone (study.toml)`.
+    `--timezone`, which nobody typed, becomes `timezone (study.toml)`, and `-R zero=512` `zero=512`.
     """
     try:
         yield
     except AccelcalError as error:
         for one in said.values():
-            name = option_name(one.field)
-            shown, typed = f"{name[2:]} ({one.origin})", re.compile(rf"{re.escape(name)}(?![-\w])")
-            error.message = shown.join(typed.split(error.message))
-            error.hint = error.hint and shown.join(typed.split(error.hint))
+            option = reading_option(one.field)
+            typed = re.compile(rf"{re.escape(option.name)}(?![-\w]){GIVEN_VALUE}")
+
+            def shown(found: re.Match[str], name: str = option.keyword, origin: str = one.origin) -> str:
+                return f"{name}{found[1] or ''} ({origin})"
+
+            error.message = typed.sub(shown, error.message)
+            error.hint = error.hint and typed.sub(shown, error.hint)
         raise
 
 
@@ -474,7 +531,8 @@ def with_stated(options: ReadOptions, choices: Mapping[str, StatedOption], path:
     values = {name: getattr(options, name) for name in nothing}
     for name, choice in choices.items():
         if values[name] != nothing[name] and values[name] != choice.value:
-            text = f"{option_name(name)} {option_text(values[name])} contradicts {choice} ({choice.origin})"
+            given = reading_option(name).with_value(option_text(values[name]))
+            text = f"{given} contradicts {choice} ({choice.origin})"
             raise UsageError(text, path=path, hint="say it in one place")
         values[name] = choice.value
     try:
@@ -504,17 +562,33 @@ def stated_stamp(choices: Mapping[str, StatedOption]) -> tuple[int, int]:
 
 def _values(table: Mapping[str, Any], path: Path, place: str = "") -> dict[str, Any]:
     """Return fields and values of a table's options; a layout's path is relative to the table's file."""
+    named = {key.replace("-", "_"): value for key, value in table.items()}
+    return _option_values(named, option_fields(ReadOptions), place, path)
+
+
+def _option_values(
+    table: Mapping[str, Any], known: Mapping[str, tuple[type, str]], place: str, path: Path | None = None
+) -> dict[str, Any]:
+    """Return fields and values of options given by name.
+
+    Args:
+        place: where they stand, at the beginning of a message.
+        path: the file that states them.
+
+    Raises:
+        UsageError: an option does not exist, or its value is not possible.
+    """
     try:
-        values = field_values({key.replace("-", "_"): value for key, value in table.items()}, ReadOptions)
+        values = _field_values(table, known)
         if "layout" in values:
-            values["layout"] = path.parent / values["layout"]
+            values["layout"] = (Path() if path is None else path.parent) / values["layout"]
             check_layout(values["layout"])
         for name in CHECKED_ALONE & values.keys():
             read_options(_defaults() | {name: values[name]})
     except TypeError as error:
-        known = f"reading options are {', '.join(option_fields(ReadOptions))}"
-        unknown = not {key.replace("-", "_") for key in table} <= option_fields(ReadOptions).keys()
-        raise UsageError(f"{place}{error}", path=path, hint=known if unknown else None) from error
+        names = f"reading options are {', '.join(known)}"
+        unknown = not table.keys() <= known.keys()
+        raise UsageError(f"{place}{error}", path=path, hint=names if unknown else None) from error
     except UsageError as error:
         raise UsageError(f"{place}{error.message}", path=path, hint=error.hint) from error
     return values

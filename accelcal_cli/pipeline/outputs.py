@@ -20,7 +20,7 @@ from accelcal_cli.core.errors import OutputError, printable
 from accelcal_cli.core.input_files import files_of, size_of
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import SIX_POSE, VARIED, PoseSettings
-from accelcal_cli.core.version import __version__, build_version
+from accelcal_cli.core.version import __version__
 from accelcal_cli.formats import ignored_options
 from accelcal_cli.output.files import exists, is_page, metadata_of, refuse_foreign, write_text, written_by_us
 from accelcal_cli.output.report import dumps, file_name
@@ -30,10 +30,8 @@ from accelcal_cli.output.report_reading import (
     load_our_json,
     load_report,
     report_schema,
-    schema_of_version,
     section,
     sensor_of,
-    upgraded,
 )
 from accelcal_cli.output.windows import is_window_table
 from accelcal_cli.pipeline.jobs import (
@@ -220,7 +218,7 @@ def gone_from(report: dict[str, Any]) -> Path | None:
 
 
 def place_of_report(report: dict[str, Any]) -> Path:
-    """Return where the recording of a report was; of an earlier version's, as its path was typed."""
+    """Return where the recording of a report was."""
     return real(Path(_said_place(report)))
 
 
@@ -278,17 +276,13 @@ def _asked_by(request: Request) -> str:
 
 def applied_by_hand(job: Job, source: Path) -> Result | None:
     """Return the whole result of `apply` at a job's paths, if it is of the recording as it is now."""
-    held = load_report(job.report) if exists(job.report) else None
-    if (
-        held is None
-        or _made_by(held) != APPLY
-        or fault(report := upgraded(held), schema_of_version(str(held.get("accelcal_version")))) is not None
-    ):
+    report = load_report(job.report) if exists(job.report) else None
+    if report is None or _made_by(report) != APPLY or fault(report, report_schema()) is not None:
         return None
     result = Result(job, report, up_to_date=True)
     if report["calibration"] is None or not _is_of(report, source):
         return None
-    whole = not result.has_parquet or _are_a_pair(held, metadata_of(job.parquet))
+    whole = not result.has_parquet or _are_a_pair(report, metadata_of(job.parquet))
     return result if whole else None
 
 
@@ -393,7 +387,7 @@ def provenance(command: list[str]) -> dict[str, Any]:
 def _versions() -> tuple[tuple[str, str], ...]:
     from importlib.metadata import PackageNotFoundError, version  # only writing a report needs it
 
-    versions = [("accelcal", build_version()), ("python", platform.python_version())]
+    versions = [("accelcal", __version__), ("python", platform.python_version())]
     for name in PACKAGES:
         with contextlib.suppress(PackageNotFoundError):
             versions.append((name, version(name)))

@@ -12,6 +12,7 @@ from operator import add
 from typing import Any
 
 from accelcal_cli.collect.cells import CellCollector
+from accelcal_cli.core.declared import from_json
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.formats import unused_note, without
 from accelcal_cli.core.points import WindowCounts
@@ -22,12 +23,12 @@ from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.model_ladder import held_out
 from accelcal_cli.judge.verdict import SEEN, worse
 from accelcal_cli.output.coefficients import calibration_of
-from accelcal_cli.output.report import ReportInput, WindowUse
+from accelcal_cli.output.report import ReportInput
 from accelcal_cli.output.report_kinds import TAKEN, Member, PoolInput, build_pool, of_member
 from accelcal_cli.output.report_reading import Document, check_sections
-from accelcal_cli.output.report_view import PoolView, record
+from accelcal_cli.output.sections import PoolSection, WindowUse
 from accelcal_cli.pipeline import procedures
-from accelcal_cli.pipeline.apply import errors_here, reason_in
+from accelcal_cli.pipeline.apply import errors_here
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.outputs import prepare
@@ -214,12 +215,13 @@ class PoolCoefficients(Judge):
 
 
 def _reason(document: Document, holdout: Holdout | None) -> Reason:
-    view = record(PoolView, document.report["pool"])
+    report = document.report
+    view = from_json(PoolSection, report["pool"])
     return Reason.of(
         "pooled",
         recordings=len(view.recordings),
         serial=printable(view.serial),
-        pool=reason_in(document.report),
+        pool=Reason(report["reason"], report["values"]),
         **errors_here(holdout),
     )
 
@@ -228,7 +230,7 @@ def _why_not(data: ReportInput, document: Document) -> Reason | None:
     judgement = data.judgement
     if judgement.outcome is Outcome.REFUSED:
         return judgement.reason
-    for member in record(PoolView, document.report["pool"]).left_out:
+    for member in from_json(PoolSection, document.report["pool"]).left_out:
         if member.sha256 == data.sha256:
             return Reason.of("left_out_of_pool", why=Reason(member.reason, member.values))
     usual_mg, limit_mg = document.report["holdout"]["after_mg"]["median"], data.settings.method.max_error_mg

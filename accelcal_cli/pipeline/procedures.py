@@ -27,7 +27,7 @@ from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.judge.refusal import FAR_FROM_1_G, NOTHING_STILL
 from accelcal_cli.judge.verdict import FEWEST_CONTROL_POINTS, judge, judge_paper, with_errors_before
 from accelcal_cli.optimize import named_optimizer
-from accelcal_cli.output.report import WindowUse
+from accelcal_cli.output.sections import WindowUse
 from accelcal_cli.pipeline.survey import Observer
 from accelcal_cli.segment import chosen_rule, short_gaps, window_length
 from accelcal_cli.segment.segmenter import Segmenter, TimedSegmenter

@@ -20,7 +20,7 @@ from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.judge.errors import apart_mg
 from accelcal_cli.output.registry import RegistryEntry, temperatures_c
-from accelcal_cli.output.report_view import ReportView
+from accelcal_cli.output.sections import ReportView
 from accelcal_cli.pipeline import apply as applying
 from accelcal_cli.pipeline import calibrate as own
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
@@ -73,7 +73,7 @@ class Wanted:
     @classmethod
     def of_report(cls, view: ReportView, quality: Path) -> Wanted:
         """Return it for a recording that was judged."""
-        recording, heat, error = view.recording, temperatures_c(quality), view.error_everywhere
+        recording, heat, error = view.recording, temperatures_c(quality), view.calibration_error_mg
         provisional = view.calibration is not None and error is not None
         return cls(
             recording.device.serial,
@@ -124,7 +124,7 @@ def _same_device(view: ReportView, wanted: Wanted) -> bool:
 
 
 def _expected(entry: RegistryEntry, wanted: Wanted, walk: float) -> Candidate:
-    error = entry.view.error_everywhere
+    error = entry.view.calibration_error_mg
     assert error is not None
     days = _days_between(_moment(entry.view.recording.start_time), wanted.start)
     added = walk * days + _of_temperature_mg(entry, wanted.celsius) ** 2
@@ -135,7 +135,7 @@ def _expected(entry: RegistryEntry, wanted: Wanted, walk: float) -> Candidate:
 
 def _variance_mg2(entry: RegistryEntry) -> float:
     """Return the expected square of an entry's error, with the uncertainty of that [mg2]."""
-    error = entry.view.error_everywhere
+    error = entry.view.calibration_error_mg
     assert error is not None
     low, high = error.ci95
     return error.mean**2 + ((high - low) / 4) ** 2

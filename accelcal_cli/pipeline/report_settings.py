@@ -15,9 +15,9 @@ from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import IF_GIVEN, UNUSED, ReadOptions
 from accelcal_cli.core.settings import POSES_IF_ASKED, SIX_POSE, STILLNESS, PoseSettings, Settings, setting_of
-from accelcal_cli.formats import ignored_options, named_format
+from accelcal_cli.formats import named_format
 from accelcal_cli.optimize import named_optimizer
-from accelcal_cli.output.report_reading import Document, damaged, section
+from accelcal_cli.output.report_reading import Document, damaged
 
 T = TypeVar("T")
 
@@ -161,7 +161,7 @@ def settings_from_report(document: Document) -> ReportSettings:
     if not isinstance(values, dict) or not isinstance(values.get("input"), dict):
         raise damaged(document, "it does not say how the recording was read")
     try:
-        return _from_values(values, str(section(document.report, "recording").get("format")))
+        return _from_values(values)
     except ValueError as error:
         raise damaged(document, f"settings: {error}") from error
     except AccelcalError as error:
@@ -170,7 +170,7 @@ def settings_from_report(document: Document) -> ReportSettings:
         ) from error
 
 
-def _from_values(values: dict[str, Any], form: str) -> ReportSettings:
+def _from_values(values: dict[str, Any]) -> ReportSettings:
     settings, read = _settings(values), values["input"]
     if read.get("format") == POINTS:
         options = Restored(ReadOptions(), (), ())
@@ -187,17 +187,17 @@ def _from_values(values: dict[str, Any], form: str) -> ReportSettings:
         poses=_file(values, "poses"),
         missing=missing,
         unknown=unknown,
-        unused=_unused(read, options.record, form),
+        unused=_unused(read),
         effect=_typed(values, "effect", bool, default=False),
     )
 
 
-def _unused(read: Mapping[str, Any], options: ReadOptions, form: str) -> tuple[str, ...]:
-    """Return the options that mean nothing, which reports of before 0.3.0 name like any other."""
+def _unused(read: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the options that mean nothing for the recording."""
     named = read.get(UNUSED, [])
     if not isinstance(named, list) or not {*map(str, named)} <= ReadOptions.__dataclass_fields__.keys():
         raise ValueError(f"input.{UNUSED} cannot be {str(named)[:80]!r}")
-    return tuple(named) or tuple(one for one in ignored_options(form) if getattr(options, one) is not None)
+    return tuple(named)
 
 
 def _settings(values: Mapping[str, Any]) -> Restored[Any]:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from accelcal_cli.core.door import is_file, is_there
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError
 from accelcal_cli.core.formats import Sampling
+from accelcal_cli.core.identity import identity
 from accelcal_cli.core.recording import Chunk
-from accelcal_cli.core.version import __version__
 from accelcal_cli.formats import all_encoders, named_encoder
 from accelcal_cli.output.files import parsed, replacing, write_text
 from accelcal_cli.pipeline.jobs import Progress, refuse_nameless, stem
@@ -108,7 +108,7 @@ def _counted(chunks: Iterator[Chunk], progress: Progress) -> Iterator[Chunk]:
 
 def _truth_json(plan: SimulationPlan, truth: Truth, format_name: str) -> dict[str, Any]:
     return {
-        "accelcal_version": __version__,
+        **identity("truth"),
         "format": format_name,
         "days": plan.days,
         "rate_hz": plan.rate_hz,

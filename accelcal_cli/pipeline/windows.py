@@ -11,6 +11,7 @@ import numpy as np
 
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
+from accelcal_cli.core.identity import WINDOWS
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.settings import EffectiveSettings, Settings
@@ -70,7 +71,7 @@ class WindowLog(StillWindows):
         """
         from accelcal_cli.output.windows import write_windows  # few runs write it
 
-        write_windows(self.table(data, points), path, reports.parquet_metadata(data))
+        write_windows(self.table(data, points), path, reports.parquet_metadata(data) | {"kind": WINDOWS})
 
     def table(self, data: ReportInput, points: PointSet) -> WindowTable:
         """Return the windows, and what became of each."""

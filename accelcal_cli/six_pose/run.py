@@ -26,6 +26,7 @@ from accelcal_cli.collect.cells import CellCollector, plausible
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import utc_offset_s
+from accelcal_cli.core.declared import as_json, json_or_null
 from accelcal_cli.core.door import is_file, is_folder
 from accelcal_cli.core.errors import DivergedError, UnreadableError, UsageError, printable
 from accelcal_cli.core.input_files import files_of, is_no_part, pattern_of
@@ -35,7 +36,7 @@ from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, PlacedFile, Recording, Validity
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.output.report import rounded
+from accelcal_cli.output import sections
 from accelcal_cli.output.words import sentence
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import STDIN, Job, ProgressMaker, Request, Result, no_progress, real
@@ -189,9 +190,10 @@ class RollFigures:
     length_g: float
     turn_g: float
 
-    def level_json(self) -> dict[str, float]:
-        """Return the figures of the level axis for the report."""
-        return {"mean": round(1000 * self.mean_g, 4), "sd": round(1000 * self.sd_g, 4)}
+    @property
+    def level(self) -> sections.Level:
+        """The figures of the level axis for the report."""
+        return sections.Level(1000 * self.mean_g, 1000 * self.sd_g)
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,24 +216,20 @@ class RollResult:
 
     def reason(self) -> Reason:
         """Return the note of a verdict on this roll."""
-        values = {"axis": AXES[self.axis], "before_mg": self.before.level_json()}
-        return Reason(
-            "rolled", values | {"after_mg": None if self.after is None else self.after.level_json()}
-        )
+        after = None if self.after is None else self.after.level
+        values = {"axis": AXES[self.axis], "before_mg": as_json(self.before.level)}
+        return Reason("rolled", values | {"after_mg": json_or_null(after)})
 
-    def as_json(self, session: Session) -> dict[str, Any]:
-        """Return the entry of the report's `rolls`; values after a calibration are null without one."""
+    def section(self, session: Session) -> sections.Roll:
+        """Return the entry of the report's `rolls`; values after a calibration are None without one."""
         before, after = self.before, self.after
-        return {
-            "axis": AXES[self.axis],
+        return sections.Roll(
+            axis=AXES[self.axis],
             **session.place_json(self.file, *self.ends_us),
-            "samples": self.samples,
-            "level_mg": {"before": before.level_json(), "after": after and after.level_json()},
-            "length_g": {
-                "before": rounded(before.length_g),
-                "after": rounded(None if after is None else after.length_g),
-            },
-        }
+            samples=self.samples,
+            level_mg=sections.LevelPair(before.level, None if after is None else after.level),
+            length_g=sections.LengthPair(before.length_g, None if after is None else after.length_g),
+        )
 
 
 def rolls_of(texts: Iterable[str]) -> tuple[Roll, ...]:
@@ -453,8 +451,8 @@ class KnownOrientations(Judge):
             check_range(judgement.calibration)
         rolls = self._rolled(run, judgement, spans, origins)
         judgement = replace(judgement, notes=tuple(roll.reason() for roll in rolls))
-        rolls_json = [roll.as_json(session) for roll in rolls]
-        known = known_json(session, fit, judgement.outcome, vectors, rolls_json)
+        rolled = [roll.section(session) for roll in rolls]
+        known = known_json(session, fit, judgement.outcome, vectors, rolled)
         sections = {"poses": poses_json(session, fit), "known_orientations": known}
         return Verdict(judgement, sections, sum(pose.state.windows for pose in session.poses))
 

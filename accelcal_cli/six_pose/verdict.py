@@ -15,15 +15,26 @@ import numpy as np
 from accelcal_cli.core.arithmetic import ONE, to_float
 from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.clock import iso_time
+from accelcal_cli.core.declared import as_json
 from accelcal_cli.core.points import WEIGHT_ONE, Fit, Operations, PointSet
-from accelcal_cli.core.reasons import Reason, significant
+from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Coverage, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.errors import coverage, summary
 from accelcal_cli.judge.model_ladder import of_postures
 from accelcal_cli.judge.verdict import Decision
-from accelcal_cli.output.report import rounded, summary_json
+from accelcal_cli.output.sections import (
+    ErrorPair,
+    KnownOrientations,
+    LeftOutPoses,
+    OrientationErrors,
+    PoseSection,
+    Roll,
+    SessionFile,
+    matrix,
+    vector,
+)
 from accelcal_cli.six_pose.listing import LENGTH_TOLERANCE, Origin
 from accelcal_cli.six_pose.poses import Pose, PoseError, Session, SixPoseFit, Uncertainty, VectorErrors
 
@@ -200,19 +211,20 @@ def poses_json(session: Session, fit: SixPoseFit) -> list[dict[str, Any]]:
 
 def _pose(session: Session, fit: SixPoseFit, pose: Pose, error: PoseError) -> dict[str, Any]:
     state = pose.state
-    return {
-        "face": pose.face,
+    section = PoseSection(
+        face=pose.face,
         **session.place_json(state.file, state.start_us, state.end_us),
-        "windows": state.windows,
-        "mean_raw_g": [to_float(value) for value in state.raw],
-        "reference_g": [to_float(value) for value in pose.reference],
-        "raw_mg": round(error.raw, 4),
-        "residual_mg": None if fit.precision is None else round(error.residual, 4),
-        "held_out_mg": rounded(error.held_out),
-        "held_out_norm_mg": rounded(error.held_out_norm),
-        "held_out_tilt_degrees": rounded(error.tilt_degrees),
-        "repeat_mg": rounded(error.repeat),
-    }
+        windows=state.windows,
+        mean_raw_g=vector(map(to_float, state.raw)),
+        reference_g=vector(map(to_float, pose.reference)),
+        raw_mg=error.raw,
+        residual_mg=None if fit.precision is None else error.residual,
+        held_out_mg=error.held_out,
+        held_out_norm_mg=error.held_out_norm,
+        held_out_tilt_degrees=error.tilt_degrees,
+        repeat_mg=error.repeat,
+    )
+    return as_json(section)
 
 
 def known_json(
@@ -220,7 +232,7 @@ def known_json(
     fit: SixPoseFit,
     outcome: Outcome,
     vectors: VectorErrors | None,
-    rolls: Sequence[dict[str, Any]] = (),
+    rolls: Sequence[Roll] = (),
 ) -> dict[str, Any]:
     """Return the `known_orientations` object; K and O are null if they were refused.
 
@@ -229,38 +241,33 @@ def known_json(
     """
     refused = outcome is Outcome.REFUSED
     repeats = [error.repeat for error in fit.errors if error.repeat is not None]
-    return {
-        "equation": EQUATION,
-        "K": None if refused else [list(row) for row in fit.k],
-        "O": None if refused else list(fit.o),
-        "standard_errors": None if refused or fit.precision is None else _errors(fit.precision),
-        "holdout_vector_mg": vectors
-        and {"before": summary_json(vectors.before), "after": summary_json(vectors.after)},
-        "repeat_spread_mg": rounded(max(repeats, default=None)),
-        "orientations": session.orientations,
-        "missing_faces": list(session.missing),
-        "left_out": {
-            "between_faces": len(session.between),
-            "between_faces_norm_mg": rounded(fit.between_norm_mg),
-            "short": session.short,
-        },
-        **({} if vectors is not None else {"unchecked": UNKNOWN.code}),
-        **({"rolls": list(rolls)} if rolls else {}),
-        **({"files": [_file(one) for one in session.files]} if session.files else {}),
-    }
+    section = KnownOrientations(
+        equation=EQUATION,
+        K=None if refused else matrix(fit.k),
+        O=None if refused else vector(fit.o),
+        standard_errors=None if refused or fit.precision is None else _errors(fit.precision),
+        holdout_vector_mg=None if vectors is None else ErrorPair(vectors.before, vectors.after),
+        repeat_spread_mg=max(repeats, default=None),
+        orientations=session.orientations,
+        missing_faces=session.missing,
+        left_out=LeftOutPoses(len(session.between), fit.between_norm_mg, session.short),
+        unchecked=UNKNOWN.code if vectors is None else None,
+        rolls=tuple(rolls) or None,
+        files=tuple(map(_file, session.files)) or None,
+    )
+    return as_json(section)
 
 
-def _file(origin: Origin) -> dict[str, Any]:
+def _file(origin: Origin) -> SessionFile:
     own_us = origin.first_us - origin.moved_us
-    return {
-        "name": origin.name,
-        "start_time": iso_time(own_us, origin.offset_s) if origin.dated else None,
-        "samples": (origin.end_sample or 0) - origin.first_sample,
-        "problems": origin.problems,
-        "lost_bytes": origin.lost_bytes,
-    }
+    return SessionFile(
+        name=origin.name or "",
+        start_time=iso_time(own_us, origin.offset_s) if origin.dated else None,
+        samples=(origin.end_sample or 0) - origin.first_sample,
+        problems=origin.problems,
+        lost_bytes=origin.lost_bytes,
+    )
 
 
-def _errors(known: Uncertainty) -> dict[str, Any]:
-    k = [[significant(value) for value in row] for row in known.k]
-    return {"K": k, "O": [significant(value) for value in known.o]}
+def _errors(known: Uncertainty) -> OrientationErrors:
+    return OrientationErrors(matrix(known.k), vector(known.o))

@@ -27,15 +27,15 @@ from accelcal_cli.output.files import is_page, looking_at, stored_schema
 from accelcal_cli.output.report_reading import load_our_json
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.options import fits_pattern
+from accelcal_cli.studies.columns import READ
 from accelcal_cli.studies.left_out import is_table, unfinished, why_left_out
 from accelcal_cli.studies.records import Item, is_ledger
-from accelcal_cli.studies.summary import COLUMNS
 
 NAMES = re.compile(r"study(\.\d+-of-\d+)?\.(csv|json|parquet|ledger|lock)")
 """Names of the files that a study writes into OUT itself."""
 
 SUMMARY = (".parquet", ".csv", ".json")
-FIRST = list(COLUMNS[:2])
+FIRST = list(READ[:2])
 """First columns of the table of every version."""
 
 OURS = (

@@ -14,6 +14,7 @@ import accelcal_cli.studies.task
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.formats import load_all
 from accelcal_cli.optimize import named_optimizer
+from accelcal_cli.output.known_faults import known_faults
 from accelcal_cli.output.report_reading import report_schema
 from accelcal_cli.pipeline.outputs import provenance
 
@@ -28,5 +29,6 @@ READY = (
     accelcal_cli.studies.task,
     named_optimizer(DEFAULT.optimizer),
     report_schema(),
+    known_faults(),
     provenance([]),
 )

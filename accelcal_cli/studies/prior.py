@@ -36,10 +36,10 @@ from accelcal_cli.output.words import sentence
 from accelcal_cli.pipeline.calibrate import calibrate, calibrate_with
 from accelcal_cli.studies import summary
 from accelcal_cli.studies.borrowing import Row, identity
+from accelcal_cli.studies.columns import PARAMETERS
 from accelcal_cli.studies.records import ProgressCallback, RecordingState
 from accelcal_cli.studies.rounds import Round, StudyState, common_of
 from accelcal_cli.studies.study import PRIOR, Study
-from accelcal_cli.studies.summary import PARAMETERS
 from accelcal_cli.studies.task import ReplacementTask, StageProgress, TaskResult, guarded, row_of
 
 MOST_DEVICES = 64

@@ -1,4 +1,4 @@
-"""The executor of worker processes of this machine; a worker that dies loses only its own task.
+"""Worker processes of this machine, which do a study's tasks; one that dies loses only its own task.
 
 On Linux workers are forked from a server that has imported everything once. It listens in a folder of our
 own: that of multiprocessing would remain if the process is killed, and its path may be too long for the name
@@ -34,7 +34,7 @@ from accelcal_cli.core.system import (
     one_thread_each,
     remove_folder,
 )
-from accelcal_cli.studies.records import Finished, ProgressDelta, TaskFunction
+from accelcal_cli.studies.records import Finished, TaskFunction, TaskProgress
 
 if TYPE_CHECKING:
     from accelcal_cli.core.system import PipeEnd
@@ -117,7 +117,6 @@ class _Worker:
     pipe: PipeEnd
     task: Any = None
     began: float = 0.0
-    fraction: float = 0.0
 
 
 @dataclass(slots=True)
@@ -129,19 +128,19 @@ class ProcessPool:
         number: number of workers.
         timeout_s: longest time of a task; None for no limit.
         preload: name of a module with all that the work imports, which the server imports once.
-        on_progress: see `ProgressDelta`.
+        on_progress: see `TaskProgress`.
     """
 
     work: TaskFunction
     number: int
     timeout_s: float | None = None
     preload: str | None = None
-    on_progress: ProgressDelta = lambda _task, _fraction: None
+    on_progress: TaskProgress = lambda _task, _part: None
     _idle: list[_Worker] = field(default_factory=list)
     _busy: list[_Worker] = field(default_factory=list)
 
     def run(self, tasks: list[Any]) -> Generator[Finished, None, None]:
-        """Carry out tasks (see `Executor`); all workers have ended when the iteration has.
+        """Carry out tasks and yield each as it ends; all workers have ended when the iteration has.
 
         Raises:
             OutputError: there is no worker left, and none can be started.
@@ -165,7 +164,7 @@ class ProcessPool:
             self.number = len(self._busy)
             return
         task = waiting.pop()
-        worker.task, worker.began, worker.fraction = task, time.monotonic(), 0.0
+        worker.task, worker.began = task, time.monotonic()
         self._busy.append(worker)
         with contextlib.suppress(OSError):
             worker.pipe.send(task)
@@ -211,12 +210,11 @@ class ProcessPool:
             worker.process.join(GRACE_S)
             return _lost_worker(worker)
         if kind == "progress":
-            self.on_progress(worker.task, value - worker.fraction)
-            worker.fraction = value
+            self.on_progress(worker.task, value)
             return None
         self._busy.remove(worker)
         self._idle.append(worker)
-        self.on_progress(worker.task, 1 - worker.fraction)
+        self.on_progress(worker.task, 1.0)
         return Finished(worker.task, result=value)
 
     def _stop_all(self) -> None:

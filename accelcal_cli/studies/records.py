@@ -1,4 +1,4 @@
-"""Records of a study: its files, what became of each, the ledger of that, and the contract of executors.
+"""Records of a study: its files, what became of each, and the ledger of that.
 
 The ledger keeps a line for each recording and round. It only saves work: without it, or where it does not
 fit, a worker looks at the outputs and hashes the recording. Each line begins with its checksum: a line that
@@ -12,12 +12,13 @@ import json
 import os
 import re
 import zlib
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import IO, Any, Protocol
+from typing import IO, Any
 
 from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.identity import LEDGER, can_be_read, identity
 from accelcal_cli.output.files import open_plain, replacing
 from accelcal_cli.pipeline.jobs import FileStamp, Job, file_stamp
 from accelcal_cli.pipeline.options import StatedOption
@@ -118,11 +119,8 @@ ProgressCallback = Callable[[float], None]
 TaskFunction = Callable[[Any, ProgressCallback], Any]
 """The work on one task: a module-level function whose argument and result can be pickled."""
 
-ProgressDelta = Callable[[Any, float], None]
-"""Called with a task and the additional part that is done, negative if the task starts again.
-
-An executor that knows when a task begins calls it with 0 then.
-"""
+TaskProgress = Callable[[Any, float], None]
+"""Called with a task and the part of it that is done; with 0 when it begins, if that is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,13 +139,6 @@ class Finished:
     fault: str | None = None
     retry: bool = False
     lacking: bool = False
-
-
-class Executor(Protocol):
-    """Carries out several tasks at a time; the failure of one does not affect the others."""
-
-    def run(self, tasks: list[Any]) -> Generator[Finished, None, None]:
-        """Carry out all tasks and yield each as it ends; closing the generator stops what still runs."""
 
 
 LINE = re.compile(rb"^[0-9a-f]{8} \{", re.MULTILINE)
@@ -258,7 +249,7 @@ class Ledger:
 
 
 def _line(entry: Entry) -> str:
-    text = json.dumps({one.name: getattr(entry, one.name) for one in fields(entry)})
+    text = json.dumps(identity(LEDGER) | {one.name: getattr(entry, one.name) for one in fields(entry)})
     return f"{_checksum(text.encode())} {text}\n"
 
 
@@ -306,7 +297,8 @@ def _parsed(line: bytes, texts: dict[str, str]) -> Entry | None:
         return None
     try:
         saved: dict[str, Any] = _shared(json.loads(text), texts)
-        if not all(isinstance(saved[name], str) for name in ("name", "asked", "round")):
+        named = all(isinstance(saved[name], str) for name in ("name", "asked", "round"))
+        if not (named and can_be_read(saved, LEDGER)):
             return None
         why = saved.get("why")
         if not isinstance(saved["row"] or {}, dict) or not isinstance(saved["again"], bool):

@@ -18,7 +18,6 @@ from accelcal_cli.core import system
 from accelcal_cli.core.door import is_file, is_there, matching, unreadable
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.reasons import Reason
-from accelcal_cli.core.version import __version__
 from accelcal_cli.formats import refuse_unused
 from accelcal_cli.output.decisions import NAME as DECISIONS
 from accelcal_cli.output.decisions import Decisions, Merged, merged, read_decisions
@@ -88,16 +87,14 @@ class Round:
 
 
 def common_of(study: Study, recordings: int = MANY) -> Common:
-    """Return what the tasks of a study share; a cluster counts its threads itself."""
-    elsewhere = study.dask is not None or study.pool_of_caller is not None
-    threads = 1 if elsewhere else system.threads(workers_of(study, recordings))
+    """Return what the tasks of a study share; how many threads an executor has is its own affair."""
+    threads = 1 if study.executor is not None else system.threads(workers_of(study, recordings))
     return Common(study.out, replace(study.request, threads=threads, replaces_gone=True), study.asked())
 
 
 def workers_of(study: Study, recordings: int) -> int:
     """Return the number of processes of this machine that work on a number of recordings at a time."""
-    wanted = study.jobs if study.dask is None else None
-    return min(wanted or system.workers(recordings), max(1, recordings))
+    return min(study.jobs or system.workers(recordings), max(1, recordings))
 
 
 def ledger_of(study: Study) -> Ledger:
@@ -198,8 +195,9 @@ def plan(study: Study, ledger: Ledger, lister: Lister = lambda _tasks: ()) -> Pl
             means anything; or there is no file of decisions of the name that was given.
         UnreadableError: decisions cannot be read; exclusions must not be lost in silence.
     """
-    last = said_last(study)
-    planning = _Planning(study, ledger, study.asked(), Plan(last), options_changed(study, last))
+    notes: list[str] = []
+    last = said_last(study, notes)
+    planning = _Planning(study, ledger, study.asked(), Plan(last, notes=notes), options_changed(study, last))
     planning.plan.decisions = _decisions(study)
     by_name = planning.plan.by_name
     listed, rules = files(study.where, planning.plan.notes, by_name), study.request.rules
@@ -363,7 +361,7 @@ class _Planning:
         if (fault := self.plan.unlisted.get(item.name)) is not None:
             self.plan.done.append((item, fault))
             return
-        study, entry = self.study, self._valid_entry(item) or self._older(item)
+        study, entry = self.study, self._valid_entry(item)
         begin = not study.collect and item.name not in self.plan.late
         redo = entry is not None and item.refusal is None and _is_redone(study, entry)
         if entry is not None and not (redo and begin):
@@ -379,14 +377,6 @@ class _Planning:
             self.plan.why[item.name] = why
             if why.startswith("made by") and last is not None and last.row is not None:
                 self.plan.before[item.name] = last.row
-
-    def _older(self, item: Item) -> Entry | None:
-        """Return the result of an earlier version, if it is to stay and the options are the same."""
-        last = self.ledger.latest_own(item.name) if self.study.keep_older and not self.changed else None
-        if last is None or last.row is None or last.failed or item.refusal is not None:
-            return None
-        same = last.stamps == item.stamps and last.row.get("accelcal_version") != __version__
-        return last if same and self.ledger.in_place(last) else None
 
     def place_aside(self, item: Item) -> None:
         """Let a recording of the shard that `--include` does not name keep the result that it has, if any."""

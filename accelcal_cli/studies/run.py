@@ -10,7 +10,7 @@ import functools
 import logging
 import time
 from collections import ChainMap
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence, Set
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -19,17 +19,15 @@ from typing import Any, Protocol
 from accelcal_cli.core.door import is_folder, is_there, matching
 from accelcal_cli.core.errors import LockedError, OutputError, UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.core.version import __version__
 from accelcal_cli.output.decisions import Merged
-from accelcal_cli.output.files import disk_errors, looking_at, sweep, sweep_host, sweep_of
+from accelcal_cli.output.files import disk_errors, looking_at, sweep, sweep_left
 from accelcal_cli.output.study_words import copied
 from accelcal_cli.output.words import clause
 from accelcal_cli.pipeline.outputs import withdraw
 from accelcal_cli.studies import lock, summary
 from accelcal_cli.studies.borrowing import BORROWING
-from accelcal_cli.studies.cluster import Cluster, Notify, WorkerRequirements, calibrate_in_user_folder, code
 from accelcal_cli.studies.discovery import SUMMARY, Left, as_if_alone, places, refuse_foreign
-from accelcal_cli.studies.in_process import Futures, InProcess, must_stay
+from accelcal_cli.studies.executors import done_by, done_here, must_stay, work_for
 from accelcal_cli.studies.lock import Lease
 from accelcal_cli.studies.orphans import Orphan, orphans, prune, refuse_too_many
 from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools
@@ -39,13 +37,12 @@ from accelcal_cli.studies.records import (
     FAILED,
     OWN,
     Entry,
-    Executor,
     Finished,
     Item,
     Ledger,
-    ProgressDelta,
     RecordingState,
     TaskFunction,
+    TaskProgress,
     shared_row,
 )
 from accelcal_cli.studies.rounds import (
@@ -76,8 +73,8 @@ TABLE_S, TABLE_TIMES = 5.0, 20.0
 """Shortest time between updates of the table while a study runs, [s] and as a multiple of an update's."""
 
 
-class WorkObserver(Protocol):
-    """Receives how far the work is."""
+class StudyObserver(Protocol):
+    """Receives what happens while a study runs."""
 
     def begin(self, items: Sequence[Item]) -> None:
         """Called before these recordings are worked on."""
@@ -85,13 +82,8 @@ class WorkObserver(Protocol):
     def advance(self, bytes_done: float) -> None:
         """Called with the number of further bytes that are done."""
 
-    @property
-    def note(self) -> Callable[[str], None]:
+    def note(self, text: str) -> None:
         """Called with a line for the user."""
-
-
-class StudyObserver(WorkObserver, Protocol):
-    """Receives what happens while a study runs."""
 
     def finished(self, item: Item, result: TaskResult) -> None:
         """Called with a recording's last result: it is done, was done before, or failed."""
@@ -122,9 +114,8 @@ def run(study: Study, observer: StudyObserver) -> Summary:
     except OSError as error:
         raise OutputError(f"cannot be made ({error.strerror or error})", path=study.out) from error
     base = study.shard.basename
-    patience = None if study.takeover_s is None else lock.Patience(study.takeover_s, observer.note)
     with (
-        lock.locked(study.lock, lambda: _other_locks(study), patience) as lease,
+        lock.locked(study.lock, lambda: _other_locks(study)) as lease,
         closing(ledger_of(study)) as ledger,
     ):
         planned = plan(study, ledger, functools.partial(_sensors, study, observer, lease, ledger))
@@ -133,11 +124,11 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         if study.collect and planned.waiting and not planned.done:
             text = f"no results of {counted(len(planned.waiting), 'recording')} were found for these options"
             raise UsageError(text, hint="run the parts first, or give --collect the options used for them")
-        for text in (*planned.notes, *said_before(planned.why, keep_older=study.keep_older)):
+        for text in (*planned.notes, *said_before(planned.why)):
             observer.note(printable(text))
         _refuse_pruning(study, planned, _orphans(study, planned, ()) if study.prune else [])
         LOG.info("planned: %s", planned.counts())
-        _tidy(planned, lease)
+        _tidy(study, planned)
         study_run = StudyRun(study, ledger, observer, planned, lease)
         study_run.run()
         result = _summary(study, planned, study_run)
@@ -165,7 +156,7 @@ def _sensors(
     study: Study, observer: StudyObserver, lease: Lease, ledger: Ledger, tasks: Sequence[SensorsTask]
 ) -> Iterator[tuple[Item, TaskResult]]:
     """Have the sensors of files listed, and keep them."""
-    for item, result in results(study, listed, tasks, observer, lease.check):
+    for item, result in results(study, listed, tasks, observer):
         if not result.entry.failed:
             lease.confirm()
             ledger.add(result.entry)
@@ -209,12 +200,11 @@ def unlock(study: Study) -> lock.Lock | None:
     return found
 
 
-def _tidy(planned: Plan, lease: Lease) -> None:
-    """Remove temporary files of killed runs of this host, and of runs of other hosts that were taken over."""
+def _tidy(study: Study, planned: Plan) -> None:
+    """Remove temporary files of runs that were killed, on this machine or another."""
     sweep_folders()
     outputs = [path for item in (*planned.todo, *planned.waiting) for path in item.job.outputs]
-    for path, lost in lease.lost.items():
-        sweep_host([*outputs, *map(path.with_suffix, (".lock", ".ledger", *SUMMARY))], lost)
+    sweep_left([*outputs, *map(study.lock.with_suffix, (".lock", ".ledger", *SUMMARY))])
 
 
 def _waiting(study: Study, planned: Plan, ledger: Ledger) -> list[Entry]:
@@ -347,7 +337,7 @@ class StudyRun:
     def _calibrate(self, items: Sequence[Item]) -> None:
         common = common_of(self.study, len(items))
         tasks = [CalibrationTask(item, common) for item in items]
-        for item, result in results(self.study, calibrated, tasks, self._observer, self.lease.check):
+        for item, result in results(self.study, calibrated, tasks, self._observer):
             self.worked.add(item.name)
             self._remember(result.entry)
             self._own(item, result)
@@ -385,7 +375,7 @@ class StudyRun:
         todo, taken = self._planner.of(one, tasks)
         for task, entry in taken:
             self._take(one, task.item, TaskResult(entry, up_to_date=True))
-        for item, result in results(self.study, one.work, todo, self._observer, self.lease.check):
+        for item, result in results(self.study, one.work, todo, self._observer):
             self._remember(result.entry)
             self._take(one, item, result)
             self.worked |= set() if one.of_pools else {item.name}
@@ -434,30 +424,28 @@ def results(
     study: Study,
     work: TaskFunction,
     tasks: Sequence[Any],
-    observer: WorkObserver,
-    check: Callable[[], None],
+    observer: StudyObserver | None = None,
 ) -> Iterator[tuple[Item, TaskResult]]:
-    """Have tasks done, the largest first, so that the last to end is a small one.
-
-    Args:
-        check: called at each progress of a task; an error that it raises ends the work.
-    """
+    """Have tasks done, the largest first, so that the last to end is a small one."""
     if not tasks:
         return
-    observer.begin([task.item for task in tasks])
+    if observer is not None:
+        observer.begin([task.item for task in tasks])
     texts: dict[str, str] = {}
     began: dict[str, float] = {}
+    reached: dict[str, float] = {}
     ordered = sorted(tasks, key=lambda task: (-task.item.size, task.item.name))
 
     def moved(task: Task, part: float) -> None:
-        if part < 1 and task.item.name not in began:
-            began[task.item.name] = time.monotonic()
-            LOG.info("begun: %s (%d bytes)", task.item.name, task.item.size)
-        check()
-        observer.advance(part * task.item.size)
+        name = task.item.name
+        if part < 1 and name not in began:
+            began[name] = time.monotonic()
+            LOG.info("begun: %s (%d bytes)", name, task.item.size)
+        if observer is not None:
+            observer.advance((part - reached.get(name, 0.0)) * task.item.size)
+        reached[name] = part
 
-    executor = executor_for(study, work, len(tasks), moved, observer.note)
-    with contextlib.closing(executor.run(ordered)) as ended:
+    with contextlib.closing(_done(study, work, ordered, moved)) as ended:
         for one in ended:
             result = _result(one)
             _log_end(one.task.item.name, result, began)
@@ -481,58 +469,28 @@ def _result(ended: Finished) -> TaskResult:
         result: TaskResult = ended.result
         return result
     task: Task = ended.task
-    tidy(task)
+    for path in task.item.job.outputs:
+        with contextlib.suppress(OSError):
+            sweep(path)
     code = NO_MEMORY if ended.lacking else BUG
     return TaskResult(task.failure(code, ended.fault, again=ended.retry))
 
 
-def executor_for(
-    study: Study,
-    work: TaskFunction,
-    recordings: int,
-    on_progress: ProgressDelta,
-    notify: Notify,
-) -> Executor:
-    """Return processes of this machine, this process, the caller's pool, or the cluster that was named.
+def _done(
+    study: Study, work: TaskFunction, tasks: list[Any], on_progress: TaskProgress
+) -> Generator[Finished, None, None]:
+    """Have tasks done, several at a time; the failure of one does not affect the others.
 
-    A cluster finds the own results only: later rounds, which compare recordings, are done here.
+    An executor finds the own results only: later rounds, which compare recordings, are done on this machine.
     """
-    if study.pool_of_caller is not None:
-        return Futures(study.pool_of_caller, work, on_progress)
-    if study.here or must_stay():
-        return InProcess(work, on_progress)
-    if study.dask is None or work is not calibrated:
-        return ProcessPool(work, workers_of(study, recordings), study.timeout_s, PRELOAD, on_progress)
-    cwd = Path.cwd()
-    mark = cwd / study.lock  # there while the study runs, and unlike any other run's
-    folders = tuple(cwd / folder for folder in study.where.folders)
-    requirements = WorkerRequirements(__version__, code(), folders, mark, mark.read_text("utf-8"))
-    calibrate = functools.partial(calibrate_in_user_folder, cwd)
-    return Cluster(
-        study.dask, calibrate, requirements, study.jobs, study.timeout_s, on_progress, notify, tidy
-    )
-
-
-def tidy(task: Task, lost: str | None = None) -> None:
-    """Remove temporary files of killed processes of this machine, and of `lost` on another one."""
-    for path in task.item.job.outputs:
-        with contextlib.suppress(OSError):
-            sweep(path)
-            if lost is not None:
-                sweep_of(path, lost)
-
-
-class _Noting:
-    """Passes lines for the user on, and nothing else."""
-
-    def __init__(self, note: Callable[[str], None]) -> None:
-        self.note = note
-
-    def begin(self, items: Sequence[Item]) -> None:
-        """See `WorkObserver`."""
-
-    def advance(self, bytes_done: float) -> None:
-        """See `WorkObserver`."""
+    if study.executor is not None and work is calibrated:
+        with study.executor() as executor:
+            yield from done_by(executor, work_for(study), tasks, on_progress)
+    elif study.in_process or must_stay():
+        yield from done_here(work, tasks, on_progress)
+    else:
+        number = workers_of(study, len(tasks))
+        yield from ProcessPool(work, number, study.timeout_s, PRELOAD, on_progress).run(tasks)
 
 
 def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str], Left, dict[str, str]]:
@@ -553,7 +511,7 @@ def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str],
     if not is_folder(existing):
         raise OutputError("cannot be made: a file is in its place", path=existing)
     ledger = ledger_of(study)
-    planned = plan(study, ledger, lambda tasks: results(study, listed, tasks, _Noting(note), lambda: None))
+    planned = plan(study, ledger, lambda tasks: results(study, listed, tasks))
     for text in planned.notes:
         note(printable(text))
     known = StudyState({item.name: RecordingState(item, entry, entry) for item, entry in planned.done})

@@ -19,7 +19,11 @@ from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.studies.discovery import Where
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor as Pool
+    from collections.abc import Callable
+    from concurrent.futures import Executor
+    from contextlib import AbstractContextManager
+
+    ExecutorHolder = Callable[[], AbstractContextManager[Executor]]
 
 SLURM = "slurm"
 POOL, POOLED, BORROW, PRIOR = "pool", "pooled", "borrow", "prior"
@@ -93,23 +97,20 @@ class Study:
     """The request for a study.
 
     Attributes:
-        jobs: number of workers; None for as many as CPUs and memory allow, or as the cluster has.
+        jobs: number of workers of this machine; None for as many as CPUs and memory allow.
         timeout_s: longest time for one recording.
         settle_s: age below which a file is skipped for now.
         newer_than_s: time [s since 1970] before which a file must not have been changed last to be started.
         retry_failed: whether recordings that failed and have not changed are tried again.
         collect: whether to start nothing, and sum up what the shards have done.
-        dask: address or scheduler file of the cluster that does the work; None for processes here.
+        executor: returns what holds an executor, which finds the own results; None for own processes.
+        in_process: whether this process does all the work that no executor does.
         pool: whether recordings of one device are calibrated as one.
         borrow: whether a recording that cannot be calibrated well may use coefficients of its device.
         prior: kind of prior that is learnt from the own results (which are found with the request's prior);
             None if they stay.
-        here: whether this process does all the work.
-        pool_of_caller: the executor of the calling program that does the work; None for processes here.
         prune: whether results whose recording is gone are removed.
         decisions: file of what people decided about recordings; None: decisions.csv in OUT, if it is there.
-        keep_older: whether results of earlier versions stay where files and options are the same.
-        takeover_s: silence after which a run of another host is taken to have ended; None if never.
     """
 
     where: Where
@@ -121,16 +122,13 @@ class Study:
     retry_failed: bool = False
     shard: Shard = WHOLE
     collect: bool = False
-    dask: str | None = None
+    executor: ExecutorHolder | None = None
+    in_process: bool = False
     pool: bool = False
     borrow: bool = False
     prior: str | None = None
-    takeover_s: float | None = None
     prune: bool = False
     decisions: Path | None = None
-    keep_older: bool = False
-    here: bool = False
-    pool_of_caller: Pool | None = None
 
     @property
     def out(self) -> Path:

@@ -16,51 +16,43 @@ from typing import IO, TYPE_CHECKING, Any
 
 from accelcal_cli.core.calibration import PARAMETER_NAMES
 from accelcal_cli.core.errors import counted, printable
+from accelcal_cli.core.identity import STUDY, identity
 from accelcal_cli.core.local_time import UNKNOWN, UTC
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.recording import METADATA_KEY
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output import files
-from accelcal_cli.output.advice import MILD, cautions, page_verdict
+from accelcal_cli.output.advice import MILD, page_verdict
 from accelcal_cli.output.decisions import Merged
 from accelcal_cli.output.files import json_text, replacing, write_text
 from accelcal_cli.output.report_kinds import failure_code
 from accelcal_cli.output.report_reading import sensor_of
-from accelcal_cli.output.report_view import (
-    ERROR_COLUMNS,
-    FACTOR_COLUMNS,
-    CalibrationView,
-    CoverageView,
+from accelcal_cli.output.sections import (
+    CalibrationSection,
+    CoverageSection,
     ReportView,
-    error_columns,
-    factor_columns,
     report_view,
 )
 from accelcal_cli.output.words import sentence
+from accelcal_cli.studies.columns import (
+    ALL,
+    AXES,
+    GAIN,
+    NAMES,
+    PARAMETERS,
+    READ,
+    error_columns,
+    factor_columns,
+    read_by_people,
+)
 from accelcal_cli.studies.records import FAILED, Entry, Item
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 DEVICE = ("model", "serial", "firmware")
-AXES = ("x", "y", "z")
-TEXT = (
-    "path", "outcome", "reason", "cautions", "message", "model", "format", "device_model", "device_serial",
-    "device_firmware", "start_time", "time_zone", "sensor", "sha256", "accelcal_version", "parquet", "report",
-    "borrowed_from", "pool", "own_outcome", "own_message", "change", "change_at", "misfits", "gyroscope",
-    "prior", "copy_of", "use", "why", "decided_by", "decided_at", "note", "result",
-)  # fmt: skip
-WHOLE = (
-    "exit_code", "bytes", "samples", "gaps", "postures", "points", "cells", "filled_samples",
-    "clipped_samples_before", "clipped_samples_after", "problems", "pool_recordings",
-    "gyro_pairs",
-)  # fmt: skip
-PARAMETERS = (
-    *PARAMETER_NAMES[:6], *(f"offset_{axis}_g" for axis in AXES),
-    *(f"slope_{axis}_g_per_c" for axis in AXES),
-)  # fmt: skip
-"""Columns of the parameters, in the order of PARAMETER_NAMES."""
 EFFECT = {
     ("raw", "enmo_mg"): "enmo_raw_mg", ("calibrated", "enmo_mg"): "enmo_mg",
     ("raw", "enmo_differs_mg"): "enmo_differs_mg", ("calibrated", "mad_mg"): "mad_mg",
@@ -73,34 +65,6 @@ EFFECT_INTERVALS = {
     "mvpa_min": ("mvpa_low_min", "mvpa_high_min"),
 }  # fmt: skip
 """Columns of their 95 % intervals, calibrated."""
-FIRST = (
-    "path", "use", "why", *ERROR_COLUMNS[:3], ERROR_COLUMNS[-1], "wear_hours", "filled_percent",
-    "device_serial", "start_time",
-)  # fmt: skip
-"""Columns to decide by, before all others."""
-REST = (
-    "decided_by", "decided_at", "note", "outcome", "exit_code", "reason", "cautions", "message", "model",
-    "copy_of", "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
-    "own_outcome", "own_message", "own_after_mg", "prior",
-    "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", *FACTOR_COLUMNS,
-    "postures", "points",
-    *ERROR_COLUMNS, "change", "change_at", "change_mg", "misfits",
-    "gyroscope", "gyro_before_deg", "gyro_after_deg", "gyro_pairs", *EFFECT.values(),
-    *(column for pair in EFFECT_INTERVALS.values() for column in pair),
-    "format", "device_model", "device_serial", "device_firmware", "start_time", "time_zone", "duration_s",
-    "rate_hz", "rate_hz_measured", "lsb_per_g", "range_g", "samples", "gaps", "filled_samples",
-    "clipped_samples_before", "clipped_samples_after", "problems", "cells", "condition_number",
-    *(f"{end}_{axis}_g" for axis in AXES for end in ("min", "max")),
-    *(f"k_{row}{column}" for row in AXES for column in AXES),
-    *(f"offset_{axis}_g" for axis in AXES),
-    *(f"slope_{axis}_g_per_c" for axis in AXES), "reference_c",
-    *(f"se_{name}" for name in PARAMETERS),
-    "lost_percent", "bytes", "sha256", "sensor", "accelcal_version", "parquet", "report", "result",
-)  # fmt: skip
-COLUMNS = (*FIRST, *(name for name in REST if name not in FIRST))
-"""Columns in the order of the table. Errors are held out; columns neither TEXT nor WHOLE are numbers."""
-
-
 Content = tuple[str | None, str | None]
 
 
@@ -123,13 +87,8 @@ def copies(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     return {name: one for name, one in firsts.items() if name != one}
 
 
-NUMBERS = tuple(name for name in COLUMNS if name not in {*TEXT, *WHOLE})
-TYPES: tuple[tuple[tuple[str, ...], frozenset[type]], ...] = (
-    (TEXT, frozenset((str, type(None)))),
-    (WHOLE, frozenset((int, type(None)))),
-    (NUMBERS, frozenset((int, float, type(None)))),
-)
-"""Types of the values in a row, by their columns."""
+KINDS = {"text": (str, type(None)), "whole": (int, type(None)), "number": (int, float, type(None))}
+"""Types of the values in a row, by the kind of their column; True and False are not numbers."""
 
 
 def fits(entry: Entry) -> bool:
@@ -139,9 +98,9 @@ def fits(entry: Entry) -> bool:
         return all(isinstance(row.get(name), str) for name in ("outcome", "message"))
     if row.get("outcome") not in OUTCOMES or type(row.get("exit_code")) is not int:
         return False
-    if row.get("accelcal_version") == __version__ and len(row.keys() & set(COLUMNS)) < len(COLUMNS):
+    if row.get("accelcal_version") == __version__ and len(row.keys() & set(NAMES)) < len(NAMES):
         return False
-    return all({type(row.get(name)) for name in names} <= kinds for names, kinds in TYPES)
+    return all(type(row.get(column.name)) in KINDS[column.kind] for column in ALL)
 
 
 POOL_ROUND = "pool"
@@ -153,7 +112,7 @@ def failed(item: Item, code: int, message: str) -> dict[str, Any]:
     failure = {"outcome": FAILED, "reason": failure_code(code), "message": message}
     failure |= {"use": USES["bad"], "why": message}
     file = {"path": printable(item.name), "exit_code": code, "bytes": item.size, "sensor": item.sensor}
-    return with_result(dict.fromkeys(COLUMNS) | file | failure | {"accelcal_version": __version__})
+    return with_result(dict.fromkeys(NAMES) | file | failure | {"accelcal_version": __version__})
 
 
 def of_report(
@@ -174,7 +133,7 @@ def of_report(
     verdict = {
         "outcome": str(view.outcome),
         "reason": view.reason or None,
-        "cautions": " ".join(one.code for one in cautions(view)) or None,
+        "cautions": " ".join(one.code for one in view.cautions) or None,
         "message": view.message,
         "accelcal_version": view.accelcal_version,
         "prior": view.settings.get("prior"),
@@ -182,12 +141,12 @@ def of_report(
     }
     figures = _recording(view) | _errors(view) | _coverage(view.coverage) | _calibration(view.calibration)
     judged = _change(view) | _misfits(view) | _gyroscope(view) | _effect(view)
-    return with_result(dict.fromkeys(COLUMNS) | identity | verdict | figures | judged | outputs)
+    return with_result(dict.fromkeys(NAMES) | identity | verdict | figures | judged | outputs)
 
 
 DECIDED_ON = (
     "sha256", "use", "outcome", "model",
-    *(f"k_{row}{column}" for row in AXES for column in AXES), *PARAMETERS[6:],
+    *GAIN, *PARAMETERS[6:],
 )  # fmt: skip
 """Columns that are another result if they differ."""
 
@@ -207,7 +166,7 @@ def _use(report: ReportView) -> dict[str, str | None]:
     """Return whether to use a recording, and why not, or why with care."""
     verdict, why = page_verdict(report), None
     if verdict.level != "good":
-        doubts = () if verdict.level == "bad" else cautions(report)
+        doubts = () if verdict.level == "bad" else report.cautions
         why = next((sentence(one) for one in doubts if one.code not in MILD), verdict.reason)
     return {"use": USES[verdict.level], "why": why and printable(why)}
 
@@ -240,14 +199,14 @@ def _errors(report: ReportView) -> dict[str, Any]:
     low, high = holdout.ci95_mg
     before = {
         "before_mg": holdout.before_mg.mean,
-        "postures": holdout.postures,
+        "orientations": holdout.postures,
         "points": holdout.points,
     }
     if report.calibration is None:
         return before
     after = {"after_mg": holdout.after_mg.mean, "ci95_low_mg": low, "ci95_high_mg": high}
     ratio = {"improvement_percent": holdout.improvement_percent} | factor_columns(holdout)
-    return before | after | ratio | error_columns(report.error_everywhere)
+    return before | after | ratio | error_columns(report.calibration_error_mg)
 
 
 def _change(report: ReportView) -> dict[str, Any]:
@@ -281,14 +240,14 @@ def _effect(report: ReportView) -> dict[str, Any]:
     """Return measures of activity, if they were asked for."""
     if report.effect is None:
         return {}
-    versions, intervals = report.effect.get("versions", {}), report.effect.get("ci95") or {}
-    figures = {column: versions[name][key] for (name, key), column in EFFECT.items() if name in versions}
+    versions, intervals = report.effect.versions, report.effect.ci95 or {}
+    figures = {column: getattr(getattr(versions, name), key) for (name, key), column in EFFECT.items()}
     for key, columns in EFFECT_INTERVALS.items():
         figures |= dict(zip(columns, intervals.get(key, ()), strict=False))
     return figures
 
 
-def _coverage(coverage: CoverageView) -> dict[str, Any]:
+def _coverage(coverage: CoverageSection) -> dict[str, Any]:
     ends = {
         f"{end}_{axis}_g": value
         for end, values in (("min", coverage.axis_min_g), ("max", coverage.axis_max_g))
@@ -297,7 +256,7 @@ def _coverage(coverage: CoverageView) -> dict[str, Any]:
     return {"cells": coverage.cells, "condition_number": coverage.condition_number, **ends}
 
 
-def _calibration(calibration: CalibrationView | None) -> dict[str, Any]:
+def _calibration(calibration: CalibrationSection | None) -> dict[str, Any]:
     if calibration is None:
         return {}
     temperature = calibration.temperature
@@ -305,7 +264,7 @@ def _calibration(calibration: CalibrationView | None) -> dict[str, Any]:
     gain = [value for row in calibration.gain for value in row]
     return {
         "model": calibration.model,
-        **dict(zip([f"k_{row}{column}" for row in AXES for column in AXES], gain, strict=True)),
+        **dict(zip(GAIN, gain, strict=True)),
         **dict(zip(PARAMETERS[6:9], calibration.offset_g, strict=True)),
         **slopes,
         "reference_c": None if temperature is None else temperature.reference_c,
@@ -313,7 +272,7 @@ def _calibration(calibration: CalibrationView | None) -> dict[str, Any]:
     }
 
 
-def _standard_errors(calibration: CalibrationView) -> dict[str, float]:
+def _standard_errors(calibration: CalibrationSection) -> dict[str, float]:
     """Return the standard errors of the parameters that the model leaves free."""
     errors = calibration.standard_errors or {}
     model = MODELS.get(calibration.model)
@@ -407,7 +366,7 @@ class Summary:
     def counts(self) -> dict[str, Any]:
         """Return the content of `study.json`."""
         return {
-            "accelcal_version": __version__,
+            **identity(STUDY),
             "recordings": len(self.rows),
             "copies": self.copies,
             "outcomes": self.outcomes(),
@@ -439,8 +398,7 @@ def write(summary: Summary, out: Path, name: str) -> None:
 
 def write_csv(rows: Sequence[Mapping[str, Any]], out: Path, name: str) -> None:
     """Write `NAME.csv` alone; raises OutputError if it cannot be written."""
-    cells = ([row.get(column) for column in COLUMNS] for row in rows)
-    files.write_csv(out / f"{name}.csv", COLUMNS, cells)
+    files.write_csv(out / f"{name}.csv", READ, map(read_by_people, rows))
 
 
 def _write_parquet(rows: Sequence[Mapping[str, Any]], file: IO[bytes]) -> None:
@@ -448,8 +406,10 @@ def _write_parquet(rows: Sequence[Mapping[str, Any]], file: IO[bytes]) -> None:
     import pyarrow as pa  # which `study --help` does not need
     import pyarrow.parquet as pq
 
-    kinds = dict.fromkeys(COLUMNS, "float64") | dict.fromkeys(TEXT, "string") | dict.fromkeys(WHOLE, "int64")
-    schema = pa.schema([pa.field(column, kind) for column, kind in kinds.items()])
+    types = {"text": "string", "whole": "int64", "number": "float64"}
+    kinds = {column.name: types[column.kind] for column in ALL}
+    about = {METADATA_KEY: json.dumps(identity(STUDY))}
+    schema = pa.schema([pa.field(column, kind) for column, kind in kinds.items()], about)
     with pq.ParquetWriter(file, schema, compression="zstd") as writer:
         for first in range(0, len(rows), TOGETHER):
             writer.write_table(_table(rows[first : first + TOGETHER], schema))
@@ -461,6 +421,6 @@ def _table(rows: Sequence[Mapping[str, Any]], schema: pa.Schema) -> pa.Table:
     """Read rows from JSON lines: `pa.array` would load pandas, which takes half a second."""
     import pyarrow.json
 
-    lines = "\n".join(json.dumps({column: row.get(column) for column in COLUMNS}) for row in rows).encode()
+    lines = "\n".join(json.dumps({name: row.get(name) for name in NAMES}) for row in rows).encode()
     one_block = pyarrow.json.ReadOptions(block_size=len(lines) + 1)
     return pyarrow.json.read_json(BytesIO(lines), one_block, pyarrow.json.ParseOptions(schema))

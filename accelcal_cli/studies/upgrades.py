@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from accelcal_cli.core.errors import OutputError, counted
+from accelcal_cli.core.errors import OutputError, UnreadableError, counted
+from accelcal_cli.core.identity import STUDY, refuse_other
 from accelcal_cli.core.settings import Settings, setting_of
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output.numbers import mg
@@ -22,12 +23,23 @@ AXES = "xyz"
 OTHER_OPTIONS = "other options"
 
 
-def said_last(study: Study) -> dict[str, Any]:
-    """Return what `study.json` says of the last run; empty if that is not known."""
+def said_last(study: Study, notes: list[str]) -> dict[str, Any]:
+    """Return what `study.json` says of the last run; empty if that is not known.
+
+    Args:
+        notes: receives a line if it is of a version whose results this one does not read.
+    """
+    path = study.out / f"{study.shard.basename}.json"
     try:
-        return load_our_json(study.out / f"{study.shard.basename}.json") or {}
+        if (held := load_our_json(path)) is not None:
+            refuse_other(held, STUDY, path)
+            return held
     except OutputError:
-        return {}
+        pass
+    except UnreadableError as error:
+        error.hint = "its recordings are calibrated again"
+        notes.append(str(error))
+    return {}
 
 
 def options_changed(study: Study, last: Mapping[str, Any]) -> list[str]:
@@ -51,7 +63,7 @@ def _option(name: str) -> str:
 
 
 def why_again(last: Entry | None, item: Item, asked: str, options: list[str]) -> str:
-    """Return why a recording is calibrated again: `made by 0.2.0`; empty for a new one.
+    """Return why a recording is calibrated again: `made by 1.0.0`; empty for a new one.
 
     Args:
         last: its latest own result.
@@ -70,22 +82,12 @@ def why_again(last: Entry | None, item: Item, asked: str, options: list[str]) ->
     return "failed before" if last.failed or last.again else "an output is missing"
 
 
-def said_before(why: Mapping[str, str], *, keep_older: bool) -> list[str]:
-    """Return a line for each reason why several results are made again: another version, or other options.
-
-    Args:
-        keep_older: `--keep-older` is given already.
-    """
+def said_before(why: Mapping[str, str]) -> list[str]:
+    """Return a line for each reason why several results are made again: another version, or other options."""
     reasons = Counter(one for one in why.values() if one.startswith(("made by", "--", OTHER_OPTIONS)))
     return [
-        f"{counted(number, 'result')} to be made again ({one}){'' if keep_older else _way_out(one)}"
-        for one, number in sorted(reasons.items())
+        f"{counted(number, 'result')} to be made again ({one})" for one, number in sorted(reasons.items())
     ]
-
-
-def _way_out(why: str) -> str:
-    """Return how results are kept that were made with the same options."""
-    return "; --keep-older keeps them" if why.startswith("made by") and ", " not in why else ""
 
 
 def said_after(before: Mapping[str, Mapping[str, Any]], after: Mapping[str, Mapping[str, Any]]) -> str | None:

@@ -18,6 +18,7 @@ from typing import Any
 
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import iso_time
+from accelcal_cli.core.declared import as_json, json_or_null
 from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import (
     AccelcalError,
@@ -473,6 +474,8 @@ class Watch:
             "values": dict(judgement.reason.values),
             "message": explained(judgement.reason, judgement.notes),
             "calibration": reports.calibration_json(judgement, procedures.optimizer_json(self._settings)),
-            "calibration_error_mg": reports.calibration_error_json(judgement.sphere, judgement.sphere_before),
-            "coverage": reports.coverage_json(judgement.coverage),
+            "calibration_error_mg": json_or_null(
+                reports.calibration_error(judgement.sphere, judgement.sphere_before)
+            ),
+            "coverage": as_json(reports.coverage_section(judgement.coverage)),
         }

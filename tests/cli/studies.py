@@ -8,6 +8,8 @@ import io
 import json
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from tests.cli.run import Ran, exit_code, run
@@ -61,6 +63,15 @@ def study_in(here: Path, *words: object, folder: str = "in", out: str = "out", j
 
 
 def rows(out: Path, name: str = "study") -> list[dict[str, str]]:
-    """The table."""
-    with (out / f"{name}.csv").open(newline="") as file:
+    """All columns of the table, as CSV would have them."""
+    return texts_of(pq.read_table(out / f"{name}.parquet"))
+
+
+def csv_rows(out: Path) -> list[dict[str, str]]:
+    """The table for people."""
+    with (out / "study.csv").open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
+
+
+def texts_of(table: pa.Table) -> list[dict[str, str]]:
+    return [{name: "" if one is None else str(one) for name, one in row.items()} for row in table.to_pylist()]

@@ -10,7 +10,6 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from accelcal_cli.output.report_reading import LATER
 from tests.cli.run import assert_one_line, codes, run, run_process, told
 from tests.device_recordings import donor, edit, rest, set_coefficients, week, write_device
 from tests.recordings import directions, good_csv
@@ -56,27 +55,6 @@ def test_its_own_coefficients_give_the_values_of_calibrate(
     assert codes(now.pop("notes")) == ["own_coefficients"] and then.pop("notes") == []
     assert now == then
     assert used["recording_sha256"] == then["recording"]["sha256"]
-
-
-def older(report: dict) -> None:
-    """Take out what reports of version 0.1.0 did not say."""
-    report |= {"accelcal_version": "0.1.0", "schema_version": 2}
-    for place in LATER:
-        *outer, name = place.split(".")
-        held = report
-        for key in outer:
-            held = held.get(key) or {}
-        for one in held if isinstance(held, list) else [held]:
-            one.pop(name, None)
-
-
-def test_its_own_coefficients_of_an_older_version_are_applied(tmp_path: Path, capsys: Capture) -> None:
-    report = edit(donor(tmp_path), older)
-    ran = run(capsys, "apply", "--coefficients", report, tmp_path / "donor.raw", "-d", tmp_path / "out")
-    assert ran.code == 0, ran
-    now = report_of(tmp_path / "out" / "donor.calibration.json")
-    assert now["calibration"]["fixed_point"] == json.loads(report.read_text())["calibration"]["fixed_point"]
-    assert now["calibration_error_mg"] is None
 
 
 def test_another_recording_of_the_device_is_judged_by_its_own_stillness(

@@ -7,7 +7,11 @@ import math
 import click
 import pytest
 
+from accelcal_cli.cli.help import NameValue
 from accelcal_cli.cli.main import cli
+from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.settings import Settings
+from accelcal_cli.pipeline.options import named_values
 
 RATE = {"calibrate", "study", "six-pose", "inspect", "apply", "evaluate methods", "evaluate stillness"}
 FITTING = {"calibrate", "study", "inspect"}
@@ -17,7 +21,7 @@ TINY = 5e-324
 
 BOUNDS: list[tuple[set[str], str, float, float]] = [
     (WINDOWS, "--min-distance-g", 0, 2),
-    (RATE, "--lsb-per-dps", TINY, 1e9),
+    (RATE, "--lsb-per-dps", 1e-9, 1e9),
     (RATE, "--rate", TINY, 100_000),
     (RATE, "--lsb-per-g", TINY, 1e9),
     (RATE, "--zero", -(2**30), 2**30),
@@ -40,19 +44,34 @@ CHOICES: list[tuple[set[str], str, tuple[str, ...]]] = [
     (RATE, "--date-format", ("dmy", "mdy", "ymd")),
 ]
 
+LEAST_IN_FILES = {
+    "--rate": 1e-3,
+    "--lsb-per-g": 1e-9,
+    "--segment-seconds": 1e-6,
+    "--stillness-threshold-g": 1e-9,
+}
 
-def option(command: str, name: str) -> click.Parameter:
+
+def option(command: str, name: str) -> click.Parameter | None:
+    """The option of a command; None if it is given by name."""
     node: click.Command = cli
     for word in command.split():
         assert isinstance(node, click.Group)
         node = node.get_command(click.Context(node), word)  # type: ignore[assignment]
-    return next(parameter for parameter in node.params if name in parameter.opts)
+    if (found := next((one for one in node.params if name in one.opts), None)) is None:
+        kind = next(one.type for one in node.params if "-R" in one.opts)
+        assert isinstance(kind, NameValue) and name[2:].replace("-", "_") in kind.known()
+    return found
 
 
-def accepts(parameter: click.Parameter, text: str) -> bool:
+def accepts(command: str, name: str, text: str) -> bool:
+    parameter, by_name = option(command, name), [(name[2:].replace("-", "_"), text)]
     try:
-        parameter.type(text, parameter, None)
-    except click.BadParameter:
+        if parameter is None:
+            named_values(by_name, {}, *Settings.__dataclass_fields__)
+        else:
+            parameter.type(text, parameter, None)
+    except (click.BadParameter, UsageError):
         return False
     return True
 
@@ -62,17 +81,17 @@ def accepts(parameter: click.Parameter, text: str) -> bool:
     [(command, *row) for commands, *row in BOUNDS for command in sorted(commands)],
 )
 def test_numbers_within_the_bounds_and_no_others(command: str, name: str, low: float, high: float) -> None:
-    parameter = option(command, name)
+    if option(command, name) is None and low == TINY:  # checked as in a file
+        low = LEAST_IN_FILES.get(name, low)
     beyond = (math.nextafter(low, -math.inf), math.nextafter(high, math.inf), math.nan, math.inf, -math.inf)
-    assert accepts(parameter, repr(float(low))) and accepts(parameter, repr(float(high)))
-    assert [number for number in beyond if accepts(parameter, repr(number))] == []
+    assert accepts(command, name, repr(low)) and accepts(command, name, repr(high))
+    assert [number for number in beyond if accepts(command, name, repr(number))] == []
 
 
 @pytest.mark.parametrize("name", ["--min-subset-points", "--max-subset-points"])
 @pytest.mark.parametrize("command", sorted(WINDOWS))
 def test_numbers_of_points_are_whole(command: str, name: str) -> None:
-    parameter = option(command, name)
-    found = [text for text in ("0", "1", "2", "100", "101", "1.0", "nan") if accepts(parameter, text)]
+    found = [text for text in ("0", "1", "2", "100", "101", "1.0", "nan") if accepts(command, name, text)]
     assert found == ["1", "2", "100"]
 
 
@@ -81,6 +100,9 @@ def test_numbers_of_points_are_whole(command: str, name: str) -> None:
     [(command, *row) for commands, *row in CHOICES for command in sorted(commands)],
 )
 def test_choices(command: str, name: str, choices: tuple[str, ...]) -> None:
-    kind = option(command, name).type
-    assert isinstance(kind, click.Choice)
-    assert tuple(kind.choices) == choices
+    parameter = option(command, name)
+    assert all(accepts(command, name, choice) for choice in choices)
+    assert not any(accepts(command, name, f"{choice}x") for choice in choices)
+    assert parameter is None or (
+        isinstance(parameter.type, click.Choice) and len(parameter.type.choices) == len(choices)
+    )

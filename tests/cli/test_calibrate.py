@@ -382,6 +382,6 @@ def test_time_has_one_type_where_the_zone_is_known_and_else_says_unknown(
 
 
 def test_force_timezone_without_a_zone_is_a_usage_error(tmp_path: Path, capsys: Capture) -> None:
-    ran = run(capsys, "calibrate", good_csv(tmp_path), "--force-timezone")
+    ran = run(capsys, "calibrate", good_csv(tmp_path), "-R", "force_timezone=true")
     assert ran.code == 2
     assert "give it with --timezone" in ran.err

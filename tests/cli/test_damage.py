@@ -1,4 +1,4 @@
-"""`--max-damage`: a recording of which damage has taken too much is refused, with a report."""
+"""`-R max_damage`: a recording of which damage has taken too much is refused, with a report."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_more_than_the_limit_is_refused_with_a_report(tmp_path: Path, capsys: Ca
     path = dump(tmp_path / "a.bin", 6)
     ran = run(capsys, "calibrate", path, "-q")
     assert ran.code == 4
-    assert_one_line(ran, "lost to damage", "50 %", "--max-damage")
+    assert_one_line(ran, "lost to damage", "50 %", "-R max_damage")
     assert sorted(item.name for item in tmp_path.iterdir()) == [
         "a.bin",
         "a.calibration.json",
@@ -54,14 +54,14 @@ def test_more_than_the_limit_is_refused_with_a_report(tmp_path: Path, capsys: Ca
 @pytest.mark.nightly
 def test_the_limit_can_be_raised_and_lowered(tmp_path: Path, capsys: Capture) -> None:
     path = dump(tmp_path / "a.bin", 6)
-    assert run(capsys, "calibrate", path, "--max-damage", 70).code == 0
+    assert run(capsys, "calibrate", path, "-R", "max_damage=70").code == 0
     ran, found = verify(capsys, tmp_path / "a.calibration.json", path)
     assert (ran.code, found["result"]) == (0, "identical")
     whole = dump(tmp_path / "b.bin", 1)
-    assert run(capsys, "calibrate", whole, "--max-damage", 5).code == 4
+    assert run(capsys, "calibrate", whole, "-R", "max_damage=5").code == 4
     assert report_of(tmp_path / "b.calibration.json")["calibration"] is None
     assert run(capsys, "calibrate", whole).code == 0
-    assert run(capsys, "calibrate", whole, "--max-damage", 101).code == 2
+    assert run(capsys, "calibrate", whole, "-R", "max_damage=101").code == 2
 
 
 def test_a_refusal_is_reproduced_by_verify(tmp_path: Path, capsys: Capture) -> None:
@@ -81,14 +81,14 @@ def test_apply_refuses_too(tmp_path: Path, capsys: Capture) -> None:
     report = report_of(tmp_path / "bad.calibration.json")
     assert (report["calibration"], report["coefficients"]["recording_path"]) == (None, good.name)
     assert not (tmp_path / "bad.calibrated.parquet").exists()
-    assert run(capsys, *words, "--max-damage", 99).code == 0
+    assert run(capsys, *words, "-R", "max_damage=99").code == 0
 
 
 def test_inspect_predicts_it(tmp_path: Path, capsys: Capture) -> None:
     ran = run(capsys, "inspect", dump(tmp_path / "a.bin", 6))
     assert ran.code == 0
     assert "prediction   refused" in ran.out
-    assert "--max-damage" in ran.out
+    assert "-R max_damage" in ran.out
 
 
 @pytest.mark.parametrize("kind", ["gt3x", "geneactiv", "raw"])

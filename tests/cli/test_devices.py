@@ -13,7 +13,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from accelcal_cli.studies.summary import COLUMNS, PARAMETERS, TEXT, WHOLE
+from accelcal_cli.core.errors import spreadsheet_cell
+from accelcal_cli.studies.columns import NAMES, PARAMETERS, names_of
 from tests.cli.run import assert_one_line, run
 from tests.devices.made import drifting, fitted, good_devices, refused, start, write
 
@@ -24,7 +25,7 @@ MIXED = [
     *good_devices(3, 4),
     *drifting("17440", 0.005), refused("17440", 500), fitted("warm", 0, WARM, model="9T"),
     fitted("warm", 30, COOL, model="6T", reference_c=27.0), fitted("warm", 60), fitted(None, 0),
-    *(refused("dead", 30.0 * number, postures=20) for number in range(3)), fitted("lost", None),
+    *(refused("dead", 30.0 * number, orientations=20) for number in range(3)), fitted("lost", None),
     {"path": "x.cwa", "outcome": "failed", "exit_code": 3, "message": "unreadable"},
 ]  # fmt: skip
 
@@ -53,7 +54,9 @@ def test_json_and_csv_hold_the_table(tmp_path: Path, capsys: Capture) -> None:
     rows = list(csv.DictReader(io.StringIO(run(capsys, "devices", out, "--csv").out)))
     table = {row["path"]: row for row in pq.read_table(out / "study.parquet").to_pylist()}
     history = [one for device in told["devices"] for one in device["history"]]
-    assert [{k: "" if v is None else str(v) for k, v in one.items()} for one in history] == rows
+    assert [
+        {k: "" if v is None else str(spreadsheet_cell(v)) for k, v in one.items()} for one in history
+    ] == rows
     assert len(rows) == len(MIXED) - 2
     assert (told["recordings"], told["without_serial"], told["failed_without_serial"]) == (len(MIXED), 2, 1)
     for one in history:
@@ -86,9 +89,8 @@ def test_one_device_in_full(tmp_path: Path, capsys: Capture) -> None:
     told = json.loads(run(capsys, "devices", tmp_path, "--device", "17440", "--json").out)
     assert [device["serial"] for device in told["devices"]] == ["17440"]
     assert "offsets at 28.5 C" in run(capsys, "devices", tmp_path, "--device", "warm").lines
-    assert (
-        "offsets at 20.0 C" in run(capsys, "devices", tmp_path, "--device", "warm", "--reference-c", 20).lines
-    )
+    at_20 = run(capsys, "devices", tmp_path, "--device", "warm", "--rule", "reference_c=20")
+    assert "offsets at 20.0 C" in at_20.lines
     unknown = run(capsys, "devices", tmp_path, "--device", "17441")
     assert (unknown.code, unknown.out) == (2, "")
     assert_one_line(
@@ -142,7 +144,7 @@ def test_odd_names_are_shown_and_stop_nothing(tmp_path: Path, capsys: Capture) -
 
 
 ODD = st.sampled_from([1e-300, 5e-324, 1e-160, 1e160, 1e300, -1e300, np.inf, -np.inf, np.nan, 0.0, -1.0])
-NUMBERS = [name for name in COLUMNS if name not in (*TEXT, *WHOLE)]
+NUMBERS = [name for name in NAMES if name not in (*names_of("text"), *names_of("whole"))]
 
 
 @pytest.mark.nightly
@@ -171,7 +173,15 @@ def test_one_serial_of_two_makers_is_two_devices(tmp_path: Path, capsys: Capture
 
 @pytest.mark.parametrize(
     "words",
-    [["--json", "--csv"], ["--drift-mg", 0], ["--reference-c", "nan"], ["--drift-mg", "x"], ["extra"]],
+    [
+        ["--json", "--csv"],
+        ["--rule", "drift_mg=0"],
+        ["--rule", "reference_c=nan"],
+        ["--rule", "drift_mg=x"],
+        ["--rule", "drift"],
+        ["--rule", "x=1"],
+        ["extra"],
+    ],
 )
 def test_wrong_words(tmp_path: Path, capsys: Capture, words: list) -> None:
     ran = run(capsys, "devices", write(tmp_path, MIXED), *words)

@@ -1,17 +1,17 @@
-"""`accelcal effect`, and `--effect` of `calibrate` and `study`."""
+"""`--effect` of `calibrate`, `apply` and `study`, and `accelcal.effect`, which takes other epochs."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
+import accelcal
 from tests.cli.run import assert_one_line, exit_code, run, verify
 from tests.recordings import RATE_HZ, directions, good_raw, still_counts, write_csv
 
@@ -21,10 +21,13 @@ UNCERTAIN = ("enmo_mg", "mad_mg", "mvpa_min", "pim_mg_s", "zcm", "angle_deg")
 MEASURED = ("enmo_mg", "mad_mg", "mvpa_min", "pim_mg_s", "zcm", "inactive_min")
 
 
-def effect_of(capsys: Capture, *words: object) -> dict[str, Any]:
-    ran = run(capsys, "effect", *words, "--json")
+def effect_of(capsys: Capture, *words: object, command: str = "calibrate") -> dict[str, Any]:
+    """What the command puts into the report, which is written elsewhere."""
+    with TemporaryDirectory() as folder:
+        ran = run(capsys, command, *words, "--effect", "--report-only", "--json", "-q", "-d", folder)
     assert ran.code == 0, ran.err
-    return json.loads(ran.out)["effect"]
+    found: dict[str, Any] = json.loads(ran.out)["effect"]
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +39,8 @@ def day(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_calibrated_data_show_what_the_true_parameters_would(day: Path, capsys: Capture) -> None:
-    made = effect_of(capsys, day)["versions"]
+def test_calibrated_data_show_what_the_true_parameters_would(day: Path) -> None:
+    made = accelcal.effect(day)["effect"]["versions"]
     for name in MEASURED:
         assert made["calibrated"][name] == pytest.approx(made["true"][name], rel=1e-3), name
     off = abs(made["raw"]["enmo_mg"] / made["true"]["enmo_mg"] - 1)
@@ -57,19 +60,12 @@ def test_they_are_the_measures_of_the_parquet_file(day: Path, tmp_path: Path, ca
     enmo = 1000 * (length - 1).clip(lower=0).groupby(measured["time"].dt.floor("60s").array).mean()
     mad = 1000 * (length - by.transform("mean")).abs().groupby(measured["time"].dt.floor("60s").array).mean()
     kept = by.size() >= 0.8 * 60 * 25
-    epochs = tmp_path / "epochs.csv"
-    found = effect_of(capsys, day, "--epoch", 60, "--epochs", epochs)
+    found = accelcal.effect(day, epoch=60)["effect"]
     made = found["versions"]["calibrated"]
     assert found["epochs"] == kept.sum()
     assert made["enmo_mg"] == pytest.approx(enmo[kept].mean(), abs=1e-4)
     assert made["mad_mg"] == pytest.approx(mad[kept].mean(), abs=1e-4)
     assert made["mvpa_min"] == (enmo[kept] >= 100).sum()
-    rows = pd.read_csv(epochs, parse_dates=["time"])
-    assert rows["enmo_mg_calibrated"].to_numpy() == pytest.approx(enmo[kept].to_numpy(), abs=1e-4)
-    assert rows["samples"].tolist() == by.size()[kept].tolist()
-    assert [name for name in rows if name.startswith("zcm")] == [
-        f"zcm_{name}" for name in ("raw", "without_misalignment", "calibrated", "true", "low", "high")
-    ]
 
 
 @pytest.mark.parametrize(
@@ -77,11 +73,8 @@ def test_they_are_the_measures_of_the_parquet_file(day: Path, tmp_path: Path, ca
     ["good.raw", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("night.h5", "evening.csv.gz"))],
 )
 def test_the_length_of_the_chunks_makes_no_difference(name: str, capsys: Capture, tmp_path: Path) -> None:
-    tables = [tmp_path / "a.csv", tmp_path / "b.csv"]
     path = good_raw(tmp_path) if name == "good.raw" else SAMPLES / name
-    one = effect_of(capsys, path, "--epochs", tables[0])
-    assert effect_of(capsys, path, "--chunk-samples", 1009, "--epochs", tables[1]) == one
-    assert tables[0].read_bytes() == tables[1].read_bytes()
+    assert effect_of(capsys, path, "--chunk-samples", 1009) == effect_of(capsys, path)
 
 
 def test_samples_that_are_no_measurements_are_left_out(tmp_path: Path, capsys: Capture) -> None:
@@ -100,44 +93,28 @@ def test_coefficients_of_a_report_give_what_they_gave_there(tmp_path: Path, caps
     path = good_raw(tmp_path)
     assert exit_code("calibrate", path, "--report-only", "-q") == 0
     report = tmp_path / "good.calibration.json"
-    given, own = effect_of(capsys, path, "--coefficients", report), effect_of(capsys, path)
+    given = effect_of(capsys, path, "--coefficients", report, command="apply")
+    assert given == accelcal.effect(path, coefficients=report)["effect"]
+    own = effect_of(capsys, path)
     for name in ("ci95", "raw_bias"):
         assert given.pop(name) is None and own.pop(name) is not None
     assert given == own
     other = good_raw(tmp_path, "other.raw")
-    assert run(capsys, "effect", other, "--coefficients", report).code in (0, 2)
-    made = effect_of(capsys, other, "--coefficients", report, "--any-device")["versions"]
-    assert list(made) == ["raw", "without_misalignment", "calibrated"]
+    words = (other, "--coefficients", report)
+    made = effect_of(capsys, *words, "--any-device", command="apply")
+    assert list(made["versions"]) == ["raw", "without_misalignment", "calibrated"]
+    assert run(capsys, "apply", *words, "--any-device", "--effect", "-q").code == 0
+    assert json.loads((tmp_path / "other.calibration.json").read_text())["effect"] == made
+    assert verify(capsys, tmp_path / "other.calibration.json", other)[0].code == 0
 
 
 def test_a_refused_recording_has_its_raw_values_only(tmp_path: Path, capsys: Capture) -> None:
     path = write_csv(tmp_path / "short.csv", np.tile(np.int16([0, 0, 256]), (2000, 1)))
-    ran = run(capsys, "effect", path)
-    assert ran.code == 0 and "refused" in ran.out and "no misalignment" not in ran.out
-    (row,) = csv.DictReader(io.StringIO(run(capsys, "effect", path, "--csv").out))
-    assert (row["version"], row["outcome"], row["enmo_mg"]) == ("raw", "refused", "0.0")
-
-
-def test_a_table_of_epochs_replaces_only_its_like(tmp_path: Path, capsys: Capture) -> None:
-    path = good_raw(tmp_path)
-    mine = tmp_path / "mine.csv"
-    mine.write_text("my own\n")
-    ran = run(capsys, "effect", path, "--epochs", mine)
-    assert ran.code == 5 and mine.read_text() == "my own\n"
-    assert_one_line(ran, "mine.csv", "--force")
-    assert run(capsys, "effect", path, "--epochs", mine, "--force").code == 0
-    assert run(capsys, "effect", path, "--epochs", mine).code == 0
-    for words in (
-        (path, "--epochs", path),
-        (path, "--epochs", tmp_path / "e.json"),
-        (path, path, "--epochs", mine),
-    ):
-        assert run(capsys, "effect", *words).code == 2
-
-
-def test_one_bad_recording_does_not_stop_the_rest(tmp_path: Path, capsys: Capture) -> None:
-    ran = run(capsys, "effect", tmp_path / "none.raw", good_raw(tmp_path), "-q")
-    assert ran.code == 1 and "none.raw" in ran.err and "good.raw" in ran.out
+    found = accelcal.effect(path)
+    assert found["outcome"] == "refused" and list(found["effect"]["versions"]) == ["raw"]
+    assert found["effect"]["versions"]["raw"]["enmo_mg"] == 0.0
+    ran = run(capsys, "calibrate", path, "--effect", "--json")
+    assert ran.code == 4 and json.loads(ran.out).get("effect") is None
 
 
 def test_calibrate_puts_it_into_the_report(tmp_path: Path, capsys: Capture) -> None:
@@ -188,16 +165,16 @@ def test_verdicts_11_zeros_take_no_part_in_means(headerless: bool, tmp_path: Pat
     if headerless:
         rows = [line.split(",", 1)[1] for line in path.read_text().splitlines()[1:]]
         path.write_text("\n".join(rows) + "\n")
-    ran = run(capsys, "effect", path, *(("--rate", RATE_HZ) if headerless else ()), "--chunk-samples", 7)
-    assert ran.code == 0 and "samples left out: 45000 filled (50 %)" in ran.out
-    found = effect_of(capsys, path, *(("--rate", RATE_HZ) if headerless else ()))
+    words = ("--rate", RATE_HZ) if headerless else ()
+    found = effect_of(capsys, path, *words)
+    assert found == effect_of(capsys, path, *words, "--chunk-samples", 7)
     assert found["left_out"] == {"filled": 45_000, "clipped": 0, "recovered": 0}
     assert found["left_out_percent"] == 50.0
     assert found["versions"]["raw"]["enmo_mg"] == pytest.approx(by_rows(counts), abs=1e-3)
 
 
-def test_51_1_every_measure_has_an_interval_with_the_truth_in_it(day: Path, capsys: Capture) -> None:
-    found = effect_of(capsys, day)
+def test_51_1_every_measure_has_an_interval_with_the_truth_in_it(day: Path) -> None:
+    found = accelcal.effect(day)["effect"]
     made, intervals, bias = found["versions"], found["ci95"], found["raw_bias"]
     assert tuple(intervals) == tuple(bias) == UNCERTAIN
     for name in UNCERTAIN:
@@ -209,16 +186,6 @@ def test_51_1_every_measure_has_an_interval_with_the_truth_in_it(day: Path, caps
         ends = [made["raw"][name] - high, made["raw"][name] - low]
         assert bias[name]["ci95"] == pytest.approx(ends, abs=1e-3)
     assert 0 < intervals["enmo_mg"][1] - intervals["enmo_mg"][0] < 1
-
-
-def test_51_1_the_interval_of_epochs(day: Path, tmp_path: Path, capsys: Capture) -> None:
-    """By epoch, too, the truth lies there nearly always, and intervals of one epoch are wider than of all."""
-    found = effect_of(capsys, day, "--epochs", tmp_path / "e.csv")
-    rows = pd.read_csv(tmp_path / "e.csv")
-    held = (rows["enmo_mg_low"] <= rows["enmo_mg_true"]) & (rows["enmo_mg_true"] <= rows["enmo_mg_high"])
-    assert held.mean() > 0.85
-    low, high = found["ci95"]["enmo_mg"]
-    assert (rows["enmo_mg_high"] - rows["enmo_mg_low"]).mean() > high - low
 
 
 def test_51_1_intervals_are_those_of_the_drawn_coefficients(tmp_path: Path, capsys: Capture) -> None:

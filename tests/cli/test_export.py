@@ -62,19 +62,6 @@ def test_json_has_nine_where_there_is_nothing_without(tmp_path: Path, capsys: Ca
     assert_one_line(ran, "has no fit without misalignment; export the calibrated data")
 
 
-def test_an_older_report_says_what_to_do(tmp_path: Path, capsys: Capture) -> None:
-    def older(held: dict) -> None:
-        held["accelcal_version"] = "0.1.0"
-        del held["without_misalignment"]
-
-    report = edit(donor(tmp_path), older)
-    ran = run(capsys, "export", report, "--to", "biobank")
-    assert ran.code == 2
-    assert_one_line(ran, "calibrate its recording again with --force")
-    assert run(capsys, "calibrate", tmp_path / "donor.raw", "--report-only", "--force").code == 0
-    assert run(capsys, "export", report, "--to", "biobank").code == 0
-
-
 def test_borrowed_coefficients_bring_theirs_along_held_out_here(tmp_path: Path, capsys: Capture) -> None:
     report, out = donor(tmp_path, warm=True), tmp_path / "out"
     path = week(tmp_path / "next.raw", 2, warm=True)

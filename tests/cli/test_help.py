@@ -10,9 +10,9 @@ import click
 import pytest
 
 from accelcal_cli.cli.evaluate import PARTS
-from accelcal_cli.cli.help import GROUPS, Command
+from accelcal_cli.cli.help import GROUPS, Command, NameValue, Rare
 from accelcal_cli.cli.main import COMMANDS, SECTIONS, cli
-from tests.cli.run import run
+from tests.cli.run import assert_one_line, run
 
 NAMES = [(name,) for name in COMMANDS if name != "evaluate"] + [("evaluate", name) for name in PARTS]
 
@@ -53,15 +53,75 @@ def test_every_option_that_commands_share_is_in_one_group() -> None:
     grouped = [name for names in GROUPS.values() for name in names]
     assert len(set(grouped)) == len(grouped)
     options = {one.name for names in NAMES for one in command(names).params if isinstance(one, click.Option)}
-    assert set(grouped) - {"help"} <= options
+    assert set(grouped) - {"help", "help_all"} <= options
+
+
+@pytest.mark.parametrize("names", NAMES, ids=" ".join)
+def test_help_is_one_screen_and_help_all_has_every_option(
+    capsys: pytest.CaptureFixture[str], names: tuple[str, ...]
+) -> None:
+    common, everything = (run(capsys, *names, words).out for words in ("--help", "--help-all"))
+    assert len(common.splitlines()) <= 60
+    for one in command(names).params:
+        if isinstance(one, click.Option):
+            assert re.search(rf"^  (-\w, )?{one.opts[-1]}\b", everything, re.MULTILINE), one.opts
+            assert isinstance(one, Rare) or re.search(rf"^  (-\w, )?{one.opts[-1]}\b", common, re.MULTILINE)
+        if isinstance(one.type, NameValue):
+            known = {f"--{name.replace('_', '-')}" for name in one.type.known()}
+            own = {word for other in command(names).params for word in other.opts}
+            assert all(f"  {name[2:].replace('-', '_')}=" in everything for name in known - own)
+
+
+def test_the_surface_is_small() -> None:
+    shared = [
+        one.opts[-1] for names in NAMES for one in command(names).params if isinstance(one, click.Option)
+    ]
+    assert len(COMMANDS) <= 14
+    assert len(shared) <= 400
+    assert len(set(shared)) <= 110
+
+
+@pytest.mark.parametrize(
+    ("words", "form"),
+    [
+        (("calibrate", "a.csv", "--date-format", "dmy"), "--date-format is now -R date_format=dmy"),
+        (("study", "in", "--zero=512", "-d", "out"), "--zero is now -R zero=512"),
+        (("inspect", "--time-format", "%d/%m/%Y %H", "a"), "is now -R time_format='%d/%m/%Y %H'"),
+        (("apply", "a", "--force-timezone"), "is now -R force_timezone=true"),
+        (("watch", "a", "--max-damage"), "is now -R max_damage=PERCENT"),
+        (("devices", "out", "--offset-mg", 3), "--offset-mg is now --rule offset_mg=3"),
+        (("evaluate", "methods", "a", "--rate", 25), "--rate is now -R rate=25"),
+        (("evaluate", "segments", "a", "--gain-percent", 2), "--gain-percent is now --errors gain_percent=2"),
+    ],
+)
+def test_an_option_that_is_given_by_name_now_is_answered_so(
+    capsys: pytest.CaptureFixture[str], words: tuple[object, ...], form: str
+) -> None:
+    assert_one_line(run(capsys, *words), form)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("-R", "zero"), "'zero' is not NAME=VALUE"),
+        (("-R", "dateformat=dmy"), "there is no 'dateformat'; did you mean 'date_format'?"),
+        (("-R", "xyzzy=1"), "known are format, rate"),
+        (("-R", "date_format=dym"), "date_format cannot be 'dym'; possible: dmy, mdy, ymd"),
+        (("-R", "zero=1.5"), "zero cannot be '1.5'"),
+        (("-R", "rate=25", "--rate", 50), "rate is given twice, with different values"),
+        (("-R", "zero=1", "-R", "zero=2"), "zero is given twice, with different values"),
+    ],
+)
+def test_values_by_name_are_checked(
+    capsys: pytest.CaptureFixture[str], words: tuple[object, ...], message: str
+) -> None:
+    assert_one_line(run(capsys, "calibrate", "a.csv", *words), message)
 
 
 OWN: dict[str, set[str]] = {
     "apply": {"coefficients", "any_device"},
     "six-pose": {"poses", "unchecked", "roll", "face_degrees"},
     "watch": {"kind"},
-    "quality": {"coefficients", "any_device"},
-    "effect": {"coefficients", "any_device", "epoch_s", "table"},
     "verify": {"values", "poses", "coefficients"},
 }
 """Options that are what a command is about: they stand first, in no group."""

@@ -126,7 +126,7 @@ COMMANDS: dict[str, tuple[tuple[str, ...], tuple[int, ...], int | None]] = {
     "apply": (("--coefficients", "{report}", "-d", "{out}", "--", "{recording}"), (0,), 1),
     "inspect": (("--", "{recording}"), (0,), None),
     "inspect --json": (("--", "{recording}"), (0,), 1),
-    "quality": (("--coefficients", "{report}", "--", "{recording}"), (0, 1, 4), 3),
+    "apply --report-only": (("--coefficients", "{report}", "-d", "{out}", "--", "{recording}"), (0,), 1),
     "verify": (("{report}", "{recording}", "--values", "--layout", "{layout}"), (0,), 1),
     "fit": (("{windows}",), (0,), 1),
     "report": (("-d", "{out}", "--", "{report}"), (0,), 1),
@@ -151,8 +151,7 @@ COMMANDS: dict[str, tuple[tuple[str, ...], tuple[int, ...], int | None]] = {
     "export --to mhealth": (("{parquet}", "-o", "{out}/={body}.csv"), (0, 2), 0),
     "export --to bids": (("{parquet}", "-o", "{out}/sub-01_task-rest_tracksys-wrist_motion.tsv"), (0, 2), 0),
     "watch": (("--", "{recording}"), (0, 4), None),
-    "effect": (("--epochs", "{out}/={body}.csv", "--", "{recording}"), (0, 4), None),
-    "effect --csv": (("--", "{recording}"), (0, 4), None),
+    "calibrate --effect": (("-d", "{out}", "--", "{recording}"), (0,), 1),
     "evaluate smoothing": (("--", "{recording}"), (0, 4), None),
     "evaluate homogeneity": (("--", "{recording}", "{recording}"), (0, 1, 2, 3, 4), None),
     "simulate": (("{out}/={body}", "--days", "0.01", "--rate", "25"), (0,), 1),
@@ -165,7 +164,7 @@ NIGHTLY = {
     "evaluate stillness",
     "evaluate segments",
     "evaluate duration",
-    "effect",
+    "calibrate --effect",
 }
 """Others of the same command are in `make test`."""
 

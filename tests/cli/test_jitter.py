@@ -93,7 +93,7 @@ def test_windows_end_at_every_gap_if_that_is_asked_for(tmp_path: Path, capsys: C
     assert calibrated(capsys, path, "--longest-gap", 0.32)["outcome"] == "calibrated"
 
 
-def test_a_report_of_an_earlier_version_is_verified_as_it_was_made(tmp_path: Path, capsys: Capture) -> None:
+def test_a_report_that_lacks_the_setting_is_verified_without_gaps(tmp_path: Path, capsys: Capture) -> None:
     path = recording(tmp_path, lossy)
     calibrated(capsys, path, "--longest-gap", 0)
     report = tmp_path / "a.calibration.json"

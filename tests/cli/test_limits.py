@@ -37,7 +37,7 @@ def test_verdicts_1_the_limit_is_the_users(points: Path, capsys: Capture) -> Non
     assert report["reason"] in SENTENCES and report["settings"]["strict"] is True
 
 
-@pytest.mark.parametrize("command", ["calibrate", "study", "fit", "inspect", "apply", "watch", "quality"])
+@pytest.mark.parametrize("command", ["calibrate", "study", "fit", "inspect", "apply", "watch"])
 def test_the_limit_has_one_name_and_one_bound(command: str, points: Path, capsys: Capture) -> None:
     more = {"study": ("-d", points.parent / "out"), "apply": ("--coefficients", points)}.get(command, ())
     for value in ("0", "-1", "nan", "much"):

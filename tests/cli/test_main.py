@@ -11,7 +11,7 @@ import pytest
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.main import COMMANDS
-from accelcal_cli.core.version import build_version
+from accelcal_cli.core.version import __version__
 from tests.cli.run import run, run_process
 
 Capture = pytest.CaptureFixture[str]
@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 
 
 def test_version_and_help(capsys: Capture) -> None:
-    assert run(capsys, "--version").out == f"accelcal, version {build_version()}\n"
+    assert run(capsys, "--version").out == f"accelcal, version {__version__}\n"
     ran = run(capsys, "--help")
     assert ran.code == 0
     assert all(name in ran.out for name in COMMANDS)

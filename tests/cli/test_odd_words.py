@@ -23,7 +23,7 @@ SAMPLE = Path(__file__).resolve().parent.parent.parent / "sample_data" / "record
         ("calibrate", SAMPLE, "--latitude", "nan"),
         ("calibrate", SAMPLE, "--latitude", "1", "--altitude", "nan"),
         ("calibrate", SAMPLE, "--precision", "nan"),
-        ("calibrate", SAMPLE, "--max-damage", "nan"),
+        ("calibrate", SAMPLE, "-R", "max_damage=nan"),
         ("six-pose", SAMPLE, "--segment-seconds", "nan"),
         ("six-pose", SAMPLE, "--stillness-threshold-g", "nan"),
         ("six-pose", SAMPLE, "--face-degrees", "nan"),

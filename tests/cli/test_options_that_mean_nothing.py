@@ -39,7 +39,7 @@ def report(path: Path) -> dict[str, Any]:
     [
         (("--unit", "mg"), "--unit", "raw"),
         (("--columns", "x,y,z"), "--columns", "raw"),
-        (("--time-column", "t", "--date-format", "dmy"), "--time-column and --date-format", "raw"),
+        (("-R", "time_column=t", "-R", "date_format=dmy"), "-R time_column and -R date_format", "raw"),
         (("--sensor", "imu"), "--sensor", "raw"),
     ],
 )
@@ -102,21 +102,6 @@ def test_in_a_study_they_must_mean_something_for_one(tmp_path: Path, capsys: Cap
     ran = run(capsys, "calibrate", raw, cwa, "--sensor", "imu")
     assert ran.code == 2
     assert_one_line(ran, "--sensor does not apply to formats cwa and raw")
-
-
-@pytest.mark.parametrize("note", [NOTE, "--unit means nothing for format raw and was not used"])
-def test_reports_of_before_that_hold_such_an_option_are_still_verified(
-    tmp_path: Path, capsys: Capture, note: str
-) -> None:
-    """They named it among the settings, and had the note."""
-    path = good_raw(tmp_path)
-    assert run(capsys, "calibrate", path, "--report-only").code == 0
-    old = report(tmp_path / "good.calibration.json")
-    old["settings"]["input"]["unit"], old["accelcal_version"] = "mg", "0.2.0"
-    old["recording"]["notes"].append(note)
-    (tmp_path / "old.calibration.json").write_text(json.dumps(old))
-    ran = run(capsys, "verify", tmp_path / "old.calibration.json", path)
-    assert (ran.code, ran.out.split("\t")[1]) == (0, "identical"), ran
 
 
 def test_what_means_nothing_for_all_members_is_left_out_of_a_pool(tmp_path: Path) -> None:

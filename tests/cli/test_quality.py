@@ -1,4 +1,4 @@
-"""`STEM.quality.json` beside the report, and `accelcal quality`."""
+"""`STEM.quality.json` beside the report, and whether coefficients of another recording still fit."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from accelcal_cli.collect import cells
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.output.quality import BlockErrors, PointErrors, QualityInput, dumps_quality, quality_json
 from accelcal_cli.pipeline.calibrate import RecordingRun
-from tests.cli.run import Ran, assert_one_line, exit_code, run
+from tests.cli.run import Ran, assert_one_line, exit_code, run, verify
 from tests.cli.test_change import HOUR, HOURS, jumping, long_raw
 from tests.device_recordings import donor, week
 from tests.recordings import (
@@ -35,7 +35,6 @@ from tests.recordings import (
 )
 
 Capture = pytest.CaptureFixture[str]
-SAMPLES = Path(__file__).parents[2] / "sample_data"
 
 
 @cache
@@ -296,22 +295,25 @@ def _largest(one: QualityInput) -> QualityInput:
     )
 
 
-def checked(capsys: Capture, *words: object) -> tuple[Ran, dict[str, Any]]:
-    ran = run(capsys, "quality", *words, "--json")
-    return ran, json.loads(ran.out) if ran.out else {}
+LATER = ("no_longer_fits", "error_rises")
+
+
+def checked(capsys: Capture, recording: Path, *words: object) -> tuple[Ran, list[dict[str, Any]]]:
+    """What `apply --report-only` printed, and its cautions about errors along time."""
+    ran = run(capsys, "apply", recording, *words, "--report-only")
+    report = json.loads(recording.with_name(f"{recording.stem}.calibration.json").read_text())
+    return ran, [one for one in report["cautions"] if one["code"] in (*LATER, "offsets_jump")]
 
 
 def test_coefficients_of_a_first_recording_hold_on_a_second(
     day: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     second = second_day(tmp_path / "second.raw")
-    before = sorted(tmp_path.iterdir())
-    ran, found = checked(capsys, second, "--coefficients", day / "day.calibration.json", "--any-device")
-    assert (ran.code, found["state"], found["since"]) == (0, "holds", None)
-    (period,) = found["periods"]
-    assert period["given_mg"] == pytest.approx(period["unseen_mg"], abs=0.3) and not period["degraded"]
-    assert found["coefficients"] == "day.calibration.json"
-    assert sorted(tmp_path.iterdir()) == before, "nothing is written"
+    ran, cautions = checked(capsys, second, "--coefficients", day / "day.calibration.json", "--any-device")
+    assert (ran.code, cautions) == (0, [])
+    errors = document(tmp_path / "second.quality.json")["rows"]["after_mg"]["mean"]
+    assert len(errors) == HOURS and max(errors) < 2
+    assert not (tmp_path / "second.calibrated.parquet").exists()
 
 
 def second_day(path: Path, step_g: float = 0.0, at_hour: int = 0) -> Path:
@@ -334,14 +336,18 @@ def test_a_step_of_12_mg_is_told_with_its_hour(
     day: Path, tmp_path: Path, capsys: Capture, at_hour: int, since: str | None
 ) -> None:
     second = second_day(tmp_path / "second.raw", 0.012, at_hour)
-    words = (second, "--coefficients", day / "day.calibration.json", "--any-device")
-    ran, found = checked(capsys, *words)
-    assert (ran.code, found["state"], found["since"], found["until"]) == (1, "degraded", since, None)
-    assert found["periods"][-1]["given_mg"] > 6 and found["periods"][-1]["unseen_mg"] < 2
-    shown = run(capsys, "quality", *words)
-    assert shown.code == 1 and shown.err == ""
-    when = "from 2024-03-04T15:00:00 on its error is" if at_hour else "from the beginning on its error is"
-    assert when in shown.lines[-1] and "the calibration has degraded" in shown.lines[-1]
+    words = ("--coefficients", day / "day.calibration.json", "--any-device")
+    ran, cautions = checked(capsys, second, *words, "-q")
+    assert ran.code == 0
+    why = cautions[0]
+    assert (why["code"], why["values"]["since"], why["values"]["until"]) == ("no_longer_fits", since, None)
+    assert why["values"]["error_mg"] > 6 and why["values"]["new_mg"] < 2
+    when = "From 2024-03-04T15:00:00 on their error is" if at_hour else "From the beginning on their error is"
+    assert when in ran.err, "a quiet run says it, too"
+    rows = document(tmp_path / "second.quality.json")["rows"]["after_mg"]["mean"]
+    assert min(rows[at_hour:]) > 4 and max(rows[:at_hour], default=0) < 2
+    told = verify(capsys, tmp_path / "second.calibration.json", second)[0]
+    assert told.code == 0, told
 
 
 def test_a_step_back_is_told_too(day: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -349,49 +355,12 @@ def test_a_step_back_is_told_too(day: Path, tmp_path: Path, capsys: Capture) -> 
     second_day(tmp_path / "later.raw", 0.012, 0)
     assert run(capsys, "calibrate", tmp_path / "later.raw", "--report-only").code == 0
     second = second_day(tmp_path / "second.raw", 0.012, 9)
-    report = tmp_path / "later.calibration.json"
-    ran, found = checked(capsys, second, "--coefficients", report, "--any-device")
-    assert (ran.code, found["since"], found["until"]) == (1, None, "2024-03-04T09:00:00.000000")
-    assert "From the beginning to 2024-03-04T09:00:00 its error is" in found["message"]
-
-
-def test_without_coefficients_a_change_of_the_sensor_ends_it(day: Path, capsys: Capture) -> None:
-    ran, found = checked(capsys, day / "jumps.raw")
-    assert (ran.code, found["state"], found["since"]) == (1, "degraded", "2024-03-04T14:00:00.000000")
-    assert "its offsets jump at 2024-03-04T14:00:00" in found["message"]
-    ran, found = checked(capsys, day / "day.raw")
-    assert (ran.code, found["state"]) == (0, "holds")
-    held = document(day / "day.quality.json")
-    assert found["rows"] == held["rows"]
-
-
-def test_what_is_printed(capsys: Capture) -> None:
-    """A header, a row for each hour, and a sentence."""
-    ran = run(capsys, "quality", SAMPLES / "recording.bin")
-    assert (ran.code, ran.err, len(ran.lines)) == (0, "", 10)
-    head, *rows, sentence = (line.split("\t") for line in ran.lines)
-    assert head[:6] == ["start", "windows", "before_mg", "before_p95_mg", "after_mg", "after_p95_mg"]
-    assert {len(row) for row in rows} == {len(head)}
-    assert rows[0][:2] == ["2024-03-04T00:00:00", "707"]
-    assert sentence == [
-        f"{SAMPLES / 'recording.bin'}: the calibration still fits: " + sentence[0].split("fits: ")[1]
-    ]
-
-
-def test_a_terminal_shows_aligned_columns(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-    ran = run(capsys, "quality", SAMPLES / "recording.bin", "-q")
-    assert ran.lines[0].split()[-1] == "worn" and set(ran.lines[1]) == {"-", " "}
-    assert len(set(map(len, ran.lines[:10]))) == 1 and ran.lines[10] == ""
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-    assert "\t" in run(capsys, "quality", SAMPLES / "recording.bin", "-q", "--tsv").lines[0]
-
-
-def test_short_recordings_say_what_was_not_checked(tmp_path: Path, capsys: Capture) -> None:
-    path = good_raw(tmp_path)
-    ran, found = checked(capsys, path)
-    assert (ran.code, found["state"]) == (0, "holds")
-    assert [one["code"] for one in found["reasons"]] == ["fits_held_out", "too_short"]
+    ran, cautions = checked(
+        capsys, second, "--coefficients", tmp_path / "later.calibration.json", "--any-device", "-v"
+    )
+    values = cautions[0]["values"]
+    assert (ran.code, values["since"], values["until"]) == (0, None, "2024-03-04T09:00:00.000000")
+    assert "From the beginning to 2024-03-04T09:00:00 their error is" in ran.err
 
 
 def test_hours_are_told_where_windows_are_not_kept_apart_by_them(
@@ -413,47 +382,27 @@ def test_hours_are_told_where_windows_are_not_kept_apart_by_them(
 
 def test_few_postures_cannot_tell(day: Path, tmp_path: Path, capsys: Capture) -> None:
     path = write_raw(tmp_path / "few.raw", still_counts(np.repeat(directions(4), 3, axis=0)))
-    ran, found = checked(capsys, path, "--coefficients", day / "day.calibration.json", "--any-device")
-    assert (ran.code, found["state"]) == (4, "unchecked")
-    assert found["reasons"][-1] == {
-        "code": "too_few_orientations",
-        "values": {"orientations": 4, "needed": 9},
-    }
+    words = ("--coefficients", day / "day.calibration.json", "--any-device")
+    assert checked(capsys, path, *words)[1] == []
 
 
 def test_coefficients_that_are_far_off_need_no_long_recording(
     day: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     path = write_raw(tmp_path / "other.raw", still_counts(-directions(20)) + np.int16(20))
-    ran, found = checked(capsys, path, "--coefficients", day / "day.calibration.json", "--any-device")
-    assert (ran.code, found["state"]) == (1, "degraded")
-    assert found["reasons"][0]["code"] == "never_fits"
+    words = ("--coefficients", day / "day.calibration.json", "--any-device")
+    ran, _ = checked(capsys, path, *words, "-q")
+    assert ran.code == 0 and "mg or more" in ran.err
 
 
-def test_refusals_and_wrong_words_have_their_codes(day: Path, tmp_path: Path, capsys: Capture) -> None:
-    coefficients = day / "day.calibration.json"
-    few = write_raw(tmp_path / "few.raw", still_counts(directions(1)))
-    ran, found = checked(capsys, few)
-    assert (ran.code, found["state"], found["rows"]["after_mg"]) == (4, "refused", None)
-    ran = run(capsys, "quality", few)
-    assert ran.code == 4 and ran.lines[-1].startswith(f"{few}: refused: ")
-    for words, code, part in (
-        ((day / "jumps.raw", "--coefficients", coefficients), 2, "--any-device"),
-        ((day / "day.raw", "--any-device"), 2, "for --coefficients only"),
-        ((day / "day.raw", "--coefficients", coefficients, "--model", "9"), 2, "--model is for"),
-        (
-            (day / "day.raw", "--coefficients", coefficients, "--stillness-threshold-g", "0.1"),
-            2,
-            "own calibration",
-        ),
-        ((day / "day.raw", "--profile", "paper"), 2, "keeps no windows along time"),
-        ((tmp_path / "none.raw",), 3, "none.raw"),
-        ((day / "day.raw", "--coefficients", day / "jumps.calibration.json", "--any-device"), 2, "changed"),
-        ((day / "day.raw", "--coefficients", day / "day.raw"), 3, "day.raw"),
+def test_a_removed_command_names_its_new_form(capsys: Capture) -> None:
+    for words, form in (
+        (("quality", "a.cwa"), "accelcal apply --coefficients NAME.calibration.json RECORDING --report-only"),
+        (("effect", "a.cwa", "--epoch", 60), "accelcal calibrate RECORDING --effect"),
     ):
-        ran = run(capsys, "quality", *words)
-        assert (ran.code, ran.out) == (code, ""), words
-        assert_one_line(ran, part)
+        ran = run(capsys, *words)
+        assert ran.code == 2
+        assert_one_line(ran, f"`{words[0]}` is now {form}")
 
 
 @pytest.mark.nightly
@@ -480,7 +429,6 @@ def test_the_independent_generator(tmp_path: Path, capsys: Capture, real_data: P
         subprocess.run([*command, *more], check=True, capture_output=True)
     assert run(capsys, "calibrate", tmp_path / "first.cwa", "--report-only").code == 0
     coefficients = tmp_path / "first.calibration.json"
-    ran, found = checked(capsys, tmp_path / "second.cwa", "--coefficients", coefficients)
-    assert (ran.code, found["state"]) == (0, "holds")
-    ran, found = checked(capsys, tmp_path / "steps.cwa", "--coefficients", coefficients)
-    assert (ran.code, found["state"], found["since"]) == (1, "degraded", "2024-03-05T06:00:00.000000")
+    assert checked(capsys, tmp_path / "second.cwa", "--coefficients", coefficients)[1] == []
+    _, cautions = checked(capsys, tmp_path / "steps.cwa", "--coefficients", coefficients)
+    assert cautions[0]["values"]["since"] == "2024-03-05T06:00:00.000000"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,6 @@ from tests.pages.html import check
 from tests.recordings import directions, good_csv, still_counts, write_raw
 
 Capture = pytest.CaptureFixture[str]
-BEFORE = {f"k_{row}{column}": f"k{column}{row}" for row in "xyz" for column in "xyz"}
 """Names of the entries of K in reports of schema version 1, by those of now."""
 
 
@@ -112,30 +110,6 @@ def test_what_is_no_report_is_told(tmp_path: Path, capsys: Capture) -> None:
     ran = run(capsys, "report", good)
     assert ran.code == 3
     assert_one_line(ran, "is a damaged report", "recording.samples")
-
-
-def test_a_page_of_an_older_report(tmp_path: Path, capsys: Capture) -> None:
-    """Keys that came later may be missing, and parameters have their first names."""
-    report = donor(tmp_path)
-    held = json.loads(report.read_text())
-    for name in ("calibration_error_mg", "change", "misfits"):
-        del held[name]
-    for section, name in (("coverage", "saturated"), ("coverage", "distinct_orientations"),
-                          ("recording", "time_zone"), ("file_health", "clock"), ("file_health", "rest"),
-                          ("file_health", "lost_bytes"), ("file_health", "lost_percent"),
-                          ("calibration", "course"), ("settings", "prior")):  # fmt: skip
-        del held[section][name]
-    for name in ("parameters", "standard_errors"):
-        old = held["calibration"][name].items()
-        held["calibration"][name] = {BEFORE.get(key, key): value for key, value in old}
-    for name in ("rest_scatter_mg", "reason", "values", "notes", "cautions", "advice"):
-        del held[name]
-    held |= {"schema_version": 1, "accelcal_version": "0.0.9"}
-    report.write_text(json.dumps(held))
-    (tmp_path / "donor.quality.json").unlink()
-    assert run(capsys, "report", report).code == 0
-    root = check((tmp_path / "donor.html").read_text("utf-8"))
-    assert "There is no NAME.quality.json" in root.whole() and "k_yx" in root.whole()
 
 
 @pytest.mark.parametrize(

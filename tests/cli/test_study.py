@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from tests.cli.run import run
-from tests.cli.studies import NAMES, results, rows, study, study_folder
+from tests.cli.studies import NAMES, csv_rows, results, rows, study, study_folder
 from tests.recordings import directions, still_counts, write_raw
 
 Capture = pytest.CaptureFixture[str]
@@ -65,7 +65,7 @@ def test_a_row_says_what_the_report_says(tmp_path: Path, capsys: Capture) -> Non
 
 def test_names_that_a_spreadsheet_would_calculate(tmp_path: Path, capsys: Capture) -> None:
     study(capsys, study_folder(tmp_path / "in", ("=cmd|' !A1.raw",)), "--report-only")
-    (row,) = rows(tmp_path / "out")
+    (row,) = csv_rows(tmp_path / "out")
     assert (row["path"], row["report"]) == ("'=cmd|' !A1.raw", "'=cmd|' !A1.calibration.json")
     assert pd.read_parquet(tmp_path / "out/study.parquet")["path"][0] == "=cmd|' !A1.raw"
 

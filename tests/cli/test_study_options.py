@@ -34,7 +34,7 @@ def test_what_damage_took_too_much_of_is_refused(tmp_path: Path, capsys: Capture
     path.write_bytes(path.read_bytes()[:-1])
     assert study(capsys, folder).code == 0
     assert float(rows(out)[0]["lost_percent"]) > 0
-    assert study(capsys, folder, "--max-damage", 0).code == 4
+    assert study(capsys, folder, "-R", "max_damage=0").code == 4
     assert rows(out)[0]["reason"] == "damaged"
     assert not (out / "north/a.calibrated.parquet").exists()
 
@@ -46,7 +46,7 @@ def test_what_damage_took_too_much_of_is_refused(tmp_path: Path, capsys: Capture
         ("--optimizer", "newton"),
         ("--optimizer", "\udcff"),
         ("--sensor", "\udcff"),
-        ("--time-column", "t\udcff"),
+        ("-R", "time_column=t\udcff"),
         ("--columns", "x,y,\udcff"),
     ],
 )

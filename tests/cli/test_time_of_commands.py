@@ -24,12 +24,12 @@ Capture = pytest.CaptureFixture[str]
 ZONE = "Europe/Berlin"
 LOCAL = datetime.fromisoformat(START)
 THERE = LOCAL.replace(tzinfo=ZoneInfo(ZONE))
-GIVEN, FORCED = ("--timezone", ZONE), ("--timezone", ZONE, "--force-timezone")
+GIVEN, FORCED = ("--timezone", ZONE), ("--timezone", ZONE, "-R", "force_timezone=true")
 
 CASES = pytest.mark.parametrize(
     ("start", "words", "zone"),
     [(START, (), "unknown"), (START, GIVEN, "UTC"), (f"{START}Z", FORCED, "UTC")],
-    ids=["no zone", "--timezone", "--force-timezone"],
+    ids=["no zone", "--timezone", "-R force_timezone"],
 )
 """How a recording states its start, what the user says, and what its times then are in."""
 
@@ -40,7 +40,7 @@ STUDIES = pytest.mark.parametrize(
         pytest.param(START, (), "unknown", marks=pytest.mark.nightly),
         pytest.param(f"{START}Z", FORCED, "UTC", marks=pytest.mark.nightly),
     ],
-    ids=["--timezone", "no zone", "--force-timezone"],
+    ids=["--timezone", "no zone", "-R force_timezone"],
 )
 
 

@@ -38,7 +38,7 @@ def test_u13_an_option_of_a_file_is_named_with_the_file(tmp_path: Path, capsys: 
     origin = name if name == "tz.toml" else 'study.toml, "*"'
     for ran in (study, alone):
         assert f"omit timezone ({origin}), which is for files that state no zone" in ran.err
-        assert "omit --timezone" not in ran.err and "--force-timezone" in ran.err
+        assert "omit --timezone" not in ran.err and "-R force_timezone" in ran.err
     typed = run(capsys, "inspect", zoned(tmp_path / "other" / "tz.csv"), "--timezone", "Europe/Berlin")
     assert "omit --timezone" in typed.err
 

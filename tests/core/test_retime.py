@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-import accelcal_cli
+import accelcal
 from accelcal_cli.core.clock import (
     Clock,
     JoinedClock,
@@ -120,7 +120,7 @@ def test_a_start_dates_what_has_no_dates(
     assert (np.diff(found.times) == 40_000).all()
     assert found.recording.timezone == zone
     assert "no_start_time" not in found.codes
-    assert f"it does not say when it began: {start} was given with --start" in found.recording.notes
+    assert f"it does not say when it began: {start} was given with -R start" in found.recording.notes
 
 
 def test_a_start_goes_with_a_zone_but_not_against_one(tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_a_start_goes_with_a_zone_but_not_against_one(tmp_path: Path) -> None:
 def test_a_start_that_the_file_states_is_not_replaced(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"states its own start, 2024-03-04T00:00:00\.000000") as caught:
         make_csv.read(good_csv(tmp_path), start="2024-03-04T10:00")
-    assert "--shift" in caught.value.hint
+    assert "-R shift" in caught.value.hint
 
 
 @pytest.mark.parametrize("shift_s", [3600.0, -86_400.5, 0.000001, 7.5e8])
@@ -143,18 +143,18 @@ def test_a_shift_moves_all_times(tmp_path: Path, shift_s: float) -> None:
     plain, moved = make_csv.read(path), make_csv.read(path, shift_s=shift_s)
     assert (moved.times - plain.times == round(shift_s * 1e6)).all()
     assert moved.recording.start_us == moved.times[0]
-    assert f"{shift_s:+g} s were added to all times (--shift)" in moved.recording.notes
+    assert f"{shift_s:+g} s were added to all times (-R shift)" in moved.recording.notes
     assert moved.recording.timezone is None
 
 
 def test_a_shift_of_nothing_dated_or_out_of_the_calendar_is_refused(tmp_path: Path, capsys: Capture) -> None:
     path = make_csv.written(tmp_path, PLAIN)
-    ran = run(capsys, "inspect", path, "--rate", 25, "--shift", 5)
+    ran = run(capsys, "inspect", path, "--rate", 25, "-R", "shift=5")
     assert ran.code == 2
-    assert_one_line(ran, "has no dates that --shift could change", "--start")
+    assert_one_line(ran, "has no dates that -R shift could change", "-R start")
     found = make_csv.read(path, rate_hz=25.0, start="2024-03-04T10:00", shift_s=5)
     assert found.times[0] == us(datetime(2024, 3, 4, 10, 0, 5, tzinfo=UTC))
-    ran = run(capsys, "inspect", path, "--rate", 25, "--start", "0001-01-01", "--shift", -5)
+    ran = run(capsys, "inspect", path, "--rate", 25, "-R", "start=0001-01-01", "-R", "shift=-5")
     assert ran.code == 3
     assert_one_line(ran, "begins outside the years 1 to 9999")
 
@@ -198,20 +198,23 @@ def test_the_files_own_zone_is_that_of_its_clock(tmp_path: Path) -> None:
     assert (utc_us(found)[0], found.times[0]) == (us(begin), us(begin) - 4 * 3600 * 10**6)
     with pytest.raises(UsageError, match="states its time zone, UTC, which is not Asia/Tokyo") as caught:
         make_csv.read(path, configured_zone="Asia/Tokyo", worn_zone="America/New_York")
-    assert "omit --configured-zone" in caught.value.hint
+    assert "omit -R configured_zone" in caught.value.hint
 
 
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (("--worn-zone", "Asia/Tokyo"), "does not say in which zone its clock was set; say it with"),
-        (("--configured-zone", "Asia/Tokyo"), "--configured-zone is for --worn-zone"),
-        (("--worn-zone", "Asia/Nowhere"), "unknown time zone 'Asia/Nowhere'"),
-        (("--configured-zone", "UTC", "--timezone", "UTC", "--worn-zone", "UTC"), "give one of them"),
-        (("--start", "today"), "--start 'today' is not a date and time"),
-        (("--start", "0001-01-01T00:00+14:00"), "is not a date and time"),
-        (("--shift", "nan"), "is not a finite number"),
-        (("--force-timezone",), "--force-timezone has no zone to use"),
+        (("-R", "worn_zone=Asia/Tokyo"), "does not say in which zone its clock was set; say it with"),
+        (("-R", "configured_zone=Asia/Tokyo"), "-R configured_zone is for -R worn_zone"),
+        (("-R", "worn_zone=Asia/Nowhere"), "unknown time zone 'Asia/Nowhere'"),
+        (("-R", "configured_zone=UTC", "--timezone", "UTC", "-R", "worn_zone=UTC"), "give one of them"),
+        (("-R", "start=today"), "-R start='today' is not a date and time"),
+        (("-R", "start=0001-01-01T00:00+14:00"), "is not a date and time"),
+        (("-R", "shift=nan"), "shift cannot be nan"),
+        (
+            ("-R", "force_timezone=true"),
+            "-R force_timezone has no zone to use",
+        ),
     ],
 )
 def test_what_is_not_enough_or_contradicts_itself(
@@ -223,8 +226,8 @@ def test_what_is_not_enough_or_contradicts_itself(
 
 def test_report_and_parquet_have_it_and_verify_gives_it_again(tmp_path: Path, capsys: Capture) -> None:
     path, report = good_raw(tmp_path), tmp_path / "good.calibration.json"
-    zones = ("--configured-zone", "Europe/Berlin", "--worn-zone", "America/New_York")
-    assert run(capsys, "calibrate", path, "-q", *zones, "--shift", 60).code == 0
+    zones = ("-R", "configured_zone=Europe/Berlin", "-R", "worn_zone=America/New_York")
+    assert run(capsys, "calibrate", path, "-q", *zones, "-R", "shift=60").code == 0
     held = json.loads(report.read_text())
     stated = {"shift_s": 60.0, "configured_zone": "Europe/Berlin", "worn_zone": "America/New_York"}
     assert held["settings"]["input"].items() >= stated.items() and "start" not in held["settings"]["input"]
@@ -235,7 +238,7 @@ def test_report_and_parquet_have_it_and_verify_gives_it_again(tmp_path: Path, ca
     assert first == datetime(2024, 3, 3, 23, 1, tzinfo=UTC)
     ran, _ = verify(capsys, report, path)
     assert ran.code == 0
-    assert run(capsys, "calibrate", path, *zones, "--shift", 60).err.count("up to date") == 1
+    assert run(capsys, "calibrate", path, *zones, "-R", "shift=60").err.count("up to date") == 1
 
 
 def test_reports_without_them_do_not_name_them(tmp_path: Path, capsys: Capture) -> None:
@@ -255,4 +258,4 @@ def test_a_file_beside_the_recording_may_say_it(tmp_path: Path, capsys: Capture,
     told = json.loads(run(capsys, "inspect", path, "--json").out)["recording"]
     assert told["start_time"] == "2024-03-04T17:59:55.000000+09:00"
     (tmp_path / "a.toml").unlink()
-    assert accelcal_cli.read(path, rate=25, start=NOON).recording.start_us == us(NOON)
+    assert accelcal.read(path, rate=25, start=NOON).recording.start_us == us(NOON)

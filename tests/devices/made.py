@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from accelcal_cli.studies.summary import COLUMNS, TEXT, WHOLE
+from accelcal_cli.core.identity import STUDY, identity
+from accelcal_cli.core.recording import METADATA_KEY
+from accelcal_cli.studies.columns import NAMES, names_of
 
 BEGIN = datetime(2024, 3, 4, 12)
 NOW_S = 1_795_000_000.0
@@ -62,13 +65,15 @@ def write(out: Path, rows: list[dict[str, Any]]) -> Path:
     """`study.parquet` of these rows in a folder; returns the folder."""
     out.mkdir(parents=True, exist_ok=True)
     kinds = [
-        pa.string() if name in TEXT else pa.int64() if name in WHOLE else pa.float64() for name in COLUMNS
+        pa.string() if name in names_of("text") else pa.int64() if name in names_of("whole") else pa.float64()
+        for name in NAMES
     ]
     arrays = [
-        pa.array([row.get(name) for row in rows], kind) for name, kind in zip(COLUMNS, kinds, strict=True)
+        pa.array([row.get(name) for row in rows], kind) for name, kind in zip(NAMES, kinds, strict=True)
     ]
     with (out / "study.parquet").open("wb") as file:
-        pq.write_table(pa.table(arrays, names=list(COLUMNS)), file)
+        about = {METADATA_KEY: json.dumps(identity(STUDY))}
+        pq.write_table(pa.table(arrays, names=list(NAMES), metadata=about), file)
     return out
 
 

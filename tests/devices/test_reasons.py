@@ -148,8 +148,8 @@ def test_a_little_damage_is_none(tmp_path: Path, lost: float, reasons: list[tupl
 
 
 def test_repeated_refusals_and_damage(tmp_path: Path) -> None:
-    odd = [refused("odd", 30.0 * number, postures=20) for number in range(3)]
-    rows = [*good_devices(4), *odd, fitted("odd", 99), refused("once", 0, postures=20)]
+    odd = [refused("odd", 30.0 * number, orientations=20) for number in range(3)]
+    rows = [*good_devices(4), *odd, fitted("odd", 99), refused("once", 0, orientations=20)]
     rows += [fitted("wet", 30.0 * number, lost_percent=3.0 * number) for number in range(4)]
     found = units(tmp_path, rows)
     assert told(found["odd"]) == [("device_refused", True)]
@@ -160,7 +160,7 @@ def test_repeated_refusals_and_damage(tmp_path: Path) -> None:
 
 
 def test_where_all_are_refused_no_device_is_to_blame(tmp_path: Path) -> None:
-    rows = [refused(serial, 30.0 * number, postures=20) for serial in "ABC" for number in range(3)]
+    rows = [refused(serial, 30.0 * number, orientations=20) for serial in "ABC" for number in range(3)]
     found = units(tmp_path, rows)
     assert {str(unit.verdict) for unit in found.values()} == {"unknown"}
 

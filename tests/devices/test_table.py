@@ -11,7 +11,7 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.devices.table import day, read
-from accelcal_cli.studies.summary import COLUMNS, TEXT
+from accelcal_cli.studies.columns import NAMES, names_of
 from tests.devices.made import NOW_S, fitted, refused, write
 
 
@@ -92,14 +92,17 @@ def test_a_table_that_is_none(tmp_path: Path) -> None:
         with pytest.raises(UnreadableError, match="cannot be read"):
             read(tmp_path, NOW_S)
     pq.write_table(pa.table({"path": ["a"]}), path)
-    with pytest.raises(UnreadableError, match="is not the table of a study: it has no column outcome"):
+    with pytest.raises(UnreadableError, match="is not the table of a study of accelcal; name"):
         read(tmp_path, NOW_S)
     whole = pq.read_table(write(tmp_path, [fitted("A", 0)]) / "study.parquet")
-    pq.write_table(whole.drop_columns([name for name in COLUMNS if name.startswith("se_")]), path)
-    with pytest.raises(UnreadableError, match="by an earlier version, without standard errors; run"):
+    pq.write_table(whole.drop_columns([name for name in NAMES if name.startswith("se_")]), path)
+    with pytest.raises(UnreadableError, match="it has no column se_k_xx"):
+        read(tmp_path, NOW_S)
+    pq.write_table(whole.replace_schema_metadata(None), path)
+    with pytest.raises(UnreadableError, match="was made by a development version of accelcal; run"):
         read(tmp_path, NOW_S)
     for name in ("k_xx", "path"):
-        wrong = pa.array([5 if name in TEXT else "five"])
+        wrong = pa.array([5 if name in names_of("text") else "five"])
         pq.write_table(whole.set_column(whole.column_names.index(name), name, wrong), path)
         with pytest.raises(UnreadableError, match="cannot be read"):
             read(tmp_path, NOW_S)
@@ -126,10 +129,10 @@ def test_columns_that_no_study_writes(tmp_path: Path, name: str, how: str) -> No
     other = pa.array([[1.0], [2.0]]) if how == "lists" else pa.array(["1", "2"])
     if how == "twice":
         table = table.append_column(name, table[name])
-    elif how == "lists" or name not in TEXT:
+    elif how == "lists" or name not in names_of("text"):
         table = table.set_column(table.column_names.index(name), name, other)
     pq.write_table(table, path)
-    if how == "words" and name in TEXT:
+    if how == "words" and name in names_of("text"):
         assert len(read(tmp_path, NOW_S)) == 2
         return
     with pytest.raises(

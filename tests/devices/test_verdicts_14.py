@@ -39,7 +39,7 @@ def codes(device: DeviceReview) -> list[str]:
 def unsure(serial: str, day: float, high_mg: float = 19.0, **said: Any) -> dict[str, Any]:
     """A short recording: coefficients to some mg, and a large held-out error."""
     errors = {f"se_{name}": 0.008 for name in FITTED["9"]}
-    held_out = {"after_mg": 9.0, "ci95_low_mg": 6.5, "ci95_high_mg": 11.5, "postures": 5}
+    held_out = {"after_mg": 9.0, "ci95_low_mg": 6.5, "ci95_high_mg": 11.5, "orientations": 5}
     return fitted(serial, day, {"offset_x_g": 0.02 + 1e-5 * day, **errors}, **held_out, **said) | {
         HIGH: high_mg
     }
@@ -78,7 +78,7 @@ def test_verdicts_14_a_provisional_recording_judges_no_device(tmp_path: Path) ->
 def test_verdicts_14_refusals_of_short_recordings_blame_no_device(tmp_path: Path) -> None:
     """A refusal in nine orientations or more tells of the device; one in fewer of how it was worn."""
     for postures, verdict in ((None, "unknown"), (8, "unknown"), (9, "service")):
-        rows = [refused("A", 30.0 * number, postures=postures) for number in range(3)]
+        rows = [refused("A", 30.0 * number, orientations=postures) for number in range(3)]
         assert verdicts(tmp_path, [*good_devices(4), *rows])["A"] == verdict
 
 
@@ -176,7 +176,7 @@ def test_verdicts_14_no_sound_device_is_blamed_for_short_recordings(tmp_path: Pa
                 "lost_percent": 0.0,
                 "model": None,
             }
-            row |= {"reason": verdict.reason.code, "postures": held_out and held_out.postures}
+            row |= {"reason": verdict.reason.code, "orientations": held_out and held_out.postures}
             if verdict.calibration is not None:
                 low, high = held_out.ci95
                 row |= {"model": "9", "after_mg": held_out.after.mean, "ci95_low_mg": low}

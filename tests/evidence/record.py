@@ -6,7 +6,6 @@ It runs in a process of its own and imports nothing of the tests: the package ma
 from __future__ import annotations
 
 import contextlib
-import csv
 import hashlib
 import io
 import json
@@ -23,7 +22,7 @@ import pyarrow.parquet as pq
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.main import cli
 
-NO_FACTS = ("provenance", "accelcal_version")
+NO_FACTS = ("provenance", "accelcal_version", "kind", "schema_version")
 """Keys of reports and columns of a study's table that differ from run to run, or with the version."""
 
 LIMITS = {resource.RLIMIT_CPU: 60, resource.RLIMIT_AS: 2 << 30}
@@ -74,8 +73,9 @@ def _facts(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _study(out: Path) -> dict[str, Any]:
-    with (out / "study.csv").open(newline="", encoding="utf-8") as file:
-        rows = {row["path"]: _facts(row) for row in csv.DictReader(file)}
+    table = pq.read_table(out / "study.parquet").to_pylist()
+    texts = [{name: "" if one is None else str(one) for name, one in row.items()} for row in table]
+    rows = {row["path"]: _facts(row) for row in texts}
     study = _facts(json.loads((out / "study.json").read_text()))
     left_out = {one["path"]: one for one in study.pop("files_left_out")}
     return {"rows": rows, "left_out": left_out, "study": study}

@@ -18,6 +18,7 @@ import pytest
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY, Calibration, TemperatureScale
 from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.recording import ThermometerWord
 from accelcal_cli.core.results import ErrorSummary
 from accelcal_cli.core.version import __version__
 from accelcal_cli.exports.coefficients import (
@@ -29,7 +30,7 @@ from accelcal_cli.exports.coefficients import (
     omconvert,
     read_exported,
 )
-from accelcal_cli.output.report_view import ErrorsView, HoldoutView, ReportRecording
+from accelcal_cli.output.sections import Errors, HoldoutSection, RecordingSection
 from tests.device_recordings import donor, edit
 
 COLUMNS = (
@@ -37,7 +38,7 @@ COLUMNS = (
     "temperature.offset.x,temperature.offset.y,temperature.offset.z,meantempcal,"
     "cal.error.start,cal.error.end,n.10sec.windows,n.hours.considered,QCmessage,use.temperature"
 )
-HOLDOUT = HoldoutView("", 0, 0, ErrorSummary(31.5, 0, 0), ErrorSummary(2.25, 0, 0), None, (0, 0))
+HOLDOUT = HoldoutSection("", 0, 0, ErrorSummary(31.5, 0, 0), ErrorSummary(2.25, 0, 0), None, (0, 0))
 TINY = 1.5e-7
 """As a Python number it is written with an exponent."""
 
@@ -49,7 +50,7 @@ def made(
     p = [1.02, 0.985, 1.013, 0, 0, 0, 0.0317, -0.0211, 0.0469, 0.004, -0.0026, -4 * TINY]
     fixed = parameters or tuple(round(value * ONE) for value in (p if warm else [*p[:9], 0, 0, 0]))
     found = Calibration("6T" if warm else "6", fixed, TemperatureScale(26848, 4.0) if warm else None)
-    recording, errors = ReportRecording(path, "", 0, "geneactiv", duration_s=5400.0), ErrorsView(HOLDOUT)
+    recording, errors = RecordingSection(path, "", 0, "geneactiv", duration_s=5400.0), Errors(HOLDOUT)
     return ExportedReport(Path("a.calibration.json"), recording, 1205.0, found, errors, found, errors)
 
 
@@ -116,7 +117,7 @@ def test_the_formula_of_each_tool_gives_what_model_6_or_6t_gives(warm: bool) -> 
     for found in (by_ggir(ggir([one]), v, celsius), by_biobank(biobank(one), v, celsius)):
         assert np.abs(found - expected(one, v, celsius)).max() < 1e-9
     word = np.rint((celsius + 20.5) / 0.15)  # omconvert reads .cwa files only, by this line for all hardware
-    line = {"celsius_per_count": 0.15, "celsius_at_zero": -20.5}
+    line = ThermometerWord(0.15, -20.5)
     one = replace(one, recording=replace(one.recording, format="cwa", thermometer=line))
     found = by_omconvert(omconvert(one), v, word * 0.15 - 20.5)
     assert np.abs(found - expected(one, v, word * 0.15 - 20.5)).max() < 1e-9
@@ -201,19 +202,12 @@ def course(report: dict[str, Any]) -> None:
     report["calibration"]["course"] = {"between": "jumps", "knots": [{"sample": 0, **knot}]}
 
 
-def version(report: dict[str, Any]) -> None:
-    report["accelcal_version"] = "0.1.0"
-    del report["without_misalignment"]
-
-
 def kind(report: dict[str, Any]) -> None:
     report["recording"]["format"] = "points"
 
 
 REFUSED = {
     "follows a sensor that changed while it recorded": course,
-    "was written by a version (0.1.0, which did not fit without misalignment); calibrate its recording "
-    "again with --force": version,
     "is of a table of points": kind,
     "has no fit without misalignment": lambda report: report.update(without_misalignment=None),
 }

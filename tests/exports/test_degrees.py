@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from accelcal_cli.core.recording import ThermometerWord
 from accelcal_cli.exports.coefficients import biobank, ggir, omconvert, read_exported, temperature_note
 from tests.cli.run import exit_code, run
 from tests.device_recordings import edit
@@ -160,7 +161,7 @@ def test_p1_a_report_that_does_not_say_how_the_temperature_was_read(
 def test_p1_a_device_that_ggir_finds_too_warm() -> None:
     """GGIR uses none if the first ten are above 50 of its degrees, which an AX3 1.7 is at 30.7."""
     one = made()
-    warm = {"celsius_per_count": 0.15, "celsius_at_zero": -20.5}
+    warm = ThermometerWord(0.15, -20.5)
     one = replace(one, recording=replace(one.recording, format="cwa", thermometer=warm))
     assert pytest.approx(50) == (30.7 + 20.5) / 0.15 * 75 / 256 - 50
     note = temperature_note(one, "ggir")

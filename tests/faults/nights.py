@@ -7,7 +7,6 @@ be read, or the version has changed.
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import os
@@ -24,6 +23,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
+
+from tests.cli.studies import texts_of
 from tests.faults.checks import Contents, contents, differences
 from tests.faults.shim import NONE, Fault, Runner, Struck, running
 from tests.recordings import directions, still_counts, write_csv, write_raw
@@ -278,8 +280,8 @@ def lines(struck: Struck) -> list[str]:
 
 def table(found: Contents) -> list[dict[str, str]]:
     """The rows of the table."""
-    held: Any = found["study.csv"]
-    return list(csv.DictReader(io.StringIO(held.decode())))
+    held: Any = found["study.parquet"]
+    return texts_of(pq.read_table(io.BytesIO(held)))
 
 
 def orphans(found: Contents) -> list[str]:

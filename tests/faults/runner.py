@@ -27,8 +27,8 @@ from tests.faults.shim import LONGEST_S, arm
 from tests.studies.processes import session, soon
 
 COMMANDS = (
-    "calibrate", "study", "apply", "export", "report", "simulate", "fit", "six_pose", "effect",
-    "quality", "inspect", "verify", "watch", "devices",
+    "calibrate", "study", "apply", "export", "report", "simulate", "fit", "six_pose",
+    "inspect", "verify", "watch", "devices",
 )  # fmt: skip
 LOADED = (
     "accelcal_cli.studies.preload", "accelcal_cli.exports.data", "accelcal_cli.pages.write",

@@ -259,8 +259,6 @@ SCENARIOS = (
     _export("mhealth", "out/good.csv"),
     _export("bids", "out/sub-1_task-rest_tracksys-imu_motion.tsv"),
     *(_simulation(form) for form in ("flash", "csv", "hdf5", "gt3x")),
-    Scenario("effect", ("effect", "in/good.raw", "--epochs", "out/epochs.csv", "--csv", "-q"), _recording),
-    Scenario("quality", ("quality", "in/good.raw", "-q"), _recording),
     Scenario("inspect", ("inspect", "in/good.raw", "--full"), _recording),
     Scenario("devices", ("devices", "in/results", "-q"), _elsewhere),
     Scenario("verify", ("verify", REPORT, "in/good.raw", "--values", "-q"), _results),

@@ -11,7 +11,7 @@ PAGE = Path(__file__).resolve().parent.parent.parent / "docs" / "reliability.md"
 HEAD = "| operation | error |"
 NEVER = "never"
 COLUMNS = (
-    "calibrate", "apply", "fit", "six-pose", "report", "export", "simulate", "effect", "quality",
+    "calibrate", "apply", "fit", "six-pose", "report", "export", "simulate",
     "inspect", "verify", "devices", "watch", "study",
 )  # fmt: skip
 

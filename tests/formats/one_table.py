@@ -176,7 +176,7 @@ def rates_and_numbers() -> Iterator[Table]:
     yield timed(
         "counts above zero without a scale",
         three("*", "ten bits"),
-        refused="--zero 512 --lsb-per-g",
+        refused="-R zero=512 --lsb-per-g",
     )
     yield timed(
         "averages of counts", three("*", on_grid(G * 256, 4)), lsb_per_g=256.0, says_lsb_per_g=2.0**24
@@ -283,7 +283,9 @@ def times() -> Iterator[Table]:
     gone = three("*", changed(G, slice(HALF, HALF + 2), np.nan))
     yield table("no times and no values", gone, rate_hz=50.0, says_breaks=[HALF],
                 says_codes=["no_start_time", "missing_value"])  # fmt: skip
-    yield table("no times and no rate", xyz, refused="--time-column, or give the sampling rate with --rate")
+    yield table(
+        "no times and no rate", xyz, refused="-R time_column=NAME, or give the sampling rate with --rate"
+    )
     ticks, asked = {"time": np.arange(ROWS)}, "may be seconds or milliseconds; give the right --rate"
     yield table("seconds or milliseconds", ticks, xyz, refused=asked)
     yield table("milliseconds by the rate", ticks, xyz, rate_hz=1000.0, says_rate_hz=1000.0)
@@ -314,10 +316,10 @@ def times() -> Iterator[Table]:
         "times of no known form",
         {"time": np.char.mod("%d~s", np.arange(ROWS))},
         xyz,
-        refused="not written as .* --time-format",
+        refused="not written as .* -R time_format",
     )
     both = {"time": millis(), "utc": millis() + DAY_S * 1000}
-    yield table("two times", both, xyz, refused="several columns may be the time .*--time-column")
+    yield table("two times", both, xyz, refused="several columns may be the time .*-R time_column")
     yield table("one of two times", both, xyz, time_column="time", says_start_us=START_S * 10**6)
     for name, in_s in COUNTERS.items():
         ticks = np.rint(np.arange(ROWS) / 50 * in_s).astype(np.int64)
@@ -472,9 +474,9 @@ def options() -> Iterator[Table]:
     yield table("--time-column by number", xyz, {"recorded": plain}, time_column="3")
     yield timed("--time-column none --rate", xyz, time_column="none", rate_hz=100.0, says_rate_hz=100.0)
     yield timed("--rate that agrees", xyz, rate_hz=50.0, says_rate_hz=50.0)
-    yield timed("--time-format ms", xyz, time_format="ms")
+    yield timed("-R time_format ms", xyz, time_format="ms")
     form = {"time": written("{d}|{m}|{y} {H}")}
-    yield table("--time-format of letters", form, xyz, time_format="%d|%m|%Y %H:%M:%S.%f")
+    yield table("-R time_format of letters", form, xyz, time_format="%d|%m|%Y %H:%M:%S.%f")
     yield table("--date-format mdy", {"time": written("{m}/{d}/{y} {H}")}, xyz, date_format="mdy")
     yield table(
         "no --date-format",

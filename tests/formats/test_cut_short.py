@@ -157,7 +157,15 @@ def test_what_is_missing_is_no_damage(limit: int, tmp_path: Path, capsys: pytest
     recording = make_wav_of(tmp_path)
     cut(recording, (recording.stat().st_size // 3 - 1024) // 8 * 8 + 1024)
     ran = run(
-        capsys, "calibrate", recording, "--max-damage", limit, "--report-only", "-d", tmp_path / "o", "--json"
+        capsys,
+        "calibrate",
+        recording,
+        "-R",
+        f"max_damage={limit}",
+        "--report-only",
+        "-d",
+        tmp_path / "o",
+        "--json",
     )
     report = json.loads(ran.out)
     assert ran.code == 0 and report["file_health"]["lost_percent"] > 60

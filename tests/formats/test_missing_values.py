@@ -36,7 +36,7 @@ def test_t7_rows_without_values_are_a_gap(tmp_path: Path, kind: str) -> None:
     if kind == "csv":
         values, begins = values[::-1], "2024-03-04T10:41:40"
     path = made(tmp_path, kind, EPOCH_S + np.arange(ROWS) / RATE_HZ, values)
-    assert exit_code("calibrate", path, "--report-only", "--max-damage", 0, "-q") == 0
+    assert exit_code("calibrate", path, "--report-only", "-R", "max_damage=0", "-q") == 0
     report = json.loads((tmp_path / "a.calibration.json").read_text())
     assert report["recording"]["samples"] == 2 * ROWS // 5
     assert report["recording"]["start_time"].startswith(begins)

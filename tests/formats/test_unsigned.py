@@ -70,7 +70,7 @@ def test_t10_a_scale_that_nothing_states_is_asked_with_options_to_copy(
     tmp_path: Path, zero: int, lsb: float, bits: int, head: str, unit: str | None
 ) -> None:
     path = as_csv(tmp_path, converted(zero, lsb, bits), head)
-    with pytest.raises(UnreadableError, match=f"counts above 0.*--zero {zero} --lsb-per-g") as refusal:
+    with pytest.raises(UnreadableError, match=f"counts above 0.*-R zero={zero} --lsb-per-g") as refusal:
         read(path, unit=unit)
     asked = float(str(refusal.value.hint).split("--lsb-per-g ")[1].split(",")[0])
     assert asked == pytest.approx(lsb * GAIN.mean(), rel=0.02)
@@ -79,12 +79,12 @@ def test_t10_a_scale_that_nothing_states_is_asked_with_options_to_copy(
 def test_t10_any_other_zero_is_asked(tmp_path: Path) -> None:
     path = as_csv(tmp_path, converted(338, 68, 10))
     for options in ({}, {"lsb_per_g": 68.0}):
-        with pytest.raises(UnreadableError, match=r"--zero 33[89] --lsb-per-g 68"):
+        with pytest.raises(UnreadableError, match=r"-R zero=33[89] --lsb-per-g 68"):
             read(path, **options)
     assert np.array_equal(read(path, lsb_per_g=68.0, zero=338).counts, converted(338, 68, 10) - 338)
     with pytest.raises(UsageError, match=r"about 6[89]"):
         read(path, zero=338)
-    with pytest.raises(UsageError, match="--zero is for counts, not for values in mg"):
+    with pytest.raises(UsageError, match="-R zero is for counts, not for values in mg"):
         read(path, zero=338, unit="mg")
 
 

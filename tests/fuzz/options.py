@@ -14,6 +14,7 @@ from unittest.mock import patch
 
 import click
 
+from accelcal_cli.cli.help import NameValue
 from accelcal_cli.cli.main import cli
 from tests.fuzz import command
 from tests.fuzz.made import directions, recording
@@ -66,7 +67,7 @@ GIVEN = {
 }
 """What makes sense, for some of the options and arguments."""
 
-LEFT_OUT = ("dask", "jobs", "days", "timeout", "settle", "cases")
+LEFT_OUT = ("dask", "executor", "jobs", "days", "timeout", "settle", "cases")
 """Options that reach other machines, or make a run as long as they say."""
 
 SHORT = {
@@ -115,6 +116,8 @@ def option(item: click.Parameter, value: str, random: Random) -> list[str]:
         return [name]
     if isinstance(item.type, click.Choice) and random.random() < 0.6:
         value = random.choice([str(choice) for choice in item.type.choices])
+    if isinstance(item.type, NameValue) and random.random() < 0.9:
+        value = f"{random.choice(list(item.type.known()))}={value}"
     return [name, *[value] * item.nargs]
 
 

@@ -68,7 +68,7 @@ POINT_HEADS = (
 )
 FITS = ([], [], ["--json"], ["--model", "9"], ["--no-temperature"], ["--latitude", "0", "--altitude", "9000"])
 SESSIONS = ([], ["--segment-seconds", "0.1"], ["--face-degrees", "45"])
-TABLES = ([], ["--json"], ["--csv"], ["--device", "1"], ["--reference-c", "25"])
+TABLES = ([], ["--json"], ["--csv"], ["--device", "1"], ["--rule", "reference_c=25"])
 Attempt = Callable[[Random, int, Path, Any], "tuple[bytes, str, str | None]"]
 
 

@@ -77,7 +77,7 @@ def held(numbers: range, folder: Path) -> Iterator[dict[str, float]]:
     for number in numbers:
         path = folder / f"{number}.bin"
         simulated(path, number)
-        found = effect(path, Request(threads=1), epoch_s=1).effect
+        found = effect(path, Request(threads=1), epoch_s=1)["effect"]
         path.unlink()
         if (intervals := found["ci95"]) is None:
             continue

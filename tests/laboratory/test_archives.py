@@ -14,7 +14,7 @@ from accelcal_cli.formats import open_recording
 from tests.cli.run import run
 from tests.formats.make_cwa import sectors, written
 
-COMMANDS = ["calibrate", "inspect", "quality", "effect", "evaluate methods", "evaluate stillness",
+COMMANDS = ["calibrate", "inspect", "evaluate methods", "evaluate stillness",
             "evaluate segments", "evaluate smoothing", "evaluate duration"]  # fmt: skip
 
 

@@ -161,7 +161,7 @@ def test_rests_that_give_no_calibration_are_refused(still: Stillness) -> None:
 def test_the_command(tmp_path: Path, capsys: Capture) -> None:
     path = table(tmp_path / "a.csv", rows=80)
     words = ("evaluate", "segments", path, "--table-hours", 24, "--hours", "12", "-q")
-    ran = run(capsys, *words, "--sensors", 2, "--one-misalignment-percent", 5, "--json")
+    ran = run(capsys, *words, "--sensors", 2, "--errors", "one_misalignment_percent=5", "--json")
     found = [json.loads(line) for line in ran.lines]
     assert (ran.code, [item["sensor"] for item in found]) == (0, [0, 1])
     assert all(0 < item["true_mg"] < item["raw_mg"] for item in found)
@@ -169,9 +169,18 @@ def test_the_command(tmp_path: Path, capsys: Capture) -> None:
         item["holds"] == (item["ci95_mg"][0] <= item["true_mg"] <= item["ci95_mg"][1]) for item in found
     )
     ran = run(
-        capsys, *words, "--sensors", 1, "--gain-percent", 0, "--misalignment-percent", 0, "--offset-mg", 0
+        capsys,
+        *words,
+        "--sensors",
+        1,
+        "--errors",
+        "gain_percent=0",
+        "--errors",
+        "misalignment_percent=0",
+        "--errors",
+        "offset_mg=0",
     )
     assert ran.lines[1].split()[-2:] == ["worse", "holds"]
     assert ran.lines[-1].split()[:4] == ["all", "1", "1", "1"]
-    ran = run(capsys, *words, "--offset-mg", 5)
+    ran = run(capsys, *words, "--errors", "offset_mg=5")
     assert (ran.code, "add --sensors" in ran.err) == (2, True)

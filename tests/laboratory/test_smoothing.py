@@ -74,7 +74,7 @@ def test_a_recording_shows_its_noise(tmp_path: Path, capsys: Capture) -> None:
 
 def test_what_has_no_stillness_is_said(tmp_path: Path, capsys: Capture) -> None:
     moving = np.random.RandomState(1).randint(-500, 500, (3000, 3)).astype(np.int16)
-    ran = run(capsys, *SMOOTHING, write_csv(tmp_path / "moving.csv", moving), "--unit", "g")
+    ran = run(capsys, *SMOOTHING, write_csv(tmp_path / "moving.csv", moving), "-R", "unit=g")
     assert ran.code == 2 and "no still window" in ran.err
     still = write_csv(tmp_path / "still.csv", still_counts(directions(3)))
     assert run(capsys, *SMOOTHING, still, "--segment-seconds", 0.5).code == 2

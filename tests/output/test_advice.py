@@ -1,9 +1,8 @@
-"""Cautions and advice that follow from a report, and how earlier reports get them."""
+"""Cautions and advice that follow from a report."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +10,8 @@ import pytest
 
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Coverage, Judgement, Outcome
-from accelcal_cli.output.advice import advice, cautions, completed, doubts, is_doubtful, page_verdict
-from accelcal_cli.output.report_reading import read_document
-from accelcal_cli.output.report_view import ReportView, report_view
+from accelcal_cli.output.advice import completed, doubts, is_doubtful, page_verdict
+from accelcal_cli.output.sections import ReportView, report_view
 from accelcal_cli.output.words import message
 from tests.device_recordings import donor
 from tests.schema import check_report
@@ -41,7 +39,10 @@ COVERED = {
     "axis_max_g": [1.0] * 3,
     "cells": 60,
     "condition_number": 2.0,
+    "worst_direction_mg": 1.0,
     "distinct_orientations": 40,
+    "saturated": [],
+    "subsets_full_after_h": None,
 }
 HEALTH = {
     "problems": [],
@@ -49,7 +50,11 @@ HEALTH = {
     "clipped_samples_before": 0,
     "clipped_samples_after": 0,
     "rate_hz_measured": 25.0,
-    "rest": {"median_g": 1.02},
+    "lost_bytes": 0,
+    "lost_percent": 0.0,
+    "missing_bytes": 0,
+    "clock": None,
+    "rest": None,
 }
 CALIBRATION = {
     "model": "9",
@@ -57,29 +62,64 @@ CALIBRATION = {
     "offset_g": [0, 0, 0],
     "parameters": {},
     "temperature": None,
-    "optimizer": {"name": "fixed32"},
-    "gravity": {"local_g": 1.0},
+    "equation": "",
+    "fixed_point": {
+        "fraction_bits": 29,
+        "parameters": {},
+        "temperature_reference_mc": None,
+        "temperature_span_c": None,
+    },
+    "optimizer": {
+        "name": "fixed32",
+        "arithmetic": "integer",
+        "settings": {},
+        "iterations": 7,
+        "stop": "minimum",
+        "converged": True,
+        "operations": {},
+        "predicted_seconds": None,
+    },
+    "gravity": {"local_g": 1.0, "latitude": None, "altitude": None},
+    "course": None,
+    "standard_errors": {},
 }
 BASE = {
-    "accelcal_version": "0.3.0",
+    "accelcal_version": "1.0.0",
     "recording": {"path": "a.bin", "sha256": "", "bytes": 1, "format": "raw"},
     "settings": {"max_error_mg": 10.0, "min_postures": 9, "coverage_g": 0.3, "max_damage_percent": 50.0},
     "outcome": "calibrated",
     "message": "",
     "calibration": CALIBRATION,
     "holdout": HOLDOUT,
-    "fit": {"windows": {"used": 100}},
+    "fit": {
+        "points": 60,
+        "postures": 40,
+        "before_mg": 30.0,
+        "after_mg": 1.0,
+        "windows": {"complete": 100, "used": 100},
+    },
+    "kind": "report",
+    "schema_version": 4,
+    "without_misalignment": None,
     "coverage": COVERED,
     "models_tried": [],
     "file_health": HEALTH,
     "reason": "not_determined",
+    "values": {},
+    "notes": [],
+    "cautions": [],
+    "advice": [],
     "calibration_error_mg": ERROR,
+    "rest_scatter_mg": 0.5,
+    "change": None,
+    "misfits": None,
 }
 
 
 def of(**changed: Any) -> ReportView:
-    """A good report with some sections changed."""
-    return report_view(BASE | changed)
+    """A good report with some sections changed, and the cautions and advice that follow from it."""
+    report = BASE | changed
+    return report_view(completed(report, judgement(Outcome(report["outcome"]), Reason(report["reason"]))))
 
 
 def refused(**changed: Any) -> ReportView:
@@ -91,7 +131,7 @@ def codes(reasons: tuple[Reason, ...]) -> list[str]:
 
 
 def test_nothing_speaks_against_a_good_result() -> None:
-    assert cautions(of()) == advice(of()) == ()
+    assert of().cautions == of().advice == ()
     assert not is_doubtful(of()) and page_verdict(of()).level == "good"
 
 
@@ -119,46 +159,52 @@ def test_what_an_interval_says(high: float | None, before: float | None, found: 
 def test_the_interval_is_that_over_all_orientations_or_else_that_of_the_hold_out() -> None:
     wide = ERROR | {"ci95": [1.0, 12.5]}
     held_out = HOLDOUT | {"ci95_mg": [0.8, 12.5]}
-    assert cautions(of(calibration_error_mg=wide)) == (
+    assert of(calibration_error_mg=wide).cautions == (
         Reason("error_may_reach", {"high_mg": 12.5, "everywhere": True}),
     )
-    assert cautions(of(calibration_error_mg=None, holdout=held_out)) == (
+    assert of(calibration_error_mg=None, holdout=held_out).cautions == (
         Reason("error_may_reach", {"high_mg": 12.5, "everywhere": False}),
     )
     lenient = {"max_error_mg": 20.0}
-    assert cautions(of(calibration_error_mg=wide, settings=lenient)) == (), "the limit is the settings'"
-    assert cautions(refused(calibration_error_mg=wide)) == (), "nothing is calibrated"
+    assert of(calibration_error_mg=wide, settings=lenient).cautions == (), "the limit is the settings'"
+    assert refused(calibration_error_mg=wide).cautions == (), "nothing is calibrated"
     as_good = ERROR | {"ci95": [1.0, 3.0], "before": 2.0}
-    assert codes(cautions(of(calibration_error_mg=as_good))) == ["no_better_than_raw"]
-    assert cautions(of(calibration_error_mg=as_good, outcome="already_good")) == ()
+    assert codes(of(calibration_error_mg=as_good).cautions) == ["no_better_than_raw"]
+    assert of(calibration_error_mg=as_good, outcome="already_good").cautions == ()
 
 
 def test_a_side_that_was_not_seen_is_a_mild_caution() -> None:
     found = of(coverage=COVERED | {"axis_min_g": [-1.0, -1.0, -0.29], "axis_max_g": [1.0, 0.3, 1.0]})
-    assert cautions(found) == (Reason("sides_unchecked", {"sides": ["-z"]}),)
+    assert found.cautions == (Reason("sides_unchecked", {"sides": ["-z"]}),)
     assert not is_doubtful(found)
+
+
+ROLL = {"axis": "x", "start_s": 0.0, "end_s": 1.0, "samples": 100, "length_g": {"before": 1.0, "after": None}}
 
 
 @pytest.mark.parametrize(("rolls", "code"), [((), "nothing_checks_poses"), ((1,), "roll_alone_checks_poses")])
 def test_poses_that_nothing_checks(rolls: tuple[int, ...], code: str) -> None:
     level = {"before": {"mean": 1.0, "sd": 2.0}, "after": None}
     section = {
+        **dict.fromkeys(("K", "O", "standard_errors", "holdout_vector_mg", "repeat_spread_mg", "left_out")),
+        "equation": "",
         "orientations": 4,
-        "holdout_vector_mg": None,
+        "missing_faces": [],
         "unchecked": "nothing_held_out",
-        "rolls": [{"axis": "x", "start_s": 0.0, "end_s": 1.0, "level_mg": level} for _ in rolls],
+        "rolls": [ROLL | {"level_mg": level} for _ in rolls],
     }
-    assert code in codes(cautions(of(known_orientations=section)))
-    assert code not in codes(cautions(refused(known_orientations=section)))
+    assert code in codes(of(known_orientations=section).cautions)
+    assert code not in codes(refused(known_orientations=section).cautions)
 
 
-def test_what_a_report_says_is_not_found_again() -> None:
-    given = [{"code": "worse_here", "values": {}}]
-    report = of(cautions=given, advice=[], calibration_error_mg=ERROR | {"ci95": [1.0, 12.5]})
-    assert cautions(report) == (Reason("worse_here"),)
-    assert advice(refused(cautions=[], advice=[])) == ()
-
-
+REST = {
+    "windows": 9,
+    "median_g": 9.81,
+    "p5_g": 9.8,
+    "p95_g": 9.82,
+    "axis_min_g": [-9.8] * 3,
+    "axis_max_g": [9.8] * 3,
+}
 FEW = COVERED | {"distinct_orientations": 5}
 ONE_SIDED = COVERED | {"axis_min_g": [-1.0, -1.0, -0.1]}
 NONE = COVERED | {"cells": 0, "distinct_orientations": 0, "axis_min_g": [0.0] * 3, "axis_max_g": [0.0] * 3}
@@ -173,11 +219,9 @@ NONE = COVERED | {"cells": 0, "distinct_orientations": 0, "axis_min_g": [0.0] * 
         ({"coverage": NONE}, ["record_again", "other_coefficients"]),
         ({"coverage": NONE, "reason": "constant_values"}, ["check_sensor", "other_coefficients"]),
         ({"coverage": NONE, "notes": [{"code": "axes_alike", "values": {}}]}, []),
-        ({"file_health": HEALTH | {"rest": {"median_g": 9.81}}}, ["check_unit"]),
+        ({"file_health": HEALTH | {"rest": REST}}, ["check_unit"]),
         ({"file_health": HEALTH | {"lost_percent": 50.1}}, ["other_coefficients"]),
         ({"file_health": HEALTH | {"lost_percent": 50.1}, "reason": "damaged"}, []),
-        ({"file_health": HEALTH | {"lost_percent": 50.1}, "reason": ""}, []),
-        ({"file_health": HEALTH | {"lost_percent": 50.0}, "reason": ""}, ["other_coefficients"]),
         ({"settings": {"input": {"format": "points"}}, "coverage": FEW}, ["more_orientations"]),
         ({"settings": {"input": {"format": "points"}}, "coverage": NONE}, []),
         ({"settings": {"profile": "paper"}, "coverage": FEW}, []),
@@ -189,11 +233,11 @@ NONE = COVERED | {"cells": 0, "distinct_orientations": 0, "axis_min_g": [0.0] * 
     ],
 )
 def test_advice_by_what_a_refused_recording_lacks(changed: dict[str, Any], found: list[str]) -> None:
-    assert codes(advice(refused(**changed))) == found
+    assert codes(refused(**changed).advice) == found
 
 
 def test_only_a_refused_recording_needs_advice() -> None:
-    assert advice(of(coverage=FEW)) == ()
+    assert of(coverage=FEW).advice == ()
 
 
 def judgement(outcome: Outcome, reason: Reason, **given: tuple[Reason, ...]) -> Judgement:
@@ -204,7 +248,7 @@ def judgement(outcome: Outcome, reason: Reason, **given: tuple[Reason, ...]) -> 
 def drafted(**changed: Any) -> dict[str, Any]:
     """A report before its message, cautions and advice are known."""
     order = ("outcome", "reason", "values", "message", "notes", "cautions", "advice")
-    report = BASE | {"values": {}, "notes": [], "cautions": [], "advice": []} | changed
+    report = BASE | changed
     return {name: report[name] for name in (*order, *(key for key in report if key not in order))}
 
 
@@ -243,71 +287,10 @@ def test_completed_gives_no_general_advice_where_notes_explain_the_values() -> N
 def test_a_message_follows_from_the_codes_alone(tmp_path: Path) -> None:
     report = json.loads(donor(tmp_path).read_text())
     check_report(report)
-    assert report["schema_version"] == 3
+    assert report["schema_version"] == 4
     assert message(report_view(report | {"message": "changed"})) == report["message"]
     bare = {name: report[name] for name in ("reason", "values", "notes")}
     assert message(of(**bare)) == report["message"]
     noted = report | {"notes": [{"code": "windows_repeated", "values": {"windows": 3}}]}
     text = "3 still windows that repeat earlier ones exactly were left out."
     assert message(report_view(noted)) == f"{report['message']} {text}"
-
-
-def earlier(report: Mapping[str, Any]) -> dict[str, Any]:
-    """The report as version 0.2.0 wrote it, with a change, a misfit and an axis that saturates."""
-    later = ("reason", "values", "notes", "cautions", "advice", "calibration_error_mg", "rest_scatter_mg")
-    held = {name: value for name, value in report.items() if name not in later}
-    held |= {"schema_version": 2, "accelcal_version": "0.2.0", "sphere_mg": report["calibration_error_mg"]}
-    held["message"] = "model 9: 31.2 mg before, 1.20 mg after on postures it did not see"
-    held["models_tried"] = [
-        {name: value for name, value in one.items() if name != "values"} for one in report["models_tried"]
-    ]
-    simpler = held["without_misalignment"]
-    held["without_misalignment"] = {
-        "sphere_mg" if name == "calibration_error_mg" else name: value for name, value in simpler.items()
-    }
-    held["change"] = {
-        "kind": "step",
-        "unchecked": None,
-        "at": "2024-03-04T16:00:00.000000",
-        "size_mg": 39.5,
-        "offset_mg": [39.5, 0.0, 0.0],
-        "scale_percent": None,
-        "holdout": {"constant_mg": 12.0, "changing_mg": 2.0},
-    }
-    first, *others = held["misfits"]
-    held["misfits"] = [first | {"found": True, "size": [1.0, 2.0, 3.0], "largest_mg": 12.5}, *others]
-    held["coverage"] = held["coverage"] | {"saturated": [{"axis": "z", "at_g": -0.9}]}
-    return held
-
-
-def test_a_report_of_schema_version_2_is_read_and_its_cautions_are_found(tmp_path: Path) -> None:
-    path = donor(tmp_path)
-    old = earlier(json.loads(path.read_text()))
-    path.write_text(json.dumps(old))
-    document = read_document(path)
-    assert document.first == old and document.report["schema_version"] == 3
-    view = report_view(document.report)
-    assert (view.reason, view.cautions, view.advice) == ("", None, None)
-    assert message(view) == old["message"], "as it is"
-    assert view.error_everywhere is not None and view.error_everywhere.mean == old["sphere_mg"]["mean"]
-    changed, misfit, saturated = cautions(view)
-    values = {"kind": "step", "at": "2024-03-04T16:00:00.000000", "size_mg": 39.5, "followed": False}
-    assert changed == Reason("sensor_changed", values | {"constant_mg": 12.0, "changing_mg": 2.0})
-    kind, unit = (old["misfits"][0][name] for name in ("kind", "unit"))
-    assert misfit == Reason.of("misfit", kind=kind, size=[1.0, 2.0, 3.0], unit=unit, largest_mg=12.5)
-    assert saturated == Reason("axis_saturates", {"axis": "z", "at_g": -0.9})
-    verdict = page_verdict(view)
-    assert verdict.level == "care" and verdict.reason == old["message"]
-    assert "its offsets jump at 2024-03-04T16:00:00, by up to 39.5 mg" in " ".join(verdict.to_do)
-
-
-def test_a_refused_report_of_schema_version_2_gets_its_advice(tmp_path: Path) -> None:
-    path = donor(tmp_path)
-    old = earlier(json.loads(path.read_text())) | {"outcome": "refused", "calibration": None}
-    old |= {"message": "stillness in only 5 postures, at least 6 are needed; record longer"}
-    old["coverage"] = old["coverage"] | {"distinct_orientations": 5}
-    path.write_text(json.dumps(old))
-    view = report_view(read_document(path).report)
-    assert message(view) == old["message"]
-    assert codes(advice(view)) == ["more_orientations", "other_coefficients"]
-    assert page_verdict(view).level == "bad"

@@ -65,6 +65,9 @@ def test_the_origin_is_the_reports_recording(report: Path) -> None:
     assert found.origin.sha256 == json.loads(report.read_text())["recording"]["sha256"]
 
 
+REPORT = b'{"kind": "report", "accelcal_version": "9", "schema_version": '
+
+
 @pytest.mark.parametrize(
     ("data", "part"),
     [
@@ -76,11 +79,14 @@ def test_the_origin_is_the_reports_recording(report: Path) -> None:
         (b"[1]", "not a report"),
         (b"{}", "not a report"),
         (b'{"schema_version": 1}', "not a report"),
-        (b'{"accelcal_version": "0.1.0", "prediction": {}}', "not a report"),
-        (b'{"accelcal_version": "9", "schema_version": 4}', "schema version 4 (of accelcal '9')"),
-        (b'{"accelcal_version": "9", "schema_version": true}', "schema version True"),
-        (b'{"accelcal_version": "9", "schema_version": 1}', "recording is missing"),
-        (b'{"accelcal_version": "9", "schema_version": NaN}', "NaN is not a JSON number"),
+        (b'{"accelcal_version": "0.1.0", "prediction": {}}', "made by a development version (0.1.0) of"),
+        (b'{"accelcal_version": "0.3.0", "schema_version": 3}', "made by a development version (0.3.0) of"),
+        (b'{"accelcal_version": {}, "schema_version": 3}', "made by a development version of accelcal"),
+        (b'{"kind": "quality", "accelcal_version": "9", "schema_version": 4}', "not a report of accelcal"),
+        (REPORT + b"5}", "has schema version 5, of another version (9) of accelcal"),
+        (REPORT + b"true}", "schema version True"),
+        (REPORT + b"4}", "recording is missing"),
+        (REPORT + b"NaN}", "NaN is not a JSON number"),
         (b'{"accelcal_version": ' + b"9" * 5000 + b"}", "not valid JSON"),
     ],
 )

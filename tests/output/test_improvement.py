@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from math import exp
 from pathlib import Path
@@ -11,14 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from accelcal_cli.core.declared import json_or_null
 from accelcal_cli.core.results import Holdout
 from accelcal_cli.core.statistics import ratio_uncertainty95
 from accelcal_cli.judge.model_ladder import of_postures
-from accelcal_cli.output.report import factor_json
-from accelcal_cli.output.report_reading import fault, read_document, report_schema, schema_of_version
-from accelcal_cli.output.report_view import report_view
+from accelcal_cli.output.report import improvement
 from tests.cli.run import run_process
-from tests.device_recordings import donor
+from tests.cli.studies import rows
 from tests.recordings import good_raw
 
 
@@ -32,7 +30,10 @@ def test_verdicts_10_the_interval_is_that_of_the_logarithm_of_the_ratio() -> Non
     by = exp(4.303 * 0.5 / 3**0.5)
     assert found.improvement_factor() == 10.0
     assert found.improvement_ci95() == pytest.approx((10 / by, 10 * by))
-    assert factor_json(found) == {"value": 10.0, "ci95": [float(f"{10 / by:.4g}"), float(f"{10 * by:.4g}")]}
+    assert json_or_null(improvement(found)) == {
+        "value": 10.0,
+        "ci95": [float(f"{10 / by:.4g}"), float(f"{10 * by:.4g}")],
+    }
 
 
 def test_verdicts_10_what_is_alike_in_all_pairs_is_certain() -> None:
@@ -51,7 +52,7 @@ def test_verdicts_10_without_a_spread_or_a_ratio_there_is_no_interval(
     pairs: tuple[tuple[float, float], ...], shown: dict[str, Any] | None
 ) -> None:
     found = held_out(*pairs)
-    assert found.improvement_ci95() is None and factor_json(found) == shown
+    assert found.improvement_ci95() is None and json_or_null(improvement(found)) == shown
 
 
 def test_verdicts_10_the_interval_holds_the_ratio_in_95_of_100_recordings() -> None:
@@ -65,30 +66,12 @@ def test_verdicts_10_the_interval_holds_the_ratio_in_95_of_100_recordings() -> N
     assert 925 < held < 975
 
 
-def test_verdicts_10_a_factor_of_an_earlier_schema_is_read(tmp_path: Path) -> None:
-    path = donor(tmp_path, warm=True)
-    report: dict[str, Any] = json.loads(path.read_text())
-    number = report["holdout"]["improvement_factor"]["value"]
-    report |= {"schema_version": 2, "accelcal_version": "0.2.0"}
-    report["holdout"]["improvement_factor"] = number
-    report["without_misalignment"]["holdout"]["improvement_factor"] = 2.5
-    path.write_text(json.dumps(report))
-    now = read_document(path).report
-    view = report_view(now)
-    assert view.holdout is not None and view.holdout.improvement_factor is not None
-    assert (view.holdout.improvement_factor.value, view.holdout.improvement_factor.ci95) == (number, None)
-    assert now["without_misalignment"]["holdout"]["improvement_factor"] == {"value": 2.5}
-    for schema, sound in ((schema_of_version("0.2.0"), True), (report_schema(), False)):
-        part = schema["properties"]["holdout"]
-        assert (fault(now["holdout"], part) is None) == sound
-
-
 def test_verdicts_10_it_stands_in_line_table_json_and_page(tmp_path: Path) -> None:
     """The line in a pipe, the table of a study, the report, its message, and the page."""
     good_raw(tmp_path)
     ran = run_process("study", tmp_path, "-d", tmp_path / "out", "--html")
     (line,) = ran.out.splitlines()
-    (row,) = csv.DictReader((tmp_path / "out" / "study.csv").read_text().splitlines())
+    (row,) = rows(tmp_path / "out")
     report = json.loads((tmp_path / "out" / "good.calibration.json").read_text())
     factor = report["holdout"]["improvement_factor"]
     low, high = factor["ci95"]

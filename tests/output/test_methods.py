@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from accelcal_cli.output.methods import bibtex, methods_paragraph, references
-from accelcal_cli.output.report_view import report_view
+from accelcal_cli.output.sections import report_view
 from tests.cli.run import exit_code
 from tests.device_recordings import week
 

@@ -1,59 +1,17 @@
-"""The typed view of a report: its fields are the schema's, and older reports can be read."""
+"""The typed view of a report."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
-import pytest
-
+from accelcal_cli.core.declared import as_json
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.output.report_reading import LATER, report_schema
-from accelcal_cli.output.report_view import ReportView, report_view
+from accelcal_cli.output.sections import report_view
 from tests.device_recordings import donor
 
 Object = dict[str, Any]
-
-
-def objects(schema: Object) -> Iterator[Object]:
-    """The schemas of the objects that a value, or an entry of a list, may be."""
-    for part in (schema, *schema.get("anyOf", ())):
-        if "properties" in part:
-            yield part
-        if "items" in part:
-            yield from objects(part["items"])
-
-
-def records(
-    kind: type[Any], schemas: list[Object], place: str = ""
-) -> Iterator[tuple[str, type[Any], list[Object]]]:
-    """Each record within a record, its place in the report, and the schemas of its object."""
-    yield place, kind, schemas
-    hints = get_type_hints(kind)
-    for field in fields(kind):
-        parts = [hints[field.name], *get_args(hints[field.name])]
-        parts += [one for part in parts for one in get_args(part)]
-        inner = next((one for one in parts if is_dataclass(one)), None)
-        if isinstance(inner, type):
-            found = [one for schema in schemas for one in objects(schema["properties"].get(field.name, {}))]
-            yield from records(inner, found, f"{place}.{field.name}".removeprefix("."))
-
-
-ALL = list(records(ReportView, [report_schema()]))
-
-
-@pytest.mark.parametrize(("place", "kind", "schemas"), ALL, ids=[place or "report" for place, *_ in ALL])
-def test_fields_are_keys_of_the_schema(place: str, kind: type[Any], schemas: list[Object]) -> None:
-    assert schemas
-    for field in fields(kind):
-        default = field.default is not MISSING or field.default_factory is not MISSING
-        assert all(field.name in schema["properties"] for schema in schemas)
-        needed = all(field.name in schema.get("required", ()) for schema in schemas)
-        later = f"{place}.{field.name}".removeprefix(".") in LATER
-        assert default or (needed and not later), "a report may lack it"
 
 
 def test_a_report_is_read_with_its_numbers(tmp_path: Path) -> None:
@@ -63,26 +21,6 @@ def test_a_report_is_read_with_its_numbers(tmp_path: Path) -> None:
     assert view.holdout.after_mg.mean == report["holdout"]["after_mg"]["mean"]
     assert view.calibration.parameters == report["calibration"]["parameters"]
     assert [trial.model for trial in view.models_tried] == [one["model"] for one in report["models_tried"]]
-    assert view.recording.as_json() == report["recording"]
+    assert as_json(view.recording) == report["recording"]
     assert view.setting("max_error_mg", 1.0) == report["settings"]["max_error_mg"]
     assert view.setting("profile", 1.0) == view.setting("no such", 1.0) == 1.0
-
-
-def parts_of(value: Any, names: list[str]) -> Iterator[dict[str, Any]]:
-    """Find the objects at the end of a path of keys, in lists too."""
-    for one in value if isinstance(value, list) else [value]:
-        if isinstance(one, dict):
-            yield from parts_of(one.get(names[0]), names[1:]) if names else [one]
-
-
-def test_an_older_report_lacks_what_came_later(tmp_path: Path) -> None:
-    report = json.loads(donor(tmp_path, warm=True).read_text())
-    for place in LATER:
-        *outer, name = place.split(".")
-        for part in parts_of(report, outer):
-            part.pop(name, None)
-    view = report_view(report)
-    assert (view.reason, view.values, view.notes, view.cautions, view.advice) == ("", {}, (), None, None)
-    assert view.error_everywhere is view.rest_scatter_mg is None
-    assert view.sphere_mg is view.change is view.misfits is view.file_health.rest is None
-    assert view.coverage.saturated == () and view.recording.time_zone is None

@@ -109,17 +109,11 @@ REST = {"of": "rest", "median_g": 9.81}
 FIT = {"error_mg": 1.2, "low_mg": 0.8, "high_mg": 2.0, "limit_mg": 10.0, "model": "9", "raw_mg": 31.0}
 
 EXAMPLES: dict[str, list[dict[str, Any]]] = {
-    "still_fits": [
-        {"error_mg": 0.1, "new_mg": None, "stretches": 12},
-        {"error_mg": 0.1, "new_mg": 0.09, "stretches": 12},
-    ],
     "no_longer_fits": [
         {"since": None, "until": "2024-03-04T09:00:00.000000", "error_mg": 12.0, "new_mg": 0.3},
         {"since": "2024-03-04T09:00:00.000000", "until": None, "error_mg": 12.0, "new_mg": 0.3},
     ],
     "error_rises": [{"since": "2024-03-04T09:00:00.000000", "error_mg": 12.0, "before_mg": 0.3}],
-    "never_fits": [{"error_mg": 12.0, "high_mg": 15.0, "orientations": 12, "limit_mg": 10.0}],
-    "fits_held_out": [{"error_mg": 0.3, "high_mg": 0.5, "orientations": 12}],
     "accelerometer_not_calibrated": [{}],
     "adaptive_rule": [{}],
     "allow_damage": [{}],
@@ -181,10 +175,6 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "decisions_contradict": [{"recording": "a.cwa", "rows": [2, 5], "use": "no"}],
     "decisions_more": [{"number": 12}],
     "donor": [{"path": "a.cwa", "why": {"code": "not_less", "values": WORSE_HERE}}],
-    "earlier_verdict": [
-        {"message": "no model improves on the 4.5 mg of the raw data"},
-        {"message": "It is good."},
-    ],
     "error_may_reach": [{"high_mg": 12.34, "everywhere": everywhere} for everywhere in (False, True)],
     "factory_calibration_differs": [{"applied_here": here} for here in (False, True)],
     "few_orientations_differ_in_temperature": [{}],

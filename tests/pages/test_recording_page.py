@@ -398,15 +398,6 @@ def test_a_quality_file_that_does_not_fit_is_told_and_not_drawn(made: Files, nam
     assert f"NAME.quality.json {told}" in root.whole()
 
 
-def test_an_older_quality_file_lacks_two_figures_only(made: Files) -> None:
-    report, quality = copy.deepcopy(made["warm"])
-    for name in ("before_off_mg", "after_off_mg"):
-        del quality["rows"][name]
-    del quality["convergence"]
-    drawn = [one.one("title").attributes["id"] for one in check(page(report, quality)).all("svg")]
-    assert drawn == [f"{name}-title" for name in ("histogram", "sphere", "error", "timeline", "temperature")]
-
-
 def fullest(
     report: dict[str, Any], quality: dict[str, Any], hours: int = 14 * 24
 ) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -85,11 +85,11 @@ def test_the_same_from_text(xsens: Path, held: dict[str, Any], tmp_path: Path, c
     whole, decimal = tmp_path / "whole.csv", tmp_path / "decimal.csv"
     table = np.concatenate([accel, gyro], axis=1)
     np.savetxt(whole, table, "%d", ",", header="ax,ay,az,gx,gy,gz", comments="")
-    found = calibrated(capsys, whole, *words, "--lsb-per-dps", repr(float(1 / step)))
+    found = calibrated(capsys, whole, *words, "-R", f"lsb_per_dps={float(1 / step)!r}")
     assert (found["gyroscope"], found["calibration"]) == (held["gyroscope"], held["calibration"])
     table = np.concatenate([accel, gyro / XSENS_PER_RAD], axis=1)
     np.savetxt(decimal, table, ["%d"] * 3 + ["%.6f"] * 3, ",", header="ax,ay,az,gx,gy,gz", comments="")
-    found = calibrated(capsys, decimal, *words, "--gyro-unit", "rad/s")
+    found = calibrated(capsys, decimal, *words, "-R", "gyro_unit=rad/s")
     assert found["calibration"] == held["calibration"]
     assert found["gyroscope"]["pairs"] == held["gyroscope"]["pairs"]
     np.testing.assert_allclose(found["gyroscope"]["scale"], held["gyroscope"]["scale"], atol=2e-5)
@@ -105,12 +105,12 @@ def test_a_log_without_names_or_times(real_data: Path, name: str, tmp_path: Path
     path, read = real_data / "imu" / name, ("--columns", "0,1,2", "--unit", "m/s2", "--rate", 100)
     words = (*read, "--segment-seconds", 1, "--report-only", "-d", tmp_path)
     assert "gyroscope" not in calibrated(capsys, path, *words)
-    turning = ("--gyro-columns", "3,4,5", "--gyro-unit")
-    found = calibrated(capsys, path, *words, *turning, "rad/s")["gyroscope"]
+    turning = ("-R", "gyro_columns=3,4,5", "-R")
+    found = calibrated(capsys, path, *words, *turning, "gyro_unit=rad/s")["gyroscope"]
     assert found["outcome"] == "calibrated", found["message"]
     assert found["holdout_deg"]["after"] < 0.6 * found["holdout_deg"]["before"] < 0.2
     assert np.abs(np.array(found["scale"]) - np.eye(3)).max() < 0.02
-    wrong = calibrated(capsys, path, *words, *turning, "deg/s")["gyroscope"]
+    wrong = calibrated(capsys, path, *words, *turning, "gyro_unit=deg/s")["gyroscope"]
     assert (wrong["outcome"], wrong["scale"]) == ("refused", None)
     assert wrong["reason"] == "wrong_unit_of_rates"
     assert wrong["message"] == "The rates are about 57 times too small for the turns. Check their unit."

@@ -11,6 +11,7 @@ import pytest
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.identity import SAMPLES, identity
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.core.version import __version__
 from accelcal_cli.formats import open_recording
@@ -143,7 +144,7 @@ def test_a_folder_that_cannot_be_made_is_an_output_error(tmp_path: Path) -> None
 
 def test_a_stale_parquet_of_ours_is_removed_and_a_foreign_one_stays(job: Job, tmp_path: Path) -> None:
     report = json.loads(job.report.read_text())
-    same = {name: report[name] for name in ("accelcal_version", "calibration", "recording")}
+    same = {**identity(SAMPLES), **{name: report[name] for name in ("calibration", "recording")}}
     same["result"] = {"outcome": report["outcome"], "held_out_mg": report["holdout"]["after_mg"]["mean"]}
     remove_stale_parquet(job.parquet, same)
     assert job.parquet.exists()

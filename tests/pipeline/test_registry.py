@@ -177,7 +177,7 @@ def test_51_2_registries_merge_in_any_order_to_the_same_file(
     assert len(written) == 1
     held = read_registry(target)
     assert [one.view.recording.device.serial for one in held] == ["X", "Y", "Z"]
-    assert [one.view.error_everywhere.mean for one in held] == [0.5, 1.0, 0.5]
+    assert [one.view.calibration_error_mg.mean for one in held] == [0.5, 1.0, 0.5]
     assert held[0].report["provenance"] == template["provenance"]
 
 

@@ -108,7 +108,9 @@ def test_interrupted_it_leaves_nothing_running_and_nothing_half_written(
 
 
 @pytest.mark.nightly
-def test_a_killed_study_leaves_nothing_running(scheduler: Path, folder: Path, tmp_path: Path) -> None:
+def test_the_next_run_ends_what_a_killed_study_left_running(
+    scheduler: Path, folder: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     with endless(scheduler) as work:
         process = begun(folder, "a", "-d", out, "--dask", scheduler)
@@ -116,8 +118,9 @@ def test_a_killed_study_leaves_nothing_running(scheduler: Path, folder: Path, tm
         assert list(out.glob(".p0.calibrated.parquet.*.tmp"))
         process.kill()
         process.communicate()
+        assert ran(folder, "a", "-d", out).code == 0
         soon(lambda: not list(out.rglob("*.tmp")))
-    assert [path.name for path in out.iterdir()] == ["study.lock"]
+    assert not list(out.glob("study.lock"))
 
 
 @pytest.mark.nightly
@@ -149,25 +152,22 @@ def test_without_the_extra_it_is_named(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.nightly
 def test_a_worker_may_come_later(folder: Path, tmp_path: Path) -> None:
     with cluster(tmp_path, 0) as file, contextlib.ExitStack() as stack:
-        words = ("in", "-d", tmp_path / "out", "--include", NAMES[0], "--dask", file)
-        process = begun(folder.parent, *words)
-        assert waiting(process) == f"accelcal: {file} has no workers yet; waiting\n"
+        process = begun(folder.parent, "in", "-d", tmp_path / "out", "--include", NAMES[0], "--dask", file)
+        soon(lambda: list(tmp_path.glob("out/.study.lock.*.tmp")))
         start_workers(stack, file, 1)
         assert ended(process).code == 0
 
 
 @pytest.mark.nightly
-def test_it_waits_for_workers_until_the_scheduler_is_lost(folder: Path, tmp_path: Path) -> None:
+def test_without_the_scheduler_recordings_fail_and_the_next_run_tries_them_again(
+    folder: Path, tmp_path: Path
+) -> None:
     with contextlib.ExitStack() as stack:
         file = stack.enter_context(cluster(tmp_path, 0))
-        process = begun(folder.parent, "in", "-d", tmp_path / "out", "--dask", file)
-        assert waiting(process) == f"accelcal: {file} has no workers yet; waiting\n"
+        process = begun(folder.parent, "in", "-d", tmp_path / "out", "--include", NAMES[0], "--dask", file)
+        soon(lambda: list(tmp_path.glob("out/.study.lock.*.tmp")))
         stack.close()
         lost = ended(process)
-        assert lost.code == 69
-        assert_one_line(lost, "was lost", "run the command again")
-
-
-def waiting(process: subprocess.Popen[bytes]) -> str:
-    assert process.stderr is not None
-    return process.stderr.readline().decode()
+    assert lost.code == 70
+    assert f"in/{NAMES[0]}: its worker was lost" in lost.err
+    assert ran(folder.parent, "in", "-d", tmp_path / "out", "--include", NAMES[0]).code == 0

@@ -177,7 +177,8 @@ def test_u50_a_name_like_a_formula_comes_back_from_a_spreadsheet(tmp_path: Path)
     write_raw(tmp_path / "in" / "=1+1.raw", np.zeros((50, 3), np.int16))
     words = ("study", tmp_path / "in", "-d", tmp_path / "out", "-j", 1, "-q", "--report-only")
     exit_code(*words)
-    row = rows(tmp_path / "out")[0]
+    with (tmp_path / "out" / "study.csv").open(newline="") as file:
+        (row,) = csv.DictReader(file)
     assert row["path"] == "'=1+1.raw"
     with (tmp_path / "out" / "decisions.csv").open("w", newline="") as file:
         csv.writer(file).writerows([["path", "use"], [row["path"], "with care"]])

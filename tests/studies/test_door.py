@@ -39,7 +39,7 @@ ELSEWHERE = {
     "core/door.py": "the door itself",
     "core/system.py": "/proc",
     "core/input_files.py": "parts by a pattern, whose caller turns the error into one of ours",
-    "studies/cluster.py": "the package's own code",
+    "studies/executors.py": "the package's own code",
     "pages/write.py": "the package's own templates",
     "formats/_parts/members.py": "members of archives",
     "formats/tables/hdf5.py": "attributes of datasets",

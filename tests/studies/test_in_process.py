@@ -1,4 +1,4 @@
-"""Executors of a program that uses accelcal, and workers that know nothing of the program's `__main__`."""
+"""Tasks in the process of a program that uses accelcal, and workers that know nothing of its `__main__`."""
 
 from __future__ import annotations
 
@@ -6,15 +6,11 @@ import os
 import subprocess
 import sys
 import textwrap
-from concurrent.futures import Executor as Pool
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from accelcal_cli.studies.in_process import Futures, InProcess
+from accelcal_cli.studies.executors import done_here
 from accelcal_cli.studies.records import ProgressCallback
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -35,8 +31,6 @@ assert "OMP_NUM_THREADS" not in os.environ
 
 def work(task: int, told: ProgressCallback) -> tuple[int, int]:
     told(0.5)
-    if task < 0:
-        raise ValueError("negative")
     return task, os.getpid()
 
 
@@ -68,44 +62,6 @@ def test_p2_workers_do_not_run_the_program_again(how: str, tmp_path: Path) -> No
 
 def test_p10_tasks_stay_in_this_process() -> None:
     moved: list[float] = []
-    ended = list(InProcess(work, lambda _task, part: moved.append(part)).run([1, 2]))
+    ended = list(done_here(work, [1, 2], lambda _task, part: moved.append(part)))
     assert [one.result for one in ended] == [(1, os.getpid()), (2, os.getpid())]
-    assert moved == [0.0, 0.5, 0.5, 0.0, 0.5, 0.5]
-
-
-@pytest.mark.parametrize("kind", [ThreadPoolExecutor, ProcessPoolExecutor])
-def test_p10_tasks_are_given_to_the_callers_pool(kind: Any) -> None:
-    moved: list[float] = []
-    context = (
-        {}
-        if kind is ThreadPoolExecutor
-        else {"mp_context": __import__("multiprocessing").get_context("spawn")}
-    )
-    with kind(1, **context) as pool:
-        ended = {
-            one.task: one for one in Futures(pool, work, lambda _task, part: moved.append(part)).run([1, -1])
-        }
-    assert ended[1].result[0] == 1 and (ended[1].result[1] == os.getpid()) == (kind is ThreadPoolExecutor)
-    assert ended[-1].fault == "its worker failed (ValueError: negative)" and ended[-1].retry
-    assert moved == [1.0, 1.0]
-
-
-class Broken(Pool):
-    """A pool whose second worker cannot be started."""
-
-    given = 0
-
-    def submit(self, *_arguments: Any, **_more: Any) -> Future[Any]:
-        self.given += 1
-        if self.given > 1:
-            raise BrokenProcessPool("gone")
-        future: Future[Any] = Future()
-        future.set_exception(BrokenProcessPool("gone"))
-        return future
-
-
-def test_a_pool_that_breaks_loses_its_tasks_alone() -> None:
-    ended = list(Futures(Broken(), work, lambda _task, _part: None).run([1, 2, 3]))
-    assert [(one.task, one.fault, one.retry) for one in ended] == [
-        (task, "the pool's workers ended", True) for task in (1, 2, 3)
-    ]
+    assert moved == [0.0, 0.5, 1.0, 0.0, 0.5, 1.0]

@@ -194,7 +194,7 @@ def test_t2_the_cases_are_rows_of_a_study(tmp_path: Path, capsys: Capture) -> No
     names = [next(cases.glob(f"{number}_*")).name for number in ("04", "06", "34")]
     for name in names:
         (tmp_path / "in" / name).symlink_to(cases / name)
-    assert study(capsys, tmp_path / "in", "--max-damage", 50).code == 0
+    assert study(capsys, tmp_path / "in", "-R", "max_damage=50").code == 0
     table = (tmp_path / "out" / "study.csv").read_text()
     assert all(f"\n{name}," in table for name in names)
 

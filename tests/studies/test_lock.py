@@ -57,12 +57,15 @@ def test_a_number_that_was_given_again_is_not_taken_for_its_owner(tmp_path: Path
         pass
 
 
-def test_another_hosts_lock_is_respected(tmp_path: Path, dead: int) -> None:
-    path = write(tmp_path / "study.lock", host="elsewhere", pid=dead)
+@pytest.mark.parametrize(
+    ("name", "options"), [("study.lock", "--unlock"), ("study.2-of-8.lock", "--shard 2/8 --unlock")]
+)
+def test_another_hosts_lock_is_respected(name: str, options: str, tmp_path: Path, dead: int) -> None:
+    path = write(tmp_path / name, host="elsewhere", pid=dead)
     with (
         pytest.raises(
             LockedError,
-            match=r"on elsewhere.*; if it is no longer running there, remove study\.lock, or give --takeover",
+            match=rf"on elsewhere.*; if it is no longer running there, remove its lock with {options}$",
         ),
         locked(path),
     ):

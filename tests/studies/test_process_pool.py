@@ -81,11 +81,11 @@ def test_workers_are_used_again() -> None:
     assert len({ended.result for ended in found.values()}) == 1
 
 
-def test_the_parts_of_a_task_add_up_to_one() -> None:
+def test_the_parts_of_a_task_end_with_one() -> None:
     moved: list[float] = []
     pool = ProcessPool(work, 1, on_progress=lambda _task, part: moved.append(part))
     done(pool, ("part", 0.25))
-    assert moved == [0.0, 0.25, 0.75]
+    assert moved == [0.0, 0.25, 1.0]
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")

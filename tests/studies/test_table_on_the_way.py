@@ -11,7 +11,7 @@ from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.studies import run as running
 from accelcal_cli.studies.discovery import Where
 from accelcal_cli.studies.study import Study
-from tests.cli.studies import NAMES, rows, study_folder
+from tests.cli.studies import NAMES, csv_rows, study_folder
 
 
 class Looks:
@@ -30,7 +30,7 @@ class Looks:
 
     def finished(self, item: Any, result: Any) -> None:
         if (self.out / "study.csv").exists():
-            self.seen.append(len(rows(self.out)))
+            self.seen.append(len(csv_rows(self.out)))
 
 
 @pytest.mark.parametrize("earlier", [False, True])
@@ -45,4 +45,4 @@ def test_it_holds_what_is_done_and_of_the_rest_what_was_found_before(
     looks = Looks(out)
     running.run(Study(Where((folder,), out), Request(integers=True), jobs=1), looks)
     assert looks.seen == ([0, 3, 3, 3] if earlier else [0, 1, 2])
-    assert len(rows(out)) == 3
+    assert len(csv_rows(out)) == 3

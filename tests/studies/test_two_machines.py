@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from accelcal_cli.studies import lock
 from tests.cli.run import Ran
 from tests.cli.studies import results, run_in, study_folder
 from tests.studies.processes import begun, held, kill, lines, soon
@@ -15,18 +14,6 @@ from tests.studies.processes import begun, held, kill, lines, soon
 pytestmark = pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
 NAMES = tuple(f"{site}/p{number}.raw" for site in ("a", "b") for number in range(2))
 STRUCK = "a/p0.calibration.json"
-
-
-class Hours:
-    """Time that a sleep takes none of."""
-
-    now_s = 0.0
-
-    def sleep(self, seconds: float) -> None:
-        self.now_s += seconds
-
-    def monotonic(self) -> float:
-        return self.now_s
 
 
 @pytest.fixture(scope="module")
@@ -41,18 +28,12 @@ def undisturbed(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[
     return results(out)
 
 
-@pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """This machine waits for no other longer than a moment, in which that one has no time to beat."""
-    monkeypatch.setattr(lock, "time", Hours())
-
-
 def here(folder: Path, out: Path, *words: object) -> Ran:
     return run_in(folder, "study", folder, "-d", out, "-j", 2, *words)
 
 
 @pytest.mark.parametrize("down", [True, pytest.param(False, marks=pytest.mark.nightly)])
-def test_the_other_takes_over_and_who_comes_back_stops(
+def test_unlocked_the_other_does_the_rest_and_who_comes_back_stops(
     folder: Path, undisturbed: dict[str, object], tmp_path: Path, down: bool
 ) -> None:
     out = tmp_path / "out"
@@ -67,10 +48,11 @@ def test_the_other_takes_over_and_who_comes_back_stops(
         refused = here(folder, out)
         assert refused.code == 75
         assert f"process {process.pid} on first" in refused.err
-        assert "give --takeover MINUTES" in refused.err
-        taken = here(folder, out, "--takeover", 3)
+        assert "remove its lock with --unlock" in refused.err
+        removed = here(folder, out, "--unlock")
+        assert (removed.code, f"removed the lock of process {process.pid}" in removed.err) == (0, True)
+        taken = here(folder, out)
         assert taken.code == 0, taken.err
-        assert "after 3 minutes without a sign of life" in taken.err
         assert not down or f"{done} unchanged" in taken.err
         assert results(out) == undisturbed
     if not down:
@@ -90,7 +72,7 @@ def test_the_other_takes_over_and_who_comes_back_stops(
 def test_a_part_that_went_down_does_not_hinder_the_collection(
     folder: Path, undisturbed: dict[str, object], tmp_path: Path
 ) -> None:
-    """Each part, of which the first is killed at its table, and taken over by another machine."""
+    """Each part, of which the first is killed at its table, and its lock removed on another machine."""
     out = tmp_path / "out"
     with held(tmp_path, "study.1-of-2.json") as hold:
         node = {**hold.environment, "ACCELCAL_NODE": "first"}
@@ -98,8 +80,10 @@ def test_a_part_that_went_down_does_not_hinder_the_collection(
         hold.process()
         kill(process)
     assert here(folder, out, "--shard", "2/2").code == 0
-    assert here(folder, out, "--collect").code == 75
-    collected = here(folder, out, "--collect", "--takeover", 2)
+    refused = here(folder, out, "--collect")
+    assert (refused.code, "with --shard 1/2 --unlock" in refused.err) == (75, True)
+    assert here(folder, out, "--shard", "1/2", "--unlock").code == 0
+    collected = here(folder, out, "--collect")
     assert collected.code == 0, collected.err
     assert {name: content for name, content in results(out).items() if "-of-" not in name} == undisturbed
     requeued = here(folder, out, "--shard", "1/2")

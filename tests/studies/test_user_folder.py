@@ -4,23 +4,14 @@ from __future__ import annotations
 
 import json
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-import accelcal_cli
-from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.studies.cluster import (
-    WorkerRequirements,
-    calibrate_in_user_folder,
-    code,
-    in_user_folder,
-    unsuitable,
-)
 from accelcal_cli.studies.discovery import Where, files
+from accelcal_cli.studies.executors import calibrated_in, with_absolute_paths
 from accelcal_cli.studies.task import CalibrationTask, Common, TaskResult, calibrated
 from tests.cli.studies import results, study_folder
 from tests.conftest import ROOT
@@ -46,7 +37,7 @@ def both(here: Path, folder: Path, patch: pytest.MonkeyPatch, request: Request) 
     given = tasks(folder, Path("out"), request)
     (here / "elsewhere").mkdir()
     patch.chdir(here / "elsewhere")
-    two = [calibrate_in_user_folder(here, task, not_told) for task in given]
+    two = [calibrated_in(here, task, not_told) for task in given]
     assert results(here / "out") == made
     assert not list((here / "elsewhere").iterdir())
     return [one, two]
@@ -77,12 +68,12 @@ def test_a_layout_and_an_output_in_the_way_are_named_so_too(
     request = Request(options=ReadOptions(layout=Path("all.toml")))
     given = tasks(Path("in"), Path("out"), request)
     monkeypatch.chdir(folder)
-    fine, wrong = (calibrate_in_user_folder(tmp_path, task, not_told) for task in given)
+    fine, wrong = (calibrated_in(tmp_path, task, not_told) for task in given)
     assert fine.entry.row is not None and fine.entry.row["outcome"] == "calibrated"
     assert wrong.entry.row is not None and wrong.entry.again
     assert wrong.entry.row["message"].startswith("out/b.calibration.json: exists and was not written")
-    absolute = in_user_folder(tmp_path, given[0])
-    assert in_user_folder(Path("/nowhere"), absolute).item == absolute.item
+    absolute = with_absolute_paths(tmp_path, given[0])
+    assert with_absolute_paths(Path("/nowhere"), absolute).item == absolute.item
 
 
 @pytest.mark.nightly
@@ -97,26 +88,3 @@ def test_several_at_once_in_one_process_do_not_disturb_each_other(tmp_path: Path
     assert [entry.row for entry in alone] == [entry.row for entry in together]
     assert {entry.row["outcome"] for entry in alone if entry.row} == {"calibrated"}
     assert results(tmp_path / "one") == results(tmp_path / "two")
-
-
-def test_a_worker_must_be_able_to_write(tmp_path: Path) -> None:
-    mark = tmp_path / "study.lock"
-    mark.write_text("x")
-    requirements = WorkerRequirements(accelcal_cli.__version__, code(), (tmp_path,), mark, "x", patience_s=0)
-    assert unsuitable(requirements) is None
-    assert list(tmp_path.iterdir()) == [mark]
-    system = Path("/proc/version")
-    if not system.exists():
-        pytest.skip("needs /proc")
-    error = unsuitable(replace(requirements, mark=system, content=system.read_text()))
-    assert isinstance(error, OutputError)
-    assert str(error).startswith("/proc: the worker on ")
-
-
-def test_the_same_version_with_other_code_is_refused(tmp_path: Path) -> None:
-    requirements = WorkerRequirements(
-        accelcal_cli.__version__, "other", (tmp_path,), tmp_path / "x", "x", patience_s=0
-    )
-    assert f"also has accelcal {accelcal_cli.__version__}, but its code differs" in str(
-        unsuitable(requirements)
-    )

@@ -75,7 +75,7 @@ YEAR_1_TO_1970_US = 62_135_596_800 * 1_000_000
 LATEST_US = (1 << 32) * 1_000_000
 HIGHEST_RATE_HZ = 1000
 
-CENTREPOINT = "times are UTC, as CentrePoint writes them; the wearer's zone is {0}: --worn-zone {0} shows it"
+CENTREPOINT = "times are UTC, as CentrePoint writes them; the wearer's zone is {0}: -R worn_zone={0} shows it"
 DAY_S = 86_400
 LONGEST_S = 366 * DAY_S
 NO_INFO = "info.txt is missing from the zip file"

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import NoRecordingError, UnreadableError, printable, unread
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions
+from accelcal_cli.core.identity import SAMPLES, is_ours, refuse_other
 from accelcal_cli.core.recording import METADATA_KEY, Calibrated
 from accelcal_cli.formats.tables import signatures
 from accelcal_cli.formats.tables.header import Attributes, readable
@@ -401,12 +402,13 @@ class ParquetTable(ArrowTable):
         wide = any(group.total_byte_size > WHOLE_BYTES for group in groups)
         self._how = {"buffer_size": PAGES_BYTES} if wide else {}
         ours = (schema.metadata or {}).get(METADATA_KEY)
-        self.is_ours = ours is not None
+        self.is_ours, about_it = ours is not None, json_object(ours)
         if self.is_ours and not {"time", *"xyz", "validity"} <= set(schema.names):
             hint = "use `accelcal fit` for still windows"
             raise NoRecordingError("is a table that accelcal wrote, not a recording", path=path, hint=hint)
         if self.is_ours:
-            about_it = json_object(ours)
+            if is_ours(about_it):  # not damaged
+                refuse_other(about_it, SAMPLES, path)
             rate = json_object(about_it.get("recording")).get("sample_rate_hz")
             self.around |= {"sample_rate": rate, "time_zone": None}
             self.calibrated = calibrated_of(about_it)

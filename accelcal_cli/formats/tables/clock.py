@@ -260,7 +260,7 @@ class TimeRules:
     """The facts known of a column of times before its cells are looked at.
 
     Attributes:
-        asked: --time-format.
+        asked: -R time_format.
         unit_us: microseconds in one unit, by the name of the column or the vendor.
         ticks: the column counts ticks of an unknown length; fine: it is Xsens' SampleTimeFine.
         rate_hz: sampling rate, as the user or a vendor's header says; hint_hz: as lines above the table do.
@@ -293,7 +293,7 @@ def find_time_format(cells: Sequence[Cell], rules: TimeRules, path: Path) -> Tim
 
     Raises:
         UnreadableError: they can be read in more than one way, or are not times.
-        UsageError: --time-format is not a pattern of strptime.
+        UsageError: -R time_format is not a pattern of strptime.
     """
     known = [(text, line) for cell, line in cells if (text := cell.strip()) not in MISSING]
     known = known or [("", cells[0][1])]
@@ -328,7 +328,7 @@ def _asked_form(asked: str) -> Written:
         return strptime_form(asked)
     except ValueError as error:
         hint = "write it as strptime does, such as '%d/%m/%Y %H:%M:%S.%f'; for numbers s, ms, us or ns"
-        raise UsageError(f"--time-format {asked!r} is not understood: {error}", hint=hint) from error
+        raise UsageError(f"-R time_format={asked!r} is not understood: {error}", hint=hint) from error
 
 
 def _no_time(known: Sequence[Cell], path: Path) -> UnreadableError:
@@ -340,8 +340,8 @@ def _no_time(known: Sequence[Cell], path: Path) -> UnreadableError:
         path=path,
         line=line,
         hint="give the form as strptime does: "
-        f"accelcal calibrate {name} --time-format '%d/%m/%Y %H:%M:%S.%f'; "
-        "or read without times: --time-column none and --rate",
+        f"accelcal calibrate {name} -R time_format='%d/%m/%Y %H:%M:%S.%f'; "
+        "or read without times: -R time_column=none and --rate",
     )
 
 
@@ -429,8 +429,8 @@ def _number_format(values: Sequence[float], rules: TimeRules, path: Path) -> Tim
     raise UnreadableError(
         f"the time column rises by {step:g} a row, which {known}",
         path=path,
-        hint="give the right --rate, or --time-column none with --rate if it only counts rows; "
-        f"or say its unit (s, ms, us or ns): accelcal calibrate {name} --time-format ms",
+        hint="give the right --rate, or -R time_column=none with --rate if it only counts rows; "
+        f"or say its unit (s, ms, us or ns): accelcal calibrate {name} -R time_format=ms",
     )
 
 
@@ -480,7 +480,7 @@ def find_clock(
 
     Raises:
         UnreadableError: its times can be read in more than one way, or in no way.
-        UsageError: --time-format is not a pattern of strptime.
+        UsageError: -R time_format is not a pattern of strptime.
     """
     column, about, path = roles.time, source.stated, source.path
     if column is None:
@@ -490,7 +490,7 @@ def find_clock(
         raise UnreadableError(
             f"the unit {column.unit!r} of the times in {column.described} is not known",
             path=path,
-            hint="give it with --time-format (s, ms, us or ns), or ignore them with --time-column none",
+            hint="give -R time_format=UNIT (s, ms, us or ns), or ignore them with -R time_column=none",
         )
 
     def texts(one: Column) -> list[str]:

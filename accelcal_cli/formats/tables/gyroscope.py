@@ -30,7 +30,7 @@ class WithGyroscope(Reader):
     """Reads accelerations, and the rates that were measured nearest to each row.
 
     Args:
-        unit: of the rates, as in `--gyro-unit`.
+        unit: of the rates, as in `-R gyro_unit`.
     """
 
     def __init__(self, reader: Reader, gyro: Reader, name: str, unit: str) -> None:

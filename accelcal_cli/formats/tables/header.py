@@ -152,12 +152,12 @@ def unclear_date(text: str, fitting: Sequence[str], path: Path, line: int | None
     Args:
         fitting: the orders in which it, and its like, can be read.
     """
-    words = " or ".join(fitting)
-    fault, hint = f"the date {text!r} can be read as {words}", f"say which with --date-format {words}"
+    words, options = " or ".join(fitting), " or ".join(f"-R date_format={order}" for order in fitting)
+    fault, hint = f"the date {text!r} can be read as {words}", f"say which with {options}"
     if len(fitting) == 1:
-        fault, hint = f"the date {text!r} can only be read as {words}", f"give --date-format {words}"
+        fault, hint = f"the date {text!r} can only be read as {words}", f"give {options}"
     elif not fitting:
-        fault, hint = f"{text!r} and the like are not dates", "give --time-column none and --rate"
+        fault, hint = f"{text!r} and the like are not dates", "give -R time_column=none and --rate"
     return UnreadableError(fault, path=path, line=line, hint=hint)
 
 

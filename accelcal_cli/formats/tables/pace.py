@@ -62,7 +62,7 @@ def find_pace(stamps: NDArray[np.int64] | None, source: Source, options: ReadOpt
         raise UnreadableError(
             "no column is known to hold the time",
             path=path,
-            hint="name it with --time-column, or give the sampling rate with --rate HZ; means of still "
+            hint="name it with -R time_column=NAME, or give the sampling rate with --rate HZ; means of still "
             "windows are fitted with `accelcal fit`",
         )
     return _checked(Pace(options.rate_hz), path)
@@ -91,7 +91,7 @@ def _pace_of(stamps: NDArray[np.int64], user_hz: float | None, path: Path) -> Pa
         raise UnreadableError(
             f"its times say {pace.rate_hz:g} Hz, not {user_hz:g} Hz",
             path=path,
-            hint="omit --rate, or ignore the times with --time-column none",
+            hint="omit --rate, or ignore the times with -R time_column=none",
         )
     return Pace(user_hz, pace.stamp_period_us)
 

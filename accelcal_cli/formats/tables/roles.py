@@ -37,10 +37,12 @@ MOST_DIVIDING = 1000
 """Most columns that are watched for several sensors."""
 
 NO_COLUMN = "none"
-"""The value of --time-column for no column."""
+"""The value of -R time_column for no column."""
 
-NOT_READ = "the gyroscope is not read (--gyro-unit none)"
-SEVERAL_GYROSCOPES = "no gyroscope is read: several groups of columns could be one; --gyro-columns chooses"
+NOT_READ = "the gyroscope is not read (-R gyro_unit=none)"
+SEVERAL_GYROSCOPES = (
+    "no gyroscope is read: several groups of columns could be one; -R gyro_columns=X,Y,Z chooses"
+)
 
 Group = tuple[Column, ...]
 """One column of three numbers a row, or three columns of one."""
@@ -394,7 +396,7 @@ def _time_columns(
             raise UnreadableError(
                 f"several columns may be the time ({', '.join(column.described for column in found)})",
                 path=source.path,
-                hint="name one with --time-column, or give --time-column none and --rate",
+                hint="name one with -R time_column=NAME, or give -R time_column=none and --rate",
             )
         if found:
             return found[0], None
@@ -420,10 +422,10 @@ def _levels(columns: Sequence[Column], home: str) -> Iterator[list[Column]]:
 def _chosen_time(
     source: Source, name: str, near: Sequence[Column], cells: Cells
 ) -> tuple[Column | None, Column | None]:
-    """Return the column that --time-column names, and that of the dates if it is the only one that fits."""
+    """Return the column that -R time_column names, and that of the dates if it is the only one that fits."""
     if name.lower() == NO_COLUMN:
         return None, None
-    chosen = chosen_column(source, name, "--time-column")
+    chosen = chosen_column(source, name, "-R time_column")
     if chosen not in near or chosen.width != 1:
         what = f"{chosen.described} is not one column as long as the acceleration"
         raise UsageError(what, path=source.path, hint=_listed(source))
@@ -476,14 +478,14 @@ def _gyroscope(
     """Return the columns of the gyroscope, and notes: that there is one, or why it is not read.
 
     Raises:
-        UnreadableError: a column of --gyro-columns does not hold numbers.
-        UsageError: --gyro-columns names no column of the file, or others than the acceleration is long.
+        UnreadableError: a column of -R gyro_columns does not hold numbers.
+        UsageError: -R gyro_columns names no column of the file, or others than the acceleration is long.
     """
     chosen = (
-        None if options.gyro_columns is None else chosen_axes(source, options.gyro_columns, "--gyro-columns")
+        None if options.gyro_columns is None else chosen_axes(source, options.gyro_columns, "-R gyro_columns")
     )
     if chosen is not None and chosen[0].rows != xyz[0].rows:
-        what = f"--gyro-columns names {described(chosen)}, and the acceleration has {xyz[0].rows} rows"
+        what = f"-R gyro_columns names {described(chosen)}, and the acceleration has {xyz[0].rows} rows"
         raise UsageError(what, path=source.path)
     known = chosen or _columns_within(source, source.stated.gyro)
     groups = [known] if known else _named_gyroscopes(free, xyz)

@@ -50,7 +50,7 @@ class SiblingGyroscope:
 
     Attributes:
         columns: of x, y and z, by name or number.
-        unit: of the rates, as in `--gyro-unit`.
+        unit: of the rates, as in `-R gyro_unit`.
     """
 
     path: Path

@@ -62,7 +62,7 @@ UNKNOWN = int(np.iinfo(np.int32).min)
 LEAST_GYRO_SHARE = 0.99
 """Share of the first rows with an acceleration that must have a rotation rate: rows without are left out."""
 
-NO_GYRO_UNIT = "its unit is not known, give --gyro-unit deg/s or rad/s"
+NO_GYRO_UNIT = "its unit is not known, give -R gyro_unit=deg/s or -R gyro_unit=rad/s"
 
 
 class Fault(IntEnum):
@@ -297,7 +297,7 @@ def _stated_unit(xyz: Group, are_counts: bool, source: Source, options: ReadOpti
             one_of = f"--unit is one of {', '.join(UNIT_CHOICES)}"
             raise UsageError(f"unknown unit {options.unit!r}", hint=one_of)
         if unit != COUNTS and options.zero is not None:
-            raise UsageError(f"--zero is for counts, not for values in {unit}", hint="omit --zero")
+            raise UsageError(f"-R zero is for counts, not for values in {unit}", hint="omit -R zero")
         return unit
     if options.zero is not None or are_counts:
         return COUNTS
@@ -334,7 +334,7 @@ def find_turn_scale(gyro: Group, block: Block, source: Source, options: ReadOpti
     lsb = options.lsb_per_dps if options.lsb_per_dps is not None else stated_lsb
     if lsb is not None:
         rates = as_floats(group_values(block.values, gyro))
-        _refuse_fractions(rates, block.line, source, "--gyro-unit deg/s or rad/s")
+        _refuse_fractions(rates, block.line, source, "-R gyro_unit=deg/s or -R gyro_unit=rad/s")
         return Scale(COUNTS, lsb, None, LARGEST_DPS, short=np.can_cast(common_dtype(gyro), np.int16))
     named = {column.name.stated for column in gyro if unit_of(column.name.stated, Quantity.TIME) is None}
     own = named.pop() if len(named) == 1 else ""

@@ -94,7 +94,7 @@ def test_both_ways_to_write_the_time_of_day(tmp_path: Path, clock: str) -> None:
 def test_a_start_that_can_be_read_in_two_ways_is_asked_about(tmp_path: Path) -> None:
     header = HEADER.replace("date format M/d/yyyy ", "").replace("6/27/2012", "6/5/2012")
     path = written(tmp_path, header + ROWS)
-    told = r"line 4: the date '6/5/2012' can be read as dmy or mdy; say which with --date-format dmy or mdy"
+    told = r"line 4: the date '6/5/2012' can be read as dmy or mdy; say which with -R date_format=dmy or"
     with pytest.raises(UnreadableError, match=told):
         read(path)
     month = read(path, date_format="mdy").recording.start_us
@@ -103,7 +103,7 @@ def test_a_start_that_can_be_read_in_two_ways_is_asked_about(tmp_path: Path) -> 
 
 def test_a_start_that_contradicts_its_format_is_asked_about(tmp_path: Path) -> None:
     path = written(tmp_path, HEADER.replace("M/d/yyyy", "d/M/yyyy") + ROWS)
-    with pytest.raises(UnreadableError, match="can only be read as mdy; give --date-format mdy"):
+    with pytest.raises(UnreadableError, match="can only be read as mdy; give -R date_format=mdy"):
         read(path)
     assert read(path, date_format="mdy").recording.start_us == START_US
 

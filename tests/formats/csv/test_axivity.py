@@ -88,5 +88,5 @@ def test_days_from_the_start(tmp_path: Path) -> None:
 
 def test_sample_numbers_are_no_times(tmp_path: Path) -> None:
     text = "".join(f"{row},0.000000,0.000000,1.000000\n" for row in range(50))
-    with pytest.raises(UnreadableError, match="--time-column none with --rate"):
+    with pytest.raises(UnreadableError, match="-R time_column=none with --rate"):
         read(written(tmp_path, text))

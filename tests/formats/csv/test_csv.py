@@ -157,7 +157,7 @@ def test_real_imu_session_with_a_counter_column(real_data: Path) -> None:
     found = read(path, rate_hz=102.4, columns=("acc_x", "acc_y", "acc_z"), unit="m/s2")
     assert np.array_equal(found.counts, np.rint(rows_of(path, (4, 5, 6)) / STANDARD_GRAVITY * GRID))
     assert found.codes == ["no_start_time"]
-    with pytest.raises(UnreadableError, match=r"--time-column none"):
+    with pytest.raises(UnreadableError, match=r"-R time_column=none"):
         read(path, rate_hz=102.4, time_column="n_samples")
 
 

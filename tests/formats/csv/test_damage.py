@@ -212,7 +212,7 @@ def test_t17_max_damage_judges_lines_that_are_not_rows(tmp_path: Path) -> None:
     fifth = len(lines) // 5
     path = written(tmp_path, "".join([*lines[:fifth], *["?!\n"] * fifth, *lines[2 * fifth :]]))
     assert exit_code("calibrate", path, "--report-only", "-q") == 0
-    assert exit_code("calibrate", path, "--report-only", "-q", "--force", "--max-damage", 10) == 4
+    assert exit_code("calibrate", path, "--report-only", "-q", "--force", "-R", "max_damage=10") == 4
 
 
 def test_blank_lines_are_no_rows(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def check(found: Read, start: datetime, step_s: float = 0.1) -> None:
 def test_what_can_be_read_in_two_ways_needs_the_users_word(tmp_path: Path, order: str, mark: str) -> None:
     path = with_dates(tmp_path, order, DAY_FIRST, mark=mark)
     with pytest.raises(
-        UnreadableError, match=r"line 2: .* can be read as dmy or mdy; .*--date-format dmy or"
+        UnreadableError, match=r"line 2: .* can be read as dmy or mdy; .*-R date_format=dmy or"
     ):
         read(path)
     two = path.read_text().replace(" ", ",").replace("time", "date,time")
@@ -58,7 +58,7 @@ def test_a_day_above_twelve_settles_it(tmp_path: Path, order: str) -> None:
     path = with_dates(tmp_path, order, start)
     check(read(path), start)
     wrong = {"dmy": "mdy", "mdy": "dmy"}[order]
-    with pytest.raises(UnreadableError, match=f"can only be read as {order}; give --date-format {order}"):
+    with pytest.raises(UnreadableError, match=f"can only be read as {order}; give -R date_format={order}"):
         read(path, date_format=wrong)
 
 

@@ -96,13 +96,13 @@ def test_a_unit_that_nothing_states_is_asked_for(tmp_path: Path) -> None:
     path = written(tmp_path, table("ax,ay,az,gx,gy,gz"))
     found, told = turns(path, unit="g")
     assert found is None and told.endswith(
-        "is not read: its unit is not known, give --gyro-unit deg/s or rad/s"
+        "is not read: its unit is not known, give -R gyro_unit=deg/s or -R gyro_unit=rad/s"
     )
     for unit, factor in (("deg/s", 1.0), ("rad/s", 180 / pi)):
         found, _ = turns(path, unit="g", gyro_unit=unit)
         assert found is not None
         assert np.abs(found - on_grid(RATES * factor)).max() <= 1
-    assert turns(path, unit="g", gyro_unit="none") == (None, "the gyroscope is not read (--gyro-unit none)")
+    assert turns(path, unit="g", gyro_unit="none") == (None, "the gyroscope is not read (-R gyro_unit=none)")
 
 
 def test_counts_stay_as_they_are(tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_counts_stay_as_they_are(tmp_path: Path) -> None:
     found, _ = turns(written(tmp_path, text + "\n"), **words)
     assert found is not None and (found == whole).all()
     broken = written(tmp_path, text + "\n1,2,4096,7,8.5,9\n")
-    with pytest.raises(UnreadableError, match=r"line 62: 8.5 is not a whole number .*--gyro-unit deg/s"):
+    with pytest.raises(UnreadableError, match=r"line 62: 8.5 is not a whole number .*-R gyro_unit=deg/s"):
         turns(broken, **words)
 
 

@@ -111,7 +111,7 @@ def test_a_rate_that_contradicts_the_times_is_refused(tmp_path: Path) -> None:
 
 def test_without_times_rows_are_counted_at_the_rate(tmp_path: Path) -> None:
     path = written(tmp_path, "x,y,z\n" + "0,0,1\n" * 31)
-    with pytest.raises(UnreadableError, match="--time-column, or give the sampling rate with --rate"):
+    with pytest.raises(UnreadableError, match="-R time_column=NAME, or give the sampling rate with --rate"):
         read(path)
     found = read(path, 7, rate_hz=30.0)
     assert found.times.tolist() == [(row * SECOND + 15) // 30 for row in range(31)]
@@ -236,7 +236,7 @@ def test_a_z_can_be_overruled_by_force_and_an_offset_cannot(tmp_path: Path) -> N
     zone = {"timezone": "Europe/Berlin", "force_timezone": True}
     forced = with_times(tmp_path, [cell + "Z" for cell in cells], **zone).recording
     assert (forced.timezone, forced.start_us) == ("Europe/Berlin", START_US)
-    with pytest.raises(UsageError, match="--force-timezone cannot replace"):
+    with pytest.raises(UsageError, match="-R force_timezone cannot replace"):
         with_times(tmp_path, [cell + "+05:00" for cell in cells], **zone)
 
 

@@ -309,7 +309,7 @@ def test_t6_a_time_that_is_not_read_is_shown_with_its_line_and_a_command(tmp_pat
         read(written(tmp_path, table(cells)), time_column="time")
     assert caught.value.line == 2
     assert "'14|03 000'" in caught.value.message and "RFC 2822" in caught.value.message
-    assert "accelcal calibrate a.csv --time-format" in str(caught.value.hint)
+    assert "accelcal calibrate a.csv -R time_format" in str(caught.value.hint)
 
 
 def test_t6_an_odd_time_among_others_is_named_by_its_line(tmp_path: Path) -> None:
@@ -341,7 +341,7 @@ def test_t6_time_format_reads_any_other_form(tmp_path: Path, form: str) -> None:
 
 @pytest.mark.parametrize("form", ["%d.%m.%Y", "%Q %H", "%H:%M %H", "hours"])
 def test_t6_a_time_format_that_makes_no_sense_is_said(tmp_path: Path, form: str) -> None:
-    with pytest.raises(UsageError, match=r"--time-format .* is not understood"):
+    with pytest.raises(UsageError, match=r"-R time_format=.* is not understood"):
         read(written(tmp_path, table([FORMS["MATLAB"][1](moment) for moment in moments()])), time_format=form)
 
 
@@ -466,12 +466,12 @@ def test_t6_a_comma_before_decimals_between_commas(tmp_path: Path, digits: int, 
 
 
 def test_time_format_holds_for_study_and_verify(tmp_path: Path) -> None:
-    """What --time-format says is in the report, and in study.toml."""
+    """What -R time_format says is in the report, and in study.toml."""
     text = table([f"{moment:%d.%m.%Y - %Hh%Mm%S}.{ms(moment)}" for moment in moments()])
     form = "%d.%m.%Y - %Hh%Mm%S.%f"
     path = written(tmp_path, text)
     assert exit_code("inspect", path) == 3
-    assert exit_code("inspect", path, "--time-format", form) == 0
+    assert exit_code("inspect", path, "-R", f"time_format={form}") == 0
     (tmp_path / "a.toml").write_text(f'time-format = "{form}"\ntime-column = "time"\n')
     assert exit_code("inspect", path) == 0
-    assert exit_code("inspect", path, "--time-format", "%Q") == 2
+    assert exit_code("inspect", path, "-R", "time_format=%Q") == 2

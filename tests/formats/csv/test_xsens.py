@@ -138,7 +138,7 @@ def test_t13_the_unit_that_was_chosen_is_noted(
 
 def test_t13_ticks_of_an_unknown_clock_are_asked_about(tmp_path: Path) -> None:
     path = written(tmp_path, counted(20, "tick time"))
-    with pytest.raises(UnreadableError, match="--time-format ms"):
+    with pytest.raises(UnreadableError, match="-R time_format=ms"):
         read(path)
     assert np.diff(read(path, time_format="us", rate_hz=50_000.0).times).tolist() == [20] * (ROWS - 1)
     assert np.diff(read(path, rate_hz=50.0).times).tolist() == [20_000] * (ROWS - 1)

@@ -253,7 +253,7 @@ def test_t12_times_of_centrepoint_are_utc(tmp_path: Path, name: str) -> None:
     beside = {} if name.endswith(".agdc") else {"info": {"startDate": START_S}}
     recording = opened(written(tmp_path / name, seconds(random_counts(100), 50), text, **beside)).recording
     assert (recording.timezone, recording.start_us) == ("UTC", START_US)
-    assert any("--worn-zone -05:00" in note for note in recording.notes)
+    assert any("-R worn_zone=-05:00" in note for note in recording.notes)
     local = opened(written(tmp_path / "b.gt3x", seconds(random_counts(100), 50), text)).recording
     assert (local.timezone, local.notes) == ("-05:00", ())
 

@@ -259,7 +259,7 @@ def test_what_the_user_says_of_a_gyroscope(path: Path) -> None:
     assert got.gyro is not None and (got.gyro == counts(seed=5)).all()
     got = read(path, gyro_columns=("w", "w", "w"), gyro_unit="deg/s")
     assert got.gyro is not None and (got.gyro == counts(seed=6).astype(int) * 4096).all()
-    with pytest.raises(UsageError, match="--gyro-columns"):
+    with pytest.raises(UsageError, match="-R gyro_columns"):
         read(path, gyro_columns=("gyro", "w", "w"))
 
 

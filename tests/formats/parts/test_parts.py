@@ -330,7 +330,6 @@ def test_every_command_takes_it(parts: Path, capsys: Capture) -> None:
     assert run(capsys, *words).code == 0
     assert "up to date" in run(capsys, *words).err
     assert f"{PARTS} parts, from GT3XPLUS" in run(capsys, "inspect", "--parts", parts).out
-    assert run(capsys, "quality", "--parts", parts).code == 0
     report = out / "S01.calibration.json"
     assert run(capsys, "verify", report, parts, "--values").code == 0
     applied = run(capsys, "apply", "--parts", "--coefficients", report, parts, "-d", parts.parent / "applied")
