@@ -39,7 +39,7 @@ autodoc_typehints = "description"
 copybutton_prompt_text = "$ "
 
 html_theme = "pydata_sphinx_theme"
-html_title = f"accelcal {version}"
+html_title = f"accelcal {version.partition('+')[0]}"  # a commit would not fit on a phone
 html_theme_options = {
     "navbar_center": [],
     "navbar_end": ["theme-switcher"],
