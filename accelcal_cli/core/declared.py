@@ -110,14 +110,10 @@ def _json_value(value: Any, key: Key) -> Any:
         return {name: _json_value(one, key) for name, one in value.items()}
     if isinstance(value, list | tuple):
         return [_json_value(one, key) for one in value]
-    if isinstance(value, float):
-        return (
-            significant(value)
-            if key.significant
-            else value
-            if key.digits is None
-            else round(value, key.digits)
-        )
+    if isinstance(value, float) and key.significant:
+        return significant(value)
+    if isinstance(value, float) and key.digits is not None:
+        return round(value, key.digits)
     return str(value) if isinstance(value, StrEnum) else value
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, Self
@@ -123,11 +122,6 @@ class FactoryCalibration:
 
     acceleration: FactoryAcceleration | None = None
     temperature: FactoryTemperature | None = None
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the report's `recording.factory_calibration`."""
-        values: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        return values
 
     def notes(self) -> tuple[str, ...]:
         """Return sentences about what was applied."""
@@ -537,8 +531,3 @@ class Reader(Closing):
         """
         for _, chunk in zip(range(pieces), self.chunks(chunk_samples), strict=False):
             yield chunk
-
-
-def as_json_device(device: Device) -> dict[str, Any]:
-    """Return the report's `device` object."""
-    return {"model": device.model, "serial": device.serial, "firmware": device.firmware}

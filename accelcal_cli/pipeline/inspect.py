@@ -17,7 +17,7 @@ from accelcal_cli.core.identity import identity
 from accelcal_cli.core.local_time import zone_changes, zone_of_times
 from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.reasons import Reason
-from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
+from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import DEFAULT, NO_PRIOR, Settings
 from accelcal_cli.judge.errors import coverage
@@ -190,7 +190,7 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
             "path": printable(recording.path),
             "bytes": recording.total_bytes,
             "format": recording.format,
-            "device": as_json_device(recording.device),
+            "device": declared.as_json(recording.device),
             "sample_rate_hz": recording.rate_hz,
             "lsb_per_g": recording.lsb_per_g,
             "range_g": recording.range_g,
@@ -275,4 +275,4 @@ def duration_s(inspection: Inspection) -> float | None:
     """Return the length [s], None if only reading everything would show it."""
     recording, facts = inspection.recording, inspection.facts
     known = inspection.whole and facts.first_us is not None
-    return reports.duration_s(recording, facts) if known else recording.duration_s
+    return round(reports.duration_s(recording, facts), 6) if known else recording.duration_s

@@ -174,11 +174,6 @@ NAMES = tuple(column.name for column in ALL)
 """Their names, in order."""
 
 
-def names_of(kind: str) -> tuple[str, ...]:
-    """Return the names of the columns of a kind."""
-    return tuple(column.name for column in ALL if column.kind == kind)
-
-
 def read_by_people(row: Mapping[str, Any]) -> list[Any]:
     """Return the cells of a row in `study.csv`."""
     seconds, prior = row.get("duration_s"), row.get("prior")

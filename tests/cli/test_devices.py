@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from accelcal_cli.core.errors import spreadsheet_cell
-from accelcal_cli.studies.columns import NAMES, PARAMETERS, names_of
+from accelcal_cli.studies.columns import ALL, PARAMETERS
 from tests.cli.run import assert_one_line, run
 from tests.devices.made import drifting, fitted, good_devices, refused, start, write
 
@@ -144,7 +144,7 @@ def test_odd_names_are_shown_and_stop_nothing(tmp_path: Path, capsys: Capture) -
 
 
 ODD = st.sampled_from([1e-300, 5e-324, 1e-160, 1e160, 1e300, -1e300, np.inf, -np.inf, np.nan, 0.0, -1.0])
-NUMBERS = [name for name in NAMES if name not in (*names_of("text"), *names_of("whole"))]
+NUMBERS = [column.name for column in ALL if column.kind == "number"]
 
 
 @pytest.mark.nightly

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 
 from accelcal_cli.core.identity import STUDY, identity
 from accelcal_cli.core.recording import METADATA_KEY
-from accelcal_cli.studies.columns import NAMES, names_of
+from accelcal_cli.studies.columns import ALL, NAMES
 
 BEGIN = datetime(2024, 3, 4, 12)
 NOW_S = 1_795_000_000.0
@@ -61,13 +61,14 @@ def refused(serial: str | None, day: float | None, **said: Any) -> dict[str, Any
     return fitted(serial, day, row) | said
 
 
+KINDS = {column.name: column.kind for column in ALL}
+TYPES = {"text": pa.string(), "whole": pa.int64(), "number": pa.float64()}
+
+
 def write(out: Path, rows: list[dict[str, Any]]) -> Path:
     """`study.parquet` of these rows in a folder; returns the folder."""
     out.mkdir(parents=True, exist_ok=True)
-    kinds = [
-        pa.string() if name in names_of("text") else pa.int64() if name in names_of("whole") else pa.float64()
-        for name in NAMES
-    ]
+    kinds = [TYPES[KINDS[name]] for name in NAMES]
     arrays = [
         pa.array([row.get(name) for row in rows], kind) for name, kind in zip(NAMES, kinds, strict=True)
     ]

@@ -11,8 +11,8 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.devices.table import day, read
-from accelcal_cli.studies.columns import NAMES, names_of
-from tests.devices.made import NOW_S, fitted, refused, write
+from accelcal_cli.studies.columns import NAMES
+from tests.devices.made import KINDS, NOW_S, fitted, refused, write
 
 
 def test_recordings_come_by_device_and_start(tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_a_table_that_is_none(tmp_path: Path) -> None:
     with pytest.raises(UnreadableError, match="was made by a development version of accelcal; run"):
         read(tmp_path, NOW_S)
     for name in ("k_xx", "path"):
-        wrong = pa.array([5 if name in names_of("text") else "five"])
+        wrong = pa.array([5 if KINDS[name] == "text" else "five"])
         pq.write_table(whole.set_column(whole.column_names.index(name), name, wrong), path)
         with pytest.raises(UnreadableError, match="cannot be read"):
             read(tmp_path, NOW_S)
@@ -129,10 +129,10 @@ def test_columns_that_no_study_writes(tmp_path: Path, name: str, how: str) -> No
     other = pa.array([[1.0], [2.0]]) if how == "lists" else pa.array(["1", "2"])
     if how == "twice":
         table = table.append_column(name, table[name])
-    elif how == "lists" or name not in names_of("text"):
+    elif how == "lists" or KINDS[name] != "text":
         table = table.set_column(table.column_names.index(name), name, other)
     pq.write_table(table, path)
-    if how == "words" and name in names_of("text"):
+    if how == "words" and KINDS[name] == "text":
         assert len(read(tmp_path, NOW_S)) == 2
         return
     with pytest.raises(
