@@ -29,28 +29,16 @@ from accelcal_cli.core.formats import (
     unused_note,
     without,
 )
-from accelcal_cli.core.input_files import (
-    ARCHIVES,
-    TAR_MAGIC,
-    TAR_MAGIC_AT,
-    files_of,
-    may_be_archive,
-)
+from accelcal_cli.core.input_files import ARCHIVES, TAR_MAGIC, TAR_MAGIC_AT, files_of, may_be_archive
 from accelcal_cli.core.plugins import find_plugin, find_plugins, items_of, named_plugin
 from accelcal_cli.core.recording import Reader
 from accelcal_cli.formats._not_recordings import refuse_not_recordings
 
-SIGNED = 90
-"""Confidence from which on a sniffer has seen a signature."""
+SIGNED, CERTAIN = 90, 100
+"""Confidences: from the first on a sniffer has seen a signature, and no other format exceeds the second."""
 
-CERTAIN = 100
-"""Confidence that no other format exceeds; HDF5 gives its signature less, since Opal files have it, too."""
-
-LOOKED_AT = 200
-"""Number of members of an archive whose names are checked."""
-
-NO_SIGN = {".txt", ".log"}
-"""Suffixes that say nothing of what a member of an archive is."""
+LOOKED_AT, NO_SIGN = 200, {".txt", ".log"}
+"""Members of an archive whose names are checked, and suffixes that say nothing of what they are."""
 
 POLAR = re.compile(r".*_acc\.txt")
 
@@ -70,9 +58,7 @@ def load_all() -> None:
 def find_format(path: Path, options: ReadOptions) -> Format:
     """Return the format of a file, by its content or as the user named it.
 
-    Raises:
-        UnreadableError: no format fits, it is known to be no recording, or it cannot be read.
-        UsageError: the named format does not exist.
+    Raises UsageError if that does not exist, UnreadableError if no format fits or the file cannot be read.
     """
     probe = probe_file(path, options)
     if options.format is not None:
@@ -81,11 +67,8 @@ def find_format(path: Path, options: ReadOptions) -> Format:
     if confidence < SIGNED:
         refuse_not_recordings(probe)
     if confidence == 0:
-        raise NoFormatError(
-            "format not recognised",
-            path=path,
-            hint="copy it from its device again, or name its format with --format or in a --layout file",
-        )
+        hint = "copy it from its device again, or name its format with --format or in a --layout file"
+        raise NoFormatError("format not recognised", path=path, hint=hint)
     return item
 
 
@@ -166,11 +149,7 @@ def refuse_other_files(probe: Probe) -> None:
 
 
 def refuse_others(form: Format, score: int, probe: Probe) -> None:
-    """Raise NoRecordingError if the beginning of a file shows that it is not a recording.
-
-    Args:
-        form: the format that fits best, with the confidence `score`.
-    """
+    """Raise NoRecordingError if a file that fits a format best, with this score, is not a recording."""
     if score < SIGNED:
         refuse_not_recordings(probe)
     form.refuse_others(probe)

@@ -27,17 +27,11 @@ deflate: Any = zlib
 with suppress(ImportError):
     deflate = import_module("zlib_ng.zlib_ng")
 
-STEP_BYTES = 1 << 18
-"""Packed bytes that are taken from a file at a time."""
+STEP_BYTES, FIRST_BYTES = 1 << 18, 1 << 14
+"""Packed bytes that are taken at a time, and first of a gzip member: there may be millions of short ones."""
 
-FIRST_BYTES = 1 << 14
-"""Packed bytes at the beginning of a gzip member, doubled each time: there may be millions of short ones."""
-
-LONGEST_TEXT = 1 << 16
-"""Most bytes in the name or the comment of a gzip member, whose length nothing says."""
-
-MOST_BYTES = 1 << 20
-"""Most unpacked bytes at once: damaged or empty stretches unpack to a thousand times their size."""
+LONGEST_TEXT, MOST_BYTES = 1 << 16, 1 << 20
+"""Most bytes in a name or comment of a gzip member, and unpacked at once: zeros pack a thousandfold."""
 
 DEFLATE = 8
 """The one compression method of gzip files."""
@@ -45,11 +39,8 @@ DEFLATE = 8
 HEADER_CHECKSUM, EXTRA, NAME, COMMENT = 2, 4, 8, 16
 """Flags of a gzip header, one for each optional field."""
 
-ZIP_LOCAL = struct.Struct("<4s5HIIIHH")
-"""Header before each member of a zip file (PKWARE's APPNOTE.TXT 6.3, 4.3.7)."""
-
-IN_EXTRA = 0xFFFFFFFF
-"""Size in it that stands for one of 64 bits in the extra field (4.5.3)."""
+ZIP_LOCAL, IN_EXTRA = struct.Struct("<4s5HIIIHH"), 0xFFFFFFFF
+"""Header before a member of a zip file (APPNOTE.TXT 6.3, 4.3.7); the size of one in the extra field."""
 
 
 class ByteSource(Closing):
@@ -68,15 +59,9 @@ class ByteSource(Closing):
     """
 
     def __init__(self, path: Path, threads: int = 1) -> None:
-        """Open a file.
-
-        Raises:
-            UnreadableError: it cannot be opened.
-        """
-        self.path = path
+        """Open a file; raises UnreadableError if that fails."""
+        self.path, self._ahead, self._unpacked_to = path, b"", 0
         self._fault: GzipFault | None = None
-        self._ahead = b""
-        self._unpacked_to = 0
         try:
             self._file = path.open("rb")
             self.file_bytes = os.fstat(self._file.fileno()).st_size
@@ -97,22 +82,14 @@ class ByteSource(Closing):
         return self._fault is GzipFault.DAMAGED
 
     def read(self, count: int) -> bytes:
-        """Return up to `count` bytes; none only at the end.
-
-        Raises:
-            UnreadableError: the disk fails.
-        """
+        """Return up to `count` bytes, none only at the end; raises UnreadableError if the disk fails."""
         try:
             return self._file.read1(count) if self._pieces is None else self._unpacked(self._pieces, count)
         except OSError as error:
             raise unread(error, self.path) from error
 
     def read_exact(self, count: int) -> bytes:
-        """Return `count` bytes, fewer only at the end of the data.
-
-        Raises:
-            UnreadableError: the disk fails.
-        """
+        """Return `count` bytes, fewer only at the end; raises UnreadableError if the disk fails."""
         parts: list[bytes] = []
         while count > 0 and (part := self.read(count)):
             parts.append(part)
@@ -120,25 +97,14 @@ class ByteSource(Closing):
         return b"".join(parts)
 
     def refuse_damaged(self) -> None:
-        """Refuse damaged gzip data; for contents without checksums, any byte of which may then be wrong.
-
-        Raises:
-            UnreadableError: the gzip data is damaged inside, not only cut short.
-        """
+        """Refuse gzip data that is damaged inside; any byte without a checksum of its own may be wrong."""
         if self.damaged:
-            raise UnreadableError(
-                "the gzip data is damaged: some values are not what was compressed",
-                path=self.path,
-                byte_offset=self.disk_position(),
-                hint="copy it again from its source",
-            )
+            what = "the gzip data is damaged: some values are not what was compressed"
+            hint = "copy it again from its source"
+            raise UnreadableError(what, path=self.path, byte_offset=self.disk_position(), hint=hint)
 
     def seek(self, offset: int) -> None:
-        """Go to a byte; a compressed file is read up to it, and only from its beginning.
-
-        Raises:
-            UnreadableError: the disk fails.
-        """
+        """Go to a byte; a compressed file is read up to it, and only from its beginning."""
         if self._pieces is None:
             self._file.seek(offset)
             return
@@ -177,12 +143,7 @@ class GzipFault(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Unpacked bytes of a gzip file.
-
-    Attributes:
-        end_byte: how far the file has been unpacked with these bytes.
-        fault: why there are no more bytes; set only on the last piece of a file that breaks off.
-    """
+    """Unpacked bytes of a gzip file up to `end_byte`; the last has a fault if the file breaks off."""
 
     data: bytes
     end_byte: int
@@ -190,11 +151,7 @@ class Piece:
 
 
 def gunzipped(file: BinaryIO) -> Iterator[Piece]:
-    """Yield the contents of a gzip file; the last piece is empty and names the fault, if there is one.
-
-    Raises:
-        OSError: the disk fails.
-    """
+    """Yield the contents of a gzip file; the last piece is empty and names the fault, if there is one."""
     try:
         while _pass_header(file):
             yield from _unpack_member(file)
@@ -282,17 +239,13 @@ def crc32(data: bytes, before: int = 0) -> int:
 class Inflater:
     """Unpacks a bare deflate stream; where a damaged one breaks off does not depend on how it is cut.
 
-    Attributes:
-        damaged: nothing more can be unpacked.
-        rest: input bytes after the end of the stream, or from the first damaged one on.
+    The `rest` is the input after the end of the stream, or from the first damaged byte on.
     """
 
     def __init__(self) -> None:
         self._stream = deflate.decompressobj(-zlib.MAX_WBITS)
-        self._waiting = b""
-        self._full = False
-        self.damaged = False
-        self.rest = b""
+        self._waiting = self.rest = b""
+        self._full = self.damaged = False
 
     @property
     def complete(self) -> bool:

@@ -21,11 +21,8 @@ from accelcal_cli.formats._pages.files import BLOCK_BYTES
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog
 from accelcal_cli.formats._rows import HeldChannels, RowFilter
 
-FIRST_ROWS = 1 << 16
-"""Rows that are decoded at a time until one is usable."""
-
-AFTER_BYTES = 8
-"""Bytes after the announced frames that an intake keeps."""
+FIRST_ROWS, AFTER_BYTES = 1 << 16, 8
+"""Rows that are decoded at a time until one is usable, and bytes that an intake keeps of what follows."""
 
 CUT_OFF = "an incomplete sample at the end of the file, bytes left out"
 BROKEN_OFF = "the compressed data is damaged or ends early; an incomplete sample, bytes left out"
@@ -34,13 +31,7 @@ NEVER_CAME = "samples that the file announces are missing at its end"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """Decoded frames as columns of n rows each.
-
-    Attributes:
-        faulty: (n,) rows without usable values; None if there are none.
-        validity: as in Chunk.
-        channels: as in Chunk; one of single values may hold MISSING.
-    """
+    """Decoded frames as columns of n rows as in Chunk; a channel of single values may hold MISSING."""
 
     counts: Counts
     faulty: NDArray[np.bool_] | None = None
@@ -85,16 +76,10 @@ class FrameFile:
 
 
 class FrameReader(Reader):
-    """Streams the frames; each call of `chunks` reads the file from its beginning.
-
-    Args:
-        problems: what was found while opening; reported with the first chunk.
-    """
+    """Streams the frames from the beginning; gives the problems found while opening with the first chunk."""
 
     def __init__(self, recording: Recording, file: FrameFile, problems: tuple[Problem, ...] = ()) -> None:
-        self.recording = recording
-        self._file = file
-        self._problems = problems
+        self.recording, self._file, self._problems = recording, file, problems
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, `chunk_samples` at a time."""
@@ -143,22 +128,18 @@ class FrameReader(Reader):
 
 
 class _Rows:
-    """Makes chunks of consecutive frames.
-
-    Attributes:
-        frame: number of the next frame.
-    """
+    """Makes chunks of consecutive frames; `frame` is the number of the next one."""
 
     def __init__(
         self, file: FrameFile, recording: Recording, frame: int, problems: tuple[Problem, ...]
     ) -> None:
-        self.frame = frame
-        self._file = file
-        self._rate = rate_fraction(recording.rate_hz)
-        self._samples = frame
-        self._log = ProblemLog(problems)
-        self._held = HeldChannels(file.first_values)
-        self._filter = RowFilter()
+        self.frame = self._samples = frame
+        self._file, self._rate = file, rate_fraction(recording.rate_hz)
+        self._log, self._held, self._filter = (
+            ProblemLog(problems),
+            HeldChannels(file.first_values),
+            RowFilter(),
+        )
 
     def feed(self, data: bytes, end_byte: int, *, last: bool) -> Chunk:
         """Return the next whole frames as a chunk."""
@@ -177,41 +158,31 @@ class _Rows:
         )
         faulty = np.zeros(count, np.bool_) if frames.faulty is None else frames.faulty
         chunk = self._filter.apply(chunk, faulty)
-        self._note(faulty)
+        kind, before, places = self._file.left_out, np.cumsum(~faulty), np.flatnonzero(faulty)
+        for index, number, scattered in self._log.runs(kind, places):
+            row = int(places[index])
+            frame = self.frame + row
+            sample, lost = self._samples + int(before[row]), number * self._file.frame_bytes
+            event = Event(frame, number, *kind, self._file.offset(frame), sample, number, scattered=scattered)
+            self._log.add(replace(event, lost_bytes=lost if self._file.damaged else 0))
         self.frame += count
         self._samples += len(chunk)
         problems = self._log.take(None if last else self.frame)
         return replace(chunk, problems=problems, used_bytes=len(chunk) * self._file.frame_bytes)
 
-    def _note(self, faulty: NDArray[np.bool_]) -> None:
-        """Log runs of faulty rows."""
-        places, kind = np.flatnonzero(faulty), self._file.left_out
-        if not len(places):
-            return
-        before = np.cumsum(~faulty)
-        for index, count, scattered in self._log.runs(kind, places):
-            place = int(places[index])
-            frame, sample = self.frame + place, self._samples + int(before[place])
-            lost = count * self._file.frame_bytes if self._file.damaged else 0
-            offset = self._file.offset(frame)
-            event = Event(frame, count, *kind, offset, sample, count, lost_bytes=lost, scattered=scattered)
-            self._log.add(event)
-
     def ending(
         self, size: int, stop: int | None, *, broken: bool = False, undecoded: int = 0
     ) -> tuple[Problem, ...]:
-        """Return what is wrong with the end of the file.
+        """Return what is wrong with the end of a file whose last piece has `size` bytes.
 
         Args:
-            size: number of bytes in the last piece.
             stop: number of frames that there should be, None if unknown.
             broken: the compressed data broke off, `undecoded` bytes before the end of the file on disk.
         """
         left, offset, problems = size % self._file.frame_bytes, self._file.offset(self.frame), []
         if left or broken:
             text = f"{BROKEN_OFF if broken else CUT_OFF}: {left}"
-            lost = left + undecoded
-            problems.append(Problem("truncated", text, offset, self._samples, left, lost))
+            problems.append(Problem("truncated", text, offset, self._samples, left, left + undecoded))
         if stop is not None and stop > self.frame:
             missing = stop - self.frame
             lacking = missing * self._file.frame_bytes - left
@@ -221,14 +192,7 @@ class _Rows:
 
 
 class FrameIntake(Intake):
-    """Takes a file of frames as it grows.
-
-    Args:
-        problems: what was found while opening; reported with the first chunk.
-
-    Attributes:
-        after: the first bytes after the announced frames.
-    """
+    """Takes a file of frames as it grows; `after` are the first bytes after the announced frames."""
 
     def __init__(self, recording: Recording, file: FrameFile, problems: tuple[Problem, ...]) -> None:
         self.after = b""

@@ -10,29 +10,21 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.vocabulary import ACCELERATION_UNITS, GIVE_UNIT
 
-USUAL_LSB_PER_G = tuple(1 << bits for bits in range(4, 15))
-"""Counts per g of most sensors."""
-
-SURE_SHARE = 0.15
-"""Share by which the usual length may differ from one of these."""
+USUAL_LSB_PER_G, SURE_SHARE = tuple(1 << bits for bits in range(4, 15)), 0.15
+"""Counts per g of most sensors, and the share by which the usual length may differ from one of these."""
 
 
 def guess_unit(values: NDArray[np.float64], path: Path) -> str:
-    """Return the unit of values (n, 3), by their usual length.
-
-    Rows of zeros, which devices write while idle, do not count.
-
-    Raises:
-        UnreadableError: the length fits no unit.
-    """
+    """Return the unit of values (n, 3), by their usual length, without zeros of idle devices."""
     median = usual_length(values)
     for name, unit in ACCELERATION_UNITS.items():
         if unit.rest is not None and unit.rest[0] <= median <= unit.rest[1]:
             return name
+    fits = [likely for likely in USUAL_LSB_PER_G if abs(median - likely) < SURE_SHARE * likely]
     raise UnreadableError(
         f"cannot tell the unit: the median length of the acceleration is {median:.4g}",
         path=path,
-        hint=GIVE_UNIT + likely_counts(median),
+        hint=f"{GIVE_UNIT} ({fits[0]} would fit)" if fits else GIVE_UNIT,
     )
 
 
@@ -42,9 +34,3 @@ def usual_length(values: NDArray[np.float64]) -> float:
         norm = np.sqrt((values * values).sum(axis=1))
     norm = norm[np.isfinite(norm) & (norm > 0)]
     return float(np.median(norm)) if len(norm) else 0.0
-
-
-def likely_counts(median: float) -> str:
-    """Return advice on the usual counts per g that fit a length, or no text if none fit."""
-    fits = [likely for likely in USUAL_LSB_PER_G if abs(median - likely) < SURE_SHARE * likely]
-    return f" ({fits[0]} would fit)" if fits else ""

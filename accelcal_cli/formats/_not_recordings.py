@@ -24,28 +24,9 @@ SEPARATORS = re.compile(r"[,;\t|]")
 AXIS = re.compile(r"(?:.*[^a-z])?[xyz](?:[^a-z].*)?|a(?:cc)?[xyz]")
 EPOCH_NAMES = frozenset(
     {
-        *(
-            "activity",
-            "activity counts",
-            "activiteit",
-            "activit\u00e9",
-            "aktivit\u00e4t",
-            "counts",
-            "vector magnitude",
-        ),
-        *(
-            "axis1",
-            "steps",
-            "activityminute",
-            "activityhour",
-            "calories",
-            "mets",
-            "met",
-            "pim",
-            "zcm",
-            "enmo",
-        ),
-        *("moderate-vigorous", "atividade", "enmo_t", "anglez"),
+        *("activity", "activity counts", "activiteit", "activit\u00e9", "aktivit\u00e4t", "atividade"),
+        *("counts", "vector magnitude", "axis1", "steps", "activityminute", "activityhour", "calories"),
+        *("mets", "met", "pim", "zcm", "enmo", "moderate-vigorous", "enmo_t", "anglez"),
     }
 )
 """Lower-case names of columns of tables of epochs that have no columns of x, y and z."""
@@ -141,14 +122,15 @@ WINDOWS = NotRecording("means of still windows, not samples", FIT, Reason("still
 
 
 def refuse_not_recordings(probe: Probe) -> None:
-    """Refuse a file known to be no recording, or to be of a kind that is not read.
+    """Raise NoRecordingError for a file known to be no recording, unless the user says how to read it.
 
-    Raises:
-        NoRecordingError: it is not a recording, and the user does not say how to read it.
-        UnreadableError: it is a recording that has to be exported first.
+    Raises UnreadableError for a recording that has to be exported first.
     """
     options = probe.options
-    if (unread := _unread(probe)) is not None:
+    start, unread = probe.head[:LOOKED_AT], DATX if probe.suffix == ".datx" else None
+    if is_text(start):
+        unread = next(((what, hint) for sign, what, hint in UNREAD if sign.match(start)), None)
+    if unread is not None:
         what, hint = unread
         name = shlex.quote(printable(probe.path))
         raise UnreadableError(f"holds {what}", path=probe.path, hint=hint.replace("FILE", name))
@@ -159,43 +141,37 @@ def refuse_not_recordings(probe: Probe) -> None:
         raise NoRecordingError(f"holds {found.what}", path=probe.path, hint=found.hint, reason=found.reason)
 
 
-def _unread(probe: Probe) -> tuple[str, str] | None:
-    """Return what a recording that is not read holds, and what to do; None for any other file."""
-    if not is_text(probe.head[:LOOKED_AT]):
-        return DATX if probe.suffix == ".datx" else None
-    return next(((what, hint) for sign, what, hint in UNREAD if sign.match(probe.head[:LOOKED_AT])), None)
-
-
 def _recognised(probe: Probe) -> NotRecording | None:
+    """Return what a file is by its beginning, or by the names of columns; None for any other.
+
+    A table with columns of x, y and z may be raw whatever its beginning says.
+    """
     head = probe.head
     if head.startswith(SQLITE):
         return AGD if probe.suffix == ".agd" or b"epochlength" in head or b"inclineOff" in head else DATABASE
     if b"\0" in head[:LOOKED_AT]:
         return None
     signed = next((other for sign, other in SIGNS if sign.match(head[:LOOKED_AT])), None)
-    return _by_names(head, signed)
+    for line in first_lines(head):
+        found = by_names([cell.strip(' "\ufeff#') for cell in SEPARATORS.split(line)])
+        if found is not None:
+            return signed or TABLE if found.table is TABLE else found.table
+    return signed
+
+
+def first_lines(head: bytes) -> list[str]:
+    """Return the first lines of a text, in lower case."""
+    return head[: 4 * LOOKED_AT].decode("utf-8", "replace").lower().splitlines()[:HEADER_LINES]
 
 
 def names_axes(head: bytes) -> bool:
     """Return True if a line of a text names three columns as axes are named, in two words at most each."""
-    for line in head[: 4 * LOOKED_AT].decode("utf-8", "replace").lower().splitlines()[:HEADER_LINES]:
+    for line in first_lines(head):
         cells = {re.sub(r"\s*[\[(].*", "", cell.strip(' "\ufeff#')) for cell in SEPARATORS.split(line)}
         axes = {cell for cell in cells if AXIS.fullmatch(cell) and not NOT_AXES.fullmatch(cell)}
         if len(axes) >= len("xyz") and all(len(cell.split()) <= 2 for cell in axes):
             return True
     return False
-
-
-def _by_names(head: bytes, signed: NotRecording | None) -> NotRecording | None:
-    """Recognise a table of epochs or of still windows by its column names; else return `signed`.
-
-    A table with columns of x, y and z may be raw whatever its beginning says.
-    """
-    for line in head[: 4 * LOOKED_AT].decode("utf-8", "replace").lower().splitlines()[:HEADER_LINES]:
-        found = by_names([cell.strip(' "\ufeff#') for cell in SEPARATORS.split(line)])
-        if found is not None:
-            return signed or TABLE if found.table is TABLE else found.table
-    return signed
 
 
 @dataclass(frozen=True, slots=True)

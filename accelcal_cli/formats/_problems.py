@@ -104,9 +104,7 @@ class ProblemLog:
         place: Callable[[Run], str] = lambda _run: "",
     ) -> None:
         self._ready = list(first)
-        self._describe, self._place = describe, place
-        self._single = single
-        self._by_end = by_end
+        self._describe, self._place, self._single, self._by_end = describe, place, single, by_end
         self._queue: deque[Run] = deque()
         self._open: dict[Kind, Run] = {}
         self._records: Counter[Kind] = Counter()
@@ -136,10 +134,7 @@ class ProblemLog:
         return run
 
     def runs(self, kind: Kind, places: NDArray[np.int64]) -> Iterator[tuple[int, int, bool]]:
-        """Yield runs of consecutive places of one kind; those beyond `single` as one.
-
-        Args:
-            places: (n,) ascending positions.
+        """Yield runs of consecutive places of one kind, which ascend; those beyond `single` as one.
 
         Yields:
             Index of a run's first place, number of its places, and whether these are scattered.
@@ -163,16 +158,12 @@ class ProblemLog:
         ready, self._ready = self._ready, []
         if self._by_end:
             self._queue = deque(sorted(self._queue, key=lambda run: (run.end, run.event.kind)))
-        while self._queue and (scanned is None or not self._grows(self._queue[0])):
+        growing = () if scanned is None else (*self._open.values(), *self._rest.values())
+        while self._queue and not any(self._queue[0] is run for run in growing):
             ready.append(self._problem(self._queue.popleft()))
         if scanned is None and self._by_end:
             ready += [self._problem(self._rest[kind]) for kind in sorted(self._rest)]
         return tuple(ready)
-
-    def _grows(self, run: Run) -> bool:
-        """Return True if events may still be added to a run."""
-        kind = run.event.kind
-        return run is self._open.get(kind) or run is self._rest.get(kind)
 
     def _problem(self, run: Run) -> Problem:
         event = run.event

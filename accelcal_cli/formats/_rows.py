@@ -100,20 +100,18 @@ class RepeatedSamples:
     def mark(
         self, counts: NDArray[Any], usable: NDArray[np.bool_] | None = None, *, last: bool
     ) -> NDArray[np.bool_]:
-        """Mark the samples that only repeat the one before.
-
-        Args:
-            counts: (n, 3) the next samples.
-            usable: (n,) samples that are not usable repeat nothing.
-            last: no samples follow.
+        """Mark the next samples (n, 3) that only repeat the one before; unusable ones (n,) repeat nothing.
 
         Returns:
-            Marks of the first m samples. A run at the end that may still become long enough is left over: its
-            n - m samples belong at the beginning of the next call.
+            Marks of the first m samples. Unless these are the `last`, a run at the end that may still become
+            long enough is left over: its n - m samples belong at the beginning of the next call.
         """
         if not len(counts):
             return np.empty(0, np.bool_)
-        repeats = self._repeats(counts, usable)
+        repeats = np.ones(len(counts), np.bool_) if usable is None else usable.copy()
+        repeats[0] &= self._asleep is not None and np.array_equal(counts[0], self._asleep)
+        for axis in counts.T:
+            repeats[1:] &= axis[1:] == axis[:-1]
         begins = ~repeats
         begins[0] = True
         starts = np.flatnonzero(begins)
@@ -123,11 +121,3 @@ class RepeatedSamples:
         self._asleep = counts[-1].copy() if long[-1] else None
         settled = len(counts) if last or long[-1] else int(starts[-1])
         return np.asarray(np.repeat(long, sizes) & repeats)[:settled]
-
-    def _repeats(self, counts: NDArray[Any], usable: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-        """Mark samples that equal the one before, (n,)."""
-        same = np.ones(len(counts), np.bool_) if usable is None else usable.copy()
-        same[0] &= self._asleep is not None and np.array_equal(counts[0], self._asleep)
-        for axis in counts.T:
-            same[1:] &= axis[1:] == axis[:-1]
-        return same

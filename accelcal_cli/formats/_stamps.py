@@ -18,57 +18,33 @@ NO_TIME, IMPOSSIBLE, LOST = -(1 << 62), -(1 << 62) + 1, -(1 << 62) + 2
 year 1), and for one in a lost part of the file; far enough from every real one to subtract without
 overflow."""
 
-EPOCH_DAYS = (25_569.0, 719_529.0)
-"""1970-01-01 as spreadsheets (from 1899-12-30) and as MATLAB (from the year 0) number days."""
+EPOCH_DAYS, PLAUSIBLE_HZ = (25_569.0, 719_529.0), (5.0, 800.0)
+"""1970-01-01 in days of spreadsheets and of MATLAB, and rates [Hz] for which only one unit of time fits."""
 
-PLAUSIBLE_HZ = (5.0, 800.0)
-"""Possible rates [Hz]: wide enough for every actigraph, narrow enough that only one unit of time fits."""
-
-GAP_PERIODS = 3
-"""Sample periods in the longest step that is not a gap."""
-
-LONGEST_GROUP = 4
-"""Usual groups in the longest one; a longer one is cut, so that a stopped clock does not fill the memory."""
+GAP_PERIODS, LONGEST_GROUP = 3, 4
+"""Most sample periods in a step that is not a gap; most usual groups in one, also if the clock stops."""
 
 DEVICE_RATES = (1.5625, 3.125, 6.25, 12.5, 25.6, 31.25, 100 / 3, 51.2, 62.5, 200 / 3, 102.4, 204.8)
 """Fractional rates [Hz] of devices in common use."""
 
-NEAR = 0.0005
-"""Share by which crystals miss the rate that a device was set to."""
-
-SLOW_HZ = 9.5
-"""Slower rates are not taken to be whole numbers."""
+NEAR, SLOW_HZ = 0.0005, 9.5
+"""Share by which crystals miss their rate; rate [Hz] up to which it need not be a whole number."""
 
 STAMP_STEPS_US = (MICROSECONDS, MICROSECONDS // 10, MICROSECONDS // 100, 1000, 100, 10)
 """Steps [us] in which stamps are written."""
 
-JITTER_ERROR = 0.005
-"""Share by which a rate may be wrong that jittered stamps show."""
+JITTER_ERROR, JITTERED, SPAN_ROWS = 0.005, 0.001, 16
+"""Share by which a rate of jittered stamps may be wrong, of steps back that show these, and rows averaged."""
 
-JITTERED = 0.001
-"""Share of steps back from which stamps count as jittered; steps then do not show the rate."""
-
-SPAN_ROWS = 16
-"""Rows over which jitter is averaged: few enough that most spans hold no gap."""
-
-DISAGREEMENT = 1.2
-"""Ratio of a stated rate to that of the times beyond which they disagree."""
-
-SHORTFALL = 0.2
-"""Share of the usual size by which a group may differ; one that differs more lies next to a gap."""
+DISAGREEMENT, SHORTFALL = 1.2, 0.2
+"""Ratio of a stated rate that disagrees with the times; share by which a group is shorter next to a gap."""
 
 SPREAD = "several rows share a time stamp; they were spread evenly until the next one"
 
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """Rate of a file's rows, and of their stamps.
-
-    Attributes:
-        rate_hz: rows per second.
-        stamp_period_us: time from one stamp to the next where several rows share a stamp and
-            must be spread; 0 where every row has its own.
-    """
+    """Rate of a file's rows, and the time from one stamp to the next if rows share stamps, else 0."""
 
     rate_hz: float
     stamp_period_us: int = 0
@@ -114,8 +90,7 @@ def shared_pace(stamps: NDArray[np.int64]) -> Pace | None:
     """Return the pace of rows of which several share each stamp, None if they show none."""
     starts, sizes = _groups(stamps)
     steps = np.diff(stamps[starts])[1:]
-    period = int(np.median(steps))
-    typical = float(np.median(sizes))
+    period, typical = int(np.median(steps)), float(np.median(sizes))
     whole = np.abs(sizes - typical) <= max(1.0, SHORTFALL * typical)
     usual = whole & (steps > 0) & (2 * steps <= GAP_PERIODS * period)
     if period <= 0 or not usual.any():
@@ -162,29 +137,21 @@ def nice_rate(measured: float, error: float = 0.0) -> float:
     Args:
         error: the share by which the measured rate may be wrong; crystals are wrong by NEAR.
     """
-    for rates, share in (
-        (DEVICE_RATES, NEAR),
-        ([grid * round(measured / grid) for grid in (5.0, 1.0) if measured > SLOW_HZ], max(NEAR, error)),
-    ):
-        for rate in rates:
-            if abs(measured - rate) < share * rate:
-                return rate
-    return float(f"{measured:.6g}")
+    whole = [grid * round(measured / grid) for grid in (5.0, 1.0) if measured > SLOW_HZ]
+    possible = [*((rate, NEAR) for rate in DEVICE_RATES), *((rate, max(NEAR, error)) for rate in whole)]
+    near = (rate for rate, share in possible if abs(measured - rate) < share * rate)
+    return next(near, float(f"{measured:.6g}"))
 
 
 class SharedStamps:
     """Spreads the rows of each stamp evenly until the next stamp.
 
     The times of a group of rows are settled once the stamp after it is known, so that they do not depend on
-    where the pieces end in which the rows come.
-
-    Attributes:
-        longest: number of rows after which the first one is settled, whatever their stamps.
+    where the pieces end in which the rows come; after `longest` rows the first is settled in any case.
     """
 
     def __init__(self, pace: Pace) -> None:
-        self._period = pace.stamp_period_us
-        self._usual = pace.rows_per_stamp
+        self._period, self._usual = pace.stamp_period_us, pace.rows_per_stamp
         self.longest = LONGEST_GROUP * self._usual
         self._waiting = np.empty(0, np.int64)
         self._before = NO_TIME
@@ -221,14 +188,12 @@ class SharedStamps:
         """Return the first row of every group."""
         if not len(stamps):
             return np.empty(0, np.int64)
-        changes = np.flatnonzero(np.diff(stamps)) + 1
-        starts = np.concatenate(([0], changes))
+        starts = np.append(0, np.flatnonzero(np.diff(stamps)) + 1)
         sizes = np.diff(np.append(starts, len(stamps)))
         if sizes.max() <= self.longest:
             return starts
-        return np.concatenate(
-            [np.arange(start, start + size, self.longest) for start, size in zip(starts, sizes, strict=True)]
-        )
+        groups = zip(starts, starts + sizes, strict=True)
+        return np.concatenate([np.arange(start, end, self.longest) for start, end in groups])
 
     def _spread(self, around: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return times of the rows of groups with these stamps; `around` has one more at either end.
@@ -246,8 +211,7 @@ class SharedStamps:
         group = np.repeat(np.arange(len(sizes)), sizes)
         index = np.arange(len(group)) - np.repeat(np.cumsum(sizes) - sizes, sizes) + shift[group]
         into = (2 * index * span[group] + parts[group]) // (2 * parts[group])
-        times: NDArray[np.int64] = around[1:-1][group] + into
-        return times
+        return np.asarray(around[1:-1][group] + into)
 
 
 def spread(stamps: NDArray[np.int64], pace: Pace) -> NDArray[np.int64]:

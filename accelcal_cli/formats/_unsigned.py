@@ -15,44 +15,23 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.formats._gravity import usual_length
 
-BLOCK = 8
-"""Consecutive rows whose mean and range are taken."""
+BLOCK, QUIET_SHARES = 8, (0.5, 0.15)
+"""Consecutive rows whose mean and range are taken, and shares of such blocks, the quietest, for rest."""
 
-QUIET_SHARES = (0.5, 0.15)
-"""Shares of the blocks, the quietest, that may be rest."""
+CELLS, LEAST_CELLS = 12, 9
+"""Parts of the range of an axis in which rest counts once; orientations of rest that a sphere needs."""
 
-CELLS = 12
-"""Parts into which the range of an axis is divided, so that long rest counts as much as short."""
+TURNED, OUTSIDE, LARGEST_SCATTER = 1.2, 1.1, 0.08
+"""Least range of each axis and distance of 0 from the centre, and largest scatter of rest, in radii."""
 
-LEAST_CELLS = 9
-"""Orientations of rest that a sphere needs to be believed."""
+NEAR_G, LEAST_RANGE_G = 0.5, 1.25
+"""Largest offset [g] from the middle of the range of a converter, and its least range on either side."""
 
-TURNED = 1.2
-"""Range of each axis at rest, in radii: points of signed values that are all positive have 1."""
+ABOUT_1_G, FAR_FROM_1_G = (0.75, 1.3), (0.5, 2.0)
+"""Usual lengths [g] with the right scale and zero, and those between which counts have no other zero."""
 
-OUTSIDE = 1.1
-"""Distance of 0 from the centre on each axis, in radii: signed values lie around 0."""
-
-LARGEST_SCATTER = 0.08
-"""Root mean square of distances from the sphere, in radii, that scales and misalignment explain."""
-
-NEAR_G = 0.5
-"""Largest offset [g] of an axis from the middle of a converter's range."""
-
-ABOUT_1_G = (0.75, 1.3)
-"""Usual length [g] of acceleration where its scale and its zero are right."""
-
-LEAST_RANGE_G = 1.25
-"""Range [g] on either side that a converter has at least."""
-
-FAR_FROM_1_G = (0.5, 2.0)
-"""Usual length [g] of counts with another zero lies outside."""
-
-MIDDLES = tuple(1 << bits for bits in range(6, 31))
-"""Middles of the ranges of converters."""
-
-EXACT = 1000
-"""Radius [counts] from which on all digits are shown."""
+MIDDLES, EXACT = tuple(1 << bits for bits in range(6, 31)), 1000
+"""Middles of the ranges of converters, and radius [counts] from which on all digits are shown."""
 
 FOUND_ZERO = "0 g is at {} counts, around which rest lies (-R zero says it)"
 
@@ -65,11 +44,6 @@ class Sphere:
 
     centre: tuple[float, float, float]
     radius: float
-
-    @property
-    def zero(self) -> int:
-        """The whole number nearest to the centre."""
-        return round(sum(self.centre) / 3)
 
     def middle(self) -> int | None:
         """Return the middle of the range of a converter that is the centre, within half a g; None if none."""
@@ -123,23 +97,20 @@ def are_unsigned(values: Floats) -> bool:
 
 def refuse_other_zero(values: Floats, path: Path) -> None:
     """Raise UnreadableError if rest lies around another count than 0, in counts of an unknown scale."""
-    sphere = sphere_of_rest(values)
-    if sphere is not None:
+    if (sphere := sphere_of_rest(values)) is not None:
         raise _off_zero(sphere, path)
 
 
 def zero_of(values: Floats, lsb_per_g: float, path: Path) -> int | None:
     """Return the count of 0 g that counts (n, 3) of a known scale show; None where it is 0, or unknown.
 
-    Raises:
-        UnreadableError: rest lies around a count that is not the middle of a converter's range, or the scale
-            does not fit.
+    Raises UnreadableError if rest lies around a count that is not the middle of a converter's range, or the
+    scale does not fit.
     """
     length = usual_length(values) / lsb_per_g
     if FAR_FROM_1_G[0] < length < FAR_FROM_1_G[1] or not are_unsigned(values):
         return None
-    sphere = sphere_of_rest(values)
-    if sphere is not None:
+    if (sphere := sphere_of_rest(values)) is not None:
         middle, fits = sphere.middle(), ABOUT_1_G[0] < sphere.radius / lsb_per_g < ABOUT_1_G[1]
         if middle is None or not fits:
             raise _off_zero(sphere, path, lsb_per_g if fits else None)
@@ -161,7 +132,7 @@ def _off_zero(sphere: Sphere, path: Path, lsb_per_g: float | None = None) -> Unr
     about = ", ".join(f"{at:.0f}" for at in sphere.centre)
     radius = f"{sphere.radius:.0f}" if sphere.radius >= EXACT else f"{sphere.radius:.3g}"
     scale = radius if lsb_per_g is None else f"{lsb_per_g:.10g}"
-    zero = sphere.middle() or sphere.zero
+    zero = sphere.middle() or round(sum(sphere.centre) / 3)
     return UnreadableError(
         f"its values are counts above 0: at rest they lie {radius} counts from the middle {about}",
         path=path,

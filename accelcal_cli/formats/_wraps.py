@@ -57,9 +57,7 @@ class Wraps:
 def find_wraps(head: NDArray[np.int64], unit_us: float | None, written: str | None = None) -> Wraps:
     """Return what the clock may do whose first times are `head` (n,) [us].
 
-    Args:
-        unit_us: microseconds in one unit of numbers that count from some start; None for moments.
-        written: what times that are texts hold.
+    Numbers that count from some start are in units of `unit_us`; `written` is what times that are texts hold.
     """
     times = head[head > LOST]
     steps = np.diff(times)
@@ -112,13 +110,11 @@ class RunningOn:
         if self._before is None:
             self._before = self._low = self._high = int(own[0])
         steps, begun_us = np.diff(own, prepend=self._before), self._ahead_us
-        added = np.zeros(len(own), np.int64)
-        seen = 0
+        added, seen = np.zeros(len(own), np.int64), 0
         for row in np.flatnonzero((steps <= -self._least_us) | (steps >= DAY_US)).tolist():
             self._see(own[seen:row])
             seen = row
-            jump_us = self._jump_us(int(own[row]) - int(steps[row]), int(own[row]))
-            if jump_us:
+            if jump_us := self._jump_us(int(own[row]) - int(steps[row]), int(own[row])):
                 added[row] = jump_us
                 self._ahead_us += jump_us
                 self._jumps.append((first + int(known[row]), jump_us))

@@ -26,7 +26,8 @@ def page_runs(chunks: Iterable[Chunk], samples: int) -> Iterator[Chunk]:
     """Yield rows of whole pages; a single page is shorter only before a break and at the end."""
     kept: Chunk | None = None
     for chunk in chunks:
-        for rows in unbroken(chunk):
+        cuts = sorted({0, len(chunk), *chunk.breaks.tolist()})
+        for rows in (chunk.part(start, stop) for start, stop in pairwise(cuts)):
             if kept is not None and rows.is_fresh:
                 yield kept
                 kept = None
@@ -40,23 +41,13 @@ def page_runs(chunks: Iterable[Chunk], samples: int) -> Iterator[Chunk]:
 
 
 def full_pages(path: Path, chunks: Iterable[Chunk], samples: int) -> Iterator[Chunk]:
-    """Yield rows of whole pages only.
-
-    Raises:
-        OutputError: the recording has a gap, or ends within a page.
-    """
+    """Yield rows of whole pages; raises OutputError if the recording has a gap, or ends within a page."""
     for rows in page_runs(chunks, samples):
         if rows.is_fresh:
             raise OutputError("the recording has a gap", path=path, hint=OTHER_FORMAT)
         if len(rows) % samples:
             raise OutputError(f"the recording ends within {samples} samples", path=path, hint=OTHER_FORMAT)
         yield rows
-
-
-def unbroken(chunk: Chunk) -> Iterator[Chunk]:
-    """Yield the parts of a chunk between its breaks."""
-    cuts = sorted({0, len(chunk), *chunk.breaks.tolist()})
-    return (chunk.part(start, stop) for start, stop in pairwise(cuts))
 
 
 def page_means_mc(rows: Chunk, samples: int) -> NDArray[np.float64] | None:
@@ -69,22 +60,14 @@ def page_means_mc(rows: Chunk, samples: int) -> NDArray[np.float64] | None:
 
 
 def check_bits(path: Path, rows: Chunk, bits: int) -> None:
-    """Refuse counts that do not fit.
-
-    Raises:
-        OutputError: a count needs more than `bits` bits, sign included.
-    """
+    """Raise OutputError if a count needs more than `bits` bits, sign included."""
     limit = 1 << (bits - 1)
     if len(rows) and (rows.counts.min() < -limit or rows.counts.max() >= limit):
         raise OutputError(f"the recording's counts do not fit in {bits} bits", path=path, hint=OTHER_FORMAT)
 
 
 def known_rate(recording: Recording, rates: Iterable[float], device: str, rounded_hz: float = 0.0) -> float:
-    """Return the device's rate nearest to the recording's, which may differ by `rounded_hz`.
-
-    Raises:
-        UsageError: it has no such rate; the hint names the nearest one.
-    """
+    """Return the device's rate nearest to the recording's; raises UsageError if not within `rounded_hz`."""
     rate_hz = recording.rate_hz
     nearest = min(rates, key=lambda rate: abs(rate - rate_hz))
     if abs(nearest - rate_hz) > rounded_hz:
@@ -93,29 +76,17 @@ def known_rate(recording: Recording, rates: Iterable[float], device: str, rounde
 
 
 def known_scale(recording: Recording, scales: Collection[tuple[float, float]], device: str) -> None:
-    """Refuse counts per g and a range that the device does not have.
-
-    Args:
-        scales: the device's pairs of counts per g and range [g].
-
-    Raises:
-        UsageError: it has no such pair; the hint names them.
-    """
+    """Raise UsageError unless the recording's counts per g and range [g] are a pair of the device's."""
     if any((recording.lsb_per_g, recording.range_g) == scale for scale in scales):
         return
     known = " or ".join(f"--lsb-per-g {lsb_per_g:g} --range-g {range_g:g}" for lsb_per_g, range_g in scales)
     over = "an unknown range" if recording.range_g is None else f"+-{recording.range_g:g} g"
-    raise UsageError(
-        f"{device} does not record {recording.lsb_per_g:g} counts per g over {over}", hint=f"use {known}"
-    )
+    what = f"{device} does not record {recording.lsb_per_g:g} counts per g over {over}"
+    raise UsageError(what, hint=f"use {known}")
 
 
 def start_us(path: Path, recording: Recording) -> int:
-    """Return the time of the first sample [us since 1970].
-
-    Raises:
-        OutputError: it is unknown, for which a vendor's file has no mark.
-    """
+    """Return the time of the first sample [us since 1970]; raises OutputError if it is unknown."""
     if recording.start_us is None:
         raise OutputError("the recording has no start time", path=path, hint=OTHER_FORMAT)
     return recording.start_us
@@ -139,15 +110,10 @@ def remark(device: Device) -> str:
 
 @contextmanager
 def new_file(path: Path) -> Iterator[BinaryIO]:
-    """Open a file to be written from its beginning.
-
-    Raises:
-        OutputError: it cannot be opened or written.
-    """
+    """Open a file to be written from its beginning; raises OutputError if that, or the writing, fails."""
     try:
         with path.open("wb") as file:
             yield file
     except OSError as error:
-        raise OutputError(
-            f"cannot be written ({error.strerror or error})", path=path, hint="check the disk"
-        ) from error
+        what = f"cannot be written ({error.strerror or error})"
+        raise OutputError(what, path=path, hint="check the disk") from error

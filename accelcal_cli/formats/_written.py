@@ -65,8 +65,7 @@ class Written:
     def read(self, cells: Any) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return texts (n,), an array of Arrow, as times (n,) [us], and the rows of those not written so.
 
-        Returns:
-            NO_TIME where a text is empty or not written so, IMPOSSIBLE for times that do not exist.
+        NO_TIME stands where a text is empty or not written so, IMPOSSIBLE for times that do not exist.
         """
         import pyarrow.compute as pc  # takes a tenth of a second, and most files need none of it
 
@@ -85,7 +84,9 @@ class Written:
         names = [field.name for field in found.type]
         parts = {name: pc.fill_null(pc.struct_field(found, name), "") for name in names}
         h, m, s = (_whole(pc, parts.get(name), len(found)) for name in "hms")
-        ns = _whole(pc, _padded(pc, parts.get("f")), len(found))
+        decimals = parts.get("f")
+        padded = None if decimals is None else pc.utf8_slice_codeunits(pc.utf8_rpad(decimals, 9, "0"), 0, 9)
+        ns = _whole(pc, padded, len(found))
         around = [parts[name] for name in names if name not in ("h", "m", "s", "f")]
         days, shift, late = self._days(pc, around, len(found))
         halves = late >= 0
@@ -132,9 +133,8 @@ class Written:
         dated = any(one[1] in "dmyYjGV" for one, _ in pairs)
         offset = read.utcoffset()
         half = read.hour >= 12 if "%p" in self.directives else None
-        return Surroundings(
-            dated, read.date(), None if offset is None else round(offset.total_seconds()), half
-        )
+        offset_s = None if offset is None else round(offset.total_seconds())
+        return Surroundings(dated, read.date(), offset_s, half)
 
     def cell(self, text: str) -> Surroundings | None:
         """Return what stands around the time of day of one cell; None if it is written otherwise."""
@@ -160,23 +160,13 @@ def _whole(pc: Any, texts: Any, rows: int) -> NDArray[np.int64]:
     if texts is None:
         return np.zeros(rows, np.int64)
     filled = pc.if_else(pc.equal(texts, ""), "0", texts)
-    numbers: NDArray[np.int64] = np.from_dlpack(pc.cast(filled, pa.int64())).astype(np.int64, copy=False)
-    return numbers
-
-
-def _padded(pc: Any, texts: Any) -> Any:
-    """Return decimals as whole nanoseconds."""
-    return None if texts is None else pc.utf8_slice_codeunits(pc.utf8_rpad(texts, 9, "0"), 0, 9)
+    return np.from_dlpack(pc.cast(filled, pa.int64())).astype(np.int64, copy=False)
 
 
 def written_form(cells: Sequence[str], order: str | None = None) -> Written | None:
     """Return how cells are written, at least one; None if not all of them are times of one form."""
-    for shape in SHAPES:
-        form = Written(shape.pattern, order)
-        found = [form.cell(cell) for cell in cells]
-        if all(one is not None for one in found):
-            return form
-    return None
+    forms = (Written(shape.pattern, order) for shape in SHAPES)
+    return next((form for form in forms if all(form.cell(cell) is not None for cell in cells)), None)
 
 
 def digits_alone() -> Written:

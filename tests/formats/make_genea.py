@@ -15,10 +15,7 @@ UNIT = 8192 * 340
 
 
 def header(
-    rate: str = "80Hz",
-    gains: str = "10880 10880 10880",
-    offsets: str = "0 0 0",
-    lines: tuple[str, ...] = (),
+    rate: str = "80Hz", gains: str = "10880 10880 10880", offsets: str = "0 0 0", lines: tuple[str, ...] = ()
 ) -> bytes:
     text = (
         "GENEA/1.00",

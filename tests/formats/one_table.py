@@ -167,16 +167,10 @@ def rates_and_numbers() -> Iterator[Table]:
     yield timed("whole mg, named", three("% [mg]", "whole mg"), says_lsb_per_g=1000.0)
     yield timed("whole mg, no unit", three("*", "whole mg"), says_lsb_per_g=1000.0)
     yield timed("counts with their scale", three("*", "counts"), lsb_per_g=256.0, says_lsb_per_g=256.0)
-    yield timed(
-        "counts without a scale",
-        three("*", "counts"),
-        refused=r"\(256 would fit",
-    )
+    yield timed("counts without a scale", three("*", "counts"), refused=r"\(256 would fit")
     yield timed("counts above zero", three("*", "ten bits"), lsb_per_g=102.0, says_lsb_per_g=102.0)
     yield timed(
-        "counts above zero without a scale",
-        three("*", "ten bits"),
-        refused="-R zero=512 --lsb-per-g",
+        "counts above zero without a scale", three("*", "ten bits"), refused="-R zero=512 --lsb-per-g"
     )
     yield timed(
         "averages of counts", three("*", on_grid(G * 256, 4)), lsb_per_g=256.0, says_lsb_per_g=2.0**24
@@ -226,12 +220,7 @@ def gaps_and_clocks() -> Iterator[Table]:
         "rows without values before a gap", {"time": jumping(10_000)}, three("*", changed(G, lost, np.nan))
     )
     yield timed("no values at first", three("*", changed(G, slice(0, 100), np.nan)))
-    yield timed(
-        "no values that can be",
-        three("*", G + 500),
-        unit="g",
-        refused="usable values|none of its",
-    )
+    yield timed("no values that can be", three("*", G + 500), unit="g", refused="usable values|none of its")
     own = np.arange(ROWS) % 3 == 0
     own[600:1200] = False
     shared = three("*", np.where(own[:, np.newaxis], G, np.nan))
@@ -258,10 +247,7 @@ def gaps_and_clocks() -> Iterator[Table]:
     )
     yield table("counter of 16 bits", {"ms": (40_000 + 20 * np.arange(ROWS)) % 65_536}, xyz)
     yield table(
-        "newest row first",
-        {"time": millis()[::-1]},
-        three("*", G[::-1]),
-        refused="rate cannot be found",
+        "newest row first", {"time": millis()[::-1]}, three("*", G[::-1]), refused="rate cannot be found"
     )
 
 
@@ -478,12 +464,7 @@ def options() -> Iterator[Table]:
     form = {"time": written("{d}|{m}|{y} {H}")}
     yield table("-R time_format of letters", form, xyz, time_format="%d|%m|%Y %H:%M:%S.%f")
     yield table("--date-format mdy", {"time": written("{m}/{d}/{y} {H}")}, xyz, date_format="mdy")
-    yield table(
-        "no --date-format",
-        {"time": written("{d}/{m}/{y} {H}")},
-        xyz,
-        refused="dmy or mdy",
-    )
+    yield table("no --date-format", {"time": written("{d}/{m}/{y} {H}")}, xyz, refused="dmy or mdy")
     yield timed("--gyro-unit deg/s", acc, gyro, gyro_unit="deg/s", says_gyro_dps_per_lsb=(2.0**-16,) * 3)
     yield timed("--gyro-unit rad/s", acc, gyro, gyro_unit="rad/s")
     yield timed("--gyro-unit none", acc, gyro, gyro_unit="none", says_gyro_dps_per_lsb=None)

@@ -164,9 +164,7 @@ def test_damage_ends_a_stream_at_the_same_byte_however_it_is_fed() -> None:
 # --- the same with both libraries
 
 
-def test_every_truncation_and_mutants_of_gzip_are_the_same(
-    both: Both,
-) -> None:
+def test_every_truncation_and_mutants_of_gzip_are_the_same(both: Both) -> None:
     packed = member(MIXED) + bytes(40) + member(TEXT)
     for size in range(len(packed) + 1):
         both(lambda size=size: taken(packed[:size]))

@@ -21,13 +21,7 @@ from tests.recordings import directions, still_counts, write_csv
 HALF = 6000
 """Rows in the first half."""
 
-ANNOUNCED = {
-    "edf": 332 / 50,
-    "geneactiv": 3840 / 300,
-    "gt3x": 58_825 / 12_000,
-    "parmay": 6,
-    "wav": 8,
-}
+ANNOUNCED = {"edf": 332 / 50, "geneactiv": 3840 / 300, "gt3x": 58_825 / 12_000, "parmay": 6, "wav": 8}
 """Bytes of a row (of the unpacked file) in formats whose header says how much they hold."""
 
 SILENT = ("csv", "cwa", "flash", "genea", "raw", "unisens")

@@ -73,30 +73,17 @@ class Scanner(Protocol[AnyBlock_co]):
     """Finds the pages in consecutive bytes of a file, which come in stretches of any length."""
 
     def feed(self, data: bytes, *, last: bool) -> AnyBlock_co:
-        """Return the pages that can be seen whole with the next bytes; there may be none.
-
-        Args:
-            last: nothing follows.
-        """
+        """Return the pages, if any, that can be seen whole with the next bytes, perhaps the last."""
 
 
 class Cutter(Generic[AnyBlock]):
-    """Cuts the bytes from one page of a file on, which come piece by piece, into blocks.
-
-    Args:
-        start_byte, position: where the page begins, and its number.
-    """
+    """Cuts the bytes from the page at `start_byte` on, which come piece by piece, into blocks."""
 
     def __init__(self, scanner: Scanner[AnyBlock], start_byte: int, position: int = 0) -> None:
         self._scanner, self._end, self._position = scanner, start_byte, position
 
     def cut(self, data: bytes, end_byte: int, *, last: bool) -> AnyBlock:
-        """Return the pages that end in the next bytes; there may be none.
-
-        Args:
-            end_byte: how far into the file on disk these bytes reach.
-            last: nothing follows.
-        """
+        """Return the pages that end in the next bytes, which reach to `end_byte` of the file on disk."""
         block = self._scanner.feed(data, last=last)
         self._end += len(data)
         block.first_position, block.end, block.end_byte = self._position, self._end, end_byte
@@ -132,12 +119,8 @@ class PageFile(Generic[AnyBlock]):
     def blocks(self, amount: int, first_position: int = 0, *, threads: int = 1) -> Generator[AnyBlock]:
         """Yield the pages from a position on, `amount` bytes at a time; the last block may be empty.
 
-        Args:
-            first_position: only pages of one length can be entered after the first one.
-            threads: how many threads may work at a time on a gzip file.
-
-        Raises:
-            UnreadableError: the disk fails, or a gzip file without checksums of its own is damaged inside.
+        Only pages of one length can be entered after the first one. Raises UnreadableError if the disk fails,
+        or a gzip file without checksums of its own is damaged inside.
         """
         start = self.start_byte + first_position * self.page_bytes
         cutter, last = Cutter(self.scanner(start), start, first_position), False
@@ -165,13 +148,7 @@ class PageFile(Generic[AnyBlock]):
 
 @dataclass(slots=True, kw_only=True)
 class RawBlock(Block):
-    """Consecutive pages of one length.
-
-    Attributes:
-        pages: (p, page_bytes).
-        start_byte: where the first of them begins.
-        tail: bytes of an incomplete page after these; only in the last block.
-    """
+    """Consecutive pages (p, page_bytes), from a byte on, and the incomplete page after the last of a file."""
 
     pages: NDArray[np.uint8]
     start_byte: int
@@ -186,8 +163,7 @@ class RawBlock(Block):
 
     def length(self, position: int, pages: int) -> int:
         """See Block."""
-        page_bytes: int = self.pages.shape[1]
-        return pages * page_bytes
+        return pages * int(self.pages.shape[1])
 
 
 class RawScanner:
@@ -212,15 +188,10 @@ class PagedFile(PageFile[RawBlock]):
 
     @classmethod
     def at(cls, path: Path, start_byte: int, page_bytes: int, *, proved: bool = True) -> Self:
-        """Look at a file's size and compression.
-
-        Raises:
-            UnreadableError: it cannot be read.
-        """
-        scanner = partial(RawScanner, page_bytes)
+        """Look at a file's size and compression; raises UnreadableError if it cannot be read."""
         with ByteSource(path) as source:
             size, compressed = source.file_bytes, source.compressed
-        return cls(path, start_byte, page_bytes, size, compressed, scanner, proved)
+        return cls(path, start_byte, page_bytes, size, compressed, partial(RawScanner, page_bytes), proved)
 
     @property
     def whole_pages(self) -> int:

@@ -90,8 +90,7 @@ class PageBlock:
         """Return the number of marked rows of each page, (p,)."""
         if marks is None or not marks.any():
             return np.zeros(len(self), np.int64)
-        starts = np.cumsum(self.rows) - self.rows
-        return np.add.reduceat(marks, starts, dtype=np.int64)
+        return np.add.reduceat(marks, np.cumsum(self.rows) - self.rows, dtype=np.int64)
 
     def followed_by(self, second: PageBlock) -> PageBlock:
         """Return the pages of both blocks, in order."""
@@ -99,10 +98,6 @@ class PageBlock:
             return second if len(second) else self
         channels = joined_channels((self.channels, second.channels))
         return PageBlock(**joined_columns((self, second), PER_PAGE + PER_ROW), channels=channels)
-
-    def without_rows(self) -> PageBlock:
-        """Return the columns of the pages alone."""
-        return PageBlock(**cut_columns(self, PER_PAGE, slice(None)), counts=self.counts[:0])
 
     def chosen(self, pages: slice | NDArray[np.bool_], rows: slice | NDArray[np.bool_]) -> PageBlock:
         """Return some pages and the rows that they hold."""
@@ -120,10 +115,8 @@ class PageBlock:
 class Decoded:
     """A block of the file after decoding: its valid pages and the others.
 
-    Attributes:
-        leftover: bytes at the end that fill no page or frame; None if the decoder itself reports what is
-            missing there.
-        unused_end: the frames before these bytes were never written.
+    Bytes may be left over at the end, perhaps after frames that were never written; None if the decoder
+    itself reports what is missing there.
     """
 
     block: PageBlock
@@ -133,22 +126,13 @@ class Decoded:
 
 
 def bad_runs(status: NDArray[np.uint8], first_position: int) -> list[BadRun]:
-    """Return the runs of equal pages that are not GOOD.
-
-    Args:
-        status: (p,) of GOOD and the keys of BAD_KINDS.
-    """
+    """Return the runs of equal pages that are not GOOD, by the status of each, (p,)."""
     if (status == GOOD).all():
         return []
     starts = np.flatnonzero(np.diff(status, prepend=status[0] + 1))
     lengths = np.diff(starts, append=len(status))
-    return [
-        BadRun(first_position + start, length, kind)
-        for start, length, kind in zip(
-            starts.tolist(), lengths.tolist(), status[starts].tolist(), strict=True
-        )
-        if kind != GOOD
-    ]
+    runs = zip(starts.tolist(), lengths.tolist(), status[starts].tolist(), strict=True)
+    return [BadRun(first_position + start, length, kind) for start, length, kind in runs if kind != GOOD]
 
 
 def erased_pages(pages: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -160,34 +144,19 @@ def erased_pages(pages: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def crc32_pages(pages: NDArray[np.uint8], start: int, stop: int) -> NDArray[np.uint32]:
-    """Return the CRC-32 (IEEE 802.3, as in zlib) of bytes start..stop-1 of each page.
-
-    Args:
-        pages: (p, page_bytes), rows contiguous.
-
-    Returns:
-        (p,) checksums.
-    """
+    """Return the CRC-32 (IEEE 802.3, as in zlib) of bytes start..stop-1 of pages (p, page_bytes), (p,)."""
     if not len(pages):
         return np.empty(0, np.uint32)
     view = np.ascontiguousarray(pages).data.cast("B")
-    size = pages.shape[1]
-    return np.array(
-        [zlib.crc32(view[page + start : page + stop]) for page in range(0, len(view), size)], dtype=np.uint32
-    )
+    begins = range(0, len(view), pages.shape[1])
+    return np.array([zlib.crc32(view[page + start : page + stop]) for page in begins], dtype=np.uint32)
 
 
 def crc16_pages(pages: NDArray[np.uint8], start: int, stop: int) -> NDArray[np.uint16]:
-    """Return the CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF, not reflected) of each page's bytes.
+    """Return the CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF, not reflected) of pages' bytes, (p,).
 
     A CRC is linear over GF(2): the checksum of a page is the XOR of what each byte alone contributes, so one
     table row for each position lets all pages go through together.
-
-    Args:
-        pages: (p, page_bytes).
-
-    Returns:
-        (p,) checksums.
     """
     table, start_part = crc16_positions(stop - start)
     total = np.full(len(pages), start_part, np.uint16)
@@ -200,15 +169,11 @@ def crc16_pages(pages: NDArray[np.uint8], start: int, stop: int) -> NDArray[np.u
 @cache
 def crc16_positions(length: int) -> tuple[NDArray[np.uint16], int]:
     """Return what byte value v at position i of `length` adds, table[i, v], and what the start value adds."""
-    one = crc16_table()
-    table = np.empty((length, 256), np.uint16)
-    here = one
+    table, here = np.empty((length, 256), np.uint16), crc16_table()
+    state = np.array([CRC16_START], np.uint16)
     for position in range(length - 1, -1, -1):
         table[position] = here
-        here = shift_byte(here)
-    state = np.array([CRC16_START], np.uint16)
-    for _ in range(length):
-        state = shift_byte(state)
+        here, state = shift_byte(here), shift_byte(state)
     return table, int(state[0])
 
 
@@ -223,5 +188,4 @@ def crc16_table() -> NDArray[np.uint16]:
     state = np.arange(256, dtype=np.uint32) << 8
     for _ in range(8):
         state = (state << 1) ^ np.where(state & 0x8000, CRC16_POLYNOMIAL, 0).astype(np.uint32)
-    table: NDArray[np.uint16] = (state & 0xFFFF).astype(np.uint16)
-    return table
+    return np.asarray((state & 0xFFFF).astype(np.uint16))

@@ -30,7 +30,7 @@ from accelcal_cli.formats._pages.files import (
 from accelcal_cli.formats._pages.pages import BAD_KINDS, DAMAGED, ERASED, BadRun, Decoded, PageBlock
 from accelcal_cli.formats._pages.timeline import NO_SPANS, Findings, PageTimeline, Spacing, Timeline, steps
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog
-from accelcal_cli.formats._rows import MISSING, HeldChannels, RowFilter, missing_kind
+from accelcal_cli.formats._rows import MISSING, HeldChannels, RowFilter, first_values, missing_kind
 
 FAULTY_ROWS = "missing_value", "samples without a usable value, left out"
 BLANK_BYTES = 16
@@ -38,14 +38,8 @@ BLANK_BYTES = 16
 
 BROKEN_OFF = "the compressed data is damaged or ends early"
 
-LAST_PAGES = 64
-"""Pages before the end of the data among which the last valid page is looked for."""
-
-FIRST_ROWS = 1 << 16
-"""Rows that are decoded at a time until a page is valid."""
-
-START_SAMPLES = 8192
-"""Samples that are read at a time until the first one has its time."""
+LAST_PAGES, FIRST_ROWS, START_SAMPLES = 64, 1 << 16, 8192
+"""Pages at the end of the data, rows, and samples that are read at a time in search of a valid one."""
 
 
 class PageEvents:
@@ -74,12 +68,9 @@ class PageEvents:
     def bad_pages(
         self, position: NDArray[np.int64], rows: NDArray[np.int64], bad: list[BadRun], rows_in: int
     ) -> Iterator[Event]:
-        """Report unusable pages; erased ones only once anything else follows them.
+        """Report unusable pages among valid ones (p,) with these usable rows, the first being `rows_in`.
 
-        Args:
-            position, rows: (p,) of the valid pages among them, and their usable rows.
-            bad: the unusable ones.
-            rows_in: number of the first row.
+        Erased ones are reported only once anything else follows them.
         """
         waiting, self._erased = [] if self._erased is None else [self._erased], None
         if not bad and not waiting:
@@ -131,20 +122,15 @@ class PageEvents:
                 yield replace(event, amount_us=int(column[page]))
 
     def ending(self, leftover: bytes, rows_in: int, *, unused: bool) -> Iterator[Event]:
-        """Report an incomplete page or frame at the end, unless it is erased flash.
-
-        Args:
-            unused: the frames before these bytes were never written.
-        """
+        """Report an incomplete page or frame at the end, unless it is erased flash like `unused` frames."""
         blank = len(leftover) >= BLANK_BYTES or self._erased is not None or unused
         block = self.block
         if not block.broken and is_erased(leftover) and (blank or not leftover):
             return
         cut_off = f"an incomplete {self.unit}"
         where = f"{BROKEN_OFF}; {cut_off}" if block.broken else f"{cut_off} at the end of the file"
-        text = f"{where}, bytes left out"
-        offset = block.end - len(leftover)
-        event = Event(block.next_position, 1, "truncated", text, offset, rows_in, len(leftover))
+        kind, offset = ("truncated", f"{where}, bytes left out"), block.end - len(leftover)
+        event = Event(block.next_position, 1, *kind, offset, rows_in, len(leftover))
         yield replace(event, lost_bytes=len(leftover) + block.undecoded)
 
 
@@ -175,9 +161,7 @@ class Waiting(NamedTuple):
 class Assembler(Generic[AnyBlock]):
     """Takes the blocks of a file in order; gives a chunk for each as soon as all of its times are known.
 
-    Args:
-        sample: number of the first row.
-        whole: the blocks are a whole file, and not a piece that is read as a recording of its own.
+    They are a `whole` file, or a piece that is read as a recording of its own, from row `sample` on.
     """
 
     def __init__(self, scheme: PageScheme[AnyBlock], sample: int, *, whole: bool) -> None:
@@ -187,19 +171,16 @@ class Assembler(Generic[AnyBlock]):
         channels = [name for name, value in scheme.first_values.items() if value is not None]
         self._events = scheme.events(self._row_bytes, channels)
         self._log = ProblemLog(scheme.problems if whole else ())
-        self._channels = HeldChannels(scheme.first_values)
-        self._filter = RowFilter()
+        self._channels, self._filter = HeldChannels(scheme.first_values), RowFilter()
         self._problems: tuple[Problem, ...] = ()
         self._waiting: deque[Waiting] = deque()
-        self._spans = NO_SPANS
-        self._unused_end = False
+        self._spans, self._unused_end = NO_SPANS, False
         self._rows_in = self._rows_out = sample
 
     def feed(self, block: AnyBlock) -> Iterator[Chunk]:
         """Add a block; the last one releases everything. Problems go with the next chunk."""
         self._events.block = block
-        decoded = self._decoder.decode(block)
-        self._add(decoded, block)
+        self._add(decoded := self._decoder.decode(block), block)
         self._problems += self._log.take(None if block.last else block.next_position)
         while self._waiting and len(self._waiting[0].block) <= len(self._spans):
             chunk = self._chunk(self._waiting.popleft())
@@ -305,10 +286,9 @@ class PageIntake(Intake, Generic[AnyBlock]):
     """Takes a file of pages as it grows."""
 
     def __init__(self, scheme: PageScheme[AnyBlock]) -> None:
-        file = scheme.file
-        self._cutter = Cutter(file.scanner(file.start_byte), file.start_byte)
-        self._assembler = scheme.assembler()
-        self._skip, self._taken = scheme.file.start_byte, 0
+        start = scheme.file.start_byte
+        self._cutter, self._assembler = Cutter(scheme.file.scanner(start), start), scheme.assembler()
+        self._skip, self._taken = start, 0
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
         """See `Intake`."""
@@ -324,8 +304,7 @@ class PagedReader(Reader, Generic[AnyBlock]):
     """Streams the pages of a file; each call of `chunks` reads it from its beginning."""
 
     def __init__(self, recording: Recording, scheme: PageScheme[AnyBlock]) -> None:
-        self.recording = recording
-        self._scheme = scheme
+        self.recording, self._scheme = recording, scheme
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, whole pages, at least one."""
@@ -359,6 +338,21 @@ class FixedPages(PageScheme[RawBlock]):
             if len(block) and (block.faulty is None or not block.faulty.all()):
                 return block
         return None
+
+    def reader(
+        self, opening: PageBlock, about: Recording, problems: Iterable[Problem], *, dated: bool
+    ) -> PagedReader[RawBlock]:
+        """Return the reader of a recording, completed by its first valid pages; times may have no date."""
+        samples, duration_s = self.extent(opening)
+        values = first_values(opening.channels)
+        about = replace(
+            about,
+            start_us=self.timeline().start(opening) if dated else None,
+            samples=samples,
+            duration_s=duration_s,
+            has_temperature=values.get("temperature_mc") is not None,
+        )
+        return PagedReader(about, replace(self, first_values=values, problems=tuple(problems)))
 
     def extent(self, opening: PageBlock) -> tuple[int | None, float | None]:
         """Return samples and seconds, by the first valid page and the last; None if these do not show it.

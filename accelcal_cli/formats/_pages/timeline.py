@@ -25,28 +25,16 @@ SEQUENCE_BACK = "sequence_back", "pages whose sequence number does not rise"
 CLOCK_AHEAD = "clock_gap", "jumps of the device clock ahead"
 CLOCK_BACK = "clock_back", "jumps of the device clock back"
 
-RATE_TOLERANCE = 0.1
-"""Share by which a page may last longer or shorter; sensors run up to 6 % off their nominal rate."""
+RATE_TOLERANCE, STAMP_TOLERANCE_SAMPLES = 0.1, 1.5
+"""Share, and sample intervals in addition, by which a page may last longer or shorter (sensors: 6 % off)."""
 
-STAMP_TOLERANCE_SAMPLES = 1.5
-"""Sample intervals by which a stamp may be early or late in addition."""
-
-LONGEST_GAP_S = 365 * 86_400
-"""Longest jump [s] of a sequence number; a longer one is a new numbering."""
-
-LATEST_US = 1 << 61
-"""Latest time [us] of a page, far enough from the limit of 64 bits to add to."""
+LONGEST_GAP_S, LATEST_US = 365 * 86_400, 1 << 61
+"""Longest jump [s] of a sequence number that is not a new numbering, and latest time [us] of a page."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spacing:
-    """Rate and size of a recording's pages.
-
-    Attributes:
-        rate: samples per second.
-        rows: samples in a full page.
-        sequence_bits: width of the sequence number, after which it starts from 0 again.
-    """
+    """Rate, samples of a full page, and bits of the sequence number, which starts from 0 again."""
 
     rate: Fraction
     rows: int
@@ -59,12 +47,9 @@ class Spacing:
 
 @dataclass(frozen=True, slots=True)
 class PageSteps:
-    """Steps from each page to the next, (m - 1,).
+    """Steps from each page to the next, (m - 1,): pages, at least 1, by which the recording went on.
 
-    Attributes:
-        pages: number of pages by which the recording went on, at least 1.
-        missing: number of these that are not in the file at all.
-        back: the sequence number did not rise.
+    Some of them are missing in the file, or the sequence number did not rise.
     """
 
     pages: NDArray[np.int64]
@@ -136,12 +121,7 @@ class Findings:
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """The pages of a block on the time axis.
-
-    Attributes:
-        broken: (p,) bool, a page does not continue the one before.
-        spans: of the next pages whose times are settled, which may be earlier ones.
-    """
+    """Pages (p,) that do not continue the one before, and spans of the next ones whose times are settled."""
 
     broken: NDArray[np.bool_]
     spans: Spans
@@ -177,7 +157,7 @@ class PageTimeline:
 
     def feed(self, block: PageBlock, *, last: bool) -> Placed:
         """See Timeline."""
-        before, pages = self._last, block.without_rows()
+        before, pages = self._last, block.chosen(slice(None), slice(0))
         if before is not None:
             pages = before.followed_by(pages)
         if not len(pages):
@@ -186,19 +166,11 @@ class PageTimeline:
         links = self.link(pages, step, self.start(pages) if before is None else self._last_us)
         _, self._last = pages.split(len(pages) - 1)
         self._last_us = int(links.time_us[-1])
-        columns = (
-            {MISSING_PAGES: step.missing, SEQUENCE_BACK: step.back},
-            {
-                CLOCK_AHEAD: links.ahead_us,
-                CLOCK_BACK: links.behind_us,
-            },
-        )
-        first = int(before is None)  # the first page of all follows none
-        counts, times_us = (
-            {kind: np.pad(column, (first, 0)) for kind, column in group.items()} for group in columns
-        )
+        first = int(before is None), 0  # the first page of all follows none
+        counts = {MISSING_PAGES: np.pad(step.missing, first), SEQUENCE_BACK: np.pad(step.back, first)}
+        times_us = {CLOCK_AHEAD: np.pad(links.ahead_us, first), CLOCK_BACK: np.pad(links.behind_us, first)}
         settled, _ = self._spread(pages, links).split(len(pages) - (not last))
-        return Placed(np.pad(links.broken, (first, 0)), settled, Findings(counts, times_us))
+        return Placed(np.pad(links.broken, first), settled, Findings(counts, times_us))
 
     def _spread(self, pages: PageBlock, links: PageLinks) -> Spans:
         """Spread each page up to the next, or at the nominal rate where no next one limits it."""
@@ -225,8 +197,7 @@ class NominalTimeline(PageTimeline):
 
     def __init__(self, spacing: Spacing, origin_us: int) -> None:
         super().__init__(spacing)
-        self._origin_us = origin_us
-        self._slot = 0
+        self._origin_us, self._slot = origin_us, 0
         self._latest = int(LATEST_US // MICROSECONDS * spacing.rate / spacing.rows)
 
     def start(self, block: PageBlock) -> int:
@@ -236,8 +207,7 @@ class NominalTimeline(PageTimeline):
 
     def link(self, block: PageBlock, step: PageSteps, start_us: int) -> PageLinks:
         """Count pages, by sequence number where there is one."""
-        slots = self._slot + np.cumsum(np.concatenate(([0], step.pages)))
-        slots = np.minimum(slots, self._latest)
+        slots = np.minimum(self._slot + np.cumsum(np.append(0, step.pages)), self._latest)
         self._slot = int(slots[-1])
         time_us = np.array(self._times(slots.tolist()), np.int64)
         short = block.rows[:-1] < self._spacing.rows
@@ -247,8 +217,7 @@ class NominalTimeline(PageTimeline):
 
     def _times(self, slots: list[int]) -> list[int]:
         samples_per_s = self._spacing.rate.numerator
-        step = self._spacing.rows * MICROSECONDS * self._spacing.rate.denominator
-        half = samples_per_s // 2
+        step, half = self._spacing.rows * MICROSECONDS * self._spacing.rate.denominator, samples_per_s // 2
         return [self._origin_us + (slot * step + half) // samples_per_s for slot in slots]
 
 
@@ -283,25 +252,6 @@ def tolerance_us(expected_us: NDArray[np.float64], spacing: Spacing) -> NDArray[
     return RATE_TOLERANCE * expected_us + STAMP_TOLERANCE_SAMPLES * float(spacing.rows_us(1))
 
 
-@dataclass(frozen=True, slots=True)
-class _Next:
-    """A page and its distance from the one before.
-
-    Attributes:
-        stamp: the page's stamp [us].
-        rows: samples of the page before.
-        advance: these samples and those of lost pages between.
-        apart: the page does not continue the one before.
-        limit: misfit beyond which the clock has jumped [us].
-    """
-
-    stamp: int
-    rows: int
-    advance: int
-    apart: bool
-    limit: float
-
-
 class CoarseTimeline(PageTimeline):
     """Pages whose stamps are coarser than a sample, such as whole seconds.
 
@@ -315,9 +265,7 @@ class CoarseTimeline(PageTimeline):
     def __init__(self, spacing: Spacing, unit_us: int) -> None:
         super().__init__(spacing)
         self._unit_us = unit_us
-        self._anchor_us = 0
-        self._rows = 0
-        self._ahead_us = self._behind_us = 0
+        self._anchor_us = self._rows = self._ahead_us = self._behind_us = 0
 
     def start(self, block: PageBlock) -> int:
         """Return the first stamp."""
@@ -336,7 +284,7 @@ class CoarseTimeline(PageTimeline):
         columns = (stamps(block)[1:], before, advance, apart, limit)
         rest = zip(*(column[done:].tolist() for column in columns), strict=True)
         for page, known in enumerate(rest, done):
-            time_us[page + 1] = self._follow(int(time_us[page]), _Next(*known))
+            time_us[page + 1] = self._follow(int(time_us[page]), *known)
             ahead_us[page], behind_us[page] = self._ahead_us, self._behind_us
         return PageLinks(time_us, apart | (ahead_us > 0) | (behind_us > 0), ahead_us, behind_us)
 
@@ -360,19 +308,26 @@ class CoarseTimeline(PageTimeline):
         self._rows += int(rows[count - 1]) if count else 0
         return count
 
-    def _follow(self, before_us: int, page: _Next) -> int:
-        """Return the time of a page after one at `before_us`, and note a jump of the clock."""
-        end_us = before_us + self._nominal(page.rows)
-        self._rows += page.advance
-        late = self._misfit(page.stamp, self._predicted())
-        gap = page.advance > page.rows
-        early = -(self._misfit(page.stamp, end_us) if gap else late)
-        if abs(late) > page.limit or (page.apart and late):
-            self._anchor(page.stamp if early > page.limit else max(page.stamp, end_us))
+    def _follow(self, before_us: int, stamp: int, rows: int, advance: int, apart: bool, limit: float) -> int:
+        """Return the time of a page with this stamp after one at `before_us`, and note a jump of the clock.
+
+        Args:
+            rows: samples of the page before.
+            advance: these samples and those of lost pages between.
+            apart: the page does not continue the one before.
+            limit: misfit beyond which the clock has jumped [us].
+        """
+        end_us = before_us + self._nominal(rows)
+        self._rows += advance
+        late = self._misfit(stamp, self._predicted())
+        gap = advance > rows
+        early = -(self._misfit(stamp, end_us) if gap else late)
+        if abs(late) > limit or (apart and late):
+            self._anchor(stamp if early > limit else max(stamp, end_us))
         elif late:
-            self._anchor(max(self._predicted() + late, before_us + self._nominal(page.rows) // 2))
-        self._ahead_us = late if late > page.limit and not gap else 0
-        self._behind_us = early if early > page.limit else 0
+            self._anchor(max(self._predicted() + late, before_us + self._nominal(rows) // 2))
+        self._ahead_us = late if late > limit and not gap else 0
+        self._behind_us = early if early > limit else 0
         return self._predicted()
 
     def _anchor(self, time_us: int) -> None:

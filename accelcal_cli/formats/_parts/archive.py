@@ -30,17 +30,13 @@ LONGEST_NAME = 200
 MOST_BYTES, MOST_TIMES = 1 << 30, 250
 """Bytes that any archive may unpack to, and further ones for each byte of its own."""
 
-LOOKED_BYTES = 1 << 24
-"""Unpacked bytes, and bytes of a zip file's directory, in which names are looked for."""
+MORE_SPACE = "set TMPDIR to a disk with more space"
 
-MOST_EMPTY = 100
-"""Members without bytes that are unpacked; the others are counted."""
+LOOKED_BYTES, MOST_EMPTY = 1 << 24, 100
+"""Bytes in which names are looked for, and members without bytes that are unpacked."""
 
-META = "meta"
-"""The one folder within a folder that stays there."""
-
-FREE_SHARE = 0.05
-"""Share of the disk of temporary files that stays free."""
+META, FREE_SHARE = "meta", 0.05
+"""The one folder within a folder that stays there; share of the disk of temporary files that stays free."""
 
 
 @dataclass(slots=True)
@@ -72,11 +68,7 @@ class PartFiles:
 
 
 def is_archive(path: Path) -> bool:
-    """Return True for a tar or zip file, by its first bytes; False for a damaged one.
-
-    Raises:
-        UnreadableError: the disk fails.
-    """
+    """Return True for a tar or zip file, by its first bytes; False for a damaged one."""
     try:
         with unpacking(path) as file:
             head = file.read(TAR_MAGIC_AT + len(TAR_MAGIC))
@@ -96,16 +88,11 @@ def first_names(path: Path, number: int) -> Iterator[str]:
 
 
 def unpack(path: Path, folder: Path, wanted: Callable[[str], bool], threads: int = 1) -> PartFiles:
-    """Unpack members into a folder.
-
-    Args:
-        wanted: takes a member's name; only members for which it returns True are unpacked.
-        threads: how many may work at a time; one of its own unpacks what another writes.
+    """Unpack the members whose names are `wanted` into a folder; one thread may unpack what another writes.
 
     Raises:
         OutputError: there is no room for them.
-        UnreadableError: nothing can be unpacked, more than any recording has, or it is encrypted or packed
-            in an unusual way.
+        UnreadableError: nothing can be unpacked, or more than any recording has, or in an unusual way.
     """
     files, found = _Files(folder), members(path, Allowance(path, MOST_BYTES, MOST_TIMES), wanted)
     unpacked = PartFiles(files.whole, folder=folder)
@@ -121,24 +108,19 @@ def unpack(path: Path, folder: Path, wanted: Callable[[str], bool], threads: int
             text = f"damaged archive: nothing can be unpacked ({error})"
             raise UnreadableError(text, path=path, hint="copy it again from its source") from error
         unpacked.damage = f"the archive breaks off after {[*files.whole][-1].name}"
-        unpacked.lost_bytes = files.begun_bytes()
+        unpacked.lost_bytes = files.begun.stat().st_size if files.begun is not None else 0
     unpacked.aside += [counted(files.empty, "empty file")] if files.empty else []
     return unpacked
 
 
 @dataclass(slots=True)
 class _Files:
-    """The files that members become.
-
-    Attributes:
-        whole: those that are complete, with their names in the archive.
-        empty: number of members without bytes beyond the first MOST_EMPTY.
-    """
+    """The files that members become: whole ones, one begun, and a number of empty ones beyond MOST_EMPTY."""
 
     folder: Path
     whole: dict[Path, str] = field(default_factory=dict)
     empty: int = 0
-    _target: Path | None = None
+    begun: Path | None = None
     _without_bytes: int = 0
     _folders: dict[str, Path] = field(default_factory=dict)
     _taken: set[Path] = field(default_factory=set)
@@ -146,25 +128,21 @@ class _Files:
     def take(self, name: str, piece: bytes) -> None:
         """Take the next piece of a member; b"" comes after it."""
         if piece:
-            first, self._target = self._target is None, self._target or self._place(name)
-            _write(self._target, piece, first=first)
+            first, self.begun = self.begun is None, self.begun or self._place(name)
+            _write(self.begun, piece, first=first)
         else:
             self._end(name)
 
-    def begun_bytes(self) -> int:
-        """Return the bytes of a member that is not complete."""
-        return self._target.stat().st_size if self._target is not None else 0
-
     def _end(self, name: str) -> None:
-        if self._target is None:
+        if self.begun is None:
             self._without_bytes += 1
             if self._without_bytes > MOST_EMPTY:
                 self.empty += 1
                 return
-            self._target = self._place(name)
-            _write(self._target, b"", first=True)
-        self.whole[self._target] = name[-LONGEST_NAME:]
-        self._target = None
+            self.begun = self._place(name)
+            _write(self.begun, b"", first=True)
+        self.whole[self.begun] = name[-LONGEST_NAME:]
+        self.begun = None
 
     def _place(self, name: str) -> Path:
         """Return where a member goes: next to others of its folder, unless one there has its name."""
@@ -194,8 +172,5 @@ def _write(target: Path, piece: bytes, *, first: bool) -> None:
                 raise OSError(errno.ENOSPC, f"less than {FREE_SHARE:.0%} of the disk would be left")
             file.write(piece)
     except OSError as error:
-        raise OutputError(
-            f"the archive cannot be unpacked ({error.strerror or error})",
-            path=target.parent.parent,
-            hint="set TMPDIR to a disk with more space",
-        ) from error
+        what = f"the archive cannot be unpacked ({error.strerror or error})"
+        raise OutputError(what, path=target.parent.parent, hint=MORE_SPACE) from error

@@ -33,12 +33,8 @@ from accelcal_cli.formats._bytes import (
     long_sizes,
 )
 
-LZMA_MEMORY = 1 << 27
-"""Most memory for a dictionary of xz; `xz -9` takes half of it."""
-
-
-XZ_BYTES = 1 << 12
-"""Packed bytes that are taken at a time: what follows a stream is copied, and there may be millions."""
+LZMA_MEMORY, XZ_BYTES = 1 << 27, 1 << 12
+"""Most memory for a dictionary of xz, and packed bytes that are taken at a time."""
 
 
 class Xz:
@@ -87,18 +83,11 @@ BROKEN = (
 """Errors from reading a damaged archive."""
 
 COPIED_BYTES = 1 << 20
+SHOWN, MOST_MEMBERS = 100, 100_000
+"""Most characters of a member's name in a message, and most members of any kind."""
 
-SHOWN = 100
-"""Most characters of a member's name in a message."""
-
-MOST_MEMBERS = 100_000
-"""Most members of any kind."""
-
-LARGEST_DIRECTORY = 1 << 24
-"""Most bytes that zipfile reads at once, whatever the archive says."""
-
-LONGEST_HEADER = 1 << 20
-"""Most bytes in a header of a tar file that describes another member."""
+LARGEST_DIRECTORY, LONGEST_HEADER = 1 << 24, 1 << 20
+"""Most bytes of a zip file that are read at once, and of a header that describes another member."""
 
 HEADERS = (
     tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.SOLARIS_XHDTYPE, tarfile.GNUTYPE_LONGNAME,
@@ -299,10 +288,7 @@ def _zip_stream(path: Path, file: BinaryIO, allowance: Allowance, wanted: Wanted
 class _ZipData:
     """The data of one member, whose checksum is compared at its end.
 
-    Attributes:
-        entry: what the directory, or its own header, says of it.
-        follows: its checksum and sizes follow its data, in 12 to 24 bytes (4.3.9).
-        checksum: that of the unpacked bytes; None before they are read.
+    The checksum and sizes of one that `follows` stand after its data, in 12 to 24 bytes (4.3.9).
     """
 
     path: Path
@@ -313,12 +299,7 @@ class _ZipData:
     checksum: int | None = None
 
     def pieces(self) -> Iterator[bytes]:
-        """Yield the unpacked bytes, and stay where the packed ones end, if there are any.
-
-        Raises:
-            UnreadableError: they are packed in a way that is not unpacked, or are too many.
-            zipfile.BadZipFile, EOFError: they are damaged, or end early.
-        """
+        """Yield the unpacked bytes, and stay where the packed ones end, if there are any."""
         self._refuse_packing()
         self.checksum, unpacked = 0, iter([(b"", True)])
         if self.entry.file_size:

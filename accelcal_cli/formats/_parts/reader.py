@@ -46,22 +46,18 @@ from accelcal_cli.formats._parts import archive
 from accelcal_cli.formats._parts.archive import PartFiles
 from accelcal_cli.formats._stamps import GAP_PERIODS
 
-SHORTEST_OVERLAP_S = 1.0
-"""Shortest overlap of parts that is a repetition; a shorter one comes from clocks that do not quite agree."""
+SHORTEST_OVERLAP_S, RATE_AGREEMENT = 1.0, 0.05
+"""Shortest overlap of parts that is a repetition, and the share by which their rates may differ."""
 
-RATE_AGREEMENT = 0.05
-LISTED = 50
-"""Number of problems of a kind that are listed one by one."""
+LISTED, SHOWN = 50, 3
+"""Problems of a kind that are listed one by one, and names that are shown."""
 
 OFFICE = "[Content_Types].xml"
 """First member of an Office Open XML file (ECMA-376)."""
 
 SAVE_AS_CSV = "it is a workbook or document of an office program: save its table as CSV"
-
-SHOWN = 3
 ARCHIVE = "is an archive: unpack it first"
 """Message for an archive in an archive, or in a folder of parts."""
-
 
 Open = Callable[[Path], Reader]
 """Opens one part; raises NoFormatError for a file that is not a recording."""
@@ -88,8 +84,7 @@ def open_parts(
         belongs_to: see `Format`.
 
     Raises:
-        UnreadableError: none of them can be read, they do not say when they begin, or they are not parts of
-            one recording.
+        UnreadableError: none can be read, does not say when it begins, or they are not of one recording.
         UsageError: they are of several devices, or an option contradicts them.
         OutputError: there is no room to unpack an archive.
     """
@@ -100,11 +95,8 @@ def open_parts(
     try:
         folder = new_folder()
     except OSError as error:
-        raise OutputError(
-            f"no temporary folder can be made ({error.strerror or error})",
-            path=error.filename,
-            hint="set TMPDIR to a disk with more space",
-        ) from error
+        what, hint = f"no temporary folder can be made ({error.strerror or error})", archive.MORE_SPACE
+        raise OutputError(what, path=error.filename, hint=hint) from error
     try:
         part_files = archive.unpack(path, folder, lambda name: not is_no_part(Path(name)), threads)
         part_files.joined = joined
@@ -148,12 +140,7 @@ def _without_siblings(part_files: PartFiles, belongs_to: Callable[[Path], Path |
 
 
 class FilesReader(Reader):
-    """Reads a recording of several files, one at a time.
-
-    Args:
-        part_files: the files.
-        open_part: opens one.
-    """
+    """Reads a recording of several files, one at a time."""
 
     _sizes: Sequence[int]
     """Bytes of each file, in the order of reading."""
@@ -181,15 +168,16 @@ class FilesReader(Reader):
 
 
 class PartsReader(FilesReader):
-    """Reads parts in the order of their times.
-
-    Attributes:
-        parts: what the header of each says, in this order.
-    """
+    """Reads `parts` in the order of their times; these are what the header of each says."""
 
     def __init__(self, path: Path, part_files: PartFiles, open_part: Open) -> None:
         super().__init__(part_files, open_part)
         described = self._described(path)
+        undated = [part.path for part in described if part.start_us is None]
+        if undated and len(described) > 1 and part_files.joined:
+            hint = "the parts need times; join them to one file instead, if they follow each other"
+            raise UnreadableError("does not say when it begins", path=undated[0], hint=hint)
+        described.sort(key=lambda part: (part.start_us or 0, part.path.name))
         if not part_files.joined:
             self._refuse_several(path, described)
         self.parts = self._alike(path, described)
@@ -222,33 +210,29 @@ class PartsReader(FilesReader):
                     yield replace(_stripped(chunk, self.recording), end_byte=self._share(number * step, 0))
 
     def _described(self, path: Path) -> list[Recording]:
-        """Return the parts that can be read, by time."""
+        """Return the parts that can be read."""
         parts: list[Recording] = []
         failures: list[tuple[Path, UnreadableError]] = []
         for file in self._part_files.names:
             try:
                 with self._open(file) as reader:
                     parts.append(reader.recording)
-            except UnreadableError as error:
+            except (NoFormatError, NoRecordingError) as error:
                 if isinstance(error, NoFormatError) and archive.is_archive(file):
-                    error = UnreadableError(ARCHIVE, path=file)
-                if isinstance(error, NoFormatError | NoRecordingError):
-                    self._part_files.aside.append(file.name)
+                    failures.append((file, UnreadableError(ARCHIVE, path=file)))
                 else:
-                    failures.append((file, error))
+                    self._part_files.aside.append(file.name)
+            except UnreadableError as error:
+                failures.append((file, error))
+        if not parts and failures:
+            raise failures[0][1]
         if not parts:
-            if failures:
-                raise failures[0][1]
             of_office = is_file(path) and OFFICE in archive.first_names(path, 1)
             damage = "" if self._part_files.damage is None else f"; {self._part_files.damage}"
             text, hint = f"holds no parts of a recording{damage}", SAVE_AS_CSV if of_office else None
             raise UnreadableError(text, path=path, hint=hint)
         self._sort_out(parts, failures)
-        undated = next((part.path for part in parts if part.start_us is None), None)
-        if undated is not None and len(parts) > 1 and self._part_files.joined:
-            hint = "the parts need times; join them to one file instead, if they follow each other"
-            raise UnreadableError("does not say when it begins", path=undated, hint=hint)
-        return sorted(parts, key=lambda part: (part.start_us or 0, part.path.name))
+        return parts
 
     def _sort_out(self, parts: Sequence[Recording], failures: Sequence[tuple[Path, UnreadableError]]) -> None:
         """Report files that cannot be read: damaged parts, or if no part has their suffix other files."""
@@ -277,9 +261,8 @@ class PartsReader(FilesReader):
             in_archive = self._part_files.names if self._part_files.folder is not None else {}
             names = [printable(in_archive.get(file, str(file))) for file in files]
         some = listed(names) if len(names) <= SHOWN else f"{', '.join(names[:SHOWN])} and more"
-        raise UnreadableError(
-            f"holds {len(files) + len(broken)} recordings ({some})", path=path, hint=_unpacking_hint(path)
-        )
+        what = f"holds {len(files) + len(broken)} recordings ({some})"
+        raise UnreadableError(what, path=path, hint=_unpacking_hint(path))
 
     def _alike(self, path: Path, parts: list[Recording]) -> list[Recording]:
         """Return the parts that are like the first, as parts of one recording are."""
@@ -304,9 +287,8 @@ def _unpacking_hint(path: Path) -> str:
     if is_pattern(path):
         return "name them one by one to calibrate each; with --parts they are parts of one"
     if is_folder(path):
-        return (
-            f"`accelcal study {shlex.quote(name)} -d OUT` calibrates each; with --parts they are parts of one"
-        )
+        how = f"`accelcal study {shlex.quote(name)} -d OUT`"
+        return f"{how} calibrates each; with --parts they are parts of one"
     folder = next((name[: -len(one)] for one in ARCHIVES if name.lower().endswith(one)), f"{name}_unpacked")
     packed, here = shlex.quote(name), shlex.quote(folder)
     how = f"mkdir {here} && tar -xf {packed} -C {here}"
@@ -329,14 +311,12 @@ def unlike(first: Recording, other: Recording) -> str | None:
 def _as_one(path: Path, parts: Sequence[Recording], part_files: PartFiles) -> Recording:
     """Return the description of all parts together."""
     first, last = parts[0], parts[-1]
-    notes = [f"{counted(len(parts), 'part')}, from {parts[0].path.name} to {parts[-1].path.name}"]
-    if len(parts) == 1:
-        notes = [f"1 part, {parts[0].path.name}"]
+    between = "" if len(parts) == 1 else f"from {first.path.name} to "
+    notes = [f"{counted(len(parts), 'part')}, {between}{last.path.name}"]
     if part_files.aside:
         more = f" and {len(part_files.aside) - SHOWN} more" if len(part_files.aside) > SHOWN else ""
         notes.append(f"no recordings, set aside: {', '.join(part_files.aside[:SHOWN])}{more}")
-    lasts_s = None
-    one_gyroscope = len({part.gyro_dps_per_lsb for part in parts}) == 1
+    lasts_s, one_gyroscope = None, len({part.gyro_dps_per_lsb for part in parts}) == 1
     if last.duration_s is not None:
         lasts_s = ((last.start_us or 0) - (first.start_us or 0)) / MICROSECONDS + last.duration_s
     return replace(
@@ -376,11 +356,12 @@ class _PartPlacer:
 
     def placed(self, part: Recording, chunk: Chunk, end_byte: int) -> Chunk:
         """Return a part's chunk as one of the recording, without rows that earlier parts have, too."""
+        begin, name = self._first_of_part, f"{part.path.name}: " if self._named else ""
         problems = [
             replace(
                 one,
-                sample=self._first_of_part + max(0, one.sample - self._dropped),
-                message=printable(f"{part.path.name}: {one.message}") if self._named else one.message,
+                sample=begin + max(0, one.sample - self._dropped),
+                message=printable(name + one.message) if name else one.message,
             )
             for one in chunk.problems
         ]
@@ -418,14 +399,10 @@ class _PartPlacer:
 
     def end(self) -> Chunk:
         """Return an empty chunk with the remaining problems."""
-        problems_here = tuple(one for one in self._left if self._is_listed(one))
-        empty = Chunk(
-            self._samples,
-            np.empty((0, 3), np.int32),
-            StampClock(np.empty(0, np.int64)),
-            self._recording.total_bytes,
-        )
-        return replace(empty, problems=(*problems_here, *self._unlisted.values()))
+        problems = tuple(one for one in self._left if self._is_listed(one))
+        nothing, clock = np.empty((0, 3), np.int32), StampClock(np.empty(0, np.int64))
+        empty = Chunk(self._samples, nothing, clock, self._recording.total_bytes)
+        return replace(empty, problems=(*problems, *self._unlisted.values()))
 
     def _skipped(self, chunk: Chunk) -> int:
         """Return how many rows at the beginning of a part lie before the end of the one before."""
@@ -455,10 +432,7 @@ class _PartPlacer:
         if self._reported[problem.code] <= LISTED:
             return True
         more = self._unlisted.get(problem.code, replace(problem, count=0, lost_bytes=0, missing_bytes=0))
-        text = "more of the same in later parts"
-        sums = {
-            name: getattr(more, name) + getattr(problem, name)
-            for name in ("count", "lost_bytes", "missing_bytes")
-        }
+        text, names = "more of the same in later parts", ("count", "lost_bytes", "missing_bytes")
+        sums = {name: getattr(more, name) + getattr(problem, name) for name in names}
         self._unlisted[problem.code] = replace(more, message=text, byte_offset=None, **sums)
         return False

@@ -26,12 +26,8 @@ from accelcal_cli.formats._parts.reader import SHOWN, FilesReader, Open, unlike
 class SessionReader(FilesReader):
     """Reads the files of a session.
 
-    Unlike the parts of a recording, all of them are needed: one that cannot be read, or is not like the
-    first, ends the session.
-
-    Raises:
-        UnreadableError: one cannot be read.
-        UsageError: they are of several devices, or differ in rate, scale, range or time zone.
+    Unlike the parts of a recording, all of them are needed: one that cannot be read, or is of another device
+    or settings than the first, ends the session.
     """
 
     def __init__(self, path: Path, part_files: PartFiles, open_part: Open) -> None:
@@ -44,7 +40,19 @@ class SessionReader(FilesReader):
         self._sizes = [file.stat().st_size for file in self._files]
         described = [(file, self._described(file)) for file in self._files]
         _refuse_unlike(described)
-        self.recording = _session_as_one(path, described[0][1], self._names)
+        names, first = self._names, described[0][1]
+        some = ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
+        note = f"a session of {counted(len(names), 'file')} ({some}); the times between them are left out"
+        self.recording = replace(
+            first,
+            path=path,
+            total_bytes=size_of(path),
+            samples=None,
+            duration_s=None,
+            has_temperature=False,
+            gyro_dps_per_lsb=None,
+            notes=(*first.notes, note),
+        )
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """See `Reader`; reads a file at a time."""
@@ -69,11 +77,7 @@ class SessionReader(FilesReader):
 
 
 class _FilePlacer:
-    """Places the chunks of one file in the session.
-
-    Attributes:
-        last_us: time of the last row so far, as placed.
-    """
+    """Places the chunks of one file in the session; `last_us` is the time of its last row, as placed."""
 
     def __init__(self, name: str, first_sample: int, first_us: int | None) -> None:
         self._name, self._first_sample, self._first_us = name, first_sample, first_us
@@ -114,29 +118,16 @@ class _FilePlacer:
         """Return the description of the whole file; raises UnreadableError if it has no samples."""
         if self._first_us is None or self._moved_us is None:
             raise UnreadableError("holds no samples", path=file)
-        return PlacedFile(
-            self._name,
-            self._first_sample,
-            self._samples,
-            self._first_us,
-            self._moved_us,
-            self._dated,
-            self._problems,
-            self._lost_bytes,
-        )
+        place = (self._name, self._first_sample, self._samples, self._first_us, self._moved_us)
+        return PlacedFile(*place, self._dated, self._problems, self._lost_bytes)
 
 
 def _files_by_name(path: Path, part_files: PartFiles) -> tuple[list[str], list[Path]]:
-    """Return the files and their names, relative to the folder that holds all; in an archive without folders.
-
-    Raises:
-        UnreadableError: an archive holds two of one name.
-    """
+    """Return names, without the folder of all, and files; an archive must not hold two of a name."""
     if part_files.folder is None:
-        base = Path(os.path.commonpath([file.parent for file in part_files.files]))
-        return [printable(file.relative_to(base).as_posix()) for file in part_files.files], [
-            *part_files.files
-        ]
+        files = [*part_files.files]
+        base = Path(os.path.commonpath([file.parent for file in files]))
+        return [printable(file.relative_to(base).as_posix()) for file in files], files
     files = sorted(part_files.files, key=lambda file: file.name)
     names = [printable(file.name) for file in files]
     if (twice := next((one for one, two in pairwise(names) if one == two), None)) is not None:
@@ -156,19 +147,3 @@ def _refuse_unlike(described: Sequence[tuple[Path, Recording]]) -> None:
         if (why := unlike(first, other)) is not None:
             text = f"does not go with {first_file.name}: its {why} is another"
             raise UsageError(printable(text), path=file, hint="a session is of one device, set up once")
-
-
-def _session_as_one(path: Path, first: Recording, names: Sequence[str]) -> Recording:
-    """Return the description of the session."""
-    some = ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
-    note = f"a session of {counted(len(names), 'file')} ({some}); the times between them are left out"
-    return replace(
-        first,
-        path=path,
-        total_bytes=size_of(path),
-        samples=None,
-        duration_s=None,
-        has_temperature=False,
-        gyro_dps_per_lsb=None,
-        notes=(*first.notes, note),
-    )

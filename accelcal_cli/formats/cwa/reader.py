@@ -13,7 +13,7 @@ import numpy as np
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
-from accelcal_cli.core.recording import Device, Problem, Reader, Recording
+from accelcal_cli.core.recording import Device, Problem, Reader, Recording, ThermometerWord
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.files import PagedFile, RawBlock, is_erased
@@ -38,14 +38,8 @@ LEFT_OUT = {
 DAMAGED = (sector.EMPTY, paged.FOREIGN, paged.CHECKSUM, paged.NONSENSE)
 """Kinds whose bytes are lost; sectors recorded with other settings are sound."""
 
-SEARCH_SECTORS = 2048
-"""Sectors that are read at a time in search of the first intact one."""
-
-LOOK_SECTORS = 256
-"""Sectors at the beginning that show how exact the stamps are."""
-
-LAST_SECTORS = 64
-"""Sectors before the end of the data in which the last time is looked for."""
+SEARCH_SECTORS, LOOK_SECTORS, LAST_SECTORS = 2048, 256, 64
+"""Sectors in which the first intact one, how exact the stamps are, and the last time are looked for."""
 
 NO_HEADER = "the header at the start of the file is damaged; settings were taken from the data sectors"
 HALF_HEADER = "the second half of the header is missing; the data sectors in its place are read"
@@ -82,11 +76,7 @@ class SectorDecoder(PageDecoder[RawBlock]):
 
 
 class SectorTimeline:
-    """Gives sectors their times, as soon as the anchors that show them are read.
-
-    Args:
-        unit_us: by how much stamps may be early [us], if they are whole seconds; None: they are finer.
-    """
+    """Gives sectors their times, as soon as the anchors that show them are read."""
 
     def __init__(self, settings: Settings, unit_us: int | None) -> None:
         rate = settings.rate
@@ -104,18 +94,15 @@ class SectorTimeline:
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
-    """Open a recording.
-
-    Raises:
-        UnreadableError: it is not of this format, or no data sector is intact.
-    """
+    """Open a recording; `Format.open` says what is raised."""
     with ByteSource(path) as stream:
         head = stream.read_exact(HEADER_BYTES)
     header = sector.parse_header(head)
     file = PagedFile.at(path, header.data_start, SECTOR_BYTES)
     first, position = first_sector(file, header)
     settings = sector.settings_of(first, header.hardware)
-    problems = list(header_problems(header))
+    problems = [] if header.intact else [Problem("damaged_header", NO_HEADER, 0, 0)]
+    problems += [Problem("damaged_header", HALF_HEADER, SECTOR_BYTES, 0)] if header.halved else []
     clock_set = bool(sector.anchors(np.atleast_1d(first), settings).known[0])
     if not clock_set:
         problems.append(Problem("no_start_time", NO_START, file.offset(position), 0))
@@ -148,20 +135,8 @@ def _unit_of(file: PagedFile, first: Any, position: int, settings: Settings) -> 
     return stamp_unit(block, settings.rate, settings.rows)
 
 
-def header_problems(header: Header) -> Iterator[Problem]:
-    """Yield what is missing from the header."""
-    if not header.intact:
-        yield Problem("damaged_header", NO_HEADER, 0, 0)
-    if header.halved:
-        yield Problem("damaged_header", HALF_HEADER, SECTOR_BYTES, 0)
-
-
 def first_sector(file: PagedFile, header: Header) -> tuple[Any, int]:
-    """Return the first sector whose checksum is right (in the oldest files: that makes sense), and its place.
-
-    Raises:
-        UnreadableError: there is none in the whole file.
-    """
+    """Return the first sector with a right checksum (the oldest files: that makes sense), and its place."""
     seen = 0
     with closing(file.blocks(file.amount(SEARCH_SECTORS))) as blocks:
         for raw in blocks:
@@ -171,16 +146,16 @@ def first_sector(file: PagedFile, header: Header) -> tuple[Any, int]:
                     place = int(np.argmax(candidates))
                     return sector.as_sectors(raw.pages)[place].copy(), raw.first_position + place
     what = "holds no intact data sector" if header.intact else "is not an Axivity .cwa recording"
-    raise UnreadableError(
-        f"{what} ({seen} sectors examined)", path=file.path, byte_offset=file.start_byte, hint=COPY_AGAIN
-    )
+    text, at = f"{what} ({seen} sectors examined)", file.start_byte
+    raise UnreadableError(text, path=file.path, byte_offset=at, hint=COPY_AGAIN)
 
 
 def describe(
     scheme: PageScheme[RawBlock], settings: Settings, device: Device, options: ReadOptions
 ) -> Recording:
     """Describe the recording, still without length and notes; its times may prove to have no date."""
-    file, gyro = scheme.file, settings.gyro_dps_per_lsb
+    file, gyro, sensor = scheme.file, settings.gyro_dps_per_lsb, settings.thermometer
+    slope, zero = (0.0, 0) if sensor is None else (sensor.slope / sensor.divisor / 1000, sensor.zero)
     return Recording(
         path=file.path,
         format="cwa",
@@ -190,9 +165,9 @@ def describe(
         device=device,
         range_g=settings.range_g,
         start_us=scheme.first_time_us(),
-        has_temperature=settings.thermometer is not None,
+        has_temperature=sensor is not None,
         gyro_dps_per_lsb=None if gyro is None else (gyro, gyro, gyro),
-        thermometer=None if settings.thermometer is None else settings.thermometer.as_word,
+        thermometer=None if sensor is None else ThermometerWord(slope, -zero / 1000),
     )
 
 
@@ -205,8 +180,7 @@ def last_time(file: PagedFile, settings: Settings, unit_us: int | None) -> int |
     if not len(block) or not block.anchors.known[-1]:
         return None
     after = block.rows[-1:] - block.anchors.row[-1:]
-    within = (unit_us or 0) // 2
-    return within + int(block.anchors.time_us[-1] + nominal_us(after, settings.rate)[0])
+    return (unit_us or 0) // 2 + int(block.anchors.time_us[-1] + nominal_us(after, settings.rate)[0])
 
 
 def _notes(settings: Settings, unit_us: int | None, header: Header) -> tuple[str, ...]:

@@ -23,11 +23,8 @@ from accelcal_cli.formats._pages.timeline import NO_SPANS, Spans
 from accelcal_cli.formats.cwa.sector import SectorBlock
 from accelcal_cli.formats.cwa.timeline import NO_LINKS, Linker, Links, Timeline
 
-WINDOW = 128
-"""Sectors whose stamps make one line; a minute and more, in which a clock hardly drifts."""
-
-LEAST_SECTORS = 4
-"""Fewest sectors that show how exact their stamps are."""
+WINDOW, LEAST_SECTORS = 128, 4
+"""Sectors whose stamps make one line (a minute and more), and fewest that show how exact they are."""
 
 LEAST_SPREAD_US = 100_000
 """Spread of the middle half of stamps around a line [us] from which they are not exact: half a second for
@@ -65,11 +62,7 @@ class _Line(NamedTuple):
 
 
 class SecondsTimeline:
-    """Gives sectors times as `Timeline` does, by anchors on lines instead of the stamps.
-
-    Args:
-        unit_us: by how much stamps may be early [us].
-    """
+    """Gives sectors times as `Timeline` does, by anchors on lines instead of the stamps."""
 
     def __init__(self, rate: Fraction, unit_us: int) -> None:
         self._timeline, self._unit_us = Timeline(rate), unit_us

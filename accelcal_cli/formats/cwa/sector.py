@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.recording import Channels, Device, ThermometerWord
+from accelcal_cli.core.recording import Channels, Device
 from accelcal_cli.formats._pages.pages import CHECKSUM, ERASED, FOREIGN, GOOD, NONSENSE, RATE, PageBlock
 from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.cwa import HEADER_BYTES, HEADER_MAGIC, SECTOR_BYTES, SECTOR_MAGIC
@@ -40,19 +40,9 @@ SAMPLE_BYTES = 480
 MAGIC = int.from_bytes(SECTOR_MAGIC, "little")
 
 BEFORE_DATA = [
-    ("magic", "<u4"),
-    ("fraction", "<u2"),
-    ("session", "<u4"),
-    ("sequence", "<u4"),
-    ("stamp", "<u4"),
-    ("light", "<u2"),
-    ("temperature", "<u2"),
-    ("events", "u1"),
-    ("battery", "u1"),
-    ("rate", "u1"),
-    ("axes", "u1"),
-    ("offset", "<i2"),
-    ("count", "<u2"),
+    *(("magic", "<u4"), ("fraction", "<u2"), ("session", "<u4"), ("sequence", "<u4"), ("stamp", "<u4")),
+    *(("light", "<u2"), ("temperature", "<u2"), ("events", "u1"), ("battery", "u1"), ("rate", "u1")),
+    *(("axes", "u1"), ("offset", "<i2"), ("count", "<u2")),
 ]
 HEAD = np.dtype(BEFORE_DATA)
 SECTOR = np.dtype([*BEFORE_DATA, ("data", "u1", (SAMPLE_BYTES,)), ("checksum", "<u2")])
@@ -81,9 +71,7 @@ HIGHEST_RATE = 3200
 NO_DEVICE = Device()
 AX3, AX6 = "AX3", "AX6"
 MODELS = {0x00: AX3, 0x16: AX3, 0x17: AX3, 0x18: AX3, 0xFF: AX3, 0x64: AX6}
-UNSET_WORD = 0xFFFF
-UNSET_BYTE = 0xFF
-
+UNSET_WORD, UNSET_BYTE = 0xFFFF, 0xFF
 HAS_FRACTION = 0x8000
 
 EMPTY, OTHER, SETTINGS = ERASED, 50, 51
@@ -101,12 +89,9 @@ NO_SENSOR = (0, TEMPERATURE_MASK)
 class Settings:
     """Settings with which a sector was recorded.
 
-    Attributes:
-        rate_code: the byte for rate and range; 0 in the oldest files, which give the rate in `old_rate_hz`
-            and have no checksum.
-        axes_code: a key of FULL_ROWS.
-        scale_bits: unit of the accelerometer (upper three) and range of the gyroscope.
-        thermometer: the sensor of the temperature words, None if nothing was measured.
+    The byte for rate and range is 0 in the oldest files, which give the rate in `old_rate_hz` and have no
+    checksum; that for axes is a key of FULL_ROWS. The bits of the scale are the unit of the accelerometer
+    (upper three) and the range of the gyroscope.
     """
 
     rate_code: int
@@ -175,46 +160,25 @@ def as_sectors(pages: NDArray[np.uint8]) -> Sectors:
     return pages.reshape(-1).view(SECTOR)
 
 
-def heads_of(pages: NDArray[np.uint8]) -> Sectors:
-    """Return the heads of sectors (n, 512), copied together: scattered fields would be read slowly."""
-    return np.ascontiguousarray(pages[:, : HEAD.itemsize]).reshape(-1).view(HEAD)
-
-
 def checksums(pages: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """Return the sum of the 256 16-bit words of each sector (n, 512), modulo 65536; 0 if it is intact."""
     return np.asarray(pages.view("<u2").sum(axis=1, dtype=np.uint16))
 
 
 def plausible(pages: NDArray[np.uint8]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Mark the sectors that can be trusted without knowing the recording's settings.
-
-    Returns:
-        (n,) those that a checksum proves, and (n,) those of the oldest format, which has none.
-    """
+    """Mark sensible sectors that a checksum proves, and those of the oldest format without, (n,)."""
     sectors = as_sectors(pages)
-    full = np.zeros(256, np.int64)
+    full, count = np.zeros(256, np.int64), sectors["count"]
     full[list(FULL_ROWS)] = list(FULL_ROWS.values())
-    usable = (
-        (sectors["magic"] == MAGIC) & (sectors["count"] > 0) & (sectors["count"] <= full[sectors["axes"]])
-    )
-    old = sectors["rate"] == 0
-    old_rate = sectors["offset"].view("<u2")
+    usable = (sectors["magic"] == MAGIC) & (count > 0) & (count <= full[sectors["axes"]])
+    old, old_rate = sectors["rate"] == 0, sectors["offset"].view("<u2")
     proved = usable & ~old & (checksums(pages) == 0)
     return proved, usable & old & (old_rate > 0) & (old_rate <= HIGHEST_RATE)
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The header of a file.
-
-    Attributes:
-        data_start: where the first data sector lies, bytes.
-        intact: the file begins with a header.
-        device: its fields are None if there is no header.
-        rate: the configured rate, None if unset.
-        hardware: the declared type of hardware, None if the header is lost.
-        halved: data begin where the second half of the header should be.
-    """
+    """The header of a file, if it is `intact`; data begin in its second half if it is `halved`."""
 
     data_start: int
     intact: bool
@@ -244,11 +208,7 @@ def parse_header(head: bytes) -> Header:
 
 
 def device_of_sector(settings: Settings, fraction: int) -> Device:
-    """Return what a data sector says of its device, for a file whose header is lost.
-
-    Args:
-        fraction: the word that holds either the fraction of the second or the device's number.
-    """
+    """Return what a data sector says of its device, if its word of fractions is the device's number."""
     model = AX6 if settings.scale_bits >> 3 or settings.width > 3 else AX3
     numbered = fraction and not fraction & HAS_FRACTION
     return Device(model, str(fraction) if numbered else None)
@@ -305,12 +265,7 @@ def day_table() -> NDArray[np.int64]:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SectorBlock(PageBlock):
-    """Good sectors in file order, p of them.
-
-    Attributes:
-        session: (p,) int64.
-        overflow: (p,) bool, the device lost samples before or in the sector.
-    """
+    """Good sectors in file order, (p,); before or in those of an `overflow` the device lost samples."""
 
     sequence: NDArray[np.int64]
     session: NDArray[np.int64]
@@ -321,15 +276,9 @@ class SectorBlock(PageBlock):
 def decode(
     pages: NDArray[np.uint8], first_position: int, settings: Settings
 ) -> tuple[SectorBlock, NDArray[np.uint8]]:
-    """Decode a block of sectors.
-
-    Args:
-        pages: (n, 512).
-
-    Returns:
-        The good sectors, and the kind of every sector, (n,).
-    """
-    heads = heads_of(pages)
+    """Decode a block of sectors (n, 512): return the good ones, and the kind of every sector, (n,)."""
+    # copied together, since scattered fields would be read slowly
+    heads = np.ascontiguousarray(pages[:, : HEAD.itemsize]).reshape(-1).view(HEAD)
     good = fitting(heads, settings)
     if not settings.is_old:
         good &= checksums(pages) == 0
@@ -431,11 +380,9 @@ def _repeated(values: NDArray[np.int32], rows: int | NDArray[np.int64]) -> NDArr
 
 
 def _joined(values: NDArray[np.int16], rows: NDArray[np.int64] | None) -> NDArray[np.int16]:
-    """Copy the samples of all sectors one after the other, (n, 3), each axis contiguous in memory.
+    """Copy the samples of sectors (p, rows, 3) one after the other, (n, 3), each axis contiguous in memory.
 
-    Args:
-        values: (p, rows, 3).
-        rows: number of used rows of each sector, None if all are used.
+    Only some `rows` of each sector may be used; None: all are.
     """
     if rows is not None:
         return np.asfortranarray(values[np.arange(values.shape[1]) < rows[:, None]])
@@ -462,11 +409,7 @@ def unpacked(sectors: Sectors) -> NDArray[np.int16]:
 
 @dataclass(frozen=True, slots=True)
 class Thermometer:
-    """A temperature sensor: thousandths of a degree C = raw * slope / divisor - zero.
-
-    Attributes:
-        formula: for people, in degrees C.
-    """
+    """A temperature sensor: thousandths of a degree C = raw * slope / divisor - zero."""
 
     part: str
     slope: int
@@ -483,11 +426,6 @@ class Thermometer:
         return np.where(ends, np.int32(MISSING), measured) if ends.any() else measured
 
     @property
-    def as_word(self) -> ThermometerWord:
-        """The formula as numbers, for the report."""
-        return ThermometerWord(self.slope / self.divisor / 1000, -self.zero / 1000)
-
-    @property
     def note(self) -> str:
         """Note on the formula, for the report."""
         return f"temperature = {self.formula} degrees C ({self.part})"
@@ -495,9 +433,8 @@ class Thermometer:
 
 MCP9700 = Thermometer("MCP9700", 75_000, 256, 50_000, "raw * 75 / 256 - 50")
 MCP9701 = Thermometer("MCP9701", 150, 1, 20_500, "raw * 0.15 - 20.5")
-_BY_HARDWARE = {0x16: MCP9701, 0x17: MCP9701, 0x18: MCP9701}
 
 
 def thermometer(hardware: int | None) -> Thermometer:
     """Return the sensor of a type of hardware (header byte 4); MCP9700 if it is unknown."""
-    return MCP9700 if hardware is None else _BY_HARDWARE.get(hardware, MCP9700)
+    return MCP9701 if hardware in (0x16, 0x17, 0x18) else MCP9700

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,17 +37,11 @@ UNTIMED = (
     "data sectors without a valid time, placed by counting samples at the nominal rate",
 )
 
-STAMP_TOLERANCE_US = 250_000
-"""Difference of the clock [us] that is always allowed, for a stamp comes late when the memory was slow."""
+STAMP_TOLERANCE_US, END_ANCHORS = 250_000, 32
+"""Difference of the clock [us] that a slow memory makes, and anchors that show the rate of an end."""
 
-LONGEST_PERIODS = 4
-"""Most sampling periods for each sample between anchors that have few samples between them."""
-
-LONGEST_BRIDGE = 100
-"""Lost sectors from which on times begin again; times are interpolated across fewer."""
-
-END_ANCHORS = 32
-"""Number of anchors over which the rate at the end of a run is measured."""
+LONGEST_PERIODS, LONGEST_BRIDGE = 4, 100
+"""Most periods for each of a few samples between anchors; lost sectors from which on times begin again."""
 
 RUN_SHIFT = 42
 ROW_ORIGIN = 1 << 20
@@ -88,21 +82,9 @@ class Links:
 NO_LINKS = Links(*(np.empty(0, np.int64),) * 4, *(np.empty(0, np.bool_),) * 2)
 
 
-class Linked(NamedTuple):
-    """Sectors on the time axis, which of them (p,) do not continue the one before, and what was found."""
-
-    links: Links
-    broken: NDArray[np.bool_]
-    found: Findings
-
-
 @dataclass(frozen=True, slots=True)
 class _Last:
-    """The sector before a block.
-
-    Attributes:
-        known_row, known_us: the last anchor that a sector gave itself.
-    """
+    """The sector before a block, and `known`: the last anchor that a sector gave itself."""
 
     position: int
     sequence: int
@@ -115,15 +97,6 @@ class _Last:
     known_us: int
 
 
-@dataclass(frozen=True, slots=True)
-class _Steps:
-    """Steps of the numbering, lost sectors, and new numberings; (p,) each."""
-
-    forward: NDArray[np.int64]
-    missing: NDArray[np.int64]
-    restarted: NDArray[np.bool_]
-
-
 def nominal_us(rows: NDArray[np.int64], rate: Fraction) -> NDArray[np.int64]:
     """Return how long samples last at the nominal rate, rounded to whole microseconds."""
     return (2 * MICROSECONDS * rate.denominator * rows + rate.numerator) // (2 * rate.numerator)
@@ -132,9 +105,8 @@ def nominal_us(rows: NDArray[np.int64], rate: Fraction) -> NDArray[np.int64]:
 class Linker:
     """Finds how sectors continue each other; takes blocks of good sectors in file order.
 
-    Args:
-        unit_us: by how much stamps may be early [us], if they are whole seconds, so that several sectors may
-            have the same; None: they are finer.
+    Stamps may be early by `unit_us` if they are whole seconds, which several sectors may share; None: they
+    are finer.
     """
 
     def __init__(self, rate: Fraction, full_rows: int, unit_us: int | None = None) -> None:
@@ -144,34 +116,33 @@ class Linker:
         self._longest_gap = int(LONGEST_GAP_S * rate / full_rows) + 1
         self._last: _Last | None = None
 
-    def link(self, block: SectorBlock) -> Linked:
-        """Link a block of at least one sector to the blocks before it."""
+    def link(self, block: SectorBlock) -> tuple[Links, NDArray[np.bool_], Findings]:
+        """Link at least one sector to those before; return which (p,) do not continue the one before, too."""
         first = self._last is None
         last = self._last or self._before(block)
-        steps = self._steps(block, last)
+        forward, missing, restarted = self._steps(block, last)
         rows_before = _previous(last.rows, block.rows)
-        bridged = np.minimum(steps.forward, LONGEST_BRIDGE) - 1
+        bridged = np.minimum(forward, LONGEST_BRIDGE) - 1
         row = last.row + np.cumsum(rows_before + bridged * self._full_rows)
         anchor_row = row + block.anchors.row
         anchor_us, source = self._filled(block, anchor_row, last)
-        lost = (steps.forward - 1 - bridged) * self._full_rows
+        lost = (forward - 1 - bridged) * self._full_rows
         passed = _steps(anchor_row, last.anchor_row) + lost
         few = (rows_before < self._full_rows) | (2 * passed < self._full_rows)
         off = self._clock_jumps(passed, _steps(anchor_us, last.anchor_us), few)
         session = _steps(block.session, last.session) != 0
-        fresh = (off != 0) | steps.restarted | session | (steps.forward > LONGEST_BRIDGE)
-        broken = fresh | (steps.forward > 1) | block.overflow
+        fresh = (off != 0) | restarted | session | (forward > LONGEST_BRIDGE)
+        broken = fresh | (forward > 1) | block.overflow
         fresh[0] |= first
         broken[0] &= not first  # the first row of a recording is not a break
         columns = (block.position, block.sequence, block.session, row, block.rows, anchor_row, anchor_us)
         self._last = _Last(*[*(int(column[-1]) for column in columns), *source])
         untimed = ~block.anchors.known
-        counts = {MISSING_SECTORS: steps.missing, RESTARTED: steps.restarted, SESSION: session}
+        counts = {MISSING_SECTORS: missing, RESTARTED: restarted, SESSION: session}
         counts |= {OVERFLOW: block.overflow, UNTIMED: untimed}
         times_us = {CLOCK_AHEAD: np.maximum(off, 0), CLOCK_BACK: np.maximum(-off, 0)}
-        return Linked(
-            Links(row, block.rows, anchor_row, anchor_us, fresh, untimed), broken, Findings(counts, times_us)
-        )
+        links = Links(row, block.rows, anchor_row, anchor_us, fresh, untimed)
+        return links, broken, Findings(counts, times_us)
 
     def _before(self, block: SectorBlock) -> _Last:
         """Return a full sector that the recording's first one would continue; sample 0 is in the latter."""
@@ -191,14 +162,15 @@ class Linker:
             known_us=anchor_us,
         )
 
-    def _steps(self, block: SectorBlock, last: _Last) -> _Steps:
+    def _steps(self, block: SectorBlock, last: _Last) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Return steps of the numbering, lost sectors, and marks of new numberings; (p,) each."""
         rise = _steps(block.sequence, last.sequence)
         if (rise == 1).all():
-            return _Steps(rise, np.zeros_like(rise), np.zeros(len(rise), np.bool_))
+            return rise, np.zeros_like(rise), np.zeros(len(rise), np.bool_)
         across = _steps(block.position, last.position)
         restarted = (rise <= 0) | (rise > self._longest_gap)
         missing = np.where(restarted, 0, np.maximum(rise - across, 0))
-        return _Steps(np.where(restarted, 1, rise), missing, restarted)
+        return np.where(restarted, 1, rise), missing, restarted
 
     def _filled(
         self, block: SectorBlock, anchor_row: NDArray[np.int64], last: _Last
@@ -218,9 +190,8 @@ class Linker:
     ) -> NDArray[np.int64]:
         """Return the jump of the clock before each sector [us], 0 where it continues as it should.
 
-        Args:
-            few: the sector before is not full, or anchors are close: few samples may not be spread over a
-                hole.
+        Where `few` samples lie between (the sector before is not full, or anchors are close), they may not be
+        spread over a hole.
         """
         expected = passed * (MICROSECONDS * self._rate.denominator / self._rate.numerator)
         off = passed_us - expected
@@ -289,9 +260,7 @@ class Timeline:
     """
 
     def __init__(self, rate: Fraction) -> None:
-        self._rate = rate
-        self._window = NO_LINKS
-        self._done = 0
+        self._rate, self._window, self._done = rate, NO_LINKS, 0
 
     def feed(self, links: Links) -> Spans:
         """Add sectors; return the times of the next settled ones."""
@@ -305,8 +274,7 @@ class Timeline:
     def _settled(self) -> int:
         window = self._window
         begun = self._last_run()
-        known_rate = not window.fresh[begun] or len(window) - begun >= END_ANCHORS
-        if not known_rate:
+        if window.fresh[begun] and len(window) - begun < END_ANCHORS:  # the rate is not known yet
             return begun
         ends = window.row[begun:] + window.rows[begun:]
         return max(self._done, begun + int(np.searchsorted(ends, window.anchor_row[-1], side="right")))
@@ -329,13 +297,9 @@ class Timeline:
         begin, end = time_us[: settled - self._done], time_us[1 : settled - self._done + 1].copy()
         end[lonely - self._done] = time_us[settled - self._done :]
         rows = window.rows[self._done : settled]
-        self._forget(settled)
-        return Spans(begin, rows, end - begin)
-
-    def _forget(self, settled: int) -> None:
-        """Keep what is unsettled, the anchor before it, and enough anchors for the end's rate."""
-        window, begun = self._window, self._last_run()
-        reached = window.row[settled - 1] + window.rows[settled - 1]
-        before = begun + int(np.searchsorted(window.anchor_row[begun:], reached, side="right")) - 1
+        # what is unsettled is kept, with the anchor before it, and enough anchors for the end's rate
+        begun = self._last_run()
+        before = begun + int(np.searchsorted(window.anchor_row[begun:], ends[settled - 1], side="right")) - 1
         first = max(begun, min(settled, before, len(window) - END_ANCHORS))
         self._window, self._done = window.part(slice(first, None)), settled - first
+        return Spans(begin, rows, end - begin)

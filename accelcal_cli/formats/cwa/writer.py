@@ -23,9 +23,7 @@ from accelcal_cli.formats import _writing
 from accelcal_cli.formats.cwa import HEADER_MAGIC, sector
 
 HARDWARE, GYRO_HARDWARE, FIRMWARE = 0x17, 0x64, 47
-SESSION = 1
-FULL_BATTERY = 205
-SAMPLES_LOST = 0x20
+SESSION, FULL_BATTERY, SAMPLES_LOST = 1, 205, 0x20
 TICKS_PER_S = 1 << 15
 RATE_CODES = {float(sector.rate_of(code)): code for code in range(6, 16)}
 RANGE_CODES = {16.0: 0x00, 8.0: 0x40, 4.0: 0x80, 2.0: 0xC0}
@@ -40,11 +38,7 @@ UNSET = b"\xff"
 
 
 def sampling(recording: Recording) -> Sampling:
-    """Return a sampling with a rate, scale and range of an AX3 or AX6, for any number of samples.
-
-    Raises:
-        UsageError: the devices have no such setting.
-    """
+    """Return a sampling with a rate, scale and range of an AX3 or AX6, or raise UsageError."""
     device = f"an Axivity {'AX6' if has_gyroscope(recording) else 'AX3'}"
     rate_hz = _writing.known_rate(recording, RATE_CODES, device)
     _writing.known_scale(recording, [(LSB_PER_G, range_g) for range_g in RANGE_CODES], device)
@@ -55,12 +49,7 @@ def sampling(recording: Recording) -> Sampling:
 
 
 def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
-    """Write all chunks to `path`.
-
-    Raises:
-        UsageError: an AX3 has no such rate, scale or range.
-        OutputError: a count or a time does not fit, or the file cannot be written.
-    """
+    """Write all chunks to `path`; raises OutputError for a count or a time that does not fit."""
     sampling(recording)
     with _writing.new_file(path) as file:
         file.write(header(path, recording))
@@ -68,7 +57,9 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
         for rows in _writing.page_runs(chunks, sector.FULL_ROWS[axes_code(recording)]):
             sectors = data_sectors(path, rows, recording)
             sectors["sequence"] = sequence + np.arange(len(sectors))
-            file.write(with_checksums(sectors).data)
+            words = sectors.view("<u2").reshape(len(sectors), -1)
+            words[:, -1] = 0 - words[:, :-1].sum(axis=1, dtype=np.uint16)  # the sum of all is zero
+            file.write(sectors.data)
             sequence += len(sectors)
 
 
@@ -76,27 +67,11 @@ def header(path: Path, recording: Recording) -> bytes:
     """Return the first 1024 bytes of the file."""
     number = _writing.number_of(recording.device)
     second = np.array([_writing.start_us(path, recording) // 1_000_000])
-    return sector.HEADER.pack(
-        HEADER_MAGIC,
-        GYRO_HARDWARE if has_gyroscope(recording) else HARDWARE,
-        number & 0xFFFF,
-        SESSION,
-        number >> 16,
-        ALWAYS,
-        NEVER,
-        0,
-        0xFF,
-        0,
-        UNSET * 8,
-        0,
-        rate_code(recording),
-        int(packed_times(path, second)[0]),
-        FIRMWARE,
-        -1,
-        UNSET * 20,
-        f"_n={quote_plus(_writing.remark(recording.device))}".encode()[:448].ljust(448),
-        UNSET * 512,
-    )
+    hardware = GYRO_HARDWARE if has_gyroscope(recording) else HARDWARE
+    remark = f"_n={quote_plus(_writing.remark(recording.device))}".encode()[:448].ljust(448)
+    first = (HEADER_MAGIC, hardware, number & 0xFFFF, SESSION, number >> 16, ALWAYS, NEVER, 0, 0xFF, 0)
+    settings = (UNSET * 8, 0, rate_code(recording), int(packed_times(path, second)[0]), FIRMWARE, -1)
+    return sector.HEADER.pack(*first, *settings, UNSET * 20, remark, UNSET * 512)
 
 
 def has_gyroscope(recording: Recording) -> bool:
@@ -122,7 +97,8 @@ def data_sectors(path: Path, rows: Chunk, recording: Recording) -> NDArray[np.vo
     sectors = np.zeros(len(rows) // width, sector.SECTOR)
     sectors["magic"] = sector.MAGIC
     sectors["session"] = SESSION
-    sectors["light"] = light_word(recording)
+    turns = recording.gyro_dps_per_lsb  # no light, and the unit 1/256 g (0)
+    sectors["light"] = 0 if turns is None else GYRO_BITS[turns[0]] << 10
     sectors["temperature"] = temperature_words(rows, len(sectors), axes)
     sectors["events"][0] = SAMPLES_LOST * rows.is_fresh
     sectors["battery"] = FULL_BATTERY
@@ -154,14 +130,9 @@ def stamp(path: Path, sectors: Any, time_us: NDArray[np.int64], rate_hz: int) ->
 
 
 def packed_times(path: Path, second: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Pack seconds since 1970: from the top, 6 bits of years since 2000, then month, day, and so on.
-
-    Raises:
-        OutputError: a time lies outside 2000 to 2063.
-    """
+    """Pack seconds since 1970, in 2000 to 2063: from the top, 6 bits of years, then month, day, and so on."""
     moment = second.astype("M8[s]")
-    month = moment.astype("M8[M]")
-    day = moment.astype("M8[D]")
+    month, day = moment.astype("M8[M]"), moment.astype("M8[D]")
     months = month.astype(np.int64) - 30 * 12
     if len(months) and (months.min() < 0 or months.max() >= 64 * 12):
         raise OutputError("a time lies before 2000 or after 2063", path=path, hint=_writing.OTHER_FORMAT)
@@ -169,11 +140,6 @@ def packed_times(path: Path, second: NDArray[np.int64]) -> NDArray[np.int64]:
     of_day = second % 86_400
     date = (months // 12 << 9 | months % 12 + 1 << 5 | of_month) << 17
     return np.asarray(date | of_day // 3600 << 12 | of_day // 60 % 60 << 6 | of_day % 60)
-
-
-def light_word(recording: Recording) -> int:
-    """Return the word for light, none, and above it the range of the gyroscope and the unit 1/256 g (0)."""
-    return 0 if recording.gyro_dps_per_lsb is None else GYRO_BITS[recording.gyro_dps_per_lsb[0]] << 10
 
 
 def temperature_words(rows: Chunk, sectors: int, axes: int) -> NDArray[np.int64]:
@@ -186,13 +152,6 @@ def temperature_words(rows: Chunk, sectors: int, axes: int) -> NDArray[np.int64]
         return np.full(sectors, NOT_MEASURED)
     raw = (means_mc + 20_500) / 150 if axes == sector.AXES_3X16 else (means_mc + 50_000) * 256 / 75_000
     return np.clip(np.rint(raw), 1, WARMEST).astype(np.int64)
-
-
-def with_checksums(sectors: NDArray[np.void]) -> NDArray[np.void]:
-    """Set the last word of each sector so that the sum of its 16-bit words is zero."""
-    words = sectors.view("<u2").reshape(len(sectors), -1)
-    words[:, -1] = 0 - words[:, :-1].sum(axis=1, dtype=np.uint16)
-    return sectors
 
 
 ENCODER = Encoder("cwa", ".cwa", write, sampling=sampling, gyroscope=True)

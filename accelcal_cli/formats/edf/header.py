@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from fractions import Fraction
@@ -40,13 +41,9 @@ from accelcal_cli.core.vocabulary import (
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats.edf import BDF_MAGIC
 
-FIRST_BYTES = 256
-MOST_SIGNALS = 4096
-LARGEST_RECORD = 1 << 24
-"""Most bytes in a record; the standard recommends at most 61 440."""
-
-PIVOT = 85
-"""First two-digit year that is of the last century; EDF+ gives all four digits elsewhere."""
+FIRST_BYTES, MOST_SIGNALS = 256, 4096
+LARGEST_RECORD, PIVOT = 1 << 24, 85
+"""Most bytes in a record (recommended: at most 61 440), and the first two-digit year of the last century."""
 
 MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 EDF_PLUS_DATE = re.compile(r"Startdate (\d\d)-([A-Z]{3})-(\d{4}) \S+ \S+ (\S+)")
@@ -128,11 +125,7 @@ def number_in(text: str) -> Fraction | None:
 
 
 def read_header(path: Path) -> Header:
-    """Read and check a header.
-
-    Raises:
-        UnreadableError: it is cut off or damaged; says where.
-    """
+    """Read and check a header; raises UnreadableError, with the place, if it is cut off or damaged."""
     with ByteSource(path) as source:
         fields = _split(source.read_exact(FIRST_BYTES), RECORDING_FIELDS, 1)
         signals = _whole(fields["signals"][0], 252, path, "number of signals", 1, MOST_SIGNALS)
@@ -145,14 +138,13 @@ def read_header(path: Path) -> Header:
     seconds = number_in(fields["seconds"][0])
     if seconds is None or not 0 < seconds <= 10**8:
         raise _fault("length of a record", fields["seconds"][0], 244, path)
-    texts, equipment = fields["recording"][0], None
-    if match := EDF_PLUS_DATE.match(texts):
-        equipment = None if match[4] == "X" else match[4].replace("_", " ")
+    texts = fields["recording"][0]
+    equipment = match[4].replace("_", " ") if (match := EDF_PLUS_DATE.match(texts)) else "X"
     kind = fields["reserved"][0][:5]
     header = Header(
         sample_bytes,
         kind[4] if kind in ("EDF+C", "EDF+D", "BDF+C", "BDF+D") else None,
-        Device(equipment),
+        Device(None if equipment == "X" else equipment),
         _start_us(fields["date"][0], fields["time"][0], texts),
         None if records < 0 else records,
         seconds,
@@ -166,11 +158,10 @@ def read_header(path: Path) -> Header:
 
 def _split(data: bytes, parts: tuple[tuple[str, int], ...], count: int) -> dict[str, list[str]]:
     """Return `count` texts of each field; those beyond the end of the data are empty or cut."""
-    fields, place = {}, 0
+    fields, text, place = {}, data.decode("latin-1"), 0
     for name, width in parts:
-        ends = [place + width * number for number in range(count + 1)]
-        texts = [data[start : start + width] for start in ends[:-1]]
-        fields[name], place = [text.decode("latin-1") for text in texts], ends[-1]
+        fields[name] = [text[place + width * k : place + width * (k + 1)] for k in range(count)]
+        place += width * count
     return fields
 
 
@@ -198,16 +189,13 @@ def _signals(table: dict[str, list[str]], count: int, path: Path) -> tuple[Signa
     offsets = [0, *accumulate(samples)]
     columns = zip(table["label"], table["dimension"], limits, samples, strict=True)
     return tuple(
-        Signal(
-            number, label.strip(), unit.strip(), four, size, offsets[number], at["physical_min"] + 8 * number
-        )
-        for number, (label, unit, four, size) in enumerate(columns)
+        Signal(k, label.strip(), unit.strip(), four, size, offsets[k], at["physical_min"] + 8 * k)
+        for k, (label, unit, four, size) in enumerate(columns)
     )
 
 
 def _start_us(date: str, time: str, recording: str) -> int | None:
-    """Return the time of `02.08.51` and `20.15.00`, with the year from EDF+ if given; None if it is not a
-    time."""
+    """Return the time of `02.08.51` and `20.15.00`, with EDF+'s year if given; None if it is not a time."""
     try:
         hour, minute, second = map(int, time.split("."))
         match = EDF_PLUS_DATE.match(recording)
@@ -274,9 +262,8 @@ class Axes:
 class ChosenSignals:
     """The signals that are read.
 
-    Attributes:
-        temperature: the signal, with the thousandths of a degree C in one digital step and at 0.
-        range_g: distance from 0 to the nearest end of any axis' digital range.
+    With the thermometer's go the thousandths of a degree C in one digital step and at 0; `range_g` is the
+    distance from 0 to the nearest end of any axis' digital range.
     """
 
     accel: Axes
@@ -296,13 +283,9 @@ def label_words(label: str) -> tuple[str, ...]:
 
 
 def choose(header: Header, options: ReadOptions, path: Path) -> ChosenSignals:
-    """Choose the signals of the accelerometer, and those that belong to it.
-
-    Raises:
-        UnreadableError: there are none, or their scale or rate cannot be used.
-        UsageError: an option names no signal, or several sensors fit.
-    """
-    signals = _signals_by_option(header, options, path) or _signals_by_label(header, options, path)
+    """Choose the signals of the accelerometer, and those that belong to it; raises an error without any."""
+    by_label = options.columns is None
+    signals = (_signals_by_label if by_label else _signals_by_option)(header, options, path)
     if len({signal.samples for signal in signals}) > 1 or not signals[0].samples:
         rates = ", ".join(f"{signal.label}: {signal.samples}" for signal in signals)
         raise UnreadableError(f"x, y and z have different rates (samples in a record: {rates})", path=path,
@@ -314,24 +297,21 @@ def choose(header: Header, options: ReadOptions, path: Path) -> ChosenSignals:
     return ChosenSignals(accel, _gyro(header, signals, path), _temperature(header, path), range_g)
 
 
-def _signals_by_option(header: Header, options: ReadOptions, path: Path) -> Signals3 | None:
-    if options.columns is None:
-        return None
-    x, y, z = (_pick(header, wanted.strip(), path) for wanted in options.columns)
+def _signals_by_option(header: Header, options: ReadOptions, path: Path) -> Signals3:
+    usable = [signal for signal in header.signals if signal.label not in ANNOTATIONS]
+    picked: list[Signal] = []
+    for wanted in map(str.strip, options.columns or ()):
+        found = [signal for signal in usable if signal.label.lower() == wanted.lower()]
+        if not found and wanted.isdecimal():
+            found = [signal for signal in usable if signal.number == int(wanted)]
+        if len(found) != 1:
+            what = f"--columns {wanted!r} is {'several signals' if found else 'no signal'} of this file"
+            raise UsageError(what, path=path, hint=f"its signals are {_labels(header)}")
+        picked += found
+    x, y, z = picked
     if len({x.number, y.number, z.number}) < 3:
         raise UsageError("--columns names one signal twice", path=path, hint="give x, y and z")
     return x, y, z
-
-
-def _pick(header: Header, wanted: str, path: Path) -> Signal:
-    usable = [signal for signal in header.signals if signal.label not in ANNOTATIONS]
-    found = [signal for signal in usable if signal.label.lower() == wanted.lower()]
-    if not found and wanted.isdecimal():
-        found = [signal for signal in usable if signal.number == int(wanted)]
-    if len(found) != 1:
-        what = f"--columns {wanted!r} is {'several signals' if found else 'no signal'} of this file"
-        raise UsageError(what, path=path, hint=f"its signals are {_labels(header)}")
-    return found[0]
 
 
 def _labels(header: Header) -> str:
@@ -341,21 +321,16 @@ def _labels(header: Header) -> str:
 
 def _groups(header: Header, names: frozenset[str], quantity: Quantity) -> dict[str, Signals3]:
     """Return the sensors of a kind that have one signal for each axis, by the other words of their labels."""
-    found: dict[str, dict[str, list[Signal]]] = {}
+    found: dict[str, tuple[list[Signal], ...]] = {}
+    others = (ACCELEROMETER | GYROSCOPE) - names | NOT_RAW
     for signal in header.signals:
         parts = label_words(signal.label)
         axes = [part for part in parts if part in ("x", "y", "z")]
         known = names & set(parts) or unit_of(signal.dimension, quantity)
-        other = ((ACCELEROMETER | GYROSCOPE) - names) & set(parts)
-        if len(axes) == 1 and known and not other and not NOT_RAW & set(parts):
+        if len(axes) == 1 and known and others.isdisjoint(parts):
             rest = " ".join(part for part in parts if part not in (*axes, *names, "axis"))
-            found.setdefault(rest, {}).setdefault(axes[0], []).append(signal)
-    whole = {name: [axes.get(axis, []) for axis in ("x", "y", "z")] for name, axes in found.items()}
-    return {
-        name: (xyz[0][0], xyz[1][0], xyz[2][0])
-        for name, xyz in whole.items()
-        if [len(signals) for signals in xyz] == [1, 1, 1]
-    }
+            found.setdefault(rest, ([], [], []))["xyz".index(axes[0])].append(signal)
+    return {name: (x[0], y[0], z[0]) for name, (x, y, z) in found.items() if len(x) == len(y) == len(z) == 1}
 
 
 def _signals_by_label(header: Header, options: ReadOptions, path: Path) -> Signals3:
@@ -379,11 +354,7 @@ def _signals_by_label(header: Header, options: ReadOptions, path: Path) -> Signa
 
 
 def _scaling(signal: Signal, path: Path) -> tuple[Fraction, Fraction, int, int]:
-    """Return the physical value of one digital step and of 0, and the digital limits.
-
-    Raises:
-        UnreadableError: the limits are not numbers, or equal.
-    """
+    """Return the physical value of one digital step and of 0, and the digital limits, or raise an error."""
     low, high, first, last = map(number_in, signal.limits)
     if low is None or high is None or first is None or last is None or low == high or first >= last:
         limits = ", ".join(map(str.strip, signal.limits))
@@ -398,42 +369,26 @@ def _scaling(signal: Signal, path: Path) -> tuple[Fraction, Fraction, int, int]:
 
 
 def _acceleration_axes(signals: Signals3, options: ReadOptions, path: Path) -> Axes:
-    """Return the axes of the acceleration in g.
-
-    Raises:
-        UnreadableError: its unit is not known, or its scale impossible.
-        UsageError: counts without their scale.
-    """
+    """Return the axes of the acceleration in g; raises an error for an unknown unit or impossible scale."""
     if options.unit == "counts" or (options.unit is None and options.lsb_per_g is not None):
         if options.lsb_per_g is None:
-            raise UsageError(
-                "counts need their scale", path=path, hint="give --lsb-per-g, the counts in one g"
-            )
-        step = 1 / Fraction(options.lsb_per_g)
-        return Axes(signals, (1, 1, 1), (0, 0, 0), step, ())
-    units = {options.unit or _acceleration_unit(signal) for signal in signals}
+            hint = "give --lsb-per-g, the counts in one g"
+            raise UsageError("counts need their scale", path=path, hint=hint)
+        return Axes(signals, (1, 1, 1), (0, 0, 0), 1 / Fraction(options.lsb_per_g), ())
+    found = [unit_of(signal.dimension, Quantity.ACCELERATION) for signal in signals]
+    units = {options.unit or (None if unit is None else unit.name) for unit in found}
     unit = units.pop()
     if units or unit is None:
-        written = ", ".join(repr(signal.dimension) for signal in signals)
+        what = ", ".join(repr(signal.dimension) for signal in signals)
         raise UnreadableError(
-            f"the unit of the acceleration is not known ({written})",
-            path=path,
-            hint=GIVE_UNIT,
+            f"the unit of the acceleration is not known ({what})", path=path, hint=GIVE_UNIT
         )
     axes = _axes(signals, ACCELERATION_UNITS[unit].per_g, path)
     if not 1 <= axes.per_unit <= LARGEST_LSB_PER_G:
-        raise UnreadableError(
-            f"{axes.per_unit:g} counts in one g are impossible",
-            path=path,
-            byte_offset=signals[0].byte_offset,
-            hint="give --unit, or --unit counts with --lsb-per-g",
-        )
+        what, at = f"{axes.per_unit:g} counts in one g are impossible", signals[0].byte_offset
+        hint = "give --unit, or --unit counts with --lsb-per-g"
+        raise UnreadableError(what, path=path, byte_offset=at, hint=hint)
     return axes
-
-
-def _acceleration_unit(signal: Signal) -> str | None:
-    unit = unit_of(signal.dimension, Quantity.ACCELERATION)
-    return None if unit is None else unit.name
 
 
 def _is_plain(signal: Signal, quantity: Quantity) -> bool:
@@ -469,27 +424,17 @@ def _gyro(header: Header, accel: Signals3, path: Path) -> Axes | None:
         for group in groups.values()
         if all(_is_plain(one, Quantity.ROTATION) and one.samples == accel[0].samples for one in group)
     ]
-    if len(fitting) != 1:
-        return None
-    try:
-        axes = _axes(fitting[0], Fraction(1), path)
-    except UnreadableError:
-        return None
-    return None if axes.on_grid else axes
+    with suppress(UnreadableError):
+        if len(fitting) == 1 and not (axes := _axes(fitting[0], Fraction(1), path)).on_grid:
+            return axes
+    return None
 
 
 def _temperature(header: Header, path: Path) -> tuple[Signal, float, float] | None:
-    found = [
-        signal
-        for signal in header.signals
-        if {*THERMOMETER} & set(label_words(signal.label))
-        and _is_plain(signal, Quantity.TEMPERATURE)
-        and signal.samples
-    ]
-    if len(found) != 1:
-        return None
-    try:
-        gain, zero, _, _ = _scaling(found[0], path)
-    except UnreadableError:
-        return None
-    return found[0], float(1000 * gain), float(1000 * zero)
+    named = [signal for signal in header.signals if {*THERMOMETER} & set(label_words(signal.label))]
+    found = [signal for signal in named if _is_plain(signal, Quantity.TEMPERATURE) and signal.samples]
+    with suppress(UnreadableError):
+        if len(found) == 1:
+            gain, zero, _, _ = _scaling(found[0], path)
+            return found[0], float(1000 * gain), float(1000 * zero)
+    return None

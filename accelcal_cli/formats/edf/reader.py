@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,9 @@ from accelcal_cli.core.recording import CUT_SHORT, Problem, Reader, Recording, f
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.files import PagedFile, RawBlock
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock
-from accelcal_cli.formats._pages.reader import FixedPages, PageDecoder, PagedReader
+from accelcal_cli.formats._pages.reader import FixedPages, PageDecoder
 from accelcal_cli.formats._pages.timeline import ExactTimeline, NominalTimeline, PageTimeline, Spacing
-from accelcal_cli.formats._rows import MISSING, first_values
+from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.edf.header import (
     ANNOTATIONS,
     COPY_AGAIN,
@@ -43,9 +43,7 @@ class RecordDecoder(PageDecoder[RawBlock]):
     """Decodes blocks of data records; says at the end if they are not as many as the header claims."""
 
     def __init__(self, header: Header, chosen: ChosenSignals, start_us: int) -> None:
-        self._header = header
-        self._chosen = chosen
-        self._start_us = start_us
+        self._header, self._chosen, self._start_us = header, chosen, start_us
         self._annotations = annotations_of(header)
         sensors = [axes for axes in (chosen.accel, chosen.gyro) if axes is not None]
         self._may_fail = any(axes.may_fail(header.sample_bytes) for axes in sensors)
@@ -136,12 +134,7 @@ def annotations_of(header: Header) -> Signal | None:
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
-    """Open an EDF or BDF file.
-
-    Raises:
-        UnreadableError: the header is damaged, no accelerometer is found in it, or there is no record.
-        UsageError: an option names no signal, or contradicts the file.
-    """
+    """Open an EDF or BDF file; `Format.open` says what is raised."""
     header = read_header(path)
     chosen = choose(header, options, path)
     rate_hz = float(chosen.accel.signals[0].samples / header.seconds)
@@ -153,7 +146,11 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     decoder = RecordDecoder(header, chosen, header.start_us or 0)
     spacing = Spacing(rate, chosen.accel.signals[0].samples)
     timed = header.plus == "D" and annotations_of(header) is not None
-    start_us = (header.start_us or 0) + (0 if timed else first_onset_us(file, decoder))
+    start_us = header.start_us or 0
+    if not timed:  # EDF+ may add a fraction of a second to the header's start
+        first = next(file.blocks(file.amount(1))).pages[:1]
+        onset = decoder.onset_us(first[0]) if len(first) else None
+        start_us += onset if onset is not None and 0 <= onset < MICROSECONDS else 0
 
     def timeline() -> PageTimeline:
         return ExactTimeline(spacing) if timed else NominalTimeline(spacing, start_us)
@@ -164,38 +161,25 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         what = "has no usable data record" + (" whose time can be read" if timed else "")
         raise UnreadableError(what, path=path, byte_offset=header.header_bytes, hint=COPY_AGAIN)
     problems = () if header.start_us is not None else (Problem("no_start_time", NO_START, 168, 0),)
-    scheme = replace(scheme, first_values=first_values(opening.channels), problems=problems)
-    return PagedReader(recording(scheme, header, chosen, opening), scheme)
+    about = recording(path, rate, file.size, header, chosen)
+    return scheme.reader(opening, about, problems, dated=header.start_us is not None)
 
 
-def first_onset_us(file: PagedFile, decoder: RecordDecoder) -> int:
-    """Return the fraction of a second that EDF+ adds to the header's start [us]; 0 for other files."""
-    first = next(file.blocks(file.amount(1)))
-    onset = decoder.onset_us(first.pages[0]) if len(first.pages) else None
-    return onset if onset is not None and 0 <= onset < MICROSECONDS else 0
-
-
-def recording(scheme: FixedPages, header: Header, chosen: ChosenSignals, opening: PageBlock) -> Recording:
-    """Describe the file."""
-    samples, duration_s = scheme.extent(opening)
+def recording(path: Path, rate: Fraction, size: int, header: Header, chosen: ChosenSignals) -> Recording:
+    """Describe the file as far as the header does."""
     labels = ", ".join(f"{one.label} [{one.dimension}]" for one in chosen.accel.signals)
     notes = [f"x, y, z: {labels}"]
     if chosen.accel.on_grid:
         notes.append("x, y and z have scales without a common step; they were rounded to 0.06 micro-g")
-    gyro = None if chosen.gyro is None else float(chosen.gyro.step)
     return Recording(
-        path=scheme.file.path,
+        path=path,
         format="edf",
-        rate_hz=float(scheme.spacing.rate),
+        rate_hz=float(rate),
         lsb_per_g=chosen.accel.per_unit,
-        total_bytes=scheme.file.size,
+        total_bytes=size,
         device=header.device,
         range_g=chosen.range_g,
-        start_us=None if header.start_us is None else scheme.timeline().start(opening),
-        samples=samples,
-        duration_s=duration_s,
-        has_temperature=scheme.first_values.get("temperature_mc") is not None,
-        gyro_dps_per_lsb=None if gyro is None else (gyro, gyro, gyro),
+        gyro_dps_per_lsb=None if chosen.gyro is None else (float(chosen.gyro.step),) * 3,
         zero_counts=first_row(chosen.accel.counts([np.zeros(1, np.int16)] * 3, np.zeros(1, np.bool_))),
         notes=tuple(notes),
     )

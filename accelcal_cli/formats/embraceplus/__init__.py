@@ -10,9 +10,8 @@ SCHEMA_WORDS = (b"empatica", b"rawData")
 
 def sniff(probe: Probe) -> int:
     """Return 100 for an Avro file whose schema speaks of Empatica or of raw data."""
-    return (
-        100 if probe.head.startswith(AVRO_MAGIC) and any(word in probe.head for word in SCHEMA_WORDS) else 0
-    )
+    is_avro = probe.head.startswith(AVRO_MAGIC)
+    return 100 if is_avro and any(word in probe.head for word in SCHEMA_WORDS) else 0
 
 
 FORMAT = Format(
@@ -21,13 +20,5 @@ FORMAT = Format(
     (".avro",),
     sniff,
     reader="accelcal_cli.formats.embraceplus.reader:open_recording",
-    ignores=(
-        "unit",
-        "lsb_per_g",
-        "columns",
-        *TIMES_OF_TABLES,
-        "layout",
-        "sensor",
-        *ONLY_TABLES,
-    ),
+    ignores=("unit", "lsb_per_g", "columns", *TIMES_OF_TABLES, "layout", "sensor", *ONLY_TABLES),
 )

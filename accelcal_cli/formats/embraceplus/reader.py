@@ -1,11 +1,9 @@
 """Reads Avro files of an Empatica EmbracePlus: half an hour of acceleration, and what was measured with it.
 
 An Avro object container file has a header with schema, codec and marker, then blocks of records, each
-followed
-by the marker; numbers are zigzag varints (Apache Avro specification 1.11). The first record is decoded by the
-schema that the file carries. Arrays of numbers become numpy arrays, all else plain Python. Nothing that a
-file
-claims takes more memory than a few times LARGEST_BYTES.
+followed by the marker; numbers are zigzag varints (Apache Avro specification 1.11). The first record is
+decoded by the schema that the file carries. Arrays of numbers become numpy arrays, all else plain Python.
+Nothing that a file claims takes more memory than a few times LARGEST_BYTES.
 
 Counts are whole numbers for x, y and z. Their scale in g is in `imuParams`: from schema 6.5.0 on as
 `conversionFactor`, before that by the physical range over the digital one (Empatica, "How to access Avro
@@ -19,7 +17,7 @@ import json
 import math
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -35,6 +33,7 @@ from accelcal_cli.core.recording import (
     LARGEST_LSB_PER_G,
     Channels,
     Chunk,
+    Counts,
     Device,
     Problem,
     Reader,
@@ -55,19 +54,12 @@ LARGEST_BYTES = 1 << 26
 """Most bytes of a file, and of an unpacked block; half an hour of all sensors has 5 MB."""
 
 DEEPEST = 32
-MOST_ITEMS = 100_000
-"""Most items of an array or map of anything but numbers, such as events, a few a second."""
+MOST_ITEMS, MOST_VALUES = 100_000, 1_000_000
+"""Most items of a list that is not of numbers, and values that are decoded one by one: some take no bytes."""
 
-MOST_VALUES = 1_000_000
-"""Most values that are decoded one by one: a schema may claim many that take no bytes."""
-
-VARINT_BYTES = 10
-PIECE = 1 << 16
-MARKER_BYTES = 16
-MAGIC_BYTES = 4
+VARINT_BYTES, PIECE, MARKER_BYTES, MAGIC_BYTES = 10, 1 << 16, 16, 4
 DOWNLOAD_AGAIN = "download it again"
-NUMBERS = {"float": "<f4", "double": "<f8"}
-WHOLE = ("int", "long")
+NUMBERS, WHOLE = {"float": "<f4", "double": "<f8"}, ("int", "long")
 HEADER = {"type": "map", "values": "bytes"}
 PRIMITIVES = ("null", "boolean", "bytes", "string", *WHOLE, *NUMBERS)
 
@@ -78,17 +70,12 @@ class DamageError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class FirstRecord:
-    """The first record of a file.
+    """The first record of a file; its block ends at a byte of the (uncompressed) file.
 
-    Attributes:
-        fields: its content.
-        begin, end: place of its block in the (uncompressed) file.
-        marked: True if the marker after its block is right.
-        more: records beyond the first, or bytes after its block.
+    The marker after its block may be right, and there may be `more` records or bytes.
     """
 
     fields: dict[str, Any]
-    begin: int
     end: int
     marked: bool
     more: int
@@ -98,8 +85,7 @@ class ByteReader:
     """Reads bytes from their beginning."""
 
     def __init__(self, data: bytes) -> None:
-        self.data = data
-        self.place = 0
+        self.data, self.place = data, 0
 
     def take(self, size: int) -> bytes:
         """Return the next bytes; DamageError if there are too few."""
@@ -148,16 +134,11 @@ class ByteReader:
 
 
 class SchemaDecoder:
-    """Decodes values by a schema.
-
-    Args:
-        schema: as JSON.
-    """
+    """Decodes values by a schema, which is as JSON."""
 
     def __init__(self, schema: Any) -> None:
-        self._schema = schema
+        self._schema, self._values = schema, 0
         self._types_by_name: dict[str, Any] = {}
-        self._values = 0
 
     def record(self, data: ByteReader) -> dict[str, Any]:
         """Return the record, or map, that the data begin with."""
@@ -259,25 +240,19 @@ def _fields(schema: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def read_first(path: Path) -> FirstRecord:
-    """Decode the first record.
-
-    Raises:
-        UnreadableError: the file is cut off, damaged, too large, or packed in a way that is not known.
-    """
+    """Decode the first record; raises UnreadableError if it is damaged, too large or oddly packed."""
     with ByteSource(path) as source:
         data = ByteReader(source.read_exact(LARGEST_BYTES + 1))
         source.refuse_damaged()
     if len(data.data) > LARGEST_BYTES:
         what = f"has more than {LARGEST_BYTES >> 20} MB, which no half hour of an EmbracePlus takes"
-        raise UnreadableError(
-            what, path=path, hint="give it as the files of half an hour that Empatica writes"
-        )
+        hint = "give it as the files of half an hour that Empatica writes"
+        raise UnreadableError(what, path=path, hint=hint)
     try:
         return _first_record(data)
     except DamageError as error:
-        raise UnreadableError(
-            f"cannot be decoded: {error}", path=path, byte_offset=data.place, hint=DOWNLOAD_AGAIN
-        ) from error
+        what = f"cannot be decoded: {error}"
+        raise UnreadableError(what, path=path, byte_offset=data.place, hint=DOWNLOAD_AGAIN) from error
 
 
 def _first_record(data: ByteReader) -> FirstRecord:
@@ -288,7 +263,7 @@ def _first_record(data: ByteReader) -> FirstRecord:
         schema = json.loads(about.get("avro.schema", b""))
     except (ValueError, RecursionError) as error:
         raise DamageError("its schema is damaged") from error
-    records, begin = data.long(), data.place
+    records = data.long()
     if records < 1:
         raise DamageError("it holds no record")
     block = data.take(data.long())
@@ -296,7 +271,7 @@ def _first_record(data: ByteReader) -> FirstRecord:
     unpacked = ByteReader(_unpacked(block, about.get("avro.codec", b"null")))
     fields = SchemaDecoder(schema).record(unpacked)
     more = records - 1 or len(unpacked.data) - unpacked.place or len(data.data) - data.place
-    return FirstRecord(fields, begin, data.place, marked, more)
+    return FirstRecord(fields, data.place, marked, more)
 
 
 def _unpacked(block: bytes, codec: bytes) -> bytes:
@@ -308,9 +283,8 @@ def _unpacked(block: bytes, codec: bytes) -> bytes:
         elif codec == b"bzip2":
             whole = bz2.BZ2Decompressor().decompress(block, LARGEST_BYTES + 1)
         else:
-            raise DamageError(
-                f"it is packed with {codec[:20].decode('ascii', 'replace')}, which is not known"
-            )
+            name = codec[:20].decode("ascii", "replace")
+            raise DamageError(f"it is packed with {name}, which is not known")
     except (zlib.error, OSError, EOFError) as error:
         raise DamageError(f"its packed data are damaged ({error})") from error
     if len(whole) > LARGEST_BYTES:
@@ -352,38 +326,36 @@ def number(value: Any) -> float:
 
 def read_sensor(fields: Mapping[str, Any], version: tuple[int, ...]) -> Sensor | None:
     """Return a sensor's data; None if it has none that can be used."""
-    axes = [fields.get(axis) for axis in "xyz"]
-    if not all(isinstance(axis, np.ndarray) and axis.dtype == np.int64 for axis in axes):
+    axes = map(fields.get, "xyz")
+    columns = [axis for axis in axes if isinstance(axis, np.ndarray) and axis.dtype == np.int64 and len(axis)]
+    if len(columns) < 3 or any(not -MOST_COUNTS <= one.min() <= one.max() <= MOST_COUNTS for one in columns):
         return None
-    columns: list[NDArray[np.int64]] = [axis for axis in axes if isinstance(axis, np.ndarray)]
     rows = min(map(len, columns))
-    if not rows or any(column.min() < -MOST_COUNTS or column.max() > MOST_COUNTS for column in columns):
-        return None
-    params = subrecord(fields, "imuParams")
-    low, high, first, last = (
-        number(params.get(name)) for name in ("physicalMin", "physicalMax", "digitalMin", "digitalMax")
-    )
-    ranged = (high - low) / (last - first) if last > first else math.nan
-    factor = number(params.get("conversionFactor"))
-    steps = [factor, ranged] if version >= BY_FACTOR else [ranged, factor]
-    step = next((value for value in steps if 0 < value < math.inf), math.nan)
     start = number(fields.get("timestampStart"))
     return Sensor(
         np.stack([column[:rows] for column in columns], axis=1).astype(np.int32),
-        step,
-        min(-low, high) if low < 0 < high else None,
+        *scale_of(subrecord(fields, "imuParams"), version),
         int(start) if FIRST_US <= start <= LAST_US else 0,
         number(fields.get("samplingFrequency")),
         max(map(len, columns)) - rows,
     )
 
 
+def scale_of(params: Mapping[str, Any], version: tuple[int, ...]) -> tuple[float, float | None]:
+    """Return the size of one count, NaN if unknown; and the largest value that can be measured, or None."""
+    names = ("physicalMin", "physicalMax", "digitalMin", "digitalMax")
+    low, high, first, last = (number(params.get(name)) for name in names)
+    ranged = (high - low) / (last - first) if last > first else math.nan
+    factor = number(params.get("conversionFactor"))
+    steps = [factor, ranged] if version >= BY_FACTOR else [ranged, factor]
+    step = next((value for value in steps if 0 < value < math.inf), math.nan)
+    return step, min(-low, high) if low < 0 < high else None
+
+
 def temperature_of(fields: Mapping[str, Any], sensor: Sensor, rate_hz: float) -> NDArray[np.int32] | None:
     """Return for each row the last value measured, (n,) thousandths of a degree C; None if there is none."""
-    values, rate, start = (
-        fields.get("values"),
-        *(number(fields.get(key)) for key in ("samplingFrequency", "timestampStart")),
-    )
+    values, rate = fields.get("values"), number(fields.get("samplingFrequency"))
+    start = number(fields.get("timestampStart"))
     if not isinstance(values, np.ndarray) or values.dtype.kind != "f" or not 0 < rate <= RATES_HZ[1]:
         return None
     with np.errstate(invalid="ignore", over="ignore"):
@@ -401,23 +373,16 @@ class EmbracePlusReader(Reader):
     """Gives the rows of a file, which are all in memory: no more than LARGEST_BYTES can claim."""
 
     def __init__(
-        self,
-        recording: Recording,
-        counts: NDArray[np.int32],
-        channels: Channels,
-        problems: tuple[Problem, ...],
+        self, recording: Recording, counts: Counts, channels: Channels, problems: Iterable[Problem]
     ) -> None:
-        self.recording = recording
-        self._counts = counts
-        self._channels = channels
-        self._problems = problems
+        self.recording, self._problems = recording, tuple(problems)
+        self._counts, self._channels = counts, channels
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, at most `chunk_samples` at a time."""
         about, rows = self.recording, len(self._counts)
-        edges = [*range(0, rows, chunk_samples), rows]
         rate = rate_fraction(about.rate_hz)
-        for start, stop in pairwise(edges):
+        for start, stop in pairwise([*range(0, rows, chunk_samples), rows]):
             first, end = (about.total_bytes * row // rows for row in (start, stop))
             yield Chunk(
                 start,
@@ -431,15 +396,10 @@ class EmbracePlusReader(Reader):
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
-    """Open a file of an EmbracePlus.
-
-    Raises:
-        UnreadableError: it is damaged, or holds no acceleration that can be used.
-        UsageError: --rate contradicts it.
-    """
+    """Open a file of an EmbracePlus; `Format.open` says what is raised."""
     record = read_first(path)
     fields = record.fields
-    version = schema_version(fields)
+    version = tuple(one if isinstance(one, int) else 0 for one in version_numbers(fields, "schemaVersion"))
     accel = read_sensor(subrecord(fields, "rawData", "accelerometer"), version)
     if accel is None:
         raise UnreadableError("holds no acceleration", path=path, hint=DOWNLOAD_AGAIN)
@@ -468,21 +428,18 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         gyro_dps_per_lsb=None if gyro_step is None else (gyro_step,) * 3,
         notes=(*zone_note(fields), *notes),
     )
-    return EmbracePlusReader(about, accel.counts, channels, tuple(problems_of(record, accel)))
+    return EmbracePlusReader(about, accel.counts, channels, problems_of(record, accel))
 
 
-def schema_version(fields: Mapping[str, Any]) -> tuple[int, ...]:
-    """Return the version of the schema, such as (6, 5, 0)."""
-    version = subrecord(fields, "schemaVersion")
-    return tuple(
-        value if isinstance(value := version.get(name), int) else 0 for name in ("major", "minor", "patch")
-    )
+def version_numbers(fields: Mapping[str, Any], name: str) -> list[Any]:
+    """Return the parts of a version, such as [6, 5, 0]; None for one that is missing."""
+    version = subrecord(fields, name)
+    return [version.get(part) for part in ("major", "minor", "patch")]
 
 
 def device_of(fields: Mapping[str, Any]) -> Device:
     """Return the device with serial number and firmware."""
-    serial, version = fields.get("deviceSn"), subrecord(fields, "fwVersion")
-    numbers = [version.get(name) for name in ("major", "minor", "patch")]
+    serial, numbers = fields.get("deviceSn"), version_numbers(fields, "fwVersion")
     firmware = ".".join(map(str, numbers)) if all(isinstance(item, int) for item in numbers) else None
     return Device("EmbracePlus", serial if isinstance(serial, str) and serial else None, firmware)
 
@@ -528,6 +485,5 @@ def problems_of(record: FirstRecord, accel: Sensor) -> Iterator[Problem]:
         text = "the marker behind the data is wrong or missing: some values may not be what was written"
         yield Problem("checksum", text, record.end, rows)
     if record.more:
-        yield Problem(
-            "bad_page", "more follows the first record, which is all that is read", record.end, rows
-        )
+        text = "more follows the first record, which is all that is read"
+        yield Problem("bad_page", text, record.end, rows)

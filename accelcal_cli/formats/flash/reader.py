@@ -20,34 +20,21 @@ from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.files import PagedFile, RawBlock
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock
-from accelcal_cli.formats._pages.reader import FixedPages, PageDecoder, PagedReader
+from accelcal_cli.formats._pages.reader import FixedPages, PageDecoder
 from accelcal_cli.formats._pages.timeline import ExactTimeline, Spacing
-from accelcal_cli.formats._rows import MISSING, first_values
+from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.flash import HEADER_MAGIC, PAGE_BYTES, PAGE_MAGIC, SAMPLES, recording_id_of
 
-NOT_MEASURED = -32768
-FLAG_FRESH = 1
-CRC_AT = PAGE_BYTES - 4
-
+NOT_MEASURED, FLAG_FRESH, CRC_AT = -32768, 1, PAGE_BYTES - 4
 PAGE = np.dtype(
     [
-        ("magic", "S4"),
-        ("recording_id", "<u4"),
-        ("sequence", "<u4"),
-        ("seconds", "<u4"),
-        ("microseconds", "<u4"),
-        ("temperature", "<i2"),
-        ("samples", "<u2"),
-        ("flags", "<u4"),
-        ("xyz", "<i2", (SAMPLES, 3)),
-        ("crc", "<u4"),
+        *(("magic", "S4"), ("recording_id", "<u4"), ("sequence", "<u4"), ("seconds", "<u4")),
+        *(("microseconds", "<u4"), ("temperature", "<i2"), ("samples", "<u2"), ("flags", "<u4")),
+        *(("xyz", "<i2", (SAMPLES, 3)), ("crc", "<u4")),
     ]
 )
 
-VERSION = 1
-FLAG_TEMPERATURE = 1
-FLAG_CLOCK_NEVER_SET = 2
-ZONE_UNKNOWN = -32768
+VERSION, FLAG_TEMPERATURE, FLAG_CLOCK_NEVER_SET, ZONE_UNKNOWN = 1, 1, 2, -32768
 LONGEST_ZONE_MINUTES = 60 * WIDEST_OFFSET_H
 RATES_HZ = (Fraction(1, 1000), Fraction(100_000))
 
@@ -60,15 +47,10 @@ NO_START = "the device's clock was never set: times count from its start"
 
 
 class FlashDecoder(PageDecoder[RawBlock]):
-    """Decodes blocks of data pages.
-
-    Args:
-        recording_id: pages with another number are left out.
-    """
+    """Decodes blocks of data pages; those with another number than `recording_id` are left out."""
 
     def __init__(self, recording_id: int, has_temperature: bool) -> None:
-        self._recording_id = recording_id
-        self._has_temperature = has_temperature
+        self._recording_id, self._has_temperature = recording_id, has_temperature
 
     def decode(self, raw: RawBlock) -> Decoded:
         """See PageDecoder."""
@@ -99,9 +81,12 @@ def sensible(fields: NDArray[np.void]) -> NDArray[np.bool_]:
 def as_block(fields: NDArray[np.void], position: NDArray[np.int64], has_temperature: bool) -> PageBlock:
     """Return valid pages as columns."""
     rows = fields["samples"].astype(np.int64)
-    slots = fields["xyz"].astype(np.int16)
+    slots, channels = fields["xyz"].astype(np.int16), {}
     full = bool((rows == SAMPLES).all())
-    channels = {"temperature_mc": temperature_mc(fields)} if has_temperature else {}
+    if has_temperature:
+        raw = fields["temperature"].astype(np.int32)
+        milli = np.where(raw == NOT_MEASURED, np.int32(MISSING), (raw * 1000 + 64) >> 7).astype(np.int32)
+        channels["temperature_mc"] = np.repeat(milli, rows)
     return PageBlock(
         position=position,
         rows=rows,
@@ -109,15 +94,8 @@ def as_block(fields: NDArray[np.void], position: NDArray[np.int64], has_temperat
         sequence=fields["sequence"].astype(np.int64),
         time_us=fields["seconds"].astype(np.int64) * MICROSECONDS + fields["microseconds"],
         fresh=(fields["flags"] & FLAG_FRESH) != 0,
-        channels={name: np.repeat(values, rows) for name, values in channels.items()},
+        channels=channels,
     )
-
-
-def temperature_mc(fields: NDArray[np.void]) -> NDArray[np.int32]:
-    """Return each page's temperature [thousandths of a degree C], (p,)."""
-    raw = fields["temperature"].astype(np.int32)
-    milli = np.where(raw == NOT_MEASURED, np.int32(MISSING), (raw * 1000 + 64) >> 7)
-    return milli.astype(np.int32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,14 +123,7 @@ class HeaderDamageError(Exception):
 
 
 def parse_header(page: bytes) -> FlashHeader:
-    """Decode page 0.
-
-    Args:
-        page: its 512 bytes, or fewer at the end of a short file.
-
-    Raises:
-        HeaderDamageError: it is cut off, fails its checksum, or says something impossible.
-    """
+    """Decode page 0; raises HeaderDamageError if it is cut off, damaged, or says something impossible."""
     if len(page) < PAGE_BYTES:
         raise HeaderDamageError(f"it is cut off after {len(page)} of {PAGE_BYTES} bytes")
     fields = LAYOUT.unpack_from(page)
@@ -161,12 +132,12 @@ def parse_header(page: bytes) -> FlashHeader:
     if zlib.crc32(page[:-4]) != int.from_bytes(page[-4:], "little"):
         raise HeaderDamageError("its checksum is wrong")
     if fields[1:3] != (VERSION, PAGE_BYTES):
-        raise HeaderDamageError(
-            f"format version {fields[1]} with pages of {fields[2]} bytes is not supported"
-        )
+        what = f"format version {fields[1]} with pages of {fields[2]} bytes"
+        raise HeaderDamageError(f"{what} is not supported")
     rate, lsb_per_g = positive(fields[4:6], "sampling rate"), positive(fields[6:8], "number of counts per g")
     if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         raise HeaderDamageError(f"a sampling rate of {float(rate):g} Hz is impossible")
+    texts = [fields[place].split(b"\0")[0] for place in (13, 12, 14)]
     return FlashHeader(
         recording_id=fields[3],
         rate=rate,
@@ -175,7 +146,7 @@ def parse_header(page: bytes) -> FlashHeader:
         has_temperature=bool(fields[9] & FLAG_TEMPERATURE),
         clock_set=not fields[9] & FLAG_CLOCK_NEVER_SET,
         timezone=zone_name(fields[10]),
-        device=Device(*(text_field(field) for field in (fields[13], fields[12], fields[14]))),
+        device=Device(*(text.decode("ascii", "replace").strip() or None for text in texts)),
     )
 
 
@@ -184,11 +155,6 @@ def positive(pair: tuple[int, int], what: str) -> Fraction:
     if 0 in pair:
         raise HeaderDamageError(f"the {what} is {pair[0]}/{pair[1]}")
     return Fraction(*pair)
-
-
-def text_field(data: bytes) -> str | None:
-    """Return ASCII text up to the first zero byte, None if it is empty."""
-    return data.split(b"\0")[0].decode("ascii", "replace").strip() or None
 
 
 def zone_name(minutes: int) -> str | None:
@@ -200,13 +166,7 @@ def zone_name(minutes: int) -> str | None:
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
-    """Open a dump.
-
-    Raises:
-        UnreadableError: the header is damaged and rate or counts per g are not given, or no data
-            page is valid.
-        UsageError: the rates contradict each other.
-    """
+    """Open a dump; `Format.open` says what is raised."""
     with ByteSource(path) as stream:
         page = stream.read_exact(PAGE_BYTES)
     file = PagedFile.at(path, PAGE_BYTES, PAGE_BYTES)
@@ -215,30 +175,37 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     except HeaderDamageError as error:
         header = substitute(file, options, error)
         problems = [Problem("damaged_header", f"the header page is not usable: {error}", 0, 0)]
-    header = overridden(header, options, path)
-    scheme = page_scheme(file, header)
+    if options.rate_hz is not None:
+        header = replace(header, rate=rate_fraction(agreed_rate(options, float(header.rate), path)))
+    if options.lsb_per_g is not None:
+        header = replace(header, lsb_per_g=Fraction(options.lsb_per_g))
+    spacing = Spacing(header.rate, SAMPLES)
+    decoder = FlashDecoder(header.recording_id, header.has_temperature)
+    scheme = FixedPages(file, spacing, lambda: decoder, lambda: ExactTimeline(spacing))
     opening = scheme.look_inside()
     if opening is None:
         raise UnreadableError("has no valid data page", path=path, byte_offset=PAGE_BYTES, hint=COPY_AGAIN)
     if not header.clock_set:
         problems.append(Problem("no_start_time", NO_START, 0, 0))
-    scheme = replace(scheme, first_values=first_values(opening.channels), problems=tuple(problems))
-    return PagedReader(recording(scheme, header, opening), scheme)
+    about = Recording(
+        path=path,
+        format="flash",
+        rate_hz=float(header.rate),
+        lsb_per_g=float(header.lsb_per_g),
+        total_bytes=file.size,
+        device=header.device,
+        range_g=header.range_g,
+        timezone=header.timezone,
+    )
+    return scheme.reader(opening, about, problems, dated=header.clock_set)
 
 
 def substitute(file: PagedFile, options: ReadOptions, error: HeaderDamageError) -> FlashHeader:
-    """Return a header from the user's options, in place of a damaged one.
-
-    Raises:
-        UnreadableError: they do not give rate and counts per g.
-    """
+    """Return a header from the user's options, in place of a damaged one; raises UnreadableError without."""
     if options.rate_hz is None or options.lsb_per_g is None:
-        raise UnreadableError(
-            f"the header page is not usable: {error}",
-            path=file.path,
-            byte_offset=0,
-            hint="give --rate and --lsb-per-g to read the data without it",
-        )
+        what = f"the header page is not usable: {error}"
+        hint = "give --rate and --lsb-per-g to read the data without it"
+        raise UnreadableError(what, path=file.path, byte_offset=0, hint=hint)
     with closing(file.blocks(file.amount(SEARCHED_PAGES))) as blocks:
         numbers = (recording_id_of(page.tobytes()) for raw in blocks for page in raw.pages)
         number = next((number for number in numbers if number is not None), 0)
@@ -251,43 +218,4 @@ def substitute(file: PagedFile, options: ReadOptions, error: HeaderDamageError) 
         clock_set=True,
         timezone=None,
         device=Device(),
-    )
-
-
-def overridden(header: FlashHeader, options: ReadOptions, path: Path) -> FlashHeader:
-    """Return the header with the user's options, which take precedence over it.
-
-    Raises:
-        UsageError: the rates contradict each other.
-    """
-    if options.rate_hz is not None:
-        header = replace(header, rate=rate_fraction(agreed_rate(options, float(header.rate), path)))
-    if options.lsb_per_g is not None:
-        header = replace(header, lsb_per_g=Fraction(options.lsb_per_g))
-    return header
-
-
-def page_scheme(file: PagedFile, header: FlashHeader) -> FixedPages:
-    """Return how this file's pages are read."""
-    spacing = Spacing(header.rate, SAMPLES)
-    decoder = FlashDecoder(header.recording_id, header.has_temperature)
-    return FixedPages(file, spacing, lambda: decoder, lambda: ExactTimeline(spacing))
-
-
-def recording(scheme: FixedPages, header: FlashHeader, opening: PageBlock) -> Recording:
-    """Describe the recording."""
-    samples, duration_s = scheme.extent(opening)
-    return Recording(
-        path=scheme.file.path,
-        format="flash",
-        rate_hz=float(header.rate),
-        lsb_per_g=float(header.lsb_per_g),
-        total_bytes=scheme.file.size,
-        device=header.device,
-        range_g=header.range_g,
-        start_us=scheme.timeline().start(opening) if header.clock_set else None,
-        timezone=header.timezone,
-        samples=samples,
-        duration_s=duration_s,
-        has_temperature=scheme.first_values.get("temperature_mc") is not None,
     )

@@ -6,7 +6,6 @@ time of its first sample; its temperature is the mean of its samples.
 
 from __future__ import annotations
 
-import re
 import zlib
 from collections.abc import Iterable
 from fractions import Fraction
@@ -19,7 +18,14 @@ from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.formats import Encoder
 from accelcal_cli.core.recording import Chunk, Recording
-from accelcal_cli.formats._writing import OTHER_FORMAT, check_bits, new_file, page_means_mc, page_runs
+from accelcal_cli.formats._writing import (
+    OTHER_FORMAT,
+    check_bits,
+    fixed_offset,
+    new_file,
+    page_means_mc,
+    page_runs,
+)
 from accelcal_cli.formats.flash import HEADER_MAGIC, PAGE_BYTES, PAGE_MAGIC, SAMPLES
 from accelcal_cli.formats.flash import reader as flash
 
@@ -29,11 +35,7 @@ INT16 = np.iinfo(np.int16)
 
 
 def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
-    """Write all chunks to `path`.
-
-    Raises:
-        OutputError: a count or a time does not fit, or the file cannot be written.
-    """
+    """Write all chunks to `path`; raises OutputError for a count or a time that does not fit."""
     with new_file(path) as file:
         file.write(header_page(path, recording))
         sequence = 0
@@ -59,7 +61,10 @@ def header_page(path: Path, recording: Recording) -> bytes:
         flags,
         zone_minutes(recording.timezone),
         0,
-        *(ascii_field(text) for text in (device.serial, device.model, device.firmware)),
+        *(
+            (one or "").encode("ascii", "replace")[:32]
+            for one in (device.serial, device.model, device.firmware)
+        ),
     ).ljust(flash.CRC_AT, b"\0")
     return page + zlib.crc32(page).to_bytes(4, "little")
 
@@ -73,32 +78,30 @@ def exact(path: Path, value: float, what: str) -> tuple[int, int]:
     raise OutputError(message, path=path, hint=OTHER_FORMAT)
 
 
-def ascii_field(text: str | None) -> bytes:
-    """Return up to 32 bytes of ASCII text; other characters become question marks."""
-    return (text or "").encode("ascii", "replace")[:32]
-
-
 def zone_minutes(timezone: str | None) -> int:
     """Return the minutes east of UTC of a fixed offset, ZONE_UNKNOWN for any other zone."""
-    if timezone == "UTC":
-        return 0
-    match = re.fullmatch(r"([+-])(\d\d):(\d\d)", timezone or "")
-    if match is None:
+    offset = fixed_offset(timezone)
+    if offset is None:
         return flash.ZONE_UNKNOWN
-    return int(match[1] + "1") * (60 * int(match[2]) + int(match[3]))
+    return int(f"{offset[0]}1") * (60 * int(offset[1:3]) + int(offset[4:]))
 
 
 def data_pages(path: Path, rows: Chunk, sequence: int) -> NDArray[np.void]:
     """Return whole pages, or a single one that is not full, numbered from `sequence`."""
     count, time_us = len(rows), rows.time_us
-    check_fit(path, rows, time_us)
+    check_bits(path, rows, 16)
+    if time_us.min() < 0 or time_us.max() > LARGEST * MICROSECONDS:
+        raise OutputError("a time lies before 1970 or after 2106", path=path, hint=OTHER_FORMAT)
     first = np.arange(0, count, SAMPLES)
     pages = np.zeros(len(first), flash.PAGE)
     pages["magic"] = PAGE_MAGIC
     pages["recording_id"] = RECORDING_ID
     pages["sequence"] = sequence + np.arange(len(first))
     pages["seconds"], pages["microseconds"] = np.divmod(time_us[first], MICROSECONDS)
-    pages["temperature"] = page_temperatures(rows, len(first))
+    means_mc = page_means_mc(rows, SAMPLES)
+    pages["temperature"] = flash.NOT_MEASURED
+    if means_mc is not None:  # in units of 1/128 C
+        pages["temperature"] = np.clip(np.rint(means_mc * (128 / 1000)), -INT16.max, INT16.max)
     pages["samples"] = np.minimum(count - first, SAMPLES)
     pages["flags"][0] = flash.FLAG_FRESH * rows.is_fresh
     pages["xyz"] = -1
@@ -110,21 +113,6 @@ def data_pages(path: Path, rows: Chunk, sequence: int) -> NDArray[np.void]:
     starts = range(0, len(data), PAGE_BYTES)
     pages["crc"] = [zlib.crc32(data[start : start + flash.CRC_AT]) for start in starts]
     return pages
-
-
-def check_fit(path: Path, rows: Chunk, time_us: NDArray[np.int64]) -> None:
-    """Refuse counts beyond 16 bits and times that a page cannot hold."""
-    check_bits(path, rows, 16)
-    if time_us.min() < 0 or time_us.max() > LARGEST * MICROSECONDS:
-        raise OutputError("a time lies before 1970 or after 2106", path=path, hint=OTHER_FORMAT)
-
-
-def page_temperatures(rows: Chunk, pages: int) -> NDArray[np.int16]:
-    """Return the mean temperature of each page [1/128 C]."""
-    means_mc = page_means_mc(rows, SAMPLES)
-    if means_mc is None:
-        return np.full(pages, flash.NOT_MEASURED, np.int16)
-    return np.clip(np.rint(means_mc * (128 / 1000)), -INT16.max, INT16.max).astype(np.int16)
 
 
 ENCODER = Encoder("flash", ".bin", write)

@@ -34,25 +34,20 @@ from accelcal_cli.formats._pages.pages import GOOD, NONSENSE, Decoded, PageBlock
 from accelcal_cli.formats._pages.reader import BROKEN_OFF, PageDecoder, PagedReader, PageScheme
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
 
-GAIN_UNIT = 8192
-RAW_PER_G = 340
+GAIN_UNIT, RAW_PER_G = 8192, 340
 RAW_LIMIT = 1 << 11
 GAINS = (GAIN_UNIT // 2, 2 * GAIN_UNIT)
 RATES_HZ = (1.0, 1000.0)
 
-PAGE_BYTES = 2048
-SLOT_BYTES = 6
+PAGE_BYTES, SLOT_BYTES = 2048, 6
 SLOTS = PAGE_BYTES // SLOT_BYTES
 SAMPLE, TIME = 0, 2
 CRC8_POLYNOMIAL = 0x85
 LONGEST_S = 8
 """Longest group [s]; a longer one is cut, so that lost times do not fill the memory."""
 
-LOOKED_AT_PAGES = 256
-"""Pages that are read at a time in search of the first time."""
-
-LAST_PAGES = 32
-"""Pages at the end in which the last time is looked for."""
+LOOKED_AT_PAGES, LAST_PAGES = 256, 32
+"""Pages that are read at a time in search of the first time, and at the end in search of the last."""
 
 NO_START = "no time is intact: times count from the beginning of the recording"
 _END = re.compile(rb"\r?\n\r?\n")
@@ -65,12 +60,7 @@ Slots = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The text before the first page; a field is None if it is missing or impossible.
-
-    Attributes:
-        data_start: where the first page lies, bytes.
-        gains, offsets: of x, y and z.
-    """
+    """The text before the page at `data_start`; a field is None if it is missing or impossible."""
 
     data_start: int
     rate_hz: float | None
@@ -80,11 +70,7 @@ class Header:
 
 
 def parse_header(head: bytes) -> Header | None:
-    """Read the lines of `key:value` up to an empty one; return None if there is none.
-
-    Args:
-        head: the file's first bytes.
-    """
+    """Read the lines of `key:value` in a file's first bytes, up to an empty one; None if there is none."""
     end = _END.search(head)
     if end is None:
         return None
@@ -125,20 +111,13 @@ class Scale:
 
 
 def scale_of(header: Header, options: ReadOptions, path: Path) -> Scale:
-    """Return the user's counts per g for the raw values, else the factory's calibration.
-
-    Raises:
-        UnreadableError: there is neither.
-    """
+    """Return the user's counts per g for the raw values, else the factory's calibration, if there is one."""
     if options.lsb_per_g is not None:
         return Scale(options.lsb_per_g)
     if header.gains is None or header.offsets is None:
-        raise UnreadableError(
-            "the factory's gains and offsets of x, y and z are missing from the header or impossible",
-            path=path,
-            byte_offset=0,
-            hint=f"give --lsb-per-g to read the raw values (about {RAW_PER_G})",
-        )
+        what = "the factory's gains and offsets of x, y and z are missing from the header or impossible"
+        hint = f"give --lsb-per-g to read the raw values (about {RAW_PER_G})"
+        raise UnreadableError(what, path=path, byte_offset=0, hint=hint)
     common = reduce(gcd, header.gains)
     slopes = tuple(gain // common for gain in header.gains)
     return Scale(GAIN_UNIT * RAW_PER_G / common, slopes, header.offsets)
@@ -212,12 +191,9 @@ NO_SLOTS = np.empty((0, SLOT_BYTES), np.uint8)
 
 @dataclass(slots=True)
 class SampleGroups(ScannedPages):
-    """Samples from one time to the next, each such group a page.
+    """Samples from one time to the next, each such group a page; and bytes of an incomplete page at the end.
 
-    Attributes:
-        blocks: the groups, numbered from the first page of this stretch on; counts are raw values, and rows
-            faulty where damaged.
-        tail: bytes of an incomplete page at the end of the file.
+    Groups are numbered from the first page of this stretch on, and their counts are raw values.
     """
 
     blocks: list[PageBlock] = field(default_factory=list)
@@ -227,22 +203,14 @@ class SampleGroups(ScannedPages):
 class Grouper:
     """Cuts the slots of a file into groups; a Scanner.
 
-    Empty pages are damage only where others follow them.
-
-    Args:
-        start_byte: where the first page lies.
-        next_us: time of the first sample, by the first time in the file.
+    Empty pages are damage only where others follow them. The first sample's time is by the first in the file.
     """
 
     def __init__(self, spacing: Spacing, start_byte: int, next_us: int) -> None:
-        self._spacing = spacing
-        self._start_byte = start_byte
-        self._next_us = next_us
+        self._spacing, self._start_byte, self._next_us = spacing, start_byte, next_us
         self._longest = LONGEST_S * spacing.rows
-        self._rest = b""
-        self._page = 0
-        self._open = NO_SLOTS
-        self._first = 0
+        self._rest, self._open = b"", NO_SLOTS
+        self._page = self._first = 0
         self._empty: list[int] = []
 
     def feed(self, data: bytes, *, last: bool) -> SampleGroups:
@@ -292,15 +260,9 @@ class Grouper:
         time_us = self._times(slots, begins, edges, rows)
         filled = np.flatnonzero(rows > 0)
         taken = slots[:end][is_row[:end]]
-        groups.blocks.append(
-            PageBlock(
-                position=len(groups.status) + np.arange(len(filled)),
-                rows=rows[filled],
-                counts=raw_values(taken),
-                time_us=time_us[filled],
-                faulty=~good[:end][is_row[:end]],
-            )
-        )
+        block = PageBlock(len(groups.status) + np.arange(len(filled)), rows[filled], raw_values(taken))
+        faulty = ~good[:end][is_row[:end]]
+        groups.blocks.append(replace(block, time_us=time_us[filled], faulty=faulty))
         for group in filled.tolist():
             groups.add(GOOD, *(self._offset(first + int(edge)) for edge in edges[group : group + 2]))
 
@@ -314,11 +276,7 @@ class Grouper:
         return np.append(marks, len(begins))
 
     def _times(
-        self,
-        slots: Slots,
-        begins: NDArray[np.bool_],
-        edges: NDArray[np.int64],
-        rows: NDArray[np.int64],
+        self, slots: Slots, begins: NDArray[np.bool_], edges: NDArray[np.int64], rows: NDArray[np.int64]
     ) -> NDArray[np.int64]:
         """Return each group's own time [us], else one by the next group, else one by the group before."""
         if not len(rows):
@@ -340,13 +298,8 @@ class Grouper:
         return self._start_byte + page * PAGE_BYTES + within * SLOT_BYTES
 
 
-NO_GROUPS = PageBlock(
-    np.empty(0, np.int64),
-    np.empty(0, np.int64),
-    np.empty((0, 3), np.int16),
-    time_us=np.empty(0, np.int64),
-    faulty=np.empty(0, np.bool_),
-)
+NONE = np.empty(0, np.int64)
+NO_GROUPS = PageBlock(NONE, NONE, np.empty((0, 3), np.int16), time_us=NONE, faulty=NONE.astype(np.bool_))
 
 
 class GroupDecoder(PageDecoder[SampleGroups]):
@@ -380,11 +333,7 @@ class GroupDecoder(PageDecoder[SampleGroups]):
 
 @dataclass(frozen=True, slots=True)
 class SlotScheme(PageScheme[SampleGroups]):
-    """Describes how the slots of one file are read.
-
-    Attributes:
-        pages: the file as pages of 2048 bytes.
-    """
+    """Describes how the slots of one file are read, which is also one of `pages` of 2048 bytes."""
 
     file: PageFile[SampleGroups]
     pages: PagedFile
@@ -406,13 +355,7 @@ class SlotScheme(PageScheme[SampleGroups]):
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
-    """Open a recording.
-
-    Raises:
-        UnreadableError: the header has no end, no sample is intact, or the factory's calibration is lost and
-            `lsb_per_g` not given, or the rate is and `rate_hz` not given.
-        UsageError: the user's rate contradicts the header's.
-    """
+    """Open a recording; `Format.open` says what is raised."""
     header = parse_header(probe_file(path, options).head)
     if header is None:
         what = "has no GENEA header, or one without an empty line at its end"
@@ -426,15 +369,9 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     before = rows_before_the_first_time(pages)
     start_us = 0 if before is None else before[1] - round(float(spacing.rows_us(before[0])))
     scale = scale_of(header, options, path)
+    scanner, group_bytes = (lambda start: Grouper(spacing, start, start_us)), SLOT_BYTES * spacing.rows
     scheme = SlotScheme(
-        PageFile(
-            path,
-            header.data_start,
-            SLOT_BYTES * spacing.rows,
-            pages.size,
-            pages.compressed,
-            scanner=lambda start: Grouper(spacing, start, start_us),
-        ),
+        PageFile(path, header.data_start, group_bytes, pages.size, pages.compressed, scanner),
         spacing,
         decoder=lambda: GroupDecoder(scale),
         timeline=lambda: CoarseTimeline(spacing, MICROSECONDS),
@@ -442,8 +379,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         problems=() if before else (Problem("no_start_time", NO_START, None, 0),),
     )
     about = describe(scheme, header, rate_hz, scale.lsb_per_g)
-    if before is None:
-        about = replace(about, start_us=None, duration_s=None)
+    about = about if before else replace(about, start_us=None, duration_s=None)
     return PagedReader(about, scheme)
 
 
@@ -469,11 +405,7 @@ def rows_before_the_first_time(file: PagedFile) -> tuple[int, int] | None:
 
 
 def describe(scheme: SlotScheme, header: Header, rate_hz: float, lsb_per_g: float) -> Recording:
-    """Describe the recording, whose times may still prove to have no date.
-
-    Raises:
-        UnreadableError: no sample is intact.
-    """
+    """Describe the recording, whose times may prove to have no date; there has to be a sample."""
     file = scheme.file
     try:
         start_us = scheme.first_time_us()
@@ -503,8 +435,6 @@ def duration_s(scheme: SlotScheme, start_us: int) -> float | None:
         for slots in blocks:
             good, kind = sound(slots), kinds(slots)
             for at in np.flatnonzero(good & (kind == TIME))[-1:].tolist():
-                rows = int((good & (kind == SAMPLE))[at:].sum())
-                last = int(seconds(slots[at : at + 1])[0]) * MICROSECONDS + float(
-                    scheme.spacing.rows_us(rows)
-                )
+                lasted_us = float(scheme.spacing.rows_us(int((good & (kind == SAMPLE))[at:].sum())))
+                last = int(seconds(slots[at : at + 1])[0]) * MICROSECONDS + lasted_us
     return None if last is None or last <= start_us else (last - start_us) / MICROSECONDS

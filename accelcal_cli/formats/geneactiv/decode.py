@@ -33,14 +33,10 @@ from accelcal_cli.formats._pages.reader import BROKEN_OFF, PageDecoder
 from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.geneactiv import MARK, PAGE_HEAD
 
-SAMPLES = 300
-SAMPLE_DIGITS = 12
+SAMPLES, SAMPLE_DIGITS = 300, 12
 BODY_DIGITS = SAMPLES * SAMPLE_DIGITS
-USUAL_BYTES = 3840
-"""Usual length of a page."""
-
-LONGEST_BYTES = 4608
-"""Longest page that the pattern of its text allows."""
+USUAL_BYTES, LONGEST_BYTES = 3840, 4608
+"""Usual length of a page, and the longest that the pattern of its text allows."""
 
 SHORTEST_BYTES = BODY_DIGITS + 150
 
@@ -57,11 +53,8 @@ Head = tuple[bytes, ...]
 """Serial number, sequence number, time, temperature and rate of a page, as in its text."""
 
 
-REMEMBERED_PAGES = 1 << 15
-"""Pages among which a repeated page is known again."""
-
-MIXERS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F], np.uint64)
-"""Odd numbers without a pattern, which mix what identifies a page."""
+REMEMBERED_PAGES, MIXERS = 1 << 15, np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F], np.uint64)
+"""Pages among which a repeated one is known, and odd numbers that mix what identifies a page."""
 
 RAW_VALUES = 1 << 12
 RAW_LIMIT = RAW_VALUES // 2
@@ -141,18 +134,11 @@ class TextScanner:
     """
 
     def __init__(self, offset: int, *, inside: bool = False) -> None:
-        self._offset = offset
-        self._rest = b""
-        self._searching = inside
+        self._offset, self._rest, self._searching = offset, b"", inside
         self._bad: tuple[int, int] | None = None
 
     def feed(self, data: bytes, *, last: bool, stop: int | None = None) -> TextPages:
-        """See Scanner.
-
-        Args:
-            last: nothing follows.
-            stop: leave out pages that begin at this byte of the text or later.
-        """
+        """See Scanner; leaves out pages that begin at byte `stop` of the text or later."""
         text, found = self._rest + data, TextPages()
         end = len(text) if last else len(text) - LONGEST_BYTES + 1
         end = end if stop is None else min(end, stop)
@@ -166,7 +152,9 @@ class TextScanner:
             head = match(text, index)
             begin = len(text) if head is None else head.end()
             close = text.find(b"\n", begin, begin + BODY_DIGITS + 2)
-            if head is None or not _is_whole(text, begin, close):
+            over = close - begin - BODY_DIGITS
+            whole = over == 0 or (over == 1 and text[close - 1] == CARRIAGE_RETURN)
+            if head is None or not whole:
                 index = self._last(text, index, head, found) if last else self._other(text, index, head)
                 continue
             digits = text[begin : begin + BODY_DIGITS]
@@ -220,12 +208,6 @@ class TextScanner:
         return index + len(MARK) if begun else index
 
 
-def _is_whole(text: bytes, begin: int, close: int) -> bool:
-    """Return True if the line from `begin` to `close` has the digits of a page."""
-    over = close - begin - BODY_DIGITS
-    return over == 0 or (over == 1 and text[close - 1] == CARRIAGE_RETURN)
-
-
 @dataclass(frozen=True, slots=True)
 class Factory:
     """The header's calibration block, x y z: g = (raw * 100 - offset) / gain."""
@@ -233,24 +215,17 @@ class Factory:
     gain: tuple[int, int, int]
     offset: tuple[int, int, int]
 
-    @property
-    def possible(self) -> bool:
-        """Return True if the gains are those of a wrist-worn sensor and the offsets below 1 g."""
-        return all(
-            GAINS[0] <= gain <= GAINS[1] and abs(offset) <= gain
-            for gain, offset in zip(self.gain, self.offset, strict=True)
-        )
-
 
 def factory_of(measured: Mapping[str, str]) -> Factory | None:
-    """Return the calibration from its lines of the header, None if a number is missing or impossible."""
-    gains = [whole_number(measured.get(f"{axis} gain", "")) for axis in AXES]
-    offsets = [whole_number(measured.get(f"{axis} offset", "")) for axis in AXES]
-    known = [value for value in gains + offsets if value is not None]
-    if len(known) < 2 * len(AXES):
+    """Return the calibration of the header; None without possible gains of a wrist, and offsets below 1 g."""
+    names = [f"{axis} {what}" for what in ("gain", "offset") for axis in AXES]
+    known = [value for name in names if (value := whole_number(measured.get(name, ""))) is not None]
+    if len(known) < len(names):
         return None
-    factory = Factory((known[0], known[1], known[2]), (known[3], known[4], known[5]))
-    return factory if factory.possible else None
+    gains, offsets = (known[0], known[1], known[2]), (known[3], known[4], known[5])
+    pairs = zip(gains, offsets, strict=True)
+    possible = all(GAINS[0] <= gain <= GAINS[1] and abs(offset) <= gain for gain, offset in pairs)
+    return Factory(gains, offsets) if possible else None
 
 
 def whole_number(text: str) -> int | None:
@@ -293,8 +268,10 @@ def factory_scale(factory: Factory) -> Scale:
     whole = [int(number * grid) for number in slopes + shifts]
     common = gcd(*whole)
     lsb_per_g = Fraction(grid, common)
-    if lsb_per_g > FLOAT_LSB_PER_G:
-        return _scale(FLOAT_LSB_PER_G, _rounded(factory), exact=False)
+    if lsb_per_g > FLOAT_LSB_PER_G:  # rounded to the nearest; gains below 2**24 leave no halves
+        gain = np.array(factory.gain, np.int64)[:, None]
+        counts = _linear((100, 100, 100), factory.offset) * int(FLOAT_LSB_PER_G)
+        return _scale(FLOAT_LSB_PER_G, (2 * counts + gain) // (2 * gain), exact=False)
     reduced = [number // common for number in whole]
     return _scale(float(lsb_per_g), _linear(reduced[:3], reduced[3:]), exact=True)
 
@@ -308,13 +285,6 @@ def _raw_values() -> NDArray[np.int64]:
 def _linear(slope: Sequence[int], shift: Sequence[int]) -> NDArray[np.int64]:
     """Return slope * raw - shift of each axis, (3, 4096)."""
     return _raw_values() * np.array(slope, np.int64)[:, None] - np.array(shift, np.int64)[:, None]
-
-
-def _rounded(factory: Factory) -> NDArray[np.int64]:
-    """Return counts of 1 / 2**24 g, (3, 4096), rounded to the nearest; gains below 2**24 leave no halves."""
-    gain = np.array(factory.gain, np.int64)[:, None]
-    counts = _linear((100, 100, 100), factory.offset) * int(FLOAT_LSB_PER_G)
-    return np.asarray((2 * counts + gain) // (2 * gain))
 
 
 def _scale(lsb_per_g: float, table: NDArray[np.int64], *, exact: bool) -> Scale:
@@ -358,12 +328,7 @@ def page_marks(block: PageBlock) -> NDArray[np.uint64]:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Properties that all pages of a recording share.
-
-    Attributes:
-        serial: as in the text of the pages.
-        rate: samples per second, as the pages state it.
-    """
+    """Properties that all pages of a recording share; serial number and rate [Hz] as they state them."""
 
     serial: bytes
     rate: Fraction
@@ -371,15 +336,10 @@ class Settings:
 
 
 class TextDecoder(PageDecoder[TextPages]):
-    """Decodes pages in hexadecimal digits.
-
-    Args:
-        announced: number of pages by the header, 0 if it does not say.
-    """
+    """Decodes pages in hexadecimal digits, of which the header announces a number, or 0."""
 
     def __init__(self, settings: Settings, announced: int = 0) -> None:
-        self._settings = settings
-        self._announced = announced
+        self._settings, self._announced = settings, announced
         self._repeats = Repeats()
         self._highest = self._last_position = -1
 
@@ -394,9 +354,8 @@ class TextDecoder(PageDecoder[TextPages]):
         keep = np.flatnonzero(verdict == GOOD)
         if samples is None or len(keep) < len(verdict):  # decode again, without the damaged pages
             samples = unhexlify(b"".join(found.bodies[page] for page in keep.tolist()))
-        block = replace(
-            self._block(found, keep, samples, first_position + places[keep]), time_us=time_us[keep]
-        )
+        block = self._block(found, keep, samples, first_position + places[keep])
+        block = replace(block, time_us=time_us[keep])
         again = self._repeats.among(block)
         verdict[keep[again]] = paged.REPEATED
         status[places] = verdict

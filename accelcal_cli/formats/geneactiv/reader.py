@@ -49,21 +49,15 @@ from accelcal_cli.formats.geneactiv.decode import (
     whole_number,
 )
 
-PAGES = 64
-"""Pages at the beginning that describe the recording."""
+PAGES, AGREEING = 64, 0.9
+"""Pages that describe the recording, and share of them whose times must be multiples of a unit."""
 
 UNITS_US = (1_000_000, 500_000)
 """Units of the pages' times [us]: whole seconds (model 1.2) or half seconds (model 1.1)."""
 
 FINEST_US = 1_000
-AGREEING = 0.9
-"""Share of the first pages whose times must be multiples of a unit."""
-
-HALF_SECONDS = 600
-"""Samples of two pages: at R Hz, a page lasts 600 / R half seconds."""
-
-RATE_ROUNDING = Fraction(1, 20)
-"""Most by which a page's rate [Hz] is rounded."""
+HALF_SECONDS, RATE_ROUNDING = 600, Fraction(1, 20)
+"""At R Hz, a page lasts 600 / R half seconds; most by which its rate [Hz] is rounded."""
 
 TAIL_BYTES = 1 << 16
 """Bytes at the end of the file in which the last page is looked for."""
@@ -78,8 +72,7 @@ RESET_DATE = "2010-09-16"
 
 NO_DEVICE = Device()
 _PAGE_LINE = re.compile(
-    MARK + rb"[ \t]*(?:[\r\n]|\Z)|(?:^|(?<=\r))(?:Sequence Number:|Page Time:|[0-9A-Fa-f]{256})",
-    re.MULTILINE,
+    MARK + rb"[ \t]*(?:[\r\n]|\Z)|(?:^|(?<=\r))(?:Sequence Number:|Page Time:|[0-9A-Fa-f]{256})", re.MULTILINE
 )
 """The beginning of a page, or a line of one, whichever comes first. A damaged page is not a part of the
 header, even if its lines end in carriage returns alone, or the end of the line before it is lost."""
@@ -118,20 +111,19 @@ class Header:
 
 
 def parse_header(head: bytes) -> Header:
-    """Read the header.
-
-    Args:
-        head: the file's first bytes.
-    """
+    """Read the header from the file's first bytes."""
     match = _PAGE_LINE.search(head)
     end = match.start() if match else 0
     text = head[:end].decode("ascii", "replace")
     about, measured = _values(text), _values(text.rpartition(CALIBRATION)[2])
     factory = factory_of(measured)
     rate = number(about.get("Measurement Frequency", "").encode("ascii", "replace"))
-    range_g = _range_g(about.get("Accelerometer Range", ""))
+    ends = _RANGE.search(about.get("Accelerometer Range", ""))  # such as -8 to 8, symmetric
+    range_g = float(ends[2]) if ends and float(ends[1]) == float(ends[2]) > 0 else None
     serial = about.get("Device Unique Serial Code")
     zone, zone_notes = header_zone(about.get("Time Zone", ""))
+    model = " ".join(about[key] for key in ("Device Type", "Device Model") if key in about)
+    drift = _DRIFT.search(about.get("Extract Notes", ""))
     needed = {
         "serial number": serial,
         "measurement frequency": rate,
@@ -140,7 +132,7 @@ def parse_header(head: bytes) -> Header:
     }
     return Header(
         data_start=end,
-        device=_device(about, serial),
+        device=Device(model or None, serial, about.get("Device Firmware Version")),
         rate=rate,
         range_g=range_g,
         timezone=zone,
@@ -148,7 +140,7 @@ def parse_header(head: bytes) -> Header:
         factory=factory,
         pages=whole_number(measured.get("Number of Pages", "")),
         reset=any(about.get(key, "").startswith(RESET_DATE) for key in ("Config Time", "Start Time")),
-        drift_s=_first(_DRIFT, about.get("Extract Notes", "")),
+        drift_s=drift[1] if drift else None,
         missing=tuple(name for name, value in needed.items() if value is None),
     )
 
@@ -164,22 +156,6 @@ def _values(text: str) -> dict[str, str]:
     return values
 
 
-def _device(about: dict[str, str], serial: str | None) -> Device:
-    model = " ".join(about[key] for key in ("Device Type", "Device Model") if key in about)
-    return Device(model or None, serial, about.get("Device Firmware Version"))
-
-
-def _first(pattern: re.Pattern[str], text: str) -> str | None:
-    match = pattern.search(text)
-    return match[1] if match else None
-
-
-def _range_g(text: str) -> float | None:
-    """Return 8 for `-8 to 8`, None for a range that is not symmetric."""
-    match = _RANGE.search(text)
-    return float(match[2]) if match and float(match[1]) == float(match[2]) > 0 else None
-
-
 @dataclass(frozen=True, slots=True)
 class FirstPages:
     """Properties that most of the first pages share.
@@ -189,7 +165,7 @@ class FirstPages:
         rate: samples per second.
         sequence: number of the first page.
         missing: pages before it that are not in the file, by that number.
-        unit_us: resolution of their times [us].
+        unit_us: the coarsest unit [us] of which nearly all their times are multiples.
         first_values: first measured value of each channel, None if there is none.
     """
 
@@ -227,21 +203,16 @@ def _common(pages: Sequence[tuple[int, Head]]) -> FirstPages:
     stated = [(head[0], number(head[4])) for _, head in pages]
     serial, rate = Counter(stated).most_common(1)[0][0]
     place, first = pages[stated.index((serial, rate))]
+    time_us = stamps_us([head[2] for _, head in pages])
+    units = (unit for unit in UNITS_US if np.mean(time_us % unit == 0) >= AGREEING)
     return FirstPages(
         serial=serial,
         rate=rate or Fraction(1),
         sequence=int(first[1]),
         missing=max(0, int(first[1]) - place),
-        unit_us=_unit_us([head[2] for _, head in pages]),
+        unit_us=next(units, FINEST_US),
         first_values=first_values(page_channels([head for _, head in pages])),
     )
-
-
-def _unit_us(stamps: Sequence[bytes]) -> int:
-    """Return the coarsest unit [us] of which nearly all stamps are multiples."""
-    time_us = stamps_us(stamps)
-    fits = (unit for unit in UNITS_US if np.mean(time_us % unit == 0) >= AGREEING)
-    return next(fits, FINEST_US)
 
 
 def true_rate(rate: Fraction) -> Fraction:
@@ -256,12 +227,7 @@ def true_rate(rate: Fraction) -> Fraction:
 
 @dataclass(frozen=True, slots=True)
 class TextScheme(PageScheme[TextPages]):
-    """Describes how the pages of one file are read.
-
-    Attributes:
-        settings: what its pages have in common.
-        first_sequence: number of the first page.
-    """
+    """Describes how the pages of one file are read, which have `settings` in common."""
 
     file: PageFile[TextPages]
     settings: Settings
@@ -287,22 +253,16 @@ def piece_of(file: PageFile[TextPages], offset: int, length: int) -> TextPages:
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
-    """Open a recording.
-
-    Raises:
-        UnreadableError: no page is intact, or the factory's calibration is lost and `lsb_per_g` not given.
-        UsageError: the user's rate contradicts that of the pages.
-    """
+    """Open a recording; `Format.open` says what is raised."""
     probe = probe_file(path, options)
     header = parse_header(probe.head)
-    file = PageFile(
-        path, header.data_start, USUAL_BYTES, probe.size, probe.compressed, TextScanner, proved=False
-    )
+    start, packed = header.data_start, probe.compressed
+    file = PageFile(path, start, USUAL_BYTES, probe.size, packed, TextScanner, proved=False)
     first = look_inside(file)
     if first is None:
         known = probe.head.startswith(HEADER_MAGIC)
         what = "holds no intact page of samples" if known else "is not a GENEActiv .bin recording"
-        raise UnreadableError(what, path=path, byte_offset=header.data_start, hint=COPY_AGAIN)
+        raise UnreadableError(what, path=path, byte_offset=start, hint=COPY_AGAIN)
     settings = Settings(first.serial, first.rate, scale_of(header, options, path))
     spacing = Spacing(true_rate(first.rate), SAMPLES)
     scheme = TextScheme(
@@ -336,21 +296,16 @@ def problems_of(header: Header, first: FirstPages, *, dated: bool) -> tuple[Prob
 
 
 def scale_of(header: Header, options: ReadOptions, path: Path) -> Scale:
-    """Return the user's counts per g for the raw values, else the factory's calibration.
-
-    Raises:
-        UnreadableError: there is neither.
-    """
+    """Return the user's counts per g for the raw values, else the factory's calibration, if there is one."""
     if options.lsb_per_g is not None:
         return raw_scale(options.lsb_per_g)
     if header.factory is None:
         usual = RAW_LIMIT / (header.range_g or USUAL_RANGE_G)
-        raise UnreadableError(
-            "the factory's calibration (gain and offset of x, y and z) is missing from the header or damaged",
-            path=path,
-            byte_offset=0,
-            hint=f"give --lsb-per-g to read the raw values (about {usual:g} by the sensor's range)",
+        hint = f"give --lsb-per-g to read the raw values (about {usual:g} by the sensor's range)"
+        what = (
+            "the factory's calibration (gain and offset of x, y and z) is missing from the header or damaged"
         )
+        raise UnreadableError(what, path=path, byte_offset=0, hint=hint)
     return factory_scale(header.factory)
 
 

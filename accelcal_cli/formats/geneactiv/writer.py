@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.formats import Encoder, Sampling
-from accelcal_cli.core.recording import Chunk, Counts, Recording
+from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.formats import _writing
 
 SAMPLES = 300
@@ -109,24 +109,14 @@ Measurement Frequency:{rate:.1f}
 
 
 def sampling(recording: Recording) -> Sampling:
-    """Return a sampling of whole pages with a rate and scale of a GENEActiv.
-
-    Raises:
-        UsageError: the device has no such rate or scale.
-    """
+    """Return a sampling of whole pages with a rate and scale of a GENEActiv, or raise UsageError."""
     rate_hz = _writing.known_rate(recording, RATES, "a GENEActiv", RATE_ROUNDING_HZ)
     _writing.known_scale(recording, [(LSB_PER_G, RANGE_G)], "a GENEActiv")
     return Sampling(rate_hz, SAMPLES)
 
 
 def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
-    """Write all chunks to `path`; the header, which announces the number of pages, last.
-
-    Raises:
-        UsageError: a GENEActiv has no such rate or scale.
-        OutputError: the recording has a gap or no whole pages, a count or a time does not fit, or
-            the disk fails.
-    """
+    """Write all chunks to `path`; the header, which announces the number of pages, last."""
     sampling(recording)
     with _writing.new_file(path) as file:
         file.write(header(path, recording, 0))
@@ -157,7 +147,10 @@ def header(path: Path, recording: Recording, pages: int) -> bytes:
 def data_pages(path: Path, rows: Chunk, recording: Recording, sequence: int) -> bytes:
     """Return whole pages, numbered from `sequence`."""
     _writing.check_bits(path, rows, BITS)
-    digits = sample_digits(rows.counts)
+    # twelve hexadecimal digits for each sample: 12 bits each of x, y, z; light and button are 0
+    x, y, z = (rows.counts.astype(np.uint16) & 0xFFF).T
+    words = np.stack((x << 4 | y >> 8, y << 8 | z >> 4, z << 12), axis=1)
+    digits = words.astype(">u2").tobytes().hex().upper()
     constants = {"serial": _writing.number_of(recording.device), "rate": recording.rate_hz}
     times, means = stamps(path, rows.time_us[::SAMPLES]), temperatures(rows)
     pages = [
@@ -178,19 +171,8 @@ def lines(text: str) -> bytes:
     return text.replace("\n", "\r\n").encode("ascii")
 
 
-def sample_digits(counts: Counts) -> str:
-    """Return twelve hexadecimal digits for each sample: 12 bits each of x, y, z; light and button are 0."""
-    x, y, z = (counts.astype(np.uint16) & 0xFFF).T
-    words = np.stack((x << 4 | y >> 8, y << 8 | z >> 4, z << 12), axis=1)
-    return words.astype(">u2").tobytes().hex().upper()
-
-
 def stamps(path: Path, time_us: NDArray[np.int64]) -> list[str]:
-    """Return times to the nearest millisecond, such as 2024-03-04 00:00:00:000.
-
-    Raises:
-        OutputError: a time lies outside 2000 to 2099.
-    """
+    """Return times from 2000 to 2099 to the nearest millisecond, such as 2024-03-04 00:00:00:000."""
     if len(time_us) and not (time_us.min() >= EARLIEST_US and time_us.max() < LATEST_US):
         raise OutputError("a time lies before 2000 or after 2099", path=path, hint=_writing.OTHER_FORMAT)
     texts = np.datetime_as_string(((time_us + 500) // 1000).astype("M8[ms]"))

@@ -51,14 +51,9 @@ ENCRYPTED = 99
 _LONGEST_MATCH = ZIP_LOCAL.size + 303 + max(map(len, WANTED))
 _END = b"PK\x05\x06"
 _LONGEST_END = 22 + 0xFFFF
-_SCAN_BYTES = 1 << 20
+_SCAN_BYTES, _LARGEST_DIRECTORY = 1 << 20, 1 << 20
+"""Bytes that are scanned at a time, and most of a directory, enough for about 20 000 parts."""
 _SIZES_FOLLOW, _UTF8 = 0x08, 0x800
-_LARGEST_DIRECTORY = 1 << 20
-"""Most bytes of a directory, enough for about 20 000 parts; devices write about ten.
-
-zipfile takes ten times as much memory for them.
-"""
-
 _BROKEN = (
     zipfile.BadZipFile,
     NotImplementedError,
@@ -122,7 +117,8 @@ def open_archive(path: Path) -> Archive:
             if whole:
                 return Archive(path, size, known, problems=repeated)
             found, repeated = by_headers(file)
-            members, ends = known | found, has_end(file, size)
+            file.seek(max(0, size - _LONGEST_END))
+            members, ends = known | found, _END in file.read(_LONGEST_END)
     except UnreadableError as error:
         error.path = path
         raise
@@ -151,19 +147,11 @@ def directory_names(file: BinaryIO) -> list[str] | None:
         return None
 
 
-def has_end(file: BinaryIO, size: int) -> bool:
-    """Return True if the record that ends a zip file, perhaps before a comment, is there."""
-    file.seek(max(0, size - _LONGEST_END))
-    return _END in file.read(_LONGEST_END)
-
-
 def by_directory(file: BinaryIO) -> tuple[dict[str, Member], bool, tuple[Problem, ...]]:
     """Return the parts that the directory lists, whether it is sound, and which parts it lists twice.
 
-    A sound one lists samples, and each part at the place of its own header. The parts may lie in a folder.
-
-    Raises:
-        UnreadableError: samples lie in several folders.
+    A sound one lists samples, and each part at the place of its own header. The parts may lie in a folder;
+    raises UnreadableError if samples lie in several.
     """
     try:
         with zipfile.ZipFile(ShortReads(file, _LARGEST_DIRECTORY)) as archive:
@@ -253,12 +241,7 @@ class Fault(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Some bytes of a part.
-
-    Attributes:
-        last: nothing follows.
-        end_byte: how far the file on the disk has been read.
-    """
+    """Some bytes of a part, perhaps the last, and how far the file on the disk has been read."""
 
     data: bytes
     last: bool
@@ -266,21 +249,11 @@ class Piece:
 
 
 class MemberStream(Closing):
-    """Reads a part from its beginning.
-
-    Attributes:
-        size: number of uncompressed bytes read so far.
-        fault: known after the last byte.
-    """
+    """Reads a part from its beginning: `size` uncompressed bytes so far; a fault is known after the last."""
 
     def __init__(self, archive: Archive, member: Member) -> None:
-        """Open a part.
-
-        Raises:
-            UnreadableError: it is encrypted or compressed in an unusual way, or cannot be opened.
-        """
-        self.member = member
-        self.size = 0
+        """Open a part; raises UnreadableError if it is encrypted, unusually compressed, or not readable."""
+        self.member, self.size = member, 0
         self.fault: Fault | None = None
         self._path, self._ends = archive.path, archive.ends
         if member.method not in (STORED, DEFLATED):
@@ -290,8 +263,7 @@ class MemberStream(Closing):
             raise UnreadableError(f"{member.name} in it {how}", path=self._path, hint=hint)
         self._left = UNKNOWN_SIZE if member.packed_bytes is None else member.packed_bytes
         self._inflater = Inflater() if member.method == DEFLATED else None
-        self._ended = False
-        self._crc = 0
+        self._ended, self._crc = False, 0
         try:
             self._file = archive.path.open("rb")
             self._file.seek(min(member.start_byte, archive.size))
@@ -299,11 +271,7 @@ class MemberStream(Closing):
             raise unread(error, self._path) from error
 
     def read(self, count: int) -> bytes:
-        """Return `count` bytes, fewer only at the end.
-
-        Raises:
-            UnreadableError: the disk fails.
-        """
+        """Return `count` bytes, fewer only at the end; raises UnreadableError if the disk fails."""
         parts: list[bytes] = []
         while count > 0 and not self._ended:
             parts.append(self._step(count))
@@ -311,14 +279,7 @@ class MemberStream(Closing):
         return b"".join(parts)
 
     def pieces(self, count: int, threads: int) -> Generator[Piece]:
-        """Yield the whole part, `count` bytes at a time; the last piece is shorter, and may be empty.
-
-        Args:
-            threads: how many may work at a time; one of its own unpacks the pieces that follow.
-
-        Raises:
-            UnreadableError: the disk fails.
-        """
+        """Yield the whole part, `count` bytes at a time; the last piece is shorter, and may be empty."""
         return prefetch(self._all_pieces(count), threads)
 
     def _all_pieces(self, count: int) -> Iterator[Piece]:
@@ -338,12 +299,10 @@ class MemberStream(Closing):
         if self.fault is None:
             return None
         if self.fault is Fault.WRONG_CHECKSUM:
-            text = (
-                f"the checksum of {name} in the zip file is wrong: some of its bytes are not what was written"
-            )
+            what = f"the checksum of {name} in the zip file is wrong"
+            text = f"{what}: some of its bytes are not what was written"
             return Problem("archive_checksum", text, None, sample)
-        missing = (self.member.unpacked_bytes or 0) - self.size
-        lost = max(0, missing)
+        lost = max(0, (self.member.unpacked_bytes or 0) - self.size)
         amounts = (lost, 0) if self.fault is Fault.DAMAGED else (0, lost)
         how_much = f"{lost} bytes of it are missing" if lost else "how much is missing is not known"
         text = f"{name} breaks off, as {self.fault.value}: {how_much}"
@@ -393,11 +352,7 @@ class MemberStream(Closing):
 
 
 def small_part(archive: Archive, name: str) -> bytes | None:
-    """Return the whole of a part that describes the recording; None if it is damaged.
-
-    Raises:
-        KeyError: there is none.
-    """
+    """Return the whole of a part that describes the recording; None if it is damaged."""
     try:
         with MemberStream(archive, archive.members[name]) as stream:
             data = stream.read(SMALL_BYTES)

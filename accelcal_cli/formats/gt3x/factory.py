@@ -13,6 +13,7 @@ by number, in one order, so that every machine gives the same.
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 from math import isfinite
@@ -50,13 +51,9 @@ MOST_COUNTS = int(LARGEST_G * FLOAT_LSB_PER_G)
 
 COLDEST_C, WARMEST_C = -100.0, 200.0
 READING_BYTES, ACCELEROMETER = 3, 1
-"""Length of a temperature reading, and the number of the thermometer that is used.
-
-A reading has a thermometer's number and 16 bits; number 1 is within the accelerometer, 0 is the processor's.
-"""
+"""Length of a temperature reading, of a thermometer's number and 16 bits, and the number that is used."""
 
 Values = dict[str, Any]
-
 READ_AS_COUNTS = "--lsb-per-g, such as 256, reads the counts as they are"
 DAMAGED = "{} in the zip file is damaged: its values for the sensor were not applied"
 NOT_APPLIED = "the maker's calibration (calibration.json) was not applied, as --lsb-per-g is given"
@@ -82,14 +79,15 @@ class CalibrationFiles:
     @classmethod
     def of(cls, archive: Archive) -> CalibrationFiles:
         """Read both parts."""
-        names = (CALIBRATION, TEMPERATURE_CALIBRATION)
-        parts = {name: _values_of(archive, name) for name in names if name in archive.members}
-        problems = (
-            Problem("damaged_header", DAMAGED.format(name), None, 0)
-            for name, values in parts.items()
-            if values is None
-        )
-        return cls(parts.get(CALIBRATION), parts.get(TEMPERATURE_CALIBRATION), tuple(problems))
+        names = [name for name in (CALIBRATION, TEMPERATURE_CALIBRATION) if name in archive.members]
+        parts: dict[str, Any] = {}
+        for name in names:
+            with suppress(ValueError, RecursionError):
+                parts[name] = json.loads(small_part(archive, name) or b"")
+        found = {name: values for name, values in parts.items() if isinstance(values, dict)}
+        damaged = [DAMAGED.format(name) for name in names if name not in found]
+        problems = tuple(Problem("damaged_header", text, None, 0) for text in damaged)
+        return cls(found.get(CALIBRATION), found.get(TEMPERATURE_CALIBRATION), problems)
 
     def notes(self, done: AppliedCalibration) -> tuple[str, ...]:
         """Return notes on how the parts are used."""
@@ -99,15 +97,6 @@ class CalibrationFiles:
         if self.temperature is not None and done.first_mc is None:
             notes += (NO_TEMPERATURE,)
         return notes
-
-
-def _values_of(archive: Archive, name: str) -> Values | None:
-    """Return the content of a part, None if it is damaged."""
-    try:
-        values = json.loads(small_part(archive, name) or b"")
-    except (ValueError, RecursionError):
-        return None
-    return values if isinstance(values, dict) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,9 +117,8 @@ class AppliedCalibration:
     @property
     def factory(self) -> FactoryCalibration | None:
         """The maker's calibration, as far as there was something to apply."""
-        line = self.temperature if self.first_mc is not None else None
-        if line is not None and not line.method:
-            line = None
+        used = self.first_mc is not None and self.temperature is not None and self.temperature.method
+        line = self.temperature if used else None
         return FactoryCalibration(self.acceleration, line) if self.acceleration or line else None
 
     def thermometer(self) -> Thermometer | None:
@@ -140,16 +128,17 @@ class AppliedCalibration:
         return Thermometer(self.temperature, self.first_mc)
 
     def apply(self, chunk: Chunk) -> Chunk:
-        """Return a chunk of raw counts with calibrated ones."""
-        return chunk if self.acceleration is None else calibrated(chunk, self.acceleration, self.limit)
+        """Return a chunk of raw counts with calibrated ones, and rows at the limit marked as clipped."""
+        if self.acceleration is None:
+            return chunk
+        if self.limit is not None:
+            chunk = clipped_at(chunk, -self.limit, self.limit - 1)
+        counts = calibrated_counts(chunk.counts, self.acceleration)
+        return clipped_at(replace(chunk, counts=counts), -MOST_COUNTS, MOST_COUNTS)
 
 
 def acceleration_of(values: Values | None, rate: int, path: Path) -> FactoryAcceleration | None:
-    """Return the calibration for a sampling rate; None if the counts need none.
-
-    Raises:
-        UnreadableError: it is of an unknown method, not for this rate, or makes no sense.
-    """
+    """Return the calibration, which has to be usable, for a sampling rate; None if the counts need none."""
     if values is None or not is_open(values):
         return None
     method = values.get("calibrationMethod")
@@ -168,9 +157,8 @@ def _sensible(
 ) -> FactoryAcceleration:
     along = [sensitivity[axis + axis] * 0.01 for axis in "XYZ"]
     across = [sensitivity[pair] * 0.01 + 250 for pair in ("XY", "XZ", "YZ")]
-    if not all(LEAST_COUNTS <= value <= MOST_COUNTS for value in along + across) or any(
-        abs(value) > FARTHEST_OFFSET for value in offset
-    ):
+    possible = all(LEAST_COUNTS <= value <= MOST_COUNTS for value in along + across)
+    if not possible or any(abs(value) > FARTHEST_OFFSET for value in offset):
         raise _unusable("makes no sense", path)
     x, y, z = (1.0 / value for value in along)
     xy, xz, yz = (1.0 / value - 0.004 for value in across)
@@ -192,18 +180,6 @@ def _number(value: Any) -> float | None:
     except (ValueError, OverflowError):
         return None
     return number if isfinite(number) else None
-
-
-def calibrated(chunk: Chunk, factory: FactoryAcceleration, limit: int | None) -> Chunk:
-    """Return the chunk with calibrated counts, `FLOAT_LSB_PER_G` in one g.
-
-    Args:
-        limit: rows that reach it, in raw counts, are marked as clipped; None if it is unknown.
-    """
-    if limit is not None:
-        chunk = clipped_at(chunk, -limit, limit - 1)
-    counts = calibrated_counts(chunk.counts, factory)
-    return clipped_at(replace(chunk, counts=counts), -MOST_COUNTS, MOST_COUNTS)
 
 
 def calibrated_counts(raw: Counts, factory: FactoryAcceleration) -> NDArray[np.int32]:
@@ -241,30 +217,20 @@ def temperatures(
     """
     found: list[tuple[int, int]] = []
     for number in np.flatnonzero(batch.records.kind == log.TEMPERATURE).tolist():
-        for value in _readings(log.payload(batch, number))[-1:]:
-            found.append((value, int(batch.records.start[number])))
-    counts, places = np.array(found, np.int64).reshape(-1, 2).T
+        data, begins = log.payload(batch, number), int(batch.records.start[number])
+        places = range(0, len(data) - READING_BYTES + 1, READING_BYTES)
+        for at in [at for at in places if data[at] == ACCELEROMETER][-1:]:
+            value = int.from_bytes(data[at + 1 : at + READING_BYTES], "little", signed=True)
+            found.append((value, begins))
+    counts, starts = np.array(found, np.int64).reshape(-1, 2).T
     (low, high), (cold, warm) = factory.counts, factory.celsius
     celsius = (counts - low) * ((warm - cold) / (high - low)) + cold
     usable = (celsius >= COLDEST_C) & (celsius <= WARMEST_C)
-    return np.rint(1000 * celsius[usable]).astype(np.int32), places[usable]
-
-
-def _readings(data: bytes) -> list[int]:
-    """Return the counts of the accelerometer's thermometer in a record's payload."""
-    return [
-        int.from_bytes(data[at + 1 : at + READING_BYTES], "little", signed=True)
-        for at in range(0, len(data) - READING_BYTES + 1, READING_BYTES)
-        if data[at] == ACCELEROMETER
-    ]
+    return np.rint(1000 * celsius[usable]).astype(np.int32), starts[usable]
 
 
 class Thermometer:
-    """Gives samples the last temperature recorded before them.
-
-    Args:
-        first_mc: temperature of samples before the first reading.
-    """
+    """Gives samples the last temperature recorded before them, `first_mc` before the first reading."""
 
     def __init__(self, factory: FactoryTemperature, first_mc: int) -> None:
         self._factory, self._last = factory, first_mc

@@ -64,17 +64,14 @@ from accelcal_cli.formats.gt3x.timeline import Timeline, chunk_of, cut, groups
 ZEROS = np.zeros((1, 3), np.int16)
 IMU = "imu"
 SENSORS = ("accelerometer", IMU)
-START_SAMPLES = 1
+TICKS_PER_US, HIGHEST_RATE_HZ, START_SAMPLES = 10, 1000, 1
 UNPACK = "unpack the .gz; a .gt3x is a zip file already"
 NO_START = "info.txt does not tell when the recording began: times count from its start"
 
 MOST_ROWS = 1 << 20
 NOTHING = AppliedCalibration()
-TICKS_PER_US = 10
 YEAR_1_TO_1970_US = 62_135_596_800 * 1_000_000
 LATEST_US = (1 << 32) * 1_000_000
-HIGHEST_RATE_HZ = 1000
-
 CENTREPOINT = "times are UTC, as CentrePoint writes them; the wearer's zone is {0}: -R worn_zone={0} shows it"
 DAY_S = 86_400
 LONGEST_S = 366 * DAY_S
@@ -82,18 +79,10 @@ NO_INFO = "info.txt is missing from the zip file"
 BAD_INFO = "info.txt in the zip file is damaged and was not used"
 
 LARGEST_G = 10_000.0
-LEAST_SCALE = 10.0
-"""Smallest scale that is believed.
+LEAST_SCALE, PIECES_FOR_TEMPERATURE = 10.0, 16
+"""Smallest scale that is believed (info.txt may say 1); pieces of log.bin with a first temperature."""
 
-An info.txt with "Acceleration Scale: 1" belongs to counts whose scale is given elsewhere.
-"""
-
-PIECES_FOR_TEMPERATURE = 16
-"""Number of pieces of log.bin, hours of samples, in which a first temperature is looked for."""
-
-IMU_ZERO_C = 21.0
-WARMEST_C = 1000.0
-IMU_FULL_SCALE = 32_768
+IMU_ZERO_C, WARMEST_C, IMU_FULL_SCALE = 21.0, 1000.0, 32_768
 NO_IMU = "no second sensor (IMU) recorded in it"
 TURNED = "firmware 1.6.0 of this device exchanged two axes; this was undone (x = y, y = -x of the file)"
 HAS_IMU = "the second sensor (IMU) recorded too: --sensor imu reads it, with gyroscope and temperature"
@@ -159,15 +148,6 @@ def _time_us(text: str | None) -> int | None:
     return time_us if 0 < time_us < LATEST_US else None
 
 
-def read_info(archive: Archive) -> tuple[Info, tuple[Problem, ...]]:
-    """Return info.txt and its problems; a damaged one is not used at all."""
-    if INFO not in archive.members:
-        return Info(), (Problem("damaged_header", NO_INFO, None, 0),)
-    if (data := small_part(archive, INFO)) is None:
-        return Info(), (Problem("damaged_header", BAD_INFO, None, 0),)
-    return parse_info(data), ()
-
-
 @dataclass(slots=True)
 class LogBeginning:
     """The content of the first records of log.bin, up to the first samples.
@@ -197,15 +177,11 @@ class LogBeginning:
             schemas = [sensors.parse_schema(data) for data in log.payloads(batch, log.SENSOR_SCHEMA)]
             usable = [schema for schema in schemas if schema and schema.axes(sensors.ACCELEROMETER)]
             self.schema = usable[0] if usable else None
-        self._take_samples(batch)
         if self.thermometer is not None and self.first_mc is None:
             found, _ = temperatures(batch, self.thermometer)
             self.first_mc = int(found[0]) if len(found) else None
-
-    def _take_samples(self, batch: RecordBatch) -> None:
-        records = batch.records
-        holds = np.isin(records.kind, sensors.KINDS) & (records.size > sensors.DOCKED_BYTES)
-        with_samples = records.select(holds)
+        holds = np.isin(batch.records.kind, sensors.KINDS) & (batch.records.size > sensors.DOCKED_BYTES)
+        with_samples = batch.records.select(holds)
         rows = sensors.samples_in(with_samples)
         if self.rate is None and rows.any():
             self.rate = Counter(rows[rows > 0].tolist()).most_common(1)[0][0]
@@ -217,10 +193,8 @@ def look_inside(
 ) -> LogBeginning:
     """Read log.bin up to the first samples, of the second sensor with its schema if that is requested.
 
-    If a temperature is wanted, a while longer is read for it.
-
-    Raises:
-        UnreadableError: the disk fails, or log.bin is packed in an unusual way.
+    If a temperature is wanted, a while longer is read for it. Raises UnreadableError if the disk fails, or
+    log.bin is packed in an unusual way.
     """
     beginning = LogBeginning(thermometer=thermometer)
     with (
@@ -229,9 +203,7 @@ def look_inside(
     ):
         for number, batch in enumerate(batches):
             beginning.take(batch)
-            waiting = (
-                thermometer is not None and beginning.first_mc is None and number < PIECES_FOR_TEMPERATURE
-            )
+            waiting = beginning.thermometer and beginning.first_mc is None and number < PIECES_FOR_TEMPERATURE
             if (beginning.imu and beginning.schema if imu else beginning.rate) and not waiting:
                 break
     return beginning
@@ -266,11 +238,7 @@ BY_SERIAL = {"NEO": SIX_G, "CLE": SIX_G, "MRA": SIX_G, "MOS": EIGHT_G, "TAS": EI
 
 @dataclass(frozen=True, slots=True)
 class SensorDescription:
-    """A sensor of the device, as a recording describes it.
-
-    Attributes:
-        gyro_dps_per_lsb: degrees per second in one count of each axis, None without a gyroscope.
-    """
+    """A sensor of the device, as a recording describes it."""
 
     sensor: Sensor
     scale: Scale
@@ -286,14 +254,7 @@ def primary_of(
     options: ReadOptions,
     path: Path,
 ) -> SensorDescription:
-    """Return the main accelerometer.
-
-    Args:
-        uncalibrated: the calibration that its counts still need, None if they are calibrated.
-
-    Raises:
-        UnreadableError: it recorded nothing, or nothing says its scale.
-    """
+    """Return the main accelerometer; `uncalibrated` is the calibration that its counts still need."""
     if beginning.rate is None:
         hint = "--sensor imu reads the second sensor" if beginning.imu else COPY_AGAIN
         raise UnreadableError("holds no acceleration in log.bin", path=path, hint=hint)
@@ -315,31 +276,22 @@ def scale_of(
     options: ReadOptions,
     path: Path,
 ) -> Scale:
-    """Return the main accelerometer's scale; an approximate one for uncalibrated counts.
-
-    Raises:
-        UnreadableError: nothing says it.
-    """
-    read_calibration_file = (_positive(value, LARGEST_LSB_PER_G) for value in (info.scale, parameter))
-    scales = [value for value in read_calibration_file if value is not None and value >= LEAST_SCALE]
+    """Return the main accelerometer's scale, which has to be known; an approximate one if uncalibrated."""
+    stated = (_positive(value, LARGEST_LSB_PER_G) for value in (info.scale, parameter))
+    scales = [value for value in stated if value is not None and value >= LEAST_SCALE]
     model = BY_SERIAL.get((info.device.serial or "")[:3]) if info.scale is None else None
     lsb_per_g = scales[0] if scales else model.lsb_per_g if model else options.lsb_per_g
     if uncalibrated is not None:
         return Scale(lsb_per_g or 1 / uncalibrated.g_per_count[0][0], info.range_g)
     if lsb_per_g is None:
-        raise UnreadableError(
-            "does not say how many counts are one g", path=path, hint="give --lsb-per-g, such as 256 or 341"
-        )
+        hint = "give --lsb-per-g, such as 256 or 341"
+        raise UnreadableError("does not say how many counts are one g", path=path, hint=hint)
     usual = {scale.lsb_per_g: scale.range_g for scale in (SIX_G, EIGHT_G)}
     return Scale(options.lsb_per_g or lsb_per_g, info.range_g or usual.get(lsb_per_g))
 
 
 def imu_of(beginning: LogBeginning, options: ReadOptions, path: Path) -> SensorDescription:
-    """Return the second sensor of a device that has one; its 16 bits are its range.
-
-    Raises:
-        UsageError: it recorded nothing.
-    """
+    """Return the second sensor, whose 16 bits are its range; raises UsageError if it recorded nothing."""
     if beginning.schema is None or not beginning.imu:
         raise UsageError(NO_IMU, path=path, hint="omit --sensor")
     offset_c = log.number_of(beginning.parameters, log.IMU_TEMPERATURE_OFFSET)
@@ -355,19 +307,11 @@ def imu_of(beginning: LogBeginning, options: ReadOptions, path: Path) -> SensorD
     )
 
 
-def activity_bin_scale(info: Info) -> Scale:
-    """Return the scale of the older kind; all its devices are of one model."""
-    if info.scale is None or info.scale < LEAST_SCALE:
-        return SIX_G
-    return Scale(info.scale, info.range_g)
-
-
 class Gt3xReader(Reader):
     """Streams a recording; each call of `chunks` reads the zip file from its beginning."""
 
     def __init__(self, recording: Recording, file: LogFile | ActivityFile) -> None:
-        self.recording = recording
-        self._file = file
+        self.recording, self._file = recording, file
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order."""
@@ -375,33 +319,29 @@ class Gt3xReader(Reader):
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
-    """Open a recording.
-
-    Raises:
-        UnreadableError: it is not of this format, or holds no samples.
-        UsageError: the rates contradict each other, or there is no such sensor.
-    """
+    """Open a recording; `Format.open` says what is raised."""
     if options.sensor not in (None, *SENSORS):
         hint = f"use one of {', '.join(SENSORS)}"
         raise UsageError(f"no sensor {options.sensor!r} in it", path=path, hint=hint)
     if probe_file(path, options).compressed:
         raise UnreadableError("is compressed twice", path=path, hint=UNPACK)
     archive = open_archive(path)
-    info, problems = read_info(archive)
+    info, problems = Info(), archive.problems
+    if INFO not in archive.members:
+        problems += (Problem("damaged_header", NO_INFO, None, 0),)
+    elif (data := small_part(archive, INFO)) is None:
+        problems += (Problem("damaged_header", BAD_INFO, None, 0),)
+    else:
+        info = parse_info(data)
     if LOG in archive.members:
-        return open_log(archive, info, options, archive.problems + problems)
+        return open_log(archive, info, options, problems)
     if ACTIVITY in archive.members:
-        return open_activity_bin(archive, info, options, archive.problems + problems)
+        return open_activity_bin(archive, info, options, problems)
     raise UnreadableError("holds neither log.bin nor activity.bin", path=path, byte_offset=0, hint=COPY_AGAIN)
 
 
 def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple[Problem, ...]) -> Reader:
-    """Open a file of the newer kind.
-
-    Raises:
-        UnreadableError: it holds no samples, or nothing says their scale.
-        UsageError: the rates contradict each other, or the requested sensor did not record.
-    """
+    """Open a file of the newer kind; raises what `open_recording` raises."""
     imu = options.sensor == IMU
     calibration_files = CalibrationFiles() if imu else CalibrationFiles.of(archive)
     line = temperature_of(calibration_files.temperature)
@@ -411,15 +351,15 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
         description = imu_of(beginning, options, archive.path)
     else:
         if options.lsb_per_g is None and beginning.rate is not None:
-            uncalibrated = acceleration_of(
-                calibration_files.acceleration, info.rate_hz or beginning.rate, archive.path
-            )
+            rate = info.rate_hz or beginning.rate
+            uncalibrated = acceleration_of(calibration_files.acceleration, rate, archive.path)
         description = primary_of(info, beginning, uncalibrated, options, archive.path)
     applied = AppliedCalibration(uncalibrated, description.scale.limit, line, beginning.first_mc)
     member, span = archive.members[LOG], span_of(info, beginning)
     file = LogFile(archive, member, description.sensor, span, problems + calibration_files.problems, applied)
     start_us = first_time(file)
     centrepoint = ABOUT in archive.members or archive.path.name.lower().removesuffix(".zip").endswith(".agdc")
+    notes = [CENTREPOINT.format(info.zone)] if centrepoint and info.zone else []
     recording = Recording(
         path=archive.path,
         format="gt3x",
@@ -435,12 +375,7 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
         gyro_dps_per_lsb=description.gyro_dps_per_lsb,
         factory=applied.factory,
         zero_counts=first_row(ZEROS if uncalibrated is None else calibrated_counts(ZEROS, uncalibrated)),
-        notes=(
-            *description.notes,
-            *calibration_files.notes(applied),
-            *info.notes,
-            *([CENTREPOINT.format(info.zone)] if centrepoint and info.zone else []),
-        ),
+        notes=(*description.notes, *calibration_files.notes(applied), *info.notes, *notes),
     )
     return Gt3xReader(recording, file)
 
@@ -448,21 +383,20 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
 def open_activity_bin(
     archive: Archive, info: Info, options: ReadOptions, problems: tuple[Problem, ...]
 ) -> Reader:
-    """Open a file of the older kind.
-
-    Raises:
-        UnreadableError: it holds no sample, or nothing says the rate.
-        UsageError: the rates contradict each other, or the requested sensor is not in such devices.
-    """
+    """Open a file of the older kind, whose devices are of one model; raises what `open_recording` raises."""
     if options.sensor == IMU:
         raise UsageError(NO_IMU, path=archive.path, hint="omit --sensor")
-    rate = activity_bin_rate(info, options, archive.path)
+    stated = info.rate_hz or options.rate_hz
+    if stated is None or stated != int(stated):
+        what = "does not say its rate: info.txt is missing or damaged"
+        raise UnreadableError(what, path=archive.path, hint="give --rate, such as 30")
+    rate = int(stated)
     if info.start_us is None:
         problems += (Problem("no_start_time", NO_START, None, 0),)
     file = ActivityFile(archive, archive.members[ACTIVITY], rate, info.start_us or 0, problems)
     if not has_samples(file):
         raise UnreadableError("holds no acceleration in activity.bin", path=archive.path, hint=COPY_AGAIN)
-    scale = activity_bin_scale(info)
+    scale = SIX_G if (info.scale or 0.0) < LEAST_SCALE else Scale(info.scale or 0.0, info.range_g)
     recording = Recording(
         path=archive.path,
         format="gt3x",
@@ -480,22 +414,14 @@ def open_activity_bin(
     return Gt3xReader(recording, file)
 
 
-def activity_bin_rate(info: Info, options: ReadOptions, path: Path) -> int:
-    """Return the rate of the older kind, which only info.txt states."""
-    rate = info.rate_hz or options.rate_hz
-    if rate is None or rate != int(rate):
-        raise UnreadableError(
-            "does not say its rate: info.txt is missing or damaged", path=path, hint="give --rate, such as 30"
-        )
-    return int(rate)
+def lasted_s(info: Info, start_us: int) -> float | None:
+    """Return the length by the time of the last sample in info.txt; None if it makes no sense."""
+    last_us = info.last_us or 0
+    return (last_us - start_us) / MICROSECONDS if last_us > start_us else None
 
 
 def first_time(file: LogFile) -> int:
-    """Return the time of the first sample [us], as `chunks` gives it.
-
-    Raises:
-        UnreadableError: there is no sample.
-    """
+    """Return the time of the first sample [us], as `chunks` gives it; raises UnreadableError without one."""
     with closing(file.stream(START_SAMPLES)) as chunks:
         for chunk in chunks:
             if len(chunk):
@@ -503,21 +429,9 @@ def first_time(file: LogFile) -> int:
     raise UnreadableError("holds no acceleration in log.bin", path=file.archive.path, hint=COPY_AGAIN)
 
 
-def lasted_s(info: Info, start_us: int) -> float | None:
-    """Return the length by the time of the last sample in info.txt; None if it makes no sense."""
-    if info.last_us is None or info.last_us <= start_us:
-        return None
-    return (info.last_us - start_us) / MICROSECONDS
-
-
 @dataclass(frozen=True, slots=True)
 class LogFile:
-    """A log.bin whose settings are known.
-
-    Attributes:
-        problems: problems found before any sample.
-        applied: the maker's calibration.
-    """
+    """A log.bin whose settings are known, with problems found before any sample."""
 
     archive: Archive
     member: Member
@@ -527,18 +441,10 @@ class LogFile:
     applied: AppliedCalibration = NOTHING
 
     def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk, None, None]:
-        """Yield all chunks, of at least a second.
-
-        Args:
-            threads: how many may work at a time.
-
-        Raises:
-            UnreadableError: the disk fails.
-        """
+        """Yield all chunks, of at least a second."""
         most = max(chunk_samples, self.sensor.rate)
         timeline = Timeline(self.sensor, self.span, self.applied.thermometer())
-        log = ProblemLog(self.problems)
-        rows = 0
+        found, rows = ProblemLog(self.problems), 0
         with (
             MemberStream(self.archive, self.member) as source,
             closing(batches(source, self.span, threads)) as parts,
@@ -546,11 +452,11 @@ class LogFile:
             for batch in parts:
                 spans, samples, events = timeline.feed(batch)
                 for event in events:
-                    log.add(event)
-                problems = log.take(None if batch.page.last else timeline.position)
+                    found.add(event)
+                problems = found.take(None if batch.page.last else timeline.position)
                 if batch.page.last and (fault := source.problem(timeline.rows)) is not None:
                     problems += (fault,)
-                used = batch.records.framed_bytes()
+                used = int(batch.records.size.sum()) + log.FRAME_BYTES * len(batch.records)
                 # problems and bytes go with the first chunk, which may be empty
                 for part in list(groups(spans, MOST_ROWS)) or ([[]] if problems or used else []):
                     chunk = chunk_of(part, samples, rows, batch.page.end_byte)

@@ -2,9 +2,7 @@
 
 A record has a header of eight bytes (separator 0x1E, kind, seconds since 1970, size of the payload,
 little-endian), the payload, and one byte that makes the exclusive or over the whole record 0xFF. Source:
-github.com/actigraph/GT3X-File-Format, README.md, "Log Record Format"; kinds 27 to 30 are named in the
-vendor's
-pygt3x.
+github.com/actigraph/GT3X-File-Format, README.md, "Log Record Format"; kinds 27 to 30 are named in pygt3x.
 
 Records that describe the recording are read here too: LogRecords/Parameters.md (pairs of key and value,
 floats of 24 bits with an exponent of 8) and LogRecords/Metadata.md ("Files Initialized in UTC").
@@ -14,47 +12,34 @@ from __future__ import annotations
 
 import json
 from collections.abc import Generator, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.formats.gt3x.archive import MemberStream
 
-SEPARATOR = 0x1E
-HEADER_BYTES = 8
+HEADER_BYTES, SEPARATOR, SOUND = 8, 0x1E, 0xFF
 FRAME_BYTES = HEADER_BYTES + 1
 """Length of header and checksum, the shortest record."""
 
 LONGEST_BYTES = FRAME_BYTES + 0xFFFF
-SOUND = 0xFF
-
 ACTIVITY, BATTERY, EVENT, METADATA = 0, 2, 3, 6
 PARAMETERS, SENSOR_SCHEMA, SENSOR_DATA = 21, 24, 25
 ACTIVITY2, ACTIVITY3, TEMPERATURE = 26, 27, 30
 
 _FIXED = {
-    ACTIVITY: (1, 1152),
-    BATTERY: (2, 2),
-    EVENT: (1, 16),
-    4: (1, 1),
-    5: (2, 2),
-    7: (15, 15),
-    13: (6, 6),
-    ACTIVITY2: (1, 1536),
-    ACTIVITY3: (1, 1152),
+    **{ACTIVITY: (1, 1152), BATTERY: (2, 2), EVENT: (1, 16), 4: (1, 1), 5: (2, 2), 7: (15, 15), 13: (6, 6)},
+    **{ACTIVITY2: (1, 1536), ACTIVITY3: (1, 1152)},
 }
 """Shortest and longest payload of kinds whose size tells a record from other bytes; samples up to 256 Hz."""
 
-_LOOSE = {METADATA: 4096, 17: 4096, 18: 4096, 20: 4096, PARAMETERS: 4096, 22: 4096, 23: 4096} | {
-    SENSOR_SCHEMA: 4096,
-    SENSOR_DATA: 4096,
-}
-_KINDS = 31
-_SHORT = 255
-LONGEST_BELIEVED = FRAME_BYTES + 4096
+_LOOSE = (METADATA, 17, 18, 20, PARAMETERS, 22, 23, SENSOR_SCHEMA, SENSOR_DATA)
+_KINDS, _SHORT, _LONG = 31, 255, 4096
+LONGEST_BELIEVED = FRAME_BYTES + _LONG
 
 SEPARATOR_BYTE = bytes([SEPARATOR])
 PADDING_BYTES = FRAME_BYTES - 1
@@ -70,9 +55,7 @@ Key = tuple[int, int]
 """Address space and number of a parameter."""
 
 IMU_TEMPERATURE_OFFSET = (0, 58)
-ACCEL_SCALE = (0, 55)
-SAMPLE_RATE = (1, 10)
-START_TIME = (1, 12)
+ACCEL_SCALE, SAMPLE_RATE, START_TIME = (0, 55), (1, 10), (1, 12)
 SENSOR_CONFIGURATION = (1, 44)
 
 _PAIR = np.dtype([("space", "<u2"), ("number", "<u2"), ("value", "<u4")])
@@ -83,14 +66,7 @@ PIECE_BYTES = 3 << 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Records:
-    """Records of a buffer in file order, (k,) each.
-
-    Attributes:
-        start: int64, where each begins in the buffer.
-        kind: uint8.
-        second: int64, seconds since 1970 on the device's clock.
-        size: int64, bytes of payload.
-    """
+    """Records of a buffer in file order, (k,) each: begin, kind, seconds since 1970, payload bytes."""
 
     start: NDArray[np.int64]
     kind: NDArray[np.uint8]
@@ -103,10 +79,6 @@ class Records:
     def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Records:
         """Return some of the records, by a mask or by numbers."""
         return Records(self.start[which], self.kind[which], self.second[which], self.size[which])
-
-    def framed_bytes(self) -> int:
-        """Return the length of all records, with their frames."""
-        return int(self.size.sum()) + FRAME_BYTES * len(self)
 
 
 def records_at(buffer: NDArray[np.uint8], start: NDArray[np.int64]) -> Records:
@@ -121,8 +93,7 @@ def _limits() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
     low, high = np.zeros(256, np.int64), np.full(256, -1, np.int64)
     high[:_KINDS] = _SHORT
     fixed = np.zeros(256, np.bool_)
-    for kind, longest in _LOOSE.items():
-        high[kind] = longest
+    high[list(_LOOSE)] = _LONG
     for kind, (shortest, longest) in _FIXED.items():
         low[kind], high[kind], fixed[kind] = shortest, longest, True
     return low, high, fixed
@@ -149,13 +120,7 @@ ANY_TIME = Span(0, 1 << 32)
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """A piece of log.bin.
-
-    Attributes:
-        base: its offset in log.bin.
-        last: nothing follows.
-        end_byte: how far the file on the disk has been read with it.
-    """
+    """A piece of log.bin, from byte `base` on; `end_byte` is how far the file on the disk has been read."""
 
     data: bytes
     base: int
@@ -175,7 +140,10 @@ class Page:
         Their checksum is right, kind and size go together, and either the next such record
         follows or both time and size are those of a recording.
         """
-        records = self._candidates()
+        begin_before = max(0, len(self.data) - FRAME_BYTES + 1)
+        records = records_at(self.buffer, np.flatnonzero(self.buffer[:begin_before] == SEPARATOR))
+        inside = records.start + records.size + FRAME_BYTES <= len(self.data)
+        records = records.select(inside & fits(records))
         end = records.start + records.size + FRAME_BYTES
         so_far = np.bitwise_xor.accumulate(self.buffer)
         before = np.where(records.start > 0, so_far[records.start - 1], 0)
@@ -184,12 +152,6 @@ class Page:
         near = (records.second >= self.span.first_s) & (records.second <= self.span.last_s)
         followed = np.isin(end, records.start) | (self.last & (end == len(self.data)))
         return np.asarray(records.start[followed | (near & _IS_FIXED[records.kind])])
-
-    def _candidates(self) -> Records:
-        end = max(0, len(self.data) - FRAME_BYTES + 1)
-        records = records_at(self.buffer, np.flatnonzero(self.buffer[:end] == SEPARATOR))
-        inside = records.start + records.size + FRAME_BYTES <= len(self.data)
-        return records.select(inside & fits(records))
 
     def incomplete(self, index: int) -> bool:
         """Return True if the bytes at `index` could be a record that continues beyond the piece."""
@@ -276,8 +238,7 @@ class Damage:
 class RecordBatch:
     """Sound records of a piece of log.bin, and the damage between them.
 
-    Attributes:
-        doubtful: (k,) bool, no record follows this one: with a damaged length it may be sound by chance.
+    No record follows a doubtful one, (k,): with a damaged length it may be sound by chance.
     """
 
     page: Page
@@ -292,20 +253,12 @@ class _Framed:
     doubtful: list[int] = field(default_factory=list)
     damage: list[Damage] = field(default_factory=list)
 
-    def batch(self, page: Page) -> RecordBatch:
-        doubtful = np.zeros(len(self.starts), np.bool_)
-        doubtful[self.doubtful] = True
-        records = records_at(page.buffer, np.array(self.starts, np.int64))
-        return RecordBatch(page, records, doubtful, tuple(self.damage))
-
 
 class Framer:
     """Cuts log.bin into records, in equal pieces; the records depend on nothing else."""
 
     def __init__(self, span: Span) -> None:
-        self._span = span
-        self._rest = b""
-        self._base = 0
+        self._span, self._rest, self._base = span, b"", 0
         self._lost: int | None = None
         self._most = FIRST_WALK
 
@@ -317,7 +270,10 @@ class Framer:
             index = more
         index = self._kept(page, index, framed)
         self._rest, self._base = page.data[index:], page.base + index
-        return framed.batch(page)
+        doubtful = np.zeros(len(framed.starts), np.bool_)
+        doubtful[framed.doubtful] = True
+        records = records_at(page.buffer, np.array(framed.starts, np.int64))
+        return RecordBatch(page, records, doubtful, tuple(framed.damage))
 
     def _step(self, page: Page, index: int, framed: _Framed) -> int | None:
         """Continue from `index`; return the next index, or None if more bytes are needed."""
@@ -331,39 +287,29 @@ class Framer:
         if (after := page.after_padding(end)) > end:
             return after
         if end < len(page.data) and (page.last or not page.incomplete(end)):
-            self._lose(page, end, framed)
+            self._lost, self._most = page.base + end, FIRST_WALK  # there is no sound record
+            if framed.starts and page.data[end] != SEPARATOR:
+                framed.doubtful.append(len(framed.starts) - 1)
             return end
         return end if starts else None
 
-    def _lose(self, page: Page, index: int, framed: _Framed) -> None:
-        """Note that there is no sound record at `index`."""
-        self._lost, self._most = page.base + index, FIRST_WALK
-        if framed.starts and page.data[index] != SEPARATOR:
-            framed.doubtful.append(len(framed.starts) - 1)
-
     def _search(self, page: Page, index: int, framed: _Framed) -> int | None:
-        """Find the next record after damage."""
+        """Find the next record after damage: that is records if their sizes lead there."""
         assert self._lost is not None
         place = np.searchsorted(page.believable, max(index, self._lost - page.base + 1))
         if place == len(page.believable) and not page.last:
             return None
         end = int(page.believable[place]) if place < len(page.believable) else len(page.data)
-        damage = self._damage(page, end, len(framed.starts))
-        if damage.records:
-            framed.doubtful = [record for record in framed.doubtful if record != damage.before - 1]
-        framed.damage.append(damage)
+        lost, before = self._lost - page.base, len(framed.starts)
+        records, cut_off = 0, False
+        if lost >= 0:
+            cut_off = page.last and end == len(page.data) and page.incomplete(lost)
+            records = spoiled_records(page.data[lost:end])
+        if records:
+            framed.doubtful = [record for record in framed.doubtful if record != before - 1]
+        framed.damage.append(Damage(self._lost, end - lost, records, before, cut_off))
         self._lost = None
         return end
-
-    def _damage(self, page: Page, end: int, before: int) -> Damage:
-        """Return what lies between the last record and `end`: records if their sizes lead there."""
-        assert self._lost is not None
-        lost = self._lost - page.base
-        size = end - lost
-        if lost < 0:
-            return Damage(self._lost, size, 0, before)
-        cut_off = page.last and end == len(page.data) and page.incomplete(lost)
-        return Damage(self._lost, size, spoiled_records(page.data[lost:end]), before, cut_off)
 
     def _kept(self, page: Page, index: int, framed: _Framed) -> int:
         """Return where the bytes begin that are still needed: the last record, or those of two while lost."""
@@ -375,14 +321,7 @@ class Framer:
 
 
 def batches(stream: MemberStream, span: Span, threads: int = 1) -> Generator[RecordBatch]:
-    """Yield all records of log.bin, piece by piece.
-
-    Args:
-        threads: how many may work at a time; one of its own unpacks the pieces that follow.
-
-    Raises:
-        UnreadableError: the disk fails.
-    """
+    """Yield all records of log.bin; with several threads one of its own unpacks the pieces that follow."""
     framer = Framer(span)
     with closing(stream.pieces(PIECE_BYTES, threads)) as pieces:
         for piece in pieces:
@@ -425,16 +364,9 @@ def float_of(word: int) -> float:
 
 def in_utc(batch: RecordBatch) -> bool:
     """Return True if a metadata record says that the device's clock was set to UTC."""
-    return any(_says_utc(data) for data in payloads(batch, METADATA))
-
-
-def _says_utc(data: bytes) -> bool:
-    try:
-        metadata = json.loads(data)
-    except (ValueError, RecursionError):
-        return False
-    return (
-        isinstance(metadata, dict)
-        and metadata.get("MetadataType") == "LocalTimeLog"
-        and metadata.get("UsedUtc") is True
-    )
+    found: list[Any] = []
+    for data in payloads(batch, METADATA):
+        with suppress(ValueError, RecursionError):
+            found.append(json.loads(data))
+    logs = [one for one in found if isinstance(one, dict) and one.get("MetadataType") == "LocalTimeLog"]
+    return any(one.get("UsedUtc") is True for one in logs)

@@ -16,7 +16,7 @@ with firmware up to 2.5.0).
 from __future__ import annotations
 
 import struct
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -31,13 +31,10 @@ from accelcal_cli.formats.gt3x import records as log
 from accelcal_cli.formats.gt3x.archive import Archive, Fault, Member, MemberStream
 from accelcal_cli.formats.gt3x.records import RecordBatch, Records
 
-USUAL_RATE = 100
-"""Samples in a second if a schema says 0, as in the vendor's example code."""
+USUAL_RATE, UNEVEN = 100, 0.1
+"""Samples in a second if a schema says 0, and the deviation of the IMU's own clock as a part of its rate."""
 
-ID_BYTES = 2
-UNEVEN = 0.1
-"""Largest deviation of the IMU's own clock, as a part of its rate."""
-
+ID_BYTES, PAIR_BYTES, SAMPLE_BYTES, KIND_BITS = 2, 9, 6, 8
 LEAST_SCALE, LARGEST_SCALE = 0.1, 1e6
 """Smallest and largest number of counts in one g, degree or degree per second that make sense."""
 
@@ -47,13 +44,10 @@ _BIG_ENDIAN, _SIGNED = 1, 2
 _AXES = " X", " Y", " Z"
 ACCELEROMETER, GYROSCOPE, TEMPERATURE = "Accelerometer", "Gyroscope", "Temperature"
 
-PAIR_BYTES = 9
 YXZ, XYZ = (1, 0, 2), (0, 1, 2)
 """Axes of the values of a sample, in the order of the file."""
 
 KINDS = (log.ACTIVITY, log.ACTIVITY2, log.ACTIVITY3)
-SAMPLE_BYTES = 6
-KIND_BITS = 8
 DOCKED_BYTES = 1
 """Length of a payload that says that the device was connected to a computer."""
 
@@ -64,13 +58,7 @@ CUT_SAMPLE = "an incomplete sample at the end of activity.bin, bytes left out"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Samples of k records, n in all, in file order.
-
-    Attributes:
-        rows: (k,) int64, samples of each record.
-        counts: (n, 3) int16.
-        channels: n rows each.
-    """
+    """Samples of k records with `rows` samples each, in file order; n in all."""
 
     rows: NDArray[np.int64]
     counts: NDArray[np.int16]
@@ -127,14 +115,7 @@ class SchemaColumn:
 
 @dataclass(frozen=True, slots=True)
 class Schema:
-    """The content of sensor records.
-
-    Attributes:
-        number: they begin with it.
-        rate: samples in a second.
-        row_bytes: bytes of a sample.
-        columns: by label; only those of signed 16 bits.
-    """
+    """The content of sensor records, which begin with its number; its columns of 16 bits by label."""
 
     number: int
     rate: int
@@ -154,8 +135,7 @@ def parse_schema(data: bytes) -> Schema | None:
     number, column_count, samples = _HEAD.unpack_from(data)
     if column_count * _COLUMN.size != len(data) - _HEAD.size:
         return None
-    columns: dict[str, SchemaColumn] = {}
-    row_bytes = 0
+    columns, row_bytes = dict[str, SchemaColumn](), 0
     for flags, offset, bits, scale, label in _COLUMN.iter_unpack(data[_HEAD.size :]):
         row_bytes += bits // 8
         per_unit = log.float_of(scale)
@@ -169,11 +149,7 @@ def parse_schema(data: bytes) -> Schema | None:
 
 @dataclass(frozen=True, slots=True)
 class Imu:
-    """The second sensor as the schema describes it.
-
-    Attributes:
-        zero_c: temperature at 0 counts.
-    """
+    """The second sensor as the schema describes it, with its temperature at 0 counts."""
 
     schema: Schema
     zero_c: float
@@ -209,17 +185,13 @@ class Imu:
             whole = data[:, : data.shape[1] // self.schema.row_bytes * self.schema.row_bytes]
             values = whole.reshape(len(data), -1, self.schema.row_bytes)
             table[first[chosen, None] + np.arange(values.shape[1])] = values
-        return Samples(rows, vectors(table, self.schema.axes(ACCELEROMETER)), self._channels(table))
-
-    def _channels(self, table: NDArray[np.uint8]) -> Channels:
-        """Return the other channels that the schema lists."""
         channels: Channels = {}
         if gyro := self.schema.axes(GYROSCOPE):
             channels["gyro_counts"] = vectors(table, gyro)
         if column := self.schema.columns.get(TEMPERATURE):
             celsius = value_of(table, column) / column.scale + self.zero_c
             channels["temperature_mc"] = np.rint(1000 * celsius).astype(np.int32)
-        return channels
+        return Samples(rows, vectors(table, self.schema.axes(ACCELEROMETER)), channels)
 
     def _rows(self, records: Records) -> NDArray[np.int64]:
         return (records.size - ID_BYTES) // self.schema.row_bytes
@@ -247,11 +219,7 @@ def packed_bytes(samples: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def unpacked(payload: NDArray[np.uint8], samples: int, order: tuple[int, int, int]) -> NDArray[np.int16]:
-    """Return the samples of k payloads, (k, samples, 3).
-
-    Args:
-        payload: (k, bytes), rows contiguous.
-    """
+    """Return the samples of payloads (k, bytes), whose rows are contiguous, (k, samples, 3)."""
     pairs = -(-samples // 2)
     missing = pairs * PAIR_BYTES - payload.shape[1]
     padded = np.pad(payload, ((0, 0), (0, missing))) if missing > 0 else payload[:, : pairs * PAIR_BYTES]
@@ -270,9 +238,8 @@ def unpacked(payload: NDArray[np.uint8], samples: int, order: tuple[int, int, in
 class Primary:
     """The main accelerometer.
 
-    Attributes:
-        turned: the firmware exchanged the axes of packed samples (version 1.6.0 of the wGT3X-BT: the vendor's
-            document says x = y of the file, y = -x of the file).
+    Firmware 1.6.0 of the wGT3X-BT turned the axes of packed samples: the vendor's document says x = y of the
+    file, y = -x of the file.
     """
 
     rate: int
@@ -313,7 +280,9 @@ class Primary:
             return values.reshape(len(data), -1, 3)
         samples = int(packed_samples(np.array(size)))
         values = unpacked(data, samples, YXZ if kind == log.ACTIVITY else XYZ)
-        return upright(values) if self.turned and kind == log.ACTIVITY else values
+        if self.turned and kind == log.ACTIVITY:  # the exchange of the axes is undone
+            values = np.stack((values[:, :, 1], -values[:, :, 0], values[:, :, 2]), axis=2)
+        return values
 
 
 def samples_in(records: Records) -> NDArray[np.int64]:
@@ -321,19 +290,9 @@ def samples_in(records: Records) -> NDArray[np.int64]:
     return np.where(records.kind == log.ACTIVITY2, records.size // SAMPLE_BYTES, packed_samples(records.size))
 
 
-def upright(values: NDArray[np.int16]) -> NDArray[np.int16]:
-    """Return samples (k, rows, 3) of 12 bits with the exchange of the axes undone."""
-    return np.stack((values[:, :, 1], -values[:, :, 0], values[:, :, 2]), axis=2)
-
-
 @dataclass(frozen=True, slots=True)
 class ActivityFile:
-    """An activity.bin whose settings are known.
-
-    Attributes:
-        start_us: time of the first sample.
-        problems: problems found before any sample.
-    """
+    """An activity.bin whose settings are known, with problems found before any sample."""
 
     archive: Archive
     member: Member
@@ -348,15 +307,9 @@ class ActivityFile:
         return None if size is None else int(packed_samples(np.array(size)))
 
     def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk, None, None]:
-        """Yield all chunks.
+        """Yield all chunks; raises UnreadableError if the disk fails, or the part is damaged.
 
-        Args:
-            threads: how many may work at a time.
-
-        Raises:
-            UnreadableError: the disk fails, or the part is damaged: without checksums of their own, any of
-            the
-                values may be wrong.
+        Without checksums of their own, any of the values may then be wrong.
         """
         from accelcal_cli.formats._rows import RepeatedSamples  # log.bin marks idle sleep itself
 
@@ -373,53 +326,36 @@ class ActivityFile:
                 counts, waiting = waiting[: len(filled)], waiting[len(filled) :]
                 asleep += [rows + int(np.argmax(filled)), int(filled.sum())] if filled.any() else []
                 if piece.last:
-                    problems += slept(asleep) + self._ending(source, rows + len(counts))
+                    problems += tuple(self._ending(source, rows + len(counts), asleep))
                 for start in range(0, len(counts) or bool(problems), chunk_samples):
-                    part = slice(start, start + chunk_samples)
-                    yield self._chunk(counts[part], filled[part], rows + start, piece.end_byte, problems)
+                    part, first = counts[start : start + chunk_samples], rows + start
+                    idle = filled[start : start + chunk_samples]
+                    validity = np.where(idle, Validity.FILLED, Validity.MEASURED).astype(np.uint8)
+                    yield Chunk(
+                        first_sample=first,
+                        counts=part,
+                        clock=UniformClock(self.start_us, first, rate_fraction(self.rate)),
+                        end_byte=piece.end_byte,
+                        validity=validity if idle.any() else None,
+                        problems=problems,
+                        used_bytes=int(np.diff(packed_bytes(np.array((first, first + len(part)))))[0]),
+                    )
                     problems = ()
                 rows += len(counts)
 
-    def _chunk(
-        self,
-        counts: NDArray[np.int16],
-        filled: NDArray[np.bool_],
-        first: int,
-        end_byte: int,
-        problems: tuple[Problem, ...],
-    ) -> Chunk:
-        return Chunk(
-            first_sample=first,
-            counts=counts,
-            clock=UniformClock(self.start_us, first, rate_fraction(self.rate)),
-            end_byte=end_byte,
-            validity=np.where(filled, Validity.FILLED, Validity.MEASURED).astype(np.uint8)
-            if filled.any()
-            else None,
-            problems=problems,
-            used_bytes=int(np.diff(packed_bytes(np.array((first, first + len(counts)))))[0]),
-        )
-
-    def _ending(self, source: MemberStream, rows: int) -> tuple[Problem, ...]:
+    def _ending(self, source: MemberStream, rows: int, asleep: list[int]) -> Iterator[Problem]:
+        """Yield a problem for all filled samples, given pairs of a first one and a number, and of the end."""
+        if asleep:
+            first, count = asleep[0], sum(asleep[1::2])
+            place = int(packed_bytes(np.array(first)))
+            yield Problem("idle_sleep", f"{ASLEEP}: {count}", place, first, count)
         if source.fault in (Fault.DAMAGED, Fault.WRONG_CHECKSUM):
-            raise UnreadableError(
-                "activity.bin in it is damaged: some of its values are not what was recorded",
-                path=self.archive.path,
-                hint="copy it again from its source",
-            )
-        fault = source.problem(rows)
-        left = source.size - int(packed_bytes(packed_samples(np.array(source.size))))
-        cut = Problem("truncated", f"{CUT_SAMPLE}: {left}", source.size - left, rows, left, left)
-        return (*((cut,) if left else ()), *((fault,) if fault else ()))
-
-
-def slept(asleep: list[int]) -> tuple[Problem, ...]:
-    """Return a problem for all samples that the device filled, given pairs of a first sample and a number."""
-    if not asleep:
-        return ()
-    first, count = asleep[0], sum(asleep[1::2])
-    place = int(packed_bytes(np.array(first)))
-    return (Problem("idle_sleep", f"{ASLEEP}: {count}", place, first, count),)
+            what = "activity.bin in it is damaged: some of its values are not what was recorded"
+            raise UnreadableError(what, path=self.archive.path, hint="copy it again from its source")
+        if left := source.size - int(packed_bytes(packed_samples(np.array(source.size)))):
+            yield Problem("truncated", f"{CUT_SAMPLE}: {left}", source.size - left, rows, left, left)
+        if (fault := source.problem(rows)) is not None:
+            yield fault
 
 
 def samples_of(data: bytes) -> NDArray[np.int16]:
@@ -429,10 +365,6 @@ def samples_of(data: bytes) -> NDArray[np.int16]:
 
 
 def has_samples(file: ActivityFile) -> bool:
-    """Return True if there is a sample.
-
-    Raises:
-        UnreadableError: the disk fails, or activity.bin is packed in an unusual way.
-    """
+    """Return True if there is a sample; raises UnreadableError if activity.bin cannot be read."""
     with MemberStream(file.archive, file.member) as source:
         return len(samples_of(source.read(PAIR_BYTES))) > 0

@@ -27,14 +27,8 @@ from accelcal_cli.formats.gt3x.records import EVENT, Damage, RecordBatch, Record
 from accelcal_cli.formats.gt3x.sensors import Samples, Sensor, first_rows
 
 FELL_ASLEEP, WOKE = b"\x08", b"\x09"
-UNWRITTEN_S = 1
-"""Seconds that may be lost when a device falls asleep; the vendor's own export fills them as well."""
-
-LONGEST_SILENCE_S = 86_400
-"""Longest silence [s] of a sleeping device; after a longer one its clock jumped.
-
-Asleep, devices write their battery's voltage every minute.
-"""
+UNWRITTEN_S, LONGEST_SILENCE_S = 1, 86_400
+"""Seconds that a device that falls asleep may lose, and longest ones between its voltages while asleep."""
 
 FILLED_FREELY_S, FILLED_PER_RECORD_S = 86_400, 300
 """Seconds of sleep that are filled in any file, and further ones for each record before its end.
@@ -42,8 +36,8 @@ FILLED_FREELY_S, FILLED_PER_RECORD_S = 86_400, 300
 Devices write a record each second or, asleep, each minute: a few bytes must not become millions of rows.
 """
 
-JITTER_S = 2
-"""Seconds by which times of other records may lie before those of the records around them."""
+JITTER_S, FILL_S = 2, 3600
+"""Seconds by which other records may lie before those around them, and longest span of filled rows."""
 
 CHECKSUM: Kind = ("checksum", "records of log.bin with a wrong checksum, left out")
 NO_RECORD: Kind = ("bad_bytes", "bytes of log.bin that are not records, left out")
@@ -57,9 +51,6 @@ UNEXPLAINED_SLEEP: Kind = (
     "idle sleeps far longer than the records around them explain, left as gaps",
 )
 UNFINISHED_SLEEP: Kind = ("idle_unfinished", "idle sleeps whose end is not recorded, left as gaps")
-
-FILL_S = 3600
-"""Longest span of filled rows [s]."""
 
 FOREVER_S = 1 << 40
 
@@ -89,8 +80,7 @@ class RowSpan:
 
 def groups(spans: Sequence[RowSpan], most: int) -> Iterator[list[RowSpan]]:
     """Group spans in order, each group up to about `most` rows."""
-    group: list[RowSpan] = []
-    rows = 0
+    group, rows = list[RowSpan](), 0
     for span in spans:
         if group and rows + span.rows > most:
             yield group
@@ -127,13 +117,13 @@ def _column(name: str, values: NDArray[Any], spans: Sequence[RowSpan]) -> NDArra
     if adjoin and all(span.sample is None for span in spans):
         begin = spans[0].first if spans else 0
         return values[begin : begin + sum(span.rows for span in spans)]
-    return np.concatenate([_rows_of(name, values, span) for span in spans])
-
-
-def _rows_of(name: str, values: NDArray[Any], span: RowSpan) -> NDArray[Any]:
-    if span.sample is None:
-        return values[span.first : span.first + span.rows]
-    return np.broadcast_to(span.sample[name], (span.rows, *values.shape[1:]))
+    parts = [
+        values[span.first : span.first + span.rows]
+        if span.sample is None
+        else np.broadcast_to(span.sample[name], (span.rows, *values.shape[1:]))
+        for span in spans
+    ]
+    return np.concatenate(parts)
 
 
 def cut(chunk: Chunk, most: int) -> Iterator[Chunk]:
@@ -153,16 +143,11 @@ class SleepSpan(NamedTuple):
 
 
 class SleepTracker:
-    """Follows the device's sleep record by record.
-
-    Args:
-        span: no sleep reaches beyond it.
-    """
+    """Follows the device's sleep, which does not reach beyond a span, record by record."""
 
     def __init__(self, span: Span) -> None:
-        self._span = span
+        self._span, self._heard = span, 0
         self._since: int | None = None
-        self._heard = 0
 
     @property
     def asleep(self) -> bool:
@@ -183,20 +168,12 @@ class SleepTracker:
         self._heard = int(seconds.max())
 
     def wake(self, second: int, next_s: int) -> SleepSpan | None:
-        """Note that the device woke.
-
-        Args:
-            next_s: the second after the last one that is known.
-
-        Returns:
-            the time that it slept through; None if the records do not say that.
-        """
+        """Return the time after the last known second that a device slept through which wakes; or None."""
         self.note_times(np.array([second]))
         since, self._since = self._since, None
         if since is None:
             return None
-        first = max(next_s, since - UNWRITTEN_S)
-        end = min(second, self._span.last_s)
+        first, end = max(next_s, since - UNWRITTEN_S), min(second, self._span.last_s)
         return SleepSpan(first, end) if first < end else None
 
     def end(self, next_s: int) -> SleepSpan | None:
@@ -210,11 +187,7 @@ class SleepTracker:
 
 @dataclass(frozen=True, slots=True)
 class SleepEvent:
-    """The device falls asleep or wakes.
-
-    Attributes:
-        start_byte: where in log.bin it is recorded.
-    """
+    """The device falls asleep or wakes, as is recorded at a byte of log.bin."""
 
     second: int
     wakes: bool
@@ -252,8 +225,7 @@ class DecodedBatch:
     def runs(self, low: int, high: int) -> Iterator[tuple[int, int]]:
         """Split records low..high-1 with samples into stretches that continue evenly."""
         starts = low + np.flatnonzero(~self.joined[low + 1 : high]) + 1
-        bounds = [low, *starts.tolist(), high]
-        return pairwise(bounds)
+        return pairwise([low, *starts.tolist(), high])
 
 
 def decode_batch(batch: RecordBatch, sensor: Sensor, thermometer: Thermometer | None = None) -> DecodedBatch:
@@ -284,15 +256,6 @@ def log_events(batch: RecordBatch) -> list[tuple[int, LogEvent]]:
     return sorted(events, key=lambda item: (item[0], isinstance(item[1], SleepEvent)))
 
 
-def damage_event(damage: Damage, position: int, sample: int) -> Event:
-    """Return an event for bytes that gave no record."""
-    if damage.records:
-        kind, count = CHECKSUM, damage.records
-    else:
-        kind, count = CUT_OFF if damage.cut_off else NO_RECORD, damage.size
-    return Event(position, 1, *kind, damage.start_byte, sample, count, lost_bytes=damage.size)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _LastRecord:
     """The previous record of samples: its second, bytes and last sample, one row of each column."""
@@ -310,32 +273,19 @@ class _RecordPlace(NamedTuple):
 
 
 class Timeline:
-    """Makes rows and events from batches in file order.
-
-    Attributes:
-        position: number of records seen so far, sound or not.
-        rows: number of rows made so far.
-    """
+    """Makes rows from batches in file order; its position is the number of records so far, sound or not."""
 
     def __init__(self, sensor: Sensor, span: Span, thermometer: Thermometer | None = None) -> None:
-        self.position = 0
-        self._sensor, self._thermometer = sensor, thermometer
-        self._idle = SleepTracker(span)
+        self.position = self.rows = self._next_s = self._filled_s = 0
+        self._sensor, self._thermometer, self._idle = sensor, thermometer, SleepTracker(span)
         self._slept: tuple[SleepSpan, _RecordPlace] | None = None
         self._last: _LastRecord | None = None
-        self._next_s = 0
-        self._apart = False
-        self._explained = False
-        self._filled_s = 0
-        self.rows = 0
+        self._apart = self._explained = False
         self._spans: list[RowSpan] = []
         self._events: list[Event] = []
 
     def feed(self, batch: RecordBatch) -> tuple[list[RowSpan], Samples, list[Event]]:
-        """Return the rows of a batch, the samples that they refer to, and the events.
-
-        Sleep is returned with the first later record.
-        """
+        """Return the rows of a batch, their samples, and events; sleep comes with the first later record."""
         self._spans, self._events = [], []
         decoded, begin = decode_batch(batch, self._sensor, self._thermometer), 0
         for number, log_event in log_events(batch):
@@ -344,7 +294,10 @@ class Timeline:
             self._add_log_event(log_event)
         self._add_records(decoded, begin, len(batch.records))
         if batch.page.last:
-            self._finish(batch.page.base + len(batch.page.data))
+            if (slept := self._idle.end(self._next_s)) is not None:  # at least until the last record
+                end_byte = batch.page.base + len(batch.page.data)
+                self._slept = slept, _RecordPlace(self.position, end_byte)
+            self._sleep(FOREVER_S)
         return self._spans, decoded.samples, self._events
 
     def _add_records(self, decoded: DecodedBatch, begin: int, end: int) -> None:
@@ -362,24 +315,20 @@ class Timeline:
         where = _RecordPlace(self.position, log_event.start_byte)
         if isinstance(log_event, Damage):
             self._forget_sleep(where)
-            self._events.append(damage_event(log_event, self.position, self.rows))
+            kind, count = CUT_OFF if log_event.cut_off else NO_RECORD, log_event.size
+            if log_event.records:
+                kind, count = CHECKSUM, log_event.records
+            lost = log_event.size
+            self._events.append(
+                Event(self.position, 1, *kind, where.start_byte, self.rows, count, lost_bytes=lost)
+            )
             self._explained = True
             self.position += max(1, log_event.records)
-        else:
-            self._add_sleep_event(log_event, where)
-
-    def _add_sleep_event(self, event: SleepEvent, where: _RecordPlace) -> None:
-        if not event.wakes:
+        elif not log_event.wakes:
             self._sleep(FOREVER_S)
-            self._idle.fall_asleep(event.second)
-        elif (slept := self._idle.wake(event.second, self._next_s)) is not None:
+            self._idle.fall_asleep(log_event.second)
+        elif (slept := self._idle.wake(log_event.second, self._next_s)) is not None:
             self._slept = slept, where
-
-    def _finish(self, end_byte: int) -> None:
-        """End the file; asleep, the device slept at least until the last record."""
-        if (slept := self._idle.end(self._next_s)) is not None:
-            self._slept = slept, _RecordPlace(self.position, end_byte)
-        self._sleep(FOREVER_S)
 
     def _run(self, decoded: DecodedBatch, first: int, stop: int, where: _RecordPlace) -> None:
         """Add records that continue evenly, or a single one."""

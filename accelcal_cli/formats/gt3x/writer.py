@@ -26,27 +26,17 @@ from accelcal_cli.core.recording import Chunk, Counts, Recording
 from accelcal_cli.formats import _writing
 
 RATES = range(30, 101, 10)
-LEVEL = 1
-SEPARATOR = 0x1E
+LEVEL, SEPARATOR, FRACTION_BITS, TICKS_PER_S = 1, 0x1E, 23, 10_000_000
 HEADER = struct.Struct("<BBIH")
 PARAMETERS, ACTIVITY, ACTIVITY2 = 21, 0, 26
 SAMPLE_RATE, START_TIME, ACCEL_SCALE = (1, 10), (1, 12), (0, 55)
-FRACTION_BITS = 23
-TICKS_PER_S = 10_000_000
 YEAR_1_TO_1970_S = 62_135_596_800
 LARGEST_S = (1 << 32) - 1
 
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """A device and how it stores a sample.
-
-    Attributes:
-        serial: beginning of its serial numbers; eight digits follow.
-        kind: number of its records of samples.
-        bits: bits of each value.
-        payload: returns bytes (seconds, n) of samples (seconds, rate, 3).
-    """
+    """A device, and how it stores samples (seconds, rate, 3) as bytes (seconds, n)."""
 
     name: str
     serial: str
@@ -77,24 +67,14 @@ MODELS = {
 
 
 def sampling(recording: Recording) -> Sampling:
-    """Return the sampling in whole seconds, of a rate and scale that an ActiGraph has.
-
-    Raises:
-        UsageError: there is no such rate or scale.
-    """
+    """Return the sampling in whole seconds with a rate and scale of an ActiGraph, or raise UsageError."""
     _writing.known_scale(recording, MODELS, "an ActiGraph")
     rate = _writing.known_rate(recording, RATES, "an ActiGraph")
     return Sampling(float(rate), int(rate))
 
 
 def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
-    """Write all chunks to `path`.
-
-    Raises:
-        UsageError: an ActiGraph has no such rate or scale.
-        OutputError: the recording has a gap, or no whole seconds, or a count or a time does not fit, or
-            the disk fails.
-    """
+    """Write all chunks to `path`; raises OutputError for a gap, a part of a second, or what does not fit."""
     rate, model = sampling(recording).unit_samples, MODELS[recording.lsb_per_g, recording.range_g or 0.0]
     begun_s = int(whole_seconds(path, np.array([_writing.start_us(path, recording)]))[0])
     seconds = 0
@@ -112,11 +92,7 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
 
 
 def records(path: Path, rows: Chunk, rate: int, model: Model) -> NDArray[np.void]:
-    """Return a record of samples for each second.
-
-    Raises:
-        OutputError: a count does not fit, or a second of samples does not begin with a second of the clock.
-    """
+    """Return a record of samples for each second, whose counts have to fit."""
     _writing.check_bits(path, rows, model.bits)
     payload = model.payload(rows.counts.reshape(-1, rate, 3))
     fields = [("head", "u1", 2), ("second", "<u4"), ("size", "<u2"), ("payload", "u1", payload.shape[1])]
@@ -141,21 +117,17 @@ def whole_seconds(path: Path, time_us: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def parameters(second: int, rate: int, lsb_per_g: float) -> bytes:
     """Return the record that begins log.bin: the settings of the device."""
-    values = {ACCEL_SCALE: float_word(lsb_per_g), SAMPLE_RATE: rate, START_TIME: second}
+    fraction, exponent = np.frexp(lsb_per_g)  # a 24-bit fraction and an 8-bit exponent
+    scale = int(exponent) << 24 | int(fraction * (1 << FRACTION_BITS))
+    values = {ACCEL_SCALE: scale, SAMPLE_RATE: rate, START_TIME: second}
     payload = b"".join(struct.pack("<HHI", *key, value) for key, value in values.items())
     record = HEADER.pack(SEPARATOR, PARAMETERS, second, len(payload)) + payload
     return record + bytes([~reduce(xor, record) & 0xFF])
 
 
-def float_word(value: float) -> int:
-    """Encode a positive number as a 24-bit fraction and an 8-bit exponent."""
-    fraction, exponent = np.frexp(value)
-    return int(exponent) << 24 | int(fraction * (1 << FRACTION_BITS))
-
-
 def info(recording: Recording, model: Model, begun_s: int, ended_s: int) -> str:
     """Return the text of info.txt."""
-    range_g = recording.range_g
+    range_g, offset = recording.range_g, _writing.fixed_offset(recording.timezone)
     values = {
         "Serial Number": f"{model.serial}{_writing.number_of(recording.device):08d}",
         "Device Type": model.name,
@@ -165,7 +137,7 @@ def info(recording: Recording, model: Model, begun_s: int, ended_s: int) -> str:
         "Start Date": ticks(begun_s),
         "Stop Date": ticks(ended_s),
         "Last Sample Time": ticks(ended_s),
-        "TimeZone": zone_text(recording.timezone),
+        "TimeZone": None if offset is None else f"{offset.removeprefix('+')}:00",
         "Download Date": ticks(ended_s),
         "Board Revision": 8,
         "Unexpected Resets": 0,
@@ -175,12 +147,6 @@ def info(recording: Recording, model: Model, begun_s: int, ended_s: int) -> str:
         "Acceleration Max": range_g,
     }
     return "".join(f"{key}: {value}\r\n" for key, value in values.items() if value is not None)
-
-
-def zone_text(timezone: str | None) -> str | None:
-    """Return the zone as hours, minutes and seconds east of UTC if it is a fixed offset."""
-    offset = _writing.fixed_offset(timezone)
-    return None if offset is None else f"{offset.removeprefix('+')}:00"
 
 
 def ticks(second: int) -> int:

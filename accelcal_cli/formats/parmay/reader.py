@@ -35,48 +35,32 @@ RATES_HZ = (12.5, 25.0, 50.0, 100.0)
 """Rates to which devices are set; their sensors run up to 3 % off."""
 
 POSSIBLE_HZ = (1, 2000)
-NEAR = 0.1
-"""Share by which a sensor's rate may differ from one of RATES_HZ to be rounded to it."""
-
-LONG_S = 10
-"""Shortest time [s] over which a packet's whole-second times show its rate well."""
+NEAR, LONG_S = 0.1, 10
+"""Share by which a rate is rounded to one of RATES_HZ; time [s] over which seconds show it well."""
 
 RANGES_G = (2, 4, 8, 16)
 FULL_SCALE = 1 << 15
-FIRST_ROWS = 1 << 16
-"""Rows of the first packets, which describe the recording."""
+FIRST_ROWS, TAIL_BYTES = 1 << 16, 1 << 18
+"""Rows that describe the recording, and bytes at the end of the file that hold its last packet."""
 
-TAIL_BYTES = 1 << 18
-"""Bytes at the end of the file in which the last packet is looked for."""
-
-TENTH_MC = 100
-"""Thousandths of a degree C in one unit of the thermometer."""
+TENTH_MC, CHECKED_FROM = 100, 12
+"""Thousandths of a degree C in one unit of the thermometer, and where the checked bytes of a packet begin."""
 
 HEADER = struct.Struct("<4sIHH")
 HEAD = struct.Struct("<8sIIIIIII")
-CHECKED_FROM = 12
 READING_BYTES = (6, 6, 4, 4)
 """Bytes of a reading of three axes, of three rates, of two temperatures, of two heart rates."""
 
 USUAL_BYTES = 72_044
-MOST_BYTES = 1 << 20
-"""Longest packet; devices write one when 12 000 samples are there, and a longer one is damaged."""
-
-LEAST_BYTES = 1 << 12
-"""Least bytes that are scanned at a time: a packet is scanned again with each piece until it is whole."""
+MOST_BYTES, LEAST_BYTES = 1 << 20, 1 << 12
+"""Longest packet (devices write 12 000 samples), and least bytes that are scanned at a time for it."""
 
 HELD = "missing_value", "packets with samples but no rotation rates, given the last one measured"
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The header before the first packet; a field is None if it is missing.
-
-    Attributes:
-        packets: the number that it announces.
-        range_g, range_dps: ranges of accelerometer and gyroscope, +-.
-        damage: what is wrong with the header, for people.
-    """
+    """The header before the first packet, and what is wrong with it; a field is None if it is missing."""
 
     packets: int | None = None
     range_g: int | None = None
@@ -85,33 +69,21 @@ class Header:
 
 
 def parse_header(head: bytes) -> Header:
-    """Read the 12 bytes before the first packet, which follow 512 bytes of remarks.
-
-    Args:
-        head: the file's first bytes.
-    """
+    """Read the 12 bytes, in a file's first bytes, between 512 bytes of remarks and the first packet."""
     whole = head.startswith(HEADER_MAGIC, REMARKS_BYTES)
     begin = REMARKS_BYTES if whole else head.find(PACKET_MAGIC) - HEADER.size
     if begin < 0 or not head.startswith(HEADER_MAGIC, begin) or len(head) < begin + HEADER.size:
         return Header(damage="the header before the first packet is missing or damaged")
     _, packets, range_g, range_dps = HEADER.unpack_from(head, begin)
-    damage = (
-        None if whole else f"the header does not lie at byte {REMARKS_BYTES}: bytes before it are missing"
-    )
+    moved = f"the header does not lie at byte {REMARKS_BYTES}: bytes before it are missing"
     if range_g not in RANGES_G:
         return Header(packets, None, range_dps, f"the header gives an impossible range of {range_g} g")
-    return Header(packets, range_g, range_dps, damage)
+    return Header(packets, range_g, range_dps, None if whole else moved)
 
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """A sound packet.
-
-    Attributes:
-        start_s, end_s: seconds since 1970.
-        numbers: of readings of each kind.
-        body: the readings.
-    """
+    """A sound packet: its seconds since 1970, and numbers of readings of each kind."""
 
     start_s: int
     end_s: int
@@ -130,10 +102,9 @@ class Packet:
         return self.body[begin : begin + sizes[kind]]
 
     @property
-    def has_possible_times(self) -> bool:
-        """Return True if the packet's times can be right."""
-        seconds = self.end_s - self.start_s
-        return seconds > 0 and POSSIBLE_HZ[0] <= self.rows / seconds <= POSSIBLE_HZ[1]
+    def seconds(self) -> int:
+        """Time from its beginning to its end."""
+        return self.end_s - self.start_s
 
 
 def packet_bytes(text: bytes, at: int) -> int:
@@ -154,12 +125,9 @@ def packet_of(data: bytes) -> Packet | None:
 
 @dataclass(slots=True)
 class Packets(ScannedPages):
-    """Packets of a stretch of the file.
+    """Packets of a stretch of the file, all with samples, and bytes of one that the end cuts off.
 
-    Attributes:
-        packets: the GOOD ones, all with samples.
-        empty: sound packets without a sample in the file so far, which are not pages.
-        cut_bytes: of the packet that the end of the file cuts off.
+    Sound ones without a sample are not pages; those in the file so far are counted.
     """
 
     packets: list[Packet] = field(default_factory=list)
@@ -179,12 +147,9 @@ class PacketScanner:
     """
 
     def __init__(self, offset: int, *, inside: bool = False) -> None:
-        self._offset = offset
-        self._rest = b""
-        self._inside = inside
+        self._offset, self._inside, self._empty = offset, inside, 0
+        self._rest = self._blank = b""
         self._other: int | None = None
-        self._blank = b""
-        self._empty = 0
 
     def feed(self, data: bytes, *, last: bool) -> Packets:
         """See Scanner."""
@@ -255,11 +220,9 @@ class FirstPackets:
     """Properties of the recording that the first packets show.
 
     Attributes:
-        rate: samples per second that the sensor really takes.
-        nominal_hz: the rate to which it was set.
+        rate: samples per second that the sensor really takes; it was set to `nominal_hz`.
         rows: samples of most packets.
         temperature_mc: the first measured temperature, None without any.
-        has_gyro: there are rotation rates.
     """
 
     rate: Fraction
@@ -275,11 +238,7 @@ class FirstPackets:
 
 
 def look_inside(file: PageFile[Packets], options: ReadOptions) -> FirstPackets | None:
-    """Read on until there are packets of enough samples; return None if the file has no packet.
-
-    Raises:
-        UnreadableError: their times do not show the rate, which the user did not give.
-    """
+    """Read on until there are packets of enough samples; return None if the file has no packet."""
     packets: list[Packet] = []
     with closing(file.blocks(USUAL_BYTES)) as blocks:
         for block in blocks:
@@ -296,9 +255,10 @@ def look_inside(file: PageFile[Packets], options: ReadOptions) -> FirstPackets |
 
 
 def _rates(packets: Sequence[Packet], options: ReadOptions, path: Path) -> tuple[Fraction, float]:
-    """Return the sensor's rate, and the one to which it was set."""
-    timed = [packet for packet in packets if packet.has_possible_times]
-    timed = [packet for packet in timed if packet.end_s - packet.start_s >= LONG_S] or timed
+    """Return the sensor's rate, and the one to which it was set; the times or the user have to show it."""
+    low, high = POSSIBLE_HZ
+    timed = [one for one in packets if one.seconds > 0 and low <= one.rows / one.seconds <= high]
+    timed = [packet for packet in timed if packet.seconds >= LONG_S] or timed
     if not timed:
         if options.rate_hz is None:
             what = "the times of its packets do not show the sampling rate"
@@ -313,7 +273,7 @@ def _rates(packets: Sequence[Packet], options: ReadOptions, path: Path) -> tuple
 
 
 def _rate_of(packets: Sequence[Packet]) -> Fraction:
-    seconds = sum(packet.end_s - packet.start_s for packet in packets)
+    seconds = sum(packet.seconds for packet in packets)
     return Fraction(sum(packet.rows for packet in packets), seconds).limit_denominator(10_000)
 
 
@@ -329,39 +289,27 @@ def temperatures_mc(packet: Packet) -> NDArray[np.int32]:
     return pairs[:, 0].astype(np.int32) * np.int32(TENTH_MC)
 
 
-def rates(packet: Packet) -> NDArray[np.int16]:
-    """Return the rotation rates of a packet, (n, 3)."""
-    return np.frombuffer(packet.part(1), "<i2").reshape(-1, 3).astype(np.int16)
-
-
 def spread_over(rows: int, readings: int) -> NDArray[np.int64]:
     """Return which of evenly spread readings each row takes, (rows,)."""
     return np.arange(rows, dtype=np.int64) * readings // rows
 
 
 class PacketDecoder(PageDecoder[Packets]):
-    """Decodes packets; repeats the last temperature and rotation rate where there is none.
-
-    Args:
-        announced: number of packets by the header.
-    """
+    """Decodes packets, of which a number is announced; repeats the last values where there are none."""
 
     def __init__(self, first: FirstPackets, announced: int) -> None:
         self._first, self._announced = first, announced
         self._temperature = first.temperature_mc
-        self._rotation = np.zeros((1, 3), np.int16)
+        self._rotation, self._held = np.zeros((1, 3), np.int16), 0
         self._end_s: int | None = None
-        self._held = 0
 
     def decode(self, found: Packets) -> Decoded:
         """See PageDecoder."""
-        status = np.array(found.status, np.uint8)
-        packets = found.packets
-        rows = np.array([packet.rows for packet in packets], np.int64)
+        status, packets = np.array(found.status, np.uint8), found.packets
         xyz = b"".join(packet.part(0) for packet in packets)
         block = PageBlock(
             position=found.first_position + np.flatnonzero(status == GOOD),
-            rows=rows,
+            rows=np.array([packet.rows for packet in packets], np.int64),
             counts=np.frombuffer(xyz, "<i2").reshape(-1, 3).astype(np.int16),
             time_us=np.array([packet.start_s for packet in packets], np.int64) * MICROSECONDS,
             fresh=np.array([self._is_fresh(packet) for packet in packets], np.bool_),
@@ -416,7 +364,7 @@ class PacketDecoder(PageDecoder[Packets]):
         return readings[spread_over(packet.rows, len(readings))]
 
     def _rotations(self, packet: Packet) -> NDArray[np.int16]:
-        readings = rates(packet)
+        readings = np.frombuffer(packet.part(1), "<i2").reshape(-1, 3).astype(np.int16)
         self._held += not len(readings)
         readings = readings if len(readings) else self._rotation
         self._rotation = readings[-1:]
@@ -446,13 +394,7 @@ class PacketScheme(PageScheme[Packets]):
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
-    """Open a recording.
-
-    Raises:
-        UnreadableError: no packet is sound; the header is damaged and `lsb_per_g` not given; or the packets'
-            times do not show the rate, which is not given either.
-        UsageError: the user's rate contradicts that of the packets.
-    """
+    """Open a recording; `Format.open` says what is raised."""
     probe = probe_file(path, options)
     header = parse_header(probe.head)
     start = HEADER_BYTES if header.damage is None else max(0, probe.head.find(PACKET_MAGIC))

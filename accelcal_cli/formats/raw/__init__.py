@@ -40,12 +40,6 @@ def find_layout(path: Path, options: ReadOptions) -> Path | None:
     return next((found for found in (named_layout(path), folder_layout(path)) if has_file(found)), None)
 
 
-def _is_of_a_dump(path: Path) -> bool:
-    """Return True if a file's layout is that of a dump with a usual suffix in the same folder."""
-    name = named_layout(path).name.removesuffix(SUFFIX)
-    return any(is_file(path.with_name(name + end + gz)) for end in DUMP_SUFFIXES for gz in ("", ".gz"))
-
-
 def sniff(probe: Probe) -> int:
     """Return how certain a layout makes it that a file is a dump.
 
@@ -54,14 +48,18 @@ def sniff(probe: Probe) -> int:
     whatever else its content shows comes first, and 0 for its folder's. A `.raw` file for which rate and
     counts per g are given, but no layout, scores 30.
     """
-    options = probe.options
+    options, path = probe.options, probe.path
     if options.layout is not None:
         return 100
     if probe.suffix not in DUMP_SUFFIXES:
-        return 35 if is_file(named_layout(probe.path)) and not _is_of_a_dump(probe.path) else 0
-    if is_file(named_layout(probe.path)):
+        if not is_file(named_layout(path)):
+            return 0
+        name = named_layout(path).name.removesuffix(SUFFIX)
+        dumps = (path.with_name(name + end + gz) for end in DUMP_SUFFIXES for gz in ("", ".gz"))
+        return 0 if any(map(is_file, dumps)) else 35  # the layout is that of a dump next to it
+    if is_file(named_layout(path)):
         return 95
-    if is_file(folder_layout(probe.path)):
+    if is_file(folder_layout(path)):
         return 40
     described = options.rate_hz is not None and options.lsb_per_g is not None
     return 30 if described and probe.suffix == ".raw" else 0

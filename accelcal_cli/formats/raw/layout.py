@@ -36,29 +36,19 @@ TYPE_BYTES = {
     **{"crc32": 4, "crc16-ccitt": 2},
 }
 
-LARGEST_COVERS = {"crc32": 1 << 24, "crc16-ccitt": 1 << 16}
-"""Most bytes that a checksum covers: a CRC-16 takes a step, and half a kilobyte of tables, for each."""
+LARGEST_COVERS, STREAM_FRAMES = {"crc32": 1 << 24, "crc16-ccitt": 1 << 16}, 256
+"""Most bytes that a checksum covers (a CRC-16 takes a step for each), and frames of a stream in a page."""
 
-STREAM_FRAMES = 256
-"""Frames of an unbroken stream that are treated as a page."""
-
-LARGEST_LAYOUT = 1 << 16
-"""Most bytes of a layout file."""
-
-LARGEST_FRAME = 1 << 16
-LARGEST_PAGE = 1 << 24
+LARGEST_LAYOUT, LARGEST_FRAME, LARGEST_PAGE, LARGEST_BYTES = 1 << 16, 1 << 16, 1 << 24, 1 << 40
+"""Most bytes of a layout file, a frame, a page, and of anything else."""
 
 Span = tuple[int, int, str]
 T = TypeVar("T")
 
-LARGEST_BYTES = 1 << 40
-
 HINT = 'write it as "2024-03-04T00:00:00", with an offset such as +01:00 if it is known'
 
-LARGEST_NUMBER = 1e12
+LARGEST_NUMBER, LARGEST_ZERO, SMALLEST_SCALE = 1e12, 2**31, 1e-9
 LONGEST_SHOWN = 80
-LARGEST_ZERO = 2**31
-SMALLEST_SCALE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +56,7 @@ class Field:
     """A value at one place of every frame, or of every page.
 
     In a frame it stands for `raw * scale + zero`, or for `raw - zero` counts of x, y and z. The time of a
-    page is in units of `per_unit` seconds since 1970.
-
-    Attributes:
-        covers: the first byte that a checksum covers, and one past the last.
+    page is in units of `per_unit` seconds since 1970. A checksum covers bytes up to one before the last.
     """
 
     offset: int
@@ -93,9 +80,7 @@ class Field:
 class Layout:
     """A raw dump's description; sizes in bytes. `page_bytes` 0 is an unbroken stream of frames.
 
-    Attributes:
-        fields: the values of a frame.
-        page: those of a page, by the keys of PAGE_TYPES.
+    `fields` are the values of a frame, `page` those of a page, by the keys of PAGE_TYPES.
     """
 
     rate_hz: float
@@ -128,11 +113,7 @@ class Layout:
 
 
 def contradictions(layout: Layout, *, paged: bool) -> Iterator[str]:
-    """Yield what is wrong with sizes and places, and names the key.
-
-    Args:
-        paged: the layout gives page_bytes.
-    """
+    """Yield what is wrong with sizes and places, and names the key; a `paged` layout gives page_bytes."""
     if layout.frame_bytes > LARGEST_FRAME:
         yield f"dump.frame_bytes is {layout.frame_bytes}, more than {LARGEST_FRAME}"
     yield from misplaced(spans("fields", layout.fields), layout.frame_bytes, "dump.frame_bytes")
@@ -192,9 +173,7 @@ class Keys:
     """One table of a layout; `finish` refuses keys that were never read."""
 
     def __init__(self, table: Mapping[str, Any], path: Path, name: str) -> None:
-        self._table = table
-        self._path = path
-        self._name = name
+        self._table, self._path, self._name = table, path, name
         self._known: set[str] = set()
 
     def __contains__(self, key: str) -> bool:
@@ -258,9 +237,8 @@ class Keys:
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.error(key, f"must be a whole number, not {shown(value)}")
         if value is not default and not low <= value <= LARGEST_BYTES:
-            raise self.error(
-                key, f"is {shown(value)}; it must be at least {low}, and a size that a file can have"
-            )
+            what = f"is {shown(value)}; it must be at least {low}, and a size that a file can have"
+            raise self.error(key, what)
         return value
 
     def text(self, key: str) -> str | None:
@@ -311,26 +289,12 @@ def plain_layout(rate_hz: float, lsb_per_g: float) -> Layout:
 
 
 def load_layout(path: Path) -> Layout:
-    """Read and check a layout file.
-
-    Raises:
-        UsageError: it cannot be read, is not TOML, or a key is missing, unknown or impossible;
-            the message names the key.
-    """
-    return parse_layout(read_toml(path, "the layout", LARGEST_LAYOUT), path)
-
-
-def parse_layout(document: Mapping[str, Any], path: Path) -> Layout:
-    """Check a layout's keys and sizes.
-
-    Raises:
-        UsageError: see `load_layout`.
-    """
-    top = Keys(document, path, "")
+    """Read and check a layout file; raises UsageError that names a key which is missing or impossible."""
+    top = Keys(read_toml(path, "the layout", LARGEST_LAYOUT), path, "")
     page = top.optional_table("page")
     top.finish("dump", "fields")
     dump, fields = top.table("dump"), top.table("fields")
-    wide = {"per_unit": (-LARGEST_NUMBER, LARGEST_NUMBER), "zero": (-LARGEST_NUMBER, LARGEST_NUMBER)}
+    wide = dict.fromkeys(("per_unit", "zero"), (-LARGEST_NUMBER, LARGEST_NUMBER))
     parsed = {n: parse_field(fields.table(n), FIELD_TYPES, **wide) for n in FIELD_NAMES if n in fields}
     fields.finish()
     check_fields(parsed, fields)
@@ -370,11 +334,7 @@ def parse_page(page: Keys) -> dict[str, Field]:
 
 
 def parse_field(keys: Keys, types: tuple[str, ...], **bounds: tuple[float, float]) -> Field:
-    """Parse a value of one of some types.
-
-    Args:
-        bounds: of `per_unit` and `zero`, if it may have them.
-    """
+    """Parse a value of one of some types, with `bounds` of `per_unit` and `zero` if it may have them."""
     offset, kind = keys.whole("offset", None), keys.choice("type", types, None)
     numbers = {name: keys.optional_number(name, *limits) for name, limits in bounds.items()}
     covers = keys.pair("covers") if types is CHECKSUM_TYPES else (0, 0)
@@ -388,9 +348,8 @@ def check_fields(parsed: Mapping[str, Field], fields: Keys) -> None:
         if name not in parsed:
             raise fields.error(name, "is missing")
         if parsed[name].per_unit is not None:
-            raise fields.error(
-                f"{name}.per_unit", "cannot be used for x, y and z; their scale is lsb_per_g in [dump]"
-            )
+            what = "cannot be used for x, y and z; their scale is lsb_per_g in [dump]"
+            raise fields.error(f"{name}.per_unit", what)
         if parsed[name].zero % 1 or abs(parsed[name].zero) > LARGEST_ZERO:
             raise fields.error(f"{name}.zero", "must be a whole number of counts")
     present = [name for name in GYRO if name in parsed]

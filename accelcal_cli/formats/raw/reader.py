@@ -32,8 +32,8 @@ from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages import timeline as timelines
 from accelcal_cli.formats._pages.files import PagedFile, RawBlock
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock
-from accelcal_cli.formats._pages.reader import FixedPages, PageDecoder, PagedReader
-from accelcal_cli.formats._rows import MISSING, first_values
+from accelcal_cli.formats._pages.reader import FixedPages, PageDecoder
+from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.raw import find_layout, named_layout
 from accelcal_cli.formats.raw.layout import (
     AXES,
@@ -45,10 +45,7 @@ from accelcal_cli.formats.raw.layout import (
     plain_layout,
 )
 
-LARGEST_G = 127.0
-FLOAT_DPS_PER_LSB = 2.0**-16
-LARGEST_DPS = 32_767.0
-
+LARGEST_G, FLOAT_DPS_PER_LSB, LARGEST_DPS = 127.0, 2.0**-16, 32_767.0
 INT24 = "int24"
 INT24_RANGE = (-(1 << 23), (1 << 23) - 1)
 SMALL, WIDE = np.iinfo(np.int16), np.iinfo(np.int32)
@@ -59,9 +56,9 @@ UNUSED_FRAMES = 8
 NO_START = "the layout gives no start time and no page time: times count from 1970-01-01"
 
 
-def number_type(endian: str, kind: str) -> np.dtype[np.generic]:
+def number_type(layout: Layout, kind: str) -> np.dtype[np.generic]:
     """Return the numpy type of a layout's number type."""
-    return np.dtype(kind).newbyteorder("<" if endian == "little" else ">")
+    return np.dtype(kind).newbyteorder("<" if layout.endian == "little" else ">")
 
 
 Physical = Callable[[NDArray[np.float64], Field], NDArray[np.float64]]
@@ -108,10 +105,8 @@ class Axes:
         self.is_float = any(field.type == "float32" for field in self.fields)
         whole = [] if self.is_float else self.fields
         self._zeros = [zeros(field) for field in whole]
-        self._ranges = [
-            (low - zero, high - zero)
-            for (low, high), zero in zip(map(type_range, whole), self._zeros, strict=True)
-        ]
+        limits = zip(map(type_range, whole), self._zeros, strict=True)
+        self._ranges = [(low - zero, high - zero) for (low, high), zero in limits]
 
     @property
     def may_fail(self) -> bool:
@@ -147,7 +142,12 @@ class FrameValues:
 
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
-        self._record = record_type(layout)
+        kinds = [(field.type, field.offset) for field in layout.fields.values()]
+        formats = [
+            np.dtype((np.uint8, (3,))) if kind == INT24 else number_type(layout, kind) for kind, _ in kinds
+        ]
+        about = {"names": list(layout.fields), "formats": formats, "offsets": [at for _, at in kinds]}
+        self._record: np.dtype[np.void] = np.dtype(about | {"itemsize": layout.frame_bytes})  # type: ignore[call-overload]
         self.accel = Axes(
             layout,
             AXES,
@@ -211,25 +211,11 @@ def type_range(field: Field) -> tuple[int, int]:
     return int(info.min), int(info.max)
 
 
-def record_type(layout: Layout) -> np.dtype[np.void]:
-    """Return the numpy record of a frame."""
-    fields = layout.fields
-    formats = [
-        np.dtype((np.uint8, (3,))) if field.type == INT24 else number_type(layout.endian, field.type)
-        for field in fields.values()
-    ]
-    offsets = [field.offset for field in fields.values()]
-    return np.dtype(
-        {"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": layout.frame_bytes}
-    )
-
-
 class FrameDecoder(PageDecoder[RawBlock]):
     """Decodes blocks of pages; a stream is taken in stretches like pages."""
 
     def __init__(self, layout: Layout) -> None:
-        self._layout = layout
-        self._values = FrameValues(layout)
+        self._layout, self._values = layout, FrameValues(layout)
 
     def decode(self, raw: RawBlock) -> Decoded:
         """See PageDecoder."""
@@ -237,7 +223,11 @@ class FrameDecoder(PageDecoder[RawBlock]):
         limit = np.full(len(pages), self._layout.page_frames, np.int64)
         if end_rows:
             limit[-1] = end_rows
-        status = self._status(pages)
+        status = np.full(len(pages), paged.GOOD, np.uint8)
+        if (crc := self._layout.page.get("crc")) is not None:
+            checksums = paged.crc32_pages if crc.type == "crc32" else paged.crc16_pages
+            status[checksums(pages, *crc.covers) != self._page_value(pages, crc)] = paged.CHECKSUM
+        status[paged.erased_pages(pages)] = paged.ERASED
         rows = self._used_rows(pages, limit, status)
         unused_end = bool((rows < limit)[-1:].any())
         good = status == paged.GOOD
@@ -254,21 +244,12 @@ class FrameDecoder(PageDecoder[RawBlock]):
             return raw.pages, raw.tail, 0
         used = frames * self._layout.frame_bytes
         # the end of a stream is treated as a page whose last frames are erased
-        filled = raw.tail[:used].ljust(self._layout.block_bytes, b"\xff")
-        last = np.frombuffer(filled, np.uint8)[None]
+        last = np.frombuffer(raw.tail[:used].ljust(self._layout.block_bytes, b"\xff"), np.uint8)[None]
         return np.concatenate((raw.pages, last)), raw.tail[used:], frames
-
-    def _status(self, pages: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        status = np.full(len(pages), paged.GOOD, np.uint8)
-        if (crc := self._layout.page.get("crc")) is not None:
-            checksums = paged.crc32_pages if crc.type == "crc32" else paged.crc16_pages
-            status[checksums(pages, *crc.covers) != self._page_value(pages, crc)] = paged.CHECKSUM
-        status[paged.erased_pages(pages)] = paged.ERASED
-        return status
 
     def _page_value(self, pages: NDArray[np.uint8], field: Field) -> NDArray[np.int64]:
         """Return a whole number at one place of every page, (p,)."""
-        code = number_type(self._layout.endian, f"uint{8 * field.bytes}")
+        code = number_type(self._layout, f"uint{8 * field.bytes}")
         data = np.ascontiguousarray(pages[:, field.offset : field.offset + field.bytes])
         return data.view(code)[:, 0].astype(np.int64)
 
@@ -305,23 +286,20 @@ class FrameDecoder(PageDecoder[RawBlock]):
             table = frames[np.arange(layout.page_frames) < rows[:, None]]
         records = values.records(table)
         faulty = np.zeros(len(table), np.bool_)
-        sequence, stamp = layout.page.get("sequence"), layout.page.get("time")
+        sequence, stamp, time_us = layout.page.get("sequence"), layout.page.get("time"), None
+        if stamp is not None:
+            unit = unit_us(stamp)
+            whole, rest = np.divmod(self._page_value(pages, stamp), unit.denominator)
+            time_us = np.asarray(whole * unit.numerator + rest * unit.numerator // unit.denominator)
         return PageBlock(
             position=position,
             rows=rows,
             counts=values.accel.counts(records, faulty),
             sequence=None if sequence is None else self._page_value(pages, sequence),
-            time_us=None if stamp is None else self._stamps(pages, stamp),
+            time_us=time_us,
             channels=values.channels(records, faulty),
             faulty=faulty if values.accel.may_fail or values.gyro.may_fail else None,
         )
-
-    def _stamps(self, pages: NDArray[np.uint8], stamp: Field) -> NDArray[np.int64]:
-        """Return the time of each page [us since 1970], (p,)."""
-        unit = unit_us(stamp)
-        raw = self._page_value(pages, stamp)
-        whole, rest = np.divmod(raw, unit.denominator)
-        return np.asarray(whole * unit.numerator + rest * unit.numerator // unit.denominator)
 
 
 def unit_us(stamp: Field) -> Fraction:
@@ -330,23 +308,33 @@ def unit_us(stamp: Field) -> Fraction:
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
-    """Open a dump.
-
-    Raises:
-        UsageError: a faulty layout.
-        UnreadableError: no layout (and not both rate and counts per g), or no page or frame is usable.
-    """
+    """Open a dump; `Format.open` says what is raised."""
     layout = layout_for(path, options)
     file = PagedFile.at(path, layout.header_bytes, layout.block_bytes, proved="crc" in layout.page)
     scheme = page_scheme(file, layout)
     opening = scheme.look_inside()
     if opening is None:
         raise nothing_usable(file, layout)
-    timed = layout.start is not None or "time" in layout.page
+    values, start, stamped = FrameValues(layout), layout.start, "time" in layout.page
+    ignored = ("start_time of the layout is not used: the pages carry their own times",)
+    about = Recording(
+        path=path,
+        format="raw",
+        rate_hz=layout.rate_hz,
+        lsb_per_g=values.lsb_per_g,
+        total_bytes=file.size,
+        device=Device(layout.model, layout.serial, layout.firmware),
+        range_g=layout.range_g,
+        timezone="UTC" if stamped else None if start is None else start.timezone,
+        has_offsets=not stamped and start is not None and start.had_offset,
+        gyro_dps_per_lsb=values.dps_per_lsb,
+        companion=find_layout(path, options),
+        zero_counts=values.zero_counts,
+        notes=ignored if stamped and start else (),
+    )
+    timed = stamped or start is not None
     problems = () if timed else (Problem("no_start_time", NO_START, None, 0),)
-    scheme = replace(scheme, first_values=first_values(opening.channels), problems=problems)
-    described = replace(recording(scheme, layout, opening), companion=find_layout(path, options))
-    return PagedReader(described, scheme)
+    return scheme.reader(opening, about, problems, dated=timed)
 
 
 def layout_for(path: Path, options: ReadOptions) -> Layout:
@@ -354,42 +342,28 @@ def layout_for(path: Path, options: ReadOptions) -> Layout:
     layout_path = find_layout(path, options)
     if layout_path is None:
         if options.rate_hz is None or options.lsb_per_g is None:
-            raise UnreadableError(
-                "a raw dump does not say what it holds",
-                path=path,
-                hint=f"describe it with --layout FILE or in {named_layout(path).name} next to it; "
-                "for plain int16 x, y, z, --rate and --lsb-per-g are enough",
-            )
+            how = f"describe it with --layout FILE or in {named_layout(path).name} next to it; "
+            hint = f"{how}for plain int16 x, y, z, --rate and --lsb-per-g are enough"
+            raise UnreadableError("a raw dump does not say what it holds", path=path, hint=hint)
         return plain_layout(options.rate_hz, options.lsb_per_g)
     layout = load_layout(layout_path)
-    return replace(
-        layout,
-        rate_hz=options.rate_hz or layout.rate_hz,
-        lsb_per_g=options.lsb_per_g or layout.lsb_per_g,
-    )
+    rate_hz, lsb_per_g = options.rate_hz or layout.rate_hz, options.lsb_per_g or layout.lsb_per_g
+    return replace(layout, rate_hz=rate_hz, lsb_per_g=lsb_per_g)
 
 
 def nothing_usable(file: PagedFile, layout: Layout) -> UnreadableError:
     """Return the error for a file without any usable sample, with the likeliest reason."""
-    if layout.page_bytes and file.whole_pages == 0 and not file.compressed:
-        return UnreadableError(
-            f"holds no whole page of {layout.page_bytes} bytes after its header",
-            path=file.path,
-            byte_offset=layout.header_bytes,
-            hint="check header_bytes and page_bytes of its layout",
-        )
     crc = " and what page.crc covers" if "crc" in layout.page else ""
-    return UnreadableError(
-        "holds no usable sample",
-        path=file.path,
-        byte_offset=layout.header_bytes,
-        hint=f"check the sizes{crc} in its layout, or copy the file again from the device",
-    )
+    hint = f"check the sizes{crc} in its layout, or copy the file again from the device"
+    what = "holds no usable sample"
+    if layout.page_bytes and file.whole_pages == 0 and not file.compressed:
+        what = f"holds no whole page of {layout.page_bytes} bytes after its header"
+        hint = "check header_bytes and page_bytes of its layout"
+    return UnreadableError(what, path=file.path, byte_offset=layout.header_bytes, hint=hint)
 
 
 def page_scheme(file: PagedFile, layout: Layout) -> FixedPages:
-    """Return how this file's pages are read: timed by their stamps, finer or coarser than a sample, or by
-    counting."""
+    """Return how pages are read: timed by their stamps, finer or coarser than a sample, or by counting."""
     sequence, stamp = layout.page.get("sequence"), layout.page.get("time")
     bits = 32 if sequence is None else 8 * sequence.bytes
     spacing = timelines.Spacing(rate_fraction(layout.rate_hz), layout.page_frames, bits)
@@ -404,29 +378,3 @@ def page_scheme(file: PagedFile, layout: Layout) -> FixedPages:
         return timelines.CoarseTimeline(spacing, round(unit))
 
     return FixedPages(file, spacing, lambda: decoder, timeline)
-
-
-def recording(scheme: FixedPages, layout: Layout, opening: PageBlock) -> Recording:
-    """Describe the recording."""
-    values, (samples, duration_s) = FrameValues(layout), scheme.extent(opening)
-    start, stamped = layout.start, "time" in layout.page
-    zone = "UTC" if stamped else None if start is None else start.timezone
-    ignored = ("start_time of the layout is not used: the pages carry their own times",)
-    return Recording(
-        path=scheme.file.path,
-        format="raw",
-        rate_hz=layout.rate_hz,
-        lsb_per_g=values.lsb_per_g,
-        total_bytes=scheme.file.size,
-        device=Device(layout.model, layout.serial, layout.firmware),
-        range_g=layout.range_g,
-        start_us=scheme.timeline().start(opening) if stamped or start else None,
-        timezone=zone,
-        has_offsets=not stamped and start is not None and start.had_offset,
-        samples=samples,
-        duration_s=duration_s,
-        has_temperature=scheme.first_values.get("temperature_mc") is not None,
-        gyro_dps_per_lsb=values.dps_per_lsb,
-        zero_counts=values.zero_counts,
-        notes=ignored if stamped and start else (),
-    )

@@ -42,11 +42,7 @@ def frame_type(recording: Recording) -> np.dtype[np.void]:
 
 
 def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
-    """Write all chunks to `path`.
-
-    Raises:
-        OutputError: the recording has a gap, a value does not fit, or the disk fails.
-    """
+    """Write all chunks to `path`; raises OutputError for a gap, or a value that does not fit."""
     record = frame_type(recording)
     with new_file(path) as file:
         for chunk in chunks:
@@ -78,40 +74,25 @@ def fitting(path: Path, values: NDArray[Any], kind: np.dtype[Any]) -> NDArray[An
 
 def layout_text(recording: Recording) -> str:
     """Return the content of the layout file."""
-    device = recording.device
+    device, start = recording.device, None
+    if recording.start_us is not None:
+        moment = EPOCH + timedelta(microseconds=recording.start_us)
+        start = (moment if recording.timezone == "UTC" else moment.replace(tzinfo=None)).isoformat()
     known = {
-        "rate_hz": recording.rate_hz,
-        "lsb_per_g": recording.lsb_per_g,
-        "range_g": recording.range_g,
-        "start_time": start_text(recording),
-        "serial": device.serial,
-        "model": device.model,
-        "firmware": device.firmware,
+        **{"rate_hz": recording.rate_hz, "lsb_per_g": recording.lsb_per_g, "range_g": recording.range_g},
+        **{"start_time": start, "serial": device.serial, "model": device.model, "firmware": device.firmware},
     }
     lines = ["[dump]", *(f"{key} = {toml(value)}" for key, value in known.items() if value is not None)]
-    return "\n".join([*lines, "", "[fields]", *field_lines(recording), ""])
-
-
-def field_lines(recording: Recording) -> list[str]:
-    """Return one line for each field of the frame."""
-    record = frame_type(recording)
+    lines += ["", "[fields]"]
     scales = {"temperature": DEGREES_PER_UNIT}
     if recording.gyro_dps_per_lsb is not None:
         scales |= dict(zip(("gx", "gy", "gz"), recording.gyro_dps_per_lsb, strict=True))
-    lines, offset = [], 0
+    record, offset = frame_type(recording), 0
     for name in record.names or ():
         scale = f", per_unit = {toml(scales[name])}" if name in scales else ""
         lines.append(f'{name} = {{ offset = {offset}, type = "{record[name].name}"{scale} }}')
         offset += record[name].itemsize
-    return lines
-
-
-def start_text(recording: Recording) -> str | None:
-    """Return the time of the first sample, with an offset if the recording's times are UTC."""
-    if recording.start_us is None:
-        return None
-    moment = EPOCH + timedelta(microseconds=recording.start_us)
-    return (moment if recording.timezone == "UTC" else moment.replace(tzinfo=None)).isoformat()
+    return "\n".join([*lines, ""])
 
 
 def toml(value: float | str) -> str:

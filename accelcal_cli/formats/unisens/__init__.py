@@ -33,12 +33,6 @@ def sibling_description(path: Path) -> bytes | None:
     return text if ROOT.search(text) else None
 
 
-def listed_files(description: bytes) -> list[str]:
-    """Return the names of all files that a description lists."""
-    ids = (_ID.search(entry[2]) for entry in ENTRY.finditer(description))
-    return [match[1].decode("utf-8", "replace") for match in ids if match]
-
-
 def accelerations(description: bytes) -> list[str]:
     """Return the names of files with signals of class `acc`, in their order, binary ones first."""
     signals = [entry[2] for entry in ENTRY.finditer(description) if entry[1] == b"signalEntry"]
@@ -60,7 +54,8 @@ def belongs_to(path: Path) -> Path | None:
     acc = path.with_name(names[0])
     if path.name == DESCRIPTION:
         return acc if is_file(acc) else None
-    return acc if path.name in listed_files(text) else None
+    ids = (_ID.search(entry[2]) for entry in ENTRY.finditer(text))
+    return acc if path.name in [match[1].decode("utf-8", "replace") for match in ids if match] else None
 
 
 def sniff(probe: Probe) -> int:

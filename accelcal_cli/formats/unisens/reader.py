@@ -51,29 +51,18 @@ AXES = "xyz"
 ACCELEROMETERS, GYROSCOPES = ("acc",), ("gyro", "angularrate")
 """Classes of signals of the two sensors."""
 
-LARGEST_G = 100.0
-WARMEST_MC = 200_000
+LARGEST_G, WARMEST_MC, MOST_FIRST_ROWS, SMALLEST_LSB_PER_G, MOST_RATIO = 100.0, 200_000, 1 << 16, 1e-6, 100
 WIDE = np.iinfo(np.int32)
-MOST_FIRST_ROWS = 1 << 16
-SMALLEST_LSB_PER_G = 1e-6
-MOST_RATIO = 100
 LARGEST_DPS = 100_000.0
 """Largest step of rotation rates that any sensor has."""
-
 
 NO_START = "the description does not tell when the recording began: times count from its start"
 OTHER_GYRO = (
     "{name} was not used: it has another rate, length or unit than rotation rates with {acc} may have"
 )
 TYPES = {
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "float": "f4",
-    "double": "f8",
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
+    **{"float": "f4", "double": "f8"},
 }
 RATES_HZ = (1e-3, 100_000.0)
 LARGEST_BASELINE = 1 << 31
@@ -106,11 +95,7 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """The description of a recording.
-
-    Attributes:
-        start: of all signals, None if unknown.
-    """
+    """The description of a recording, with the start of all its signals."""
 
     signals: tuple[Signal, ...]
     start: StartTime | None
@@ -121,30 +106,23 @@ class Description:
         return next((one for one in self.signals if one.kind in kinds and one.number is not None), None)
 
 
-class DeclarationError(ValueError):
-    """A description declares a type of document, and perhaps entities that grow without bound."""
-
-
 class _NoDeclarations(ElementTree.TreeBuilder):
     """Builds the tree of a description without declarations, whatever its encoding."""
 
     def doctype(self, _name: str, _public: str | None, _system: str | None) -> None:
-        """Refuse, before the declarations are read."""
-        raise DeclarationError("has declarations, which Unisens does not use")
+        """Refuse a type of document, before its entities are read, which may grow without bound."""
+        raise UnreadableError("has declarations, which Unisens does not use", hint=COPY_AGAIN)
 
 
 def load_description(path: Path) -> Description:
-    """Read `unisens.xml`.
-
-    Raises:
-        UnreadableError: it cannot be read, or is not XML of Unisens.
-    """
+    """Read `unisens.xml`; raises UnreadableError if it cannot be read, or is not XML of Unisens."""
     try:
         with open_found(path) as file:
             text = file.read(MOST_BYTES)
         root = ElementTree.fromstring(text, ElementTree.XMLParser(target=_NoDeclarations()))
-    except DeclarationError as error:
-        raise UnreadableError(str(error), path=path, hint=COPY_AGAIN) from error
+    except UnreadableError as error:
+        error.path = path
+        raise
     except OSError as error:
         what = f"cannot be read ({error.strerror or error})"
         raise UnreadableError(what, path=path, hint=COPY_AGAIN) from error
@@ -152,11 +130,11 @@ def load_description(path: Path) -> Description:
         raise UnreadableError(f"is damaged ({error})", path=path, hint=COPY_AGAIN) from error
     if _tag(root) != "unisens":
         raise UnreadableError("is not a description of Unisens", path=path, hint=COPY_AGAIN)
-    return Description(
-        signals=tuple(_signal(item) for item in _children(root, "signalEntry")),
-        start=iso_start(root.get("timestampStart", "")),
-        device=_device(root),
-    )
+    pairs = (item for group in _children(root, "customAttributes") for item in group)
+    attributes = {item.get("key", ""): (item.get("value") or "").strip() for item in pairs}
+    about = [attributes.get(f"sensor{name}") or None for name in ("Type", "SerialNumber", "FirmwareVersion")]
+    signals = tuple(_signal(item) for item in _children(root, "signalEntry"))
+    return Description(signals, iso_start(root.get("timestampStart", "")), Device(*about))
 
 
 def _tag(item: ElementTree.Element) -> str:
@@ -194,21 +172,9 @@ def _number(text: str | None, default: float) -> float:
     return value if math.isfinite(value) else default
 
 
-def _device(root: ElementTree.Element) -> Device:
-    pairs = (item for group in _children(root, "customAttributes") for item in group)
-    attributes = {item.get("key", ""): (item.get("value") or "").strip() for item in pairs}
-    model, serial = attributes.get("sensorType") or None, attributes.get("sensorSerialNumber") or None
-    return Device(model, serial, attributes.get("sensorFirmwareVersion") or None)
-
-
 @dataclass(frozen=True, slots=True)
 class SiblingSignal:
-    """A signal in a file of its own, read for the rows of the accelerations.
-
-    Attributes:
-        ratio: its samples for each row.
-        frames: how many samples it has.
-    """
+    """A signal in a file of its own with `frames` samples, `ratio` for each row of the accelerations."""
 
     path: Path
     signal: Signal
@@ -216,15 +182,10 @@ class SiblingSignal:
     frames: int
 
     def values(self, first: int, rows: int) -> NDArray[np.float64]:
-        """Return its numbers less the baseline, (rows, channels).
-
-        Each row gets the numbers that held while it was measured.
-        """
+        """Return its numbers less the baseline, (rows, channels), that held while each row was measured."""
         ratio, width = self.ratio, frame_bytes(self.signal)
-        wanted = (
-            first * ratio.numerator + np.arange(rows, dtype=np.int64) * ratio.numerator
-        ) // ratio.denominator
-        wanted = np.minimum(wanted, self.frames - 1)
+        since = np.arange(rows, dtype=np.int64) * ratio.numerator + first * ratio.numerator
+        wanted = np.minimum(since // ratio.denominator, self.frames - 1)
         begin = int(wanted[0]) if rows else 0
         with ByteSource(self.path) as source:
             source.seek(begin * width)
@@ -246,11 +207,9 @@ def numbers_of(table: NDArray[np.uint8], signal: Signal) -> NDArray[np.generic]:
 
 @dataclass(frozen=True, slots=True)
 class Decoder:
-    """Decodes the file of accelerations to rows.
+    """Decodes the file of accelerations, channels `axes`, to rows.
 
-    Attributes:
-        axes: channels of x, y and z.
-        grid: for a signal of floating-point numbers, counts in one unit; None for whole numbers.
+    The grid is the number of counts in one unit of floating-point numbers; None for whole numbers.
     """
 
     signal: Signal
@@ -294,13 +253,7 @@ class Decoder:
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
-    """Open a folder by its `unisens.xml`, or by its binary file of accelerations.
-
-    Raises:
-        UnreadableError: the description is missing or damaged, it lists no binary accelerations, these are
-            missing or hold no sample, or their rate, scale, unit or axes are unknown.
-        UsageError: the user's rate contradicts the description.
-    """
+    """Open a folder by its `unisens.xml` or its accelerations; `Format.open` says what is raised."""
     is_description = path.name == DESCRIPTION or path.suffix.lower() == ".xml"
     xml = path if is_description else path.with_name(DESCRIPTION)
     description = load_description(xml)
@@ -318,9 +271,8 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         gyro,
         sibling_signal(description.of_kind(*THERMOMETER), signal, data),
     )
-    start_us, zone = None, None
-    if description.start is not None:
-        start_us, zone = description.start.start_us, description.start.timezone
+    start = description.start
+    start_us, zone = (None, None) if start is None else (start.start_us, start.timezone)
     first = first_values(decoder.channels(0, min(rows, MOST_FIRST_ROWS)))
     file = FrameFile(data, 0, frame_bytes(signal), None, False, start_us or 0, decoder, first)
     recording = Recording(
@@ -366,18 +318,13 @@ def with_baseline(signal: Signal, data: Path, rows: int, scale: float) -> tuple[
 
 
 def signal_of(description: Description, xml: Path, name: str | None) -> Signal:
-    """Return the accelerations, of this name if one is given.
-
-    Raises:
-        UnreadableError: there are none in a binary file, this is not there, or their rate is impossible.
-    """
+    """Return the accelerations, of this name if one is given, in a binary file of a possible rate."""
     found = [one for one in description.signals if one.kind in ACCELEROMETERS and name in (None, one.name)]
     signal = next((one for one in found if one.number is not None), None)
     if signal is None and found:
         hint = f"if it is a table, read it alone: --format csv --rate {found[0].rate_hz:g} --unit g"
-        raise UnreadableError(
-            f"the accelerations ({found[0].name}) are in no binary file", path=xml, hint=hint
-        )
+        what = f"the accelerations ({found[0].name}) are in no binary file"
+        raise UnreadableError(what, path=xml, hint=hint)
     if signal is None:
         what = f"lists no signal of class acc{'' if name is None else f' called {name}'}"
         raise UnreadableError(what, path=xml, hint="name the folder's unisens.xml")
@@ -396,11 +343,7 @@ def has_file(xml: Path, signal: Signal) -> bool:
 
 
 def frames_of(data: Path, signal: Signal) -> int:
-    """Return how many whole samples a file has.
-
-    Raises:
-        UnreadableError: it cannot be read, is compressed, or has none.
-    """
+    """Return how many whole samples a file has, which has to be readable, not compressed and not empty."""
     with ByteSource(data) as source:
         size, compressed = source.file_bytes, source.compressed
     if compressed or size < frame_bytes(signal):
@@ -410,11 +353,7 @@ def frames_of(data: Path, signal: Signal) -> int:
 
 
 def axes_of(signal: Signal, xml: Path) -> tuple[int, ...]:
-    """Return the channels of x, y and z, by the last letters of their names, else the only three.
-
-    Raises:
-        UnreadableError: neither is the case.
-    """
+    """Return the channels of x, y and z, by the last letters of their names, else the only three."""
     ends = [name[-1:].lower() for name in signal.channels]
     if all(ends.count(axis) == 1 for axis in AXES):
         return tuple(ends.index(axis) for axis in AXES)
@@ -425,11 +364,7 @@ def axes_of(signal: Signal, xml: Path) -> tuple[int, ...]:
 
 
 def lsb_per_g_of(signal: Signal, options: ReadOptions, xml: Path) -> float:
-    """Return the steps in one g: the user's, else those of the signal's scale and unit, or the user's unit.
-
-    Raises:
-        UnreadableError: the unit is not one of acceleration, or the scale is impossible.
-    """
+    """Return the steps in one g: the user's, else those of the signal's scale, in its unit or the user's."""
     if options.lsb_per_g is not None:
         return options.lsb_per_g
     unit = acceleration_unit(options.unit or signal.unit)
@@ -445,11 +380,9 @@ def lsb_per_g_of(signal: Signal, options: ReadOptions, xml: Path) -> float:
 
 def sibling_signal(other: Signal | None, signal: Signal, data: Path) -> SiblingSignal | None:
     """Return a signal's file in the folder of the accelerations; None if it is missing, empty or too fast."""
-    if (
-        other is None
-        or Path(other.name).name != other.name
-        or not RATES_HZ[0] <= other.rate_hz <= RATES_HZ[1]
-    ):
+    if other is None or Path(other.name).name != other.name:
+        return None
+    if not RATES_HZ[0] <= other.rate_hz <= RATES_HZ[1]:
         return None
     path = data.with_name(other.name)
     frames = path.stat().st_size // frame_bytes(other) if is_file(path) else 0
@@ -469,11 +402,6 @@ def gyroscope_of(
 
 def is_rotation(signal: Signal) -> bool:
     """Return True if a signal holds rotation rates of three axes, as whole numbers."""
-    whole = np.dtype(signal.number).kind in "iu"
-    return (
-        whole
-        and len(signal.channels) == len(AXES)
-        and (unit := unit_of(signal.unit, Quantity.ROTATION)) is not None
-        and unit.per == 1.0
-        and 0 < signal.lsb <= LARGEST_DPS
-    )
+    unit, whole = unit_of(signal.unit, Quantity.ROTATION), np.dtype(signal.number).kind in "iu"
+    known = unit is not None and unit.per == 1.0 and 0 < signal.lsb <= LARGEST_DPS
+    return whole and known and len(signal.channels) == len(AXES)

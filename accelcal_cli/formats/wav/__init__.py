@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 
-from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.formats import NOT_FOR_DEVICES, Format, Probe
 
 MAGIC = b"RIFF"
 KIND, KIND_AT = b"WAVE", 8
@@ -29,12 +29,5 @@ FORMAT = Format(
     (".wav",),
     sniff,
     reader="accelcal_cli.formats.wav.reader:open_recording",
-    ignores=(
-        "unit",
-        "columns",
-        *TIMES_OF_TABLES,
-        "layout",
-        "sensor",
-        *ONLY_TABLES,
-    ),
+    ignores=NOT_FOR_DEVICES,
 )

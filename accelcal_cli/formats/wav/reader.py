@@ -28,10 +28,7 @@ from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._frames import AFTER_BYTES, FIRST_ROWS, FrameFile, FrameIntake, FrameReader, Frames
 from accelcal_cli.formats._rows import MISSING, first_values
 
-FULL_SCALE = 1 << 15
-VALUE_BYTES = 2
-MOST_CHANNELS = 16
-MOST_RATE_HZ = 48_000
+FULL_SCALE, VALUE_BYTES, MOST_CHANNELS, MOST_RATE_HZ = 1 << 15, 2, 16, 48_000
 ACCEL = ("Accel-X", "Accel-Y", "Accel-Z")
 GYRO = ("Gyro-X", "Gyro-Y", "Gyro-Z")
 
@@ -47,10 +44,9 @@ TEMPERATURE_NOTE = "temperature = raw * 75 / 256 - 50 degrees C"
 RESAMPLED = "omconvert resampled the recording, and may have calibrated it"
 FORM = struct.Struct("<HHIIHH")
 PCM, EXTENSIBLE = 1, 0xFFFE
-USUAL_START = 1024
-"""Length [bytes] to which omconvert fills up the chunks before the samples."""
+USUAL_START, CHUNK = 1024, struct.Struct("<4sI")
+"""Bytes to which omconvert fills up the chunks before the samples, and the head of a chunk."""
 
-CHUNK = struct.Struct("<4sI")
 _PAIR = re.compile(r"([^:\n]{1,64}):([^\n]*)")
 _SCALE = re.compile(r"\d{1,6}(\.\d{1,6})?")
 
@@ -60,8 +56,7 @@ class Header:
     """The content of the chunks before the samples; None or empty for what they lack.
 
     Attributes:
-        data_start: offset of the samples [bytes].
-        data_bytes: length of the samples according to the header.
+        data_start, data_bytes: offset and length of the samples according to the header.
         channels: number of values in each sample.
         tag: kind of the samples, by the form.
         labels: what each channel holds, by its number from 0, such as `Accel-X`.
@@ -84,11 +79,7 @@ class Header:
 
 
 def parse_header(head: bytes) -> Header | None:
-    """Read the chunks; None without the form of the samples, or without the samples.
-
-    Args:
-        head: the file's first bytes.
-    """
+    """Read the chunks in a file's first bytes; None without the form of the samples, or without these."""
     chunks, start, size = _chunks(head)
     damage = None
     usual = head[USUAL_START - CHUNK.size : USUAL_START]
@@ -153,12 +144,7 @@ def _numbered(pairs: dict[str, str], prefix: str) -> dict[int, str]:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Which channels hold what, by their numbers from 0.
-
-    Attributes:
-        gyro: None without a gyroscope, or without its scale.
-        aux: the last channel, with marks and temperatures; None if there is none.
-    """
+    """Which channels hold what, by their numbers from 0; `aux` is the last, with marks and temperatures."""
 
     channels: int
     accel: tuple[int, ...]
@@ -192,17 +178,9 @@ def temperatures_mc(aux: NDArray[np.uint16]) -> NDArray[np.int32]:
 
 
 def layout_of(header: Header, path: Path) -> Layout:
-    """Return the channels of the axes.
-
-    Raises:
-        UnreadableError: the form is not that of omconvert's samples, or an axis has no channel.
-    """
-    if (
-        header.tag not in (PCM, EXTENSIBLE)
-        or header.bits != 8 * VALUE_BYTES
-        or not 3 <= header.channels <= MOST_CHANNELS
-        or not 1 <= header.rate_hz <= MOST_RATE_HZ
-    ):
+    """Return the channels of the axes; raises UnreadableError if they are not samples by omconvert."""
+    possible = 3 <= header.channels <= MOST_CHANNELS and 1 <= header.rate_hz <= MOST_RATE_HZ
+    if header.tag not in (PCM, EXTENSIBLE) or header.bits != 8 * VALUE_BYTES or not possible:
         form = f"{header.channels} channels of {header.bits} bits at {header.rate_hz} Hz, kind {header.tag}"
         what = f"its samples ({form}) are not by omconvert"
         raise UnreadableError(what, path=path, byte_offset=12, hint=COPY_AGAIN)
@@ -237,12 +215,7 @@ class WavReader(FrameReader):
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
-    """Open a recording.
-
-    Raises:
-        UnreadableError: the form, the samples, the channels or their scale are unknown, or there are none.
-        UsageError: the user's rate contradicts the file's.
-    """
+    """Open a recording; `Format.open` says what is raised."""
     probe = probe_file(path, options)
     header = parse_header(probe.head)
     if header is None:
@@ -251,18 +224,9 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     layout = layout_of(header, path)
     frame_bytes = layout.channels * VALUE_BYTES
     announced, damage = announced_bytes(header, path, None if probe.compressed else probe.size)
-    file = FrameFile(
-        path,
-        header.data_start,
-        frame_bytes,
-        None if announced is None else announced // frame_bytes,
-        probe.compressed,
-        header.start_us or 0,
-        layout,
-        left_out=NOT_MEASURED,
-        damaged=False,
-    )
-    file = replace(file, first_values=first_channel_values(file))
+    frames, origin_us = None if announced is None else announced // frame_bytes, header.start_us or 0
+    file = FrameFile(path, header.data_start, frame_bytes, frames, probe.compressed, origin_us, layout)
+    file = replace(file, left_out=NOT_MEASURED, damaged=False, first_values=first_channel_values(file))
     problems = [Problem("damaged_header", text, 0, 0) for text in (header.damage, damage) if text]
     if header.start_us is None:
         problems.append(Problem("no_start_time", NO_START, 0, 0))
@@ -271,8 +235,8 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     if first_us is None:
         what = "holds no sample that was measured"
         raise UnreadableError(what, path=path, byte_offset=file.start_byte, hint=COPY_AGAIN)
-    start_us = None if header.start_us is None else first_us
-    reader.recording = replace(reader.recording, start_us=start_us)
+    if header.start_us is not None:
+        reader.recording = replace(reader.recording, start_us=first_us)
     return reader
 
 
@@ -291,10 +255,7 @@ def announced_bytes(header: Header, path: Path, size: int | None) -> tuple[int |
         return header.data_bytes, None
     if left % (1 << 32) == 0:
         return None, None
-    return (
-        None,
-        f"the header states {header.data_bytes} bytes of samples; {left} more follow, which are read",
-    )
+    return None, f"the header states {header.data_bytes} bytes of samples; {left} more follow, which are read"
 
 
 def first_channel_values(file: FrameFile) -> dict[str, int | None]:
@@ -310,12 +271,7 @@ def first_channel_values(file: FrameFile) -> dict[str, int | None]:
 
 
 def describe(file: FrameFile, layout: Layout, header: Header, options: ReadOptions, size: int) -> Recording:
-    """Return the description of the recording.
-
-    Raises:
-        UnreadableError: the axes' scale is unknown or not the same, and `lsb_per_g` not given.
-        UsageError: the user's rate contradicts the file's.
-    """
+    """Return the description of the recording, whose axes need one scale unless the user gives it."""
     scales = {header.scales.get(axis) for axis in layout.accel}
     scale = scales.pop() if len(scales) == 1 else None
     if scale is None and options.lsb_per_g is None:

@@ -11,10 +11,7 @@ from accelcal_cli.formats.gt3x.records import ALIKE, FRAME_BYTES, TOGETHER, walk
 from tests.formats.make_gt3x import record
 
 NUMBERS = [1, 2, ALIKE, ALIKE + 1, ALIKE + TOGETHER + 3]
-RUNS = st.lists(
-    st.tuples(st.sampled_from([0, 1, 2, 300]), st.sampled_from(NUMBERS)),
-    max_size=5,
-)
+RUNS = st.lists(st.tuples(st.sampled_from([0, 1, 2, 300]), st.sampled_from(NUMBERS)), max_size=5)
 
 
 def places(runs: list[tuple[int, int]]) -> tuple[bytes, list[int]]:
