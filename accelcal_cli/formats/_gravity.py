@@ -10,12 +10,18 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.vocabulary import ACCELERATION_UNITS, GIVE_UNIT
 
-USUAL_LSB_PER_G, SURE_SHARE = tuple(1 << bits for bits in range(4, 15)), 0.15
-"""Counts per g of most sensors, and the share by which the usual length may differ from one of these."""
+USUAL_LSB_PER_G = tuple(1 << bits for bits in range(4, 15))
+"""Counts per g of most sensors."""
+
+SURE_SHARE = 0.15
+"""Share by which the usual length may differ from one of these."""
 
 
 def guess_unit(values: NDArray[np.float64], path: Path) -> str:
-    """Return the unit of values (n, 3), by their usual length, without zeros of idle devices."""
+    """Return the unit of values (n, 3), by their usual length; raises UnreadableError if that fits no unit.
+
+    Rows of zeros, which devices write while idle, do not count.
+    """
     median = usual_length(values)
     for name, unit in ACCELERATION_UNITS.items():
         if unit.rest is not None and unit.rest[0] <= median <= unit.rest[1]:

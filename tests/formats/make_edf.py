@@ -69,7 +69,6 @@ def header(
 
 
 def digits(values: np.ndarray, bdf: bool = False) -> bytes:
-    """Little-endian, in 16 bits or 24."""
     data = values.astype("<i4" if bdf else "<i2").tobytes()
     return b"".join(data[at : at + 3] for at in range(0, len(data), 4)) if bdf else data
 
@@ -81,7 +80,6 @@ def records(signals: Sequence[Signal], bdf: bool = False) -> list[bytes]:
 
 
 def written(signals: Sequence[Signal], seconds: str = "1", *, bdf: bool = False, **kinds: object) -> bytes:
-    """A whole file."""
     return header(signals, seconds, bdf=bdf, **kinds) + b"".join(records(signals, bdf))  # type: ignore[arg-type]
 
 
@@ -96,7 +94,6 @@ def xyz(counts: np.ndarray, samples: int, lsb_per_g: float = 256.0, names: str =
 
 
 def make(folder: Path, counts: np.ndarray, rate_hz: float, lsb_per_g: float) -> Expected:
-    """EDF+C of one-second records, 48 of which the counts must fill."""
     path = folder / "made.edf"
     samples = round(rate_hz)
     signals = xyz(counts, samples, lsb_per_g)

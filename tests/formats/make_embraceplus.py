@@ -35,7 +35,6 @@ def text(value: str | bytes) -> bytes:
 
 
 def array(items: Sequence[bytes], block: int = 0) -> bytes:
-    """In blocks of so many items, every second one with its size in bytes before it."""
     block, data = block or max(1, len(items)), b""
     for number, at in enumerate(range(0, len(items), block)):
         part = items[at : at + block]
@@ -128,7 +127,6 @@ NONE = np.empty((0, 3), int)
 
 
 def written(counts: np.ndarray, lsb_per_g: float, rate_hz: float = 64.0, codec: str = "deflate") -> bytes:
-    """A whole file whose scale is a conversion factor."""
     accelerometer = sensor(counts, (0, 0, 0, 0), 1 / lsb_per_g, rate_hz)
     body = session(accelerometer, sensor(NONE, (0, 0, 0, 0), 1.0))
     return container(body, schema(True), codec)

@@ -138,7 +138,6 @@ class Page:
 
 
 def pages(counts: np.ndarray, rate_hz: float = 50.0, **told: object) -> list[Page]:
-    """Full pages, each stamped at its first sample."""
     if len(counts) % 300:
         raise ValueError("pages have 300 samples")
     told = {"rate": f"{rate_hz:.1f}"} | told

@@ -43,14 +43,12 @@ def packed(counts: np.ndarray, order: tuple[int, int, int] = (1, 0, 2)) -> bytes
 
 
 def activity(second: int, counts: np.ndarray, kind: int = ACTIVITY2) -> bytes:
-    """One record of samples."""
     if kind == ACTIVITY2:
         return record(kind, second, np.asarray(counts, "<i2").tobytes())
     return record(kind, second, packed(counts, (1, 0, 2) if kind == ACTIVITY else (0, 1, 2)))
 
 
 def seconds(counts: np.ndarray, rate: int, kind: int = ACTIVITY2, start_s: int = START_S) -> list[bytes]:
-    """A record for each second of samples (n, 3); the last one may be short."""
     parts = (counts[at : at + rate] for at in range(0, len(counts), rate))
     return [activity(start_s + k, part, kind) for k, part in enumerate(parts)]
 
@@ -114,7 +112,6 @@ def written(
     method: int = zipfile.ZIP_DEFLATED,
     **beside: object,
 ) -> Path:
-    """A recording of the newer kind; its records, its info.txt, and NAME.json of what is beside them."""
     parts = {"log.bin": b"".join(log), "info.txt": info() if text is None else text}
     more = {f"{name}.json": json.dumps(values) for name, values in beside.items()}
     path.write_bytes(zipped(parts | more, method))
@@ -130,14 +127,12 @@ def old_info(rate: int = 30, **others: object) -> str:
 
 
 def written_old(path: Path, data: bytes, text: str | None = None, method: int = zipfile.ZIP_DEFLATED) -> Path:
-    """A recording of the older kind."""
     parts = {"activity.bin": data, "lux.bin": b"", "info.txt": old_info() if text is None else text}
     path.write_bytes(zipped(parts, method))
     return path
 
 
 def make(folder: Path, counts: np.ndarray, rate_hz: float, lsb_per_g: float) -> Expected:
-    """The newer kind, with records of other kinds among those of samples."""
     rate = int(rate_hz)
     log = [parameters({(1, 10): rate, (0, 55): encoded(lsb_per_g)})]
     for k, one in enumerate(seconds(counts, rate, ACTIVITY)):

@@ -45,7 +45,6 @@ def description(*signals: str, start: str = START, own: str = "", before: str = 
 
 
 def folder(path: Path, text: str, **files: bytes) -> Path:
-    """Write a description, and files by their names without `.bin`; returns the path of the description."""
     path.mkdir(exist_ok=True)
     (path / "unisens.xml").write_text(text, encoding="utf-8")
     for name, data in files.items():

@@ -58,7 +58,6 @@ def header(
 
 
 def samples(values: np.ndarray, aux: np.ndarray | None = None) -> bytes:
-    """Frames of the axes, and a last channel; without `aux`, as for samples that were all measured."""
     last = np.zeros(len(values), np.int64) if aux is None else aux
     rows = np.hstack([values, last[:, None]]).tolist()
     return b"".join(struct.pack(f"<{len(row) - 1}hH", *row) for row in rows)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from accelcal_cli.core.formats import Format, ReadOptions
-from accelcal_cli.core.recording import Chunk, Problem, Recording
+from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,6 @@ class Read:
 
 
 def read_all(path: Path, form: Format, chunk_samples: int, **options: Any) -> Read:
-    """All of a recording, with the chunks joined."""
     with form.open(path, ReadOptions(**options)) as reader:
         chunks = list(reader.chunks(chunk_samples))
         assert max(map(len, chunks)) <= chunk_samples
@@ -50,7 +49,6 @@ def read_all(path: Path, form: Format, chunk_samples: int, **options: Any) -> Re
 
 
 def joined(recording: Recording, stream: Iterable[Chunk]) -> Read:
-    """Chunks put together, each of which must follow the one before."""
     chunks = list(stream)
     sizes = [len(chunk) for chunk in chunks]
     assert [chunk.first_sample for chunk in chunks] == [sum(sizes[:place]) for place in range(len(sizes))]
@@ -59,11 +57,54 @@ def joined(recording: Recording, stream: Iterable[Chunk]) -> Read:
     marks = [np.zeros(len(c), np.uint8) if c.validity is None else c.validity for c in chunks]
     return Read(
         recording,
-        np.concatenate([chunk.counts for chunk in chunks]),
-        np.concatenate([chunk.clock.times(0, len(chunk)) for chunk in chunks]),
-        [chunk.first_sample + int(row) for chunk in chunks for row in chunk.breaks],
+        column(chunks),
+        times(chunks),
+        breaks(chunks),
         [problem for chunk in chunks for problem in chunk.problems],
         np.concatenate(warm) if recording.has_temperature else None,
         np.concatenate(gyro) if recording.gyro_dps_per_lsb else None,
         np.concatenate(marks),
     )
+
+
+def rows(chunks: list[Chunk]) -> np.ndarray:
+    return np.concatenate([np.empty((0, 3), np.int16), *(chunk.counts for chunk in chunks)])
+
+
+def column(chunks: list[Chunk], name: str = "counts") -> np.ndarray:
+    return np.concatenate([getattr(chunk, name) for chunk in chunks])
+
+
+def times(chunks: list[Chunk]) -> np.ndarray:
+    return np.concatenate([chunk.clock.times(0, len(chunk)) for chunk in chunks])
+
+
+def breaks(chunks: list[Chunk]) -> list[int]:
+    return [chunk.first_sample + int(row) for chunk in chunks for row in chunk.breaks]
+
+
+def problems(chunks: list[Chunk]) -> list[tuple[str, int | None, int, int]]:
+    """Codes, byte offsets, samples and counts."""
+    return [(p.code, p.byte_offset, p.sample, p.count) for chunk in chunks for p in chunk.problems]
+
+
+def told(chunks: list[Chunk]) -> list[tuple[str, int | None, int, int, int]]:
+    """Codes, byte offsets, samples, counts and lost bytes."""
+    lost = (p.lost_bytes for chunk in chunks for p in chunk.problems)
+    return [(*found, size) for found, size in zip(problems(chunks), lost, strict=True)]
+
+
+def check_same(first: list[Chunk], *others: list[Chunk]) -> None:
+    """Rows, times, breaks and problems do not depend on the size of the chunks."""
+    for other in others:
+        assert (rows(other) == rows(first)).all()
+        assert (times(other) == times(first)).all()
+        assert (told(other), breaks(other)) == (told(first), breaks(first))
+
+
+def all_of(
+    reader: Reader, chunk_samples: int = 1000
+) -> tuple[np.ndarray, np.ndarray, list[int], list[Chunk]]:
+    """Counts, times, numbers of the samples after breaks, and the chunks."""
+    chunks = list(reader.chunks(chunk_samples))
+    return column(chunks), times(chunks), breaks(chunks), chunks

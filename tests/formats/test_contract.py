@@ -15,7 +15,9 @@ from accelcal_cli.core.errors import AccelcalError, NoFormatError
 from accelcal_cli.core.formats import HEAD_BYTES, Format, Probe, ReadOptions, probe_file, wide_text
 from accelcal_cli.core.recording import Chunk, Reader
 from accelcal_cli.formats import all_formats, find_format, open_recording
+from accelcal_cli.formats.raw import find_layout
 from tests.formats.expected import Expected
+from tests.formats.reading import breaks, check_same, problems, rows, times
 
 HERE = Path(__file__).parent
 RATE_HZ = 50.0
@@ -36,18 +38,6 @@ def made(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Format, Expect
 
 def whole(reader: Reader, chunk_samples: int) -> list[Chunk]:
     return list(reader.chunks(chunk_samples))
-
-
-def rows(chunks: list[Chunk]) -> np.ndarray:
-    return np.concatenate([chunk.counts for chunk in chunks])
-
-
-def times(chunks: list[Chunk]) -> np.ndarray:
-    return np.concatenate([chunk.clock.times(0, len(chunk)) for chunk in chunks])
-
-
-def breaks(chunks: list[Chunk]) -> list[int]:
-    return [chunk.first_sample + int(row) for chunk in chunks for row in chunk.breaks]
 
 
 @pytest.mark.parametrize("item", FORMATS, ids=lambda item: item.name)
@@ -82,7 +72,6 @@ def test_every_sample_and_time_comes_back(made: tuple[Format, Expected]) -> None
 
 
 def all_names(path: Path) -> Iterator[Path]:
-    """The same file under a name with each known suffix, with none, and compressed."""
     data = path.read_bytes()
     for suffix in ("", *sorted({suffix for item in FORMATS for suffix in item.suffixes})):
         plain = path.with_name(f"{path.name.split('.')[0]}{suffix}")
@@ -139,10 +128,7 @@ def test_the_rows_do_not_depend_on_the_chunk_size(made: tuple[Format, Expected],
     item, expected = made
     with item.open(expected.path, expected.options) as reader:
         one, other = whole(reader, 300), whole(reader, chunk_samples)
-    assert (rows(one) == rows(other)).all()
-    assert (times(one) == times(other)).all()
-    assert breaks(one) == breaks(other)
-    assert [p for c in one for p in c.problems] == [p for c in other for p in c.problems]
+    check_same(one, other)
 
 
 @pytest.mark.parametrize("chunk_samples", [7, 1000])
@@ -189,37 +175,26 @@ def test_a_preview_is_part_of_the_recording(made: tuple[Format, Expected]) -> No
     assert {tuple(row) for row in rows(pieces).tolist()} <= everything
 
 
-def damaged(path: Path, seed: int) -> Iterator[bytes]:
-    data = path.read_bytes()
-    random = np.random.RandomState(seed)
-    for _ in range(60):
-        mutant = bytearray(data)
-        kind, at = random.randint(4), random.randint(len(data))
-        size = random.randint(1, 600)
-        if kind == 0:
-            mutant[at] ^= 1 << random.randint(8)
-        elif kind == 1:
-            del mutant[at : at + size]
-        elif kind == 2:
-            mutant[at:at] = mutant[at : at + size]
-        else:
-            mutant[at : at + size] = bytes(len(mutant[at : at + size]))
-        yield bytes(mutant)
-
-
-@pytest.mark.nightly
-def test_damage_never_gives_anything_but_rows_or_an_error_of_ours(made: tuple[Format, Expected]) -> None:
-    item, expected = made
-    mutant = expected.path.with_name("mutant" + expected.path.suffix)
-    options = replace(expected.options, format=item.name)
-    for data in damaged(expected.path, 4):
-        mutant.write_bytes(data)
-        try:
-            with open_recording(mutant, options) as reader:
-                for chunk in reader.chunks(100):
-                    chunk.clock.times(0, len(chunk))
-        except AccelcalError as error:
-            assert str(mutant) in str(error)
+@pytest.mark.parametrize("name", ["cwa", "edf", "flash", "genea", "geneactiv", "parmay", "raw", "wav"])
+def test_a_gzip_file_reads_alike_and_one_cut_short_is_told(name: str, tmp_path: Path) -> None:
+    maker = importlib.import_module(f"tests.formats.make_{name}")
+    expected = maker.make(tmp_path, counts(), RATE_HZ, LSB_PER_G)
+    options = replace(expected.options, format=name)
+    with open_recording(expected.path, options) as reader:
+        plain = whole(reader, 300)
+    packed, path = gzip.compress(expected.path.read_bytes(), 1), expected.path.with_name("packed.gz")
+    for data, end in ((packed, 1200), (packed[: len(packed) * 3 // 4], 1199)):
+        path.write_bytes(data)
+        with open_recording(path, replace(options, layout=find_layout(expected.path, options))) as reader:
+            found = [whole(reader, size) for size in (1, 300, 10**6)]
+        count = len(rows(found[0]))
+        assert 0 < count <= end and (count == 1200) == (end == 1200)
+        for chunks in found:
+            assert (rows(chunks) == rows(plain)[:count]).all()
+            assert (times(chunks) == times(plain if end == 1200 else found[0])).all()
+            assert problems(chunks) == problems(found[0])
+            assert {code for code, *_ in problems(chunks)} - {"no_start_time"} <= {"truncated"}
+            assert ("truncated" in [code for code, *_ in problems(chunks)]) == (end < 1200)
 
 
 def test_a_file_of_no_format_is_refused_with_a_hint(tmp_path: Path) -> None:

@@ -112,7 +112,6 @@ def test_rows_of_an_hdf5_file_that_are_lost_are_not_counted_twice(tmp_path: Path
 
 
 def link(path: Path, poses: int = 60) -> Path:
-    """A packed ActiGraph recording that can be calibrated, sixty poses or more."""
     rows = still_counts(directions(poses))
     rows = np.repeat(rows, 2, axis=0)[: len(rows) * 2 // 50 * 50]
     return make_gt3x.make(path, rows, 50.0, 256.0).path

@@ -9,13 +9,11 @@ from accelcal_cli.formats._rows import MISSING, HeldChannels, RepeatedSamples, f
 
 
 def samples(*runs: tuple[int, int]) -> np.ndarray:
-    """Runs of a value on one axis, each so many samples long: (n, 3) int16."""
     values = np.repeat([value for value, _ in runs], [size for _, size in runs])
     return np.stack((np.zeros_like(values), values, np.ones_like(values)), axis=1).astype(np.int16)
 
 
 def marked(counts: np.ndarray, least: int, block: int, usable: np.ndarray | None = None) -> list[bool]:
-    """The marks of all samples, which come in blocks of that size."""
     finder, start, marks = RepeatedSamples(least), 0, []
     for stop in range(block, len(counts) + block, block):
         part = None if usable is None else usable[start:stop]

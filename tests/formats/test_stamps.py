@@ -27,7 +27,6 @@ NOTE = "several rows share a time stamp; they were spread evenly until the next 
 
 
 def seconds(sizes: Sequence[int]) -> list[int]:
-    """The whole second of each row, as many in each as are listed."""
     return [second for second, size in enumerate(sizes) for _ in range(size)]
 
 

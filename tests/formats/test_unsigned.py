@@ -20,7 +20,6 @@ NAMED, TURNED, BARE = "time,x,y,z\n", "time;z;x;y\n", ""
 
 
 def converted(zero: int, lsb: float, bits: int, offset_g: np.ndarray = OFFSET_G) -> np.ndarray:
-    """Counts (n, 3) of 40 poses of 8 s each, of a converter with so many bits."""
     held = np.repeat(directions(40) * GAIN + offset_g, 8 * RATE_HZ, axis=0)
     held = held + 0.003 * np.random.RandomState(1).randn(*held.shape)
     return np.clip(np.rint(held * lsb + zero), 0, 2**bits - 1).astype(np.int64)

@@ -19,7 +19,6 @@ START_US = 1_709_510_400_000_000
 
 
 def counts(rows: int, seed: int = 5) -> np.ndarray:
-    """Values of 12 bits, the largest and the smallest among them."""
     values = np.random.default_rng(seed).integers(-2048, 2048, (rows, 3)).astype(np.int16)
     values[:2] = [[-2048, 2047, -1], [2047, -2048, 0]]
     return values
@@ -39,7 +38,6 @@ def recording(**changes: Any) -> Recording:
 def chunks(
     values: np.ndarray, what: Recording, size: int = 1_000, heat: np.ndarray | None = None
 ) -> Iterator[Chunk]:
-    """All rows at the recording's rate, so many in a chunk."""
     rate = rate_fraction(what.rate_hz)
     for start in range(0, len(values), size):
         part = slice(start, start + size)
@@ -48,7 +46,6 @@ def chunks(
 
 
 def times(rows: int, what: Recording) -> np.ndarray:
-    """When the samples were taken [us]."""
     rate = rate_fraction(what.rate_hz)
     step = rate.denominator / rate.numerator
     return (what.start_us or 0) + np.array([round(k * step * 1e6) for k in range(rows)])
@@ -81,7 +78,6 @@ def read_back(path: Path) -> ReadBack:
 
 
 def written(folder: Path, encoder: Encoder, what: Recording, values: np.ndarray, **how: Any) -> Path:
-    """A file of these values."""
     path = folder / f"out{encoder.suffix}"
     encoder.write(path, what, chunks(values, what, **how))
     return path

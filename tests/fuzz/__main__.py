@@ -64,7 +64,6 @@ def work(part: Part, seed: int, folder: Path, result: Connection) -> None:
 
 
 def start(part: Part, seed: int) -> Worker:
-    """A process for a part."""
     context = multiprocessing.get_context("fork")
     here, there = context.Pipe(duplex=False)
     folder = Path(tempfile.mkdtemp(prefix="accelcal-fuzz-"))
@@ -75,7 +74,6 @@ def start(part: Part, seed: int) -> Worker:
 
 
 def parts(names: list[str], tried: int = 0) -> deque[Part]:
-    """All work but what was tried before, the targets in turn so that none comes last."""
     found = []
     for name in names:
         total = engine.number_of_mutants(name, engine.MUTANTS)
@@ -112,7 +110,6 @@ def lost(worker: Worker, queue: deque[Part], seed: int, what: str) -> Tally:
 
 
 def run(names: list[str], seed: int, jobs: int, tried: int = 0) -> dict[str, Tally]:
-    """Try all mutants; failures are printed as they come."""
     tallies = {name: Tally() for name in names}
     queue, workers = parts(names, tried), list[Worker]()
     while queue or workers:
@@ -131,7 +128,6 @@ def run(names: list[str], seed: int, jobs: int, tried: int = 0) -> dict[str, Tal
 
 
 def main() -> int:
-    """Print one line a target; gives the number of failures, 100 at most."""
     seed, jobs, tried = (
         int(os.environ.get(f"ACCELCAL_FUZZ_{name}", "0")) for name in ("SEED", "JOBS", "FROM")
     )

@@ -71,7 +71,6 @@ def gt3x() -> bytes:
 
 
 def members(random: Random) -> list[tuple[str, bytes]]:
-    """Names and contents of some members."""
     time_csv = b'"event","experiment time","system time"\n"START",0,1.7E9\n'
     contents = (
         table(),
@@ -117,8 +116,6 @@ def tarred(random: Random) -> bytes:
 
 
 def archives(folder: Path) -> Callable[[Random, int, Path, Tally], tuple[bytes, str, str | None]]:
-    """Tries mutants of archives."""
-
     def attempt(random: Random, _number: int, _folder: Path, tally: Tally) -> tuple[bytes, str, str | None]:
         is_zip = random.random() < 0.5
         data = zipped(random) if is_zip else tarred(random)

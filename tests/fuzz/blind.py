@@ -8,7 +8,6 @@ from random import Random
 
 
 def blind(data: bytes, random: Random) -> bytes:
-    """A copy with one to four damages."""
     for _ in range(random.randint(1, 4)):
         data = damaged(data, random)
     return data

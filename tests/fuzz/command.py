@@ -39,13 +39,11 @@ class Ran:
 
 @contextmanager
 def caught_output() -> Iterator[tuple[io.StringIO, io.StringIO]]:
-    """Standard output and errors as text."""
     with patch.object(sys, "stdout", io.StringIO()), patch.object(sys, "stderr", io.StringIO()):
         yield sys.stdout, sys.stderr  # type: ignore[misc]
 
 
 def run(arguments: Sequence[object]) -> Ran:
-    """Run the command as the console does, but for its signals and the file of a traceback."""
     traces: list[str] = []
     words = [str(word) for word in arguments]
     with (

@@ -69,7 +69,6 @@ class Tally:
     failures: list[str] = field(default_factory=list)
 
     def add(self, other: Tally) -> None:
-        """Count those of another part."""
         for name in ("mutants", "refused", "rows", "lost"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.slowest_s = max(self.slowest_s, other.slowest_s)
@@ -77,7 +76,6 @@ class Tally:
         self.failures += other.failures
 
     def line(self, name: str) -> str:
-        """For people."""
         read_ones = self.mutants - self.refused
         return (
             f"{name:<10} {self.mutants:>8} {self.refused:>8} {read_ones:>8} {self.rows:>11} {self.lost:>9} "
@@ -95,7 +93,6 @@ Try = Callable[[Random, int, Path, Tally], "tuple[bytes, str, str | None]"]
 
 
 def fuzz(name: str, seed: int, numbers: range, folder: Path) -> Tally:
-    """Try mutants of a target; those that fail are kept in FAILURES."""
     warnings.simplefilter("error")
     tally, kinds = Tally(), Counter[str]()
     attempt = TARGETS[name](folder) if name in TARGETS else format_target(name, folder)
@@ -198,7 +195,6 @@ def through_command(made: Mutant, path: Path, folder: Path) -> str | None:
 
 
 def words(options: ReadOptions) -> list[str]:
-    """Options of the command line for those that mutants use."""
     named = {"--sensor": options.sensor, "--rate": options.rate_hz, "--lsb-per-g": options.lsb_per_g}
     return [str(word) for pair in named.items() if pair[1] is not None for word in pair]
 

@@ -50,13 +50,11 @@ def limited(seconds: float) -> Iterator[None]:
 
 
 def forget_peak() -> None:
-    """Begin to measure the highest memory anew, where the system can."""
     with contextlib.suppress(OSError):
         RESET.write_text(RESET_PEAK)
 
 
 def peak_bytes() -> int:
-    """The highest memory of this process since `forget_peak`."""
     with contextlib.suppress(OSError):
         for line in STATUS.read_text().splitlines():
             if line.startswith("VmHWM:"):

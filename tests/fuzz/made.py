@@ -20,7 +20,6 @@ def directions(number: int) -> np.ndarray:
 
 
 def recording(path: Path) -> Path:
-    """A text table of a few seconds of rest in each of many postures."""
     rows = np.repeat(directions(40), 12 * 20, axis=0)
     rows += 0.003 * np.random.RandomState(2).standard_normal(rows.shape)
     lines = [f"{k / 20:.2f},{x:.5f},{y:.5f},{z:.5f}" for k, (x, y, z) in enumerate(rows.tolist())]

@@ -100,36 +100,30 @@ def verdict(rows: Rows, truth: Truth) -> tuple[str | None, int]:
 
 
 def is_part(given: Sequence[bytes], whole: Sequence[bytes]) -> bool:
-    """Whether items stand in another sequence in the same order."""
     rest = iter(whole)
     return all(item in rest for item in given)
 
 
 def stretch(records: Records, random: Random, sizes: Sequence[int] = (1, 1, 2, 4)) -> slice:
-    """A few records anywhere."""
     at = random.randrange(len(records))
     return slice(at, min(len(records), at + random.choice(sizes)))
 
 
 def swap(records: Records, random: Random) -> None:
-    """Two records change places."""
     one, two = (random.randrange(len(records)) for _ in range(2))
     records[one], records[two] = records[two], records[one]
 
 
 def duplicate(records: Records, random: Random) -> None:
-    """Some records come again, anywhere."""
     at = random.randrange(len(records) + 1)
     records[at:at] = records[stretch(records, random)]
 
 
 def delete(records: Records, random: Random) -> None:
-    """Some records are missing."""
     del records[stretch(records, random)]
 
 
 def reverse(records: Records, random: Random) -> None:
-    """Some records come in reverse order."""
     where = stretch(records, random, (2, 3, 100))
     records[where] = records[where][::-1]
 
@@ -145,7 +139,6 @@ ORDER: tuple[Change, ...] = (swap, duplicate, delete, reverse, rotate)
 
 
 def flip(record: bytes, random: Random) -> bytes:
-    """One bit of a record is wrong."""
     at = random.randrange(len(record))
     return record[:at] + bytes([record[at] ^ 1 << random.randrange(8)]) + record[at + 1 :]
 
@@ -186,7 +179,6 @@ def field_setter(
 
 
 def changed(records: Records, random: Random, changes: Sequence[Change], most: int = 4) -> str:
-    """Change records a few times; gives the names of what was done."""
     names = []
     for _ in range(random.randint(1, most)):
         if len(records) > 1:
@@ -197,5 +189,4 @@ def changed(records: Records, random: Random, changes: Sequence[Change], most: i
 
 
 def together(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Rows (n, 3) put together, also none at all."""
     return np.concatenate([np.empty((0, 3)), *parts])

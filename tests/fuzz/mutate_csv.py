@@ -272,7 +272,6 @@ OTHERS = (
 
 
 def separator(lines: Lines) -> str:
-    """The likeliest one."""
     line = lines[min(20, len(lines) - 1)]
     return max(",;\t ", key=line.count)
 
@@ -285,7 +284,6 @@ def set_cell(lines: Lines, at: int, column: int, text: str) -> None:
 
 
 def some(lines: Lines, random: Random) -> slice:
-    """A stretch of rows."""
     at = random.randrange(1, len(lines))
     return slice(at, at + random.choice([1, 1, 10, 100]))
 
@@ -301,7 +299,6 @@ def when(lines: Lines, random: Random) -> None:
 
 
 def jump(lines: Lines, random: Random) -> None:
-    """The clock jumps, for a while or for good."""
     where, by = some(lines, random), timedelta(seconds=random.choice(LONG_JUMPS_S))
     for at in range(where.start, min(len(lines), where.stop if random.random() < 0.5 else len(lines))):
         try:
@@ -336,7 +333,6 @@ def reverse(lines: Lines, random: Random) -> None:
 
 
 def mixed(lines: Lines, random: Random) -> None:
-    """Another separator for a while."""
     sign, where = separator(lines), some(lines, random)
     lines[where] = [row.replace(sign, random.choice(";\t|")) for row in lines[where]]
 
@@ -384,14 +380,12 @@ def open_quote(lines: Lines, random: Random) -> None:
 
 
 def column(lines: Lines, random: Random) -> None:
-    """One value in a whole column."""
     text, place = random.choice(CELLS + TIMES), random.randrange(4)
     for at in range(1, len(lines)):
         set_cell(lines, at, place, text)
 
 
 def scaled(lines: Lines, random: Random) -> None:
-    """The unit changes in the midst."""
     where, sign, factor = (
         some(lines, random),
         separator(lines),
@@ -432,7 +426,6 @@ def encoded(text: str, random: Random) -> bytes:
 
 
 def mutant(random: Random) -> Mutant:
-    """A damaged table."""
     if random.random() < 0.4:
         lines = list(plain())
         what = changed(lines, random, ROWS_ONLY)
@@ -451,7 +444,6 @@ def mutant(random: Random) -> Mutant:
 
 
 def changed(lines: Lines, random: Random, changes: tuple[Change, ...]) -> str:
-    """Change lines a few times; gives the names of what was done."""
     names = []
     for _ in range(random.choice([1, 1, 2, 3])):
         if len(lines) > 30:
@@ -476,7 +468,6 @@ def truth(lines: Lines) -> Truth:
 
 @cache
 def sound_rows() -> dict[str, tuple[list[float] | None, bool]]:
-    """What the lines hold that nobody changed."""
     return {line: row_of(line.split(",")) for line in plain()[1:]}
 
 

@@ -78,20 +78,17 @@ def later(page: bytes, seconds: int) -> bytes:
 
 
 def jump(pages: Records, random: Random) -> None:
-    """The clock jumps, for a while or for good."""
     where, seconds = stretch(pages, random, (1, 3, 1000)), random.choice(JUMPS_S)
     pages[where] = [later(page, seconds) for page in pages[where]]
 
 
 def numbered(pages: Records, random: Random) -> None:
-    """Sequence numbers go on elsewhere."""
     where = stretch(pages, random, (1, 1, 3, 1000))
     first = random.choice([0, (1 << 32) - 2, 1_000_000, random.getrandbits(32)])
     pages[where] = [set_field(page, "<I", 10, first + k & 0xFFFFFFFF) for k, page in enumerate(pages[where])]
 
 
 def kind(pages: Records, random: Random) -> None:
-    """A sector says that it is something else."""
     at = random.randrange(len(pages))
     name = random.choice([b"UB", b"SI", b"GX", b"GY", b"MD", b"\0\0", b"AX"])
     length = random.choice([508, 508, 0, 65_535])
@@ -99,13 +96,11 @@ def kind(pages: Records, random: Random) -> None:
 
 
 def head_within(pages: Records, random: Random) -> None:
-    """A header stands among the sectors."""
     at = random.randrange(len(pages))
     pages[at:at] = [header()[:SECTOR], header()[SECTOR:]]
 
 
 def other_recording(pages: Records, random: Random) -> None:
-    """Sectors that another recording left."""
     at, first = random.randrange(len(pages)), random.choice([0, 1000])
     new = counts()[:: -random.randint(1, 3)][:160]
     late = random.choice([0, 10**12, -(10**12)])
@@ -139,7 +134,6 @@ CHANGES: tuple[Change, ...] = (
 
 
 def mutant(random: Random) -> Mutant:
-    """A damaged recording of any kind."""
     head, more, *pages = random.choice(recordings()[:1] * 3 + recordings()[1:])
     if random.random() < 0.2:
         data = blind(b"".join([head, more, *pages]), random)
@@ -152,7 +146,6 @@ def mutant(random: Random) -> Mutant:
 
 
 def head_of(head: bytes, random: Random) -> bytes:
-    """The header, perhaps with absurd values."""
     new = bytearray(head)
     if random.random() < 0.2:
         at = random.choice([2, 4, 5, 7, 11, 35, 36, 41, random.randrange(SECTOR)])
@@ -161,7 +154,6 @@ def head_of(head: bytes, random: Random) -> bytes:
 
 
 def ends(data: bytes, random: Random) -> bytes:
-    """Something that concerns the whole file."""
     at, size = random.randrange(len(data)), random.choice([1, 13, 511, 512, 700])
     return random.choice(
         [

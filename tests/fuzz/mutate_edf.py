@@ -83,7 +83,6 @@ def recordings() -> tuple[Made, ...]:
 
 
 def onset(records: Records, random: Random) -> None:
-    """Other times of some records."""
     where = stretch(records, random, (1, 3, 100))
     text = random.choice(ONSETS) + b"\x14\x14\0"
     at = 2 * (3 * SAMPLES + 1)
@@ -97,7 +96,6 @@ def short(records: Records, random: Random) -> None:
 
 
 def field(head: bytes, random: Random) -> bytes:
-    """A field of the header with another text."""
     signals = len(head) // 256 - 1
     place, width = random.choice([*FIELDS.values(), (168, 8), (176, 8), (8, 80), (88, 80)])
     if random.random() < 0.6:
@@ -111,7 +109,6 @@ RECORD_CHANGES: tuple[Change, ...] = (*ORDER, broken)
 
 
 def mutant(random: Random) -> Mutant:
-    """A damaged file."""
     made = random.choice(recordings())
     if random.random() < 0.25:
         return Mutant(blind(made.header + b"".join(made.records), random), "blind")
@@ -153,7 +150,6 @@ def sound_onset(data: bytes) -> bool:
 
 
 def rows_of(record: bytes, sample_bytes: int) -> np.ndarray:
-    """x, y and z of a record in g."""
     values = [
         int.from_bytes(record[at : at + sample_bytes], "little", signed=True)
         for at in range(0, 3 * SAMPLES * sample_bytes, sample_bytes)

@@ -55,7 +55,6 @@ def imu(axes: list[list[int]], random: Random, factor: float, rate: float, start
 
 
 def node(found: Any, random: Random) -> Any:
-    """A schema with one of its types replaced."""
     found = json.loads(json.dumps(found))
     places: list[dict[str, Any]] = []
 
@@ -75,7 +74,6 @@ def node(found: Any, random: Random) -> Any:
 
 
 def mutant(random: Random) -> Mutant:
-    """A damaged file."""
     axes, spare = columns(random)
     kind, codec = random.random(), random.choice(["null", "deflate"])
     gyro = imu(random.choice([axes, [[], [], []]]), random, 0.0625, 64.0, maker.START_US)

@@ -45,7 +45,6 @@ def messages(data: bytes, random: Random) -> bytes:
 
 
 def mutant(random: Random) -> Mutant:
-    """A file that is odd, or damaged."""
     choice = random.random()
     made, truth = sound(random)
     if choice < 0.35:

@@ -40,7 +40,6 @@ SCALES = ((255, 1), (1, WORD - 1), (WORD - 1, 1), (WORD - 1, 16_777_215), (0, 1)
 
 @cache
 def recording() -> tuple[bytes, ...]:
-    """Header and pages."""
     counts = np.random.RandomState(11).randint(-500, 500, (640, 3)).astype(np.int16)
     return (make_flash.header(), *make_flash.pages(counts))
 
@@ -53,14 +52,12 @@ def set_field(page: bytes, form: str, at: int, value: int) -> bytes:
 
 
 def number(random: Random) -> int:
-    """A number that is hard, or any."""
     return random.choice(
         [0, 1, WORD // 2 - 1, WORD // 2, WORD - 1, random.getrandbits(32), random.getrandbits(16)]
     )
 
 
 def jump(pages: Records, random: Random) -> None:
-    """The clock jumps, for a while or for good."""
     where, by = stretch(pages, random, (1, 3, 1000)), random.choice(JUMPS_S)
     for at in range(where.start, where.stop):
         seconds = struct.unpack_from("<I", pages[at], AT_SECONDS)[0]
@@ -68,14 +65,12 @@ def jump(pages: Records, random: Random) -> None:
 
 
 def numbered(pages: Records, random: Random) -> None:
-    """Sequence numbers go on elsewhere."""
     where, first = stretch(pages, random, (1, 1, 3, 1000)), number(random)
     for at in range(where.start, where.stop):
         pages[at] = set_field(pages[at], "<I", AT_SEQUENCE, (first + at) % WORD)
 
 
 def head_within(pages: Records, random: Random) -> None:
-    """A header stands among the pages."""
     pages.insert(random.randrange(len(pages)), recording()[0])
 
 
@@ -99,7 +94,6 @@ CHANGES: tuple[Change, ...] = (
 
 
 def header(random: Random) -> bytes:
-    """A header with absurd values, sealed again."""
     flags, zone = random.choice([0, 1, 2, 3]), random.choice([-32_768, 0, 60, 840, 841, -900])
     rate = random.choice(RATES) if random.random() < 0.3 else None
     page = make_flash.header(flags=flags, zone=zone, rate=rate)
@@ -118,7 +112,6 @@ def header(random: Random) -> bytes:
 
 
 def mutant(random: Random) -> Mutant:
-    """A damaged dump."""
     head, *pages = recording()
     if random.random() < 0.2:
         data = blind(b"".join([head, *pages]), random)
@@ -153,7 +146,6 @@ def truth(data: bytes) -> Truth | None:
 
 
 def page_rows(page: bytes, own: int) -> np.ndarray | None:
-    """Counts of a page, None if it is not sound."""
     if len(page) < PAGE:
         return None
     magic, recording, _, _, microseconds, _, count, _ = struct.unpack_from("<4sIIIIhHI", page)

@@ -31,13 +31,11 @@ HARD = (
 
 @cache
 def recording() -> tuple[bytes, ...]:
-    """Slots of 1200 samples."""
     counts = np.random.RandomState(11).randint(-2000, 2000, (1200, 3))
     return tuple(make_genea.slots(counts, 80, ahead=30))
 
 
 def jump(slots: Records, random: Random) -> None:
-    """The clock jumps, for a while or for good."""
     where, by = stretch(slots, random, (1, 100, 300, 10_000)), random.choice(JUMPS_S)
     for at in range(where.start, where.stop):
         if len(slots[at]) == 6 and slots[at][1] >> 4 == 2:
@@ -46,7 +44,6 @@ def jump(slots: Records, random: Random) -> None:
 
 
 def timeless(slots: Records, random: Random) -> None:
-    """Times are missing from a stretch."""
     where = stretch(slots, random, (100, 700, 10_000))
     slots[where] = [slot for slot in slots[where] if slot[1:2] < b"\x20" or slot[1:2] > b"\x2f"] or slots[
         where
@@ -54,13 +51,11 @@ def timeless(slots: Records, random: Random) -> None:
 
 
 def kinds(slots: Records, random: Random) -> None:
-    """Slots of other kinds."""
     at = random.randrange(len(slots))
     slots[at] = make_genea.slot(bytes([random.randrange(256)]) + random.randbytes(4))
 
 
 def times(slots: Records, random: Random) -> None:
-    """Many times one after the other."""
     at = random.randrange(len(slots))
     first = random.choice([0, make_genea.START_S, (1 << 32) - 300])
     slots[at:at] = [make_genea.time(first + k) for k in range(random.choice([1, 3, 200]))]
@@ -70,7 +65,6 @@ CHANGES: tuple[Change, ...] = (*ORDER, jump, jump, timeless, kinds, times, blank
 
 
 def mutant(random: Random) -> Mutant:
-    """A damaged recording."""
     head, slots = make_genea.header(), list(recording())
     if random.random() < 0.25:
         data = blind(head + make_genea.pages(slots), random)
@@ -107,7 +101,6 @@ def truth(data: bytes) -> Truth | None:
 
 
 def values(slot: bytes) -> tuple[int, int, int]:
-    """Raw x, y and z."""
     bits = int.from_bytes(slot[1:], "big")
     x, y, z = (((bits >> shift & 0xFFF) ^ 0x800) - 0x800 for shift in (24, 12, 0))
     return -x, y, -z

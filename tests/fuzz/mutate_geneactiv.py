@@ -54,37 +54,31 @@ GAIN, NO_GAIN = re.compile(rb"([xyz]) (gain|offset):(\S*)\r?\n"), b"Calibration 
 
 @cache
 def recording() -> tuple[bytes, tuple[Page, ...]]:
-    """Header and pages."""
     counts = np.random.RandomState(11).randint(-500, 500, (5 * SAMPLES, 3))
     return make_geneactiv.header().replace(b"\n", b"\r\n"), tuple(make_geneactiv.pages(counts))
 
 
 @cache
 def sound_pages() -> tuple[bytes, ...]:
-    """The pages as they lie in a file."""
     return tuple(page.to_bytes().replace(b"\n", b"\r\n") for page in recording()[1])
 
 
 def set_line(text: bytes, key: str, value: str) -> bytes:
-    """The value of the first line with a key."""
     line = f"{key}:{value}".encode("latin-1")
     return re.sub(rf"(?m)^{key}:[^\r\n]*".encode(), lambda _: line, text, count=1)
 
 
 def field(pages: Records, random: Random) -> None:
-    """A line of pages says something odd."""
     where, key, value = stretch(pages, random, (1, 1, 1000)), random.choice(PAGE_KEYS), random.choice(NUMBERS)
     pages[where] = [set_line(page, key, value) for page in pages[where]]
 
 
 def moment(pages: Records, random: Random) -> None:
-    """Times that are odd, or none."""
     where, value = stretch(pages, random, (1, 1, 1000)), random.choice(TIMES)
     pages[where] = [set_line(page, "Page Time", value) for page in pages[where]]
 
 
 def jump(pages: Records, random: Random) -> None:
-    """The clock jumps, for a while or for good."""
     where, seconds = stretch(pages, random, (1, 3, 1000)), random.choice(JUMPS_S)
     first = make_geneactiv.START_US + seconds * 1_000_000
     for at in range(where.start, where.stop):
@@ -93,7 +87,6 @@ def jump(pages: Records, random: Random) -> None:
 
 
 def numbered(pages: Records, random: Random) -> None:
-    """Sequence numbers go on elsewhere."""
     where = stretch(pages, random, (1, 1, 1000))
     first = random.choice([0, 1 << 31, (1 << 32) - 1, 9_999_999_990, 10**6, 99_999_999_999])
     for at in range(where.start, where.stop):
@@ -118,7 +111,6 @@ def samples(pages: Records, random: Random) -> None:
 
 
 def endings(pages: Records, random: Random) -> None:
-    """Lines end in other ways, or not at all."""
     at = random.randrange(len(pages))
     pages[at] = random.choice(
         [
@@ -129,7 +121,6 @@ def endings(pages: Records, random: Random) -> None:
 
 
 def junk(pages: Records, random: Random) -> None:
-    """Something that is no page between pages."""
     rubbish = (
         *(random.randbytes(700), bytes(512), b"Recorded Data\r\n", b"Recorded Data\r\n" * 200),
         *(b"0" * 5000 + b"\r\n", recording()[0]),
@@ -143,7 +134,6 @@ CHANGES: tuple[Change, ...] = (
 
 
 def header(random: Random) -> bytes:
-    """A header with absurd lines."""
     text = recording()[0]
     for _ in range(random.randint(1, 2)):
         key = random.choice(HEADER_KEYS if random.random() < 0.7 else SCALE_KEYS)
@@ -161,7 +151,6 @@ def header(random: Random) -> bytes:
 
 
 def mutant(random: Random) -> Mutant:
-    """A damaged recording."""
     head, pages = recording()[0], list(sound_pages())
     if random.random() < 0.2:
         data = blind(head + b"".join(pages), random)
@@ -193,7 +182,6 @@ def calibration(text: bytes) -> dict[bytes, bytes]:
 
 
 def is_time(text: bytes) -> bool:
-    """Whether a page's time is one."""
     try:
         np.datetime64(text[:19].decode().replace(" ", "T"), "s")
     except ValueError:

@@ -52,14 +52,12 @@ def counts(rows: int = 480) -> np.ndarray:
 
 @cache
 def recordings() -> tuple[tuple[bytes, ...], ...]:
-    """Records of the main sensor, in each of its packings, with others among them."""
     told = [make_gt3x.parameters({(1, 10): RATE}), make_gt3x.battery(START_S)]
     kinds = (ACTIVITY2, ACTIVITY, ACTIVITY3)
     return tuple((*told, *make_gt3x.seconds(counts(), RATE, kind)) for kind in kinds)
 
 
 def fields(one: bytes) -> tuple[int, int, bytes]:
-    """Kind, second and payload of a record."""
     return one[1], int.from_bytes(one[2:6], "little"), one[8:-1]
 
 
@@ -71,26 +69,22 @@ def again(one: bytes, **new: int | bytes) -> bytes:
 
 
 def jump(log: Records, random: Random) -> None:
-    """The clock jumps, for a while or for good."""
     where, by = stretch(log, random, (1, 3, 1000)), random.choice(JUMPS_S)
     log[where] = [again(one, second=fields(one)[1] + by) for one in log[where]]
 
 
 def second(log: Records, random: Random) -> None:
-    """Records of any time."""
     where, when = stretch(log, random, (1, 2)), random.choice([0, 1, (1 << 32) - 1, random.getrandbits(32)])
     log[where] = [again(one, second=when) for one in log[where]]
 
 
 def longer(log: Records, random: Random) -> None:
-    """Records of another length, still of whole samples or not."""
     where, factor = stretch(log, random, (1, 3, 1000)), random.choice([1, 2, 3])
     cut = random.choice([None, -1, -9, -6, 6, 18, 1, 0])
     log[where] = [again(one, payload=(fields(one)[2] * factor)[:cut]) for one in log[where]]
 
 
 def kind(log: Records, random: Random) -> None:
-    """Records that say they are something else."""
     where, new = stretch(log, random, (1, 1, 3)), random.choice(KINDS)
     log[where] = [again(one, kind=new) for one in log[where]]
 
@@ -133,27 +127,23 @@ def schema(log: Records, random: Random) -> None:
 
 
 def told(log: Records, random: Random) -> None:
-    """Parameters and metadata of any content."""
     keys = [(random.choice([0, 1]), random.choice([10, 12, 55, 57, 58, 44, 0])) for _ in range(4)]
     log.insert(1, make_gt3x.parameters({key: random.getrandbits(32) for key in keys}))
     log.insert(1, record(6, START_S, random.choice(METADATA)))
 
 
 def junk(log: Records, random: Random) -> None:
-    """Bytes that are no record; none that could begin one."""
     new = bytes(random.choices([value for value in range(256) if value != SEPARATOR], k=300))
     log.insert(random.randrange(len(log)), random.choice([new, bytes(random.choice([1, 7, 9, 300]))]))
 
 
 def bits(log: Records, random: Random) -> None:
-    """One bit of a record is wrong, in its payload."""
     at = random.randrange(len(log))
     frame, payload, end = log[at][:8], log[at][8:-1], log[at][-1:]
     log[at] = frame + (flip(payload, random) if payload else payload) + end
 
 
 def noise(log: Records, random: Random) -> None:
-    """Anything, beginnings of records among it."""
     new = random.choice([b"\x1e" * 500, b"\x1e\x00" * 200, random.randbytes(300)])
     log.insert(random.randrange(len(log)), new)
 
@@ -185,7 +175,6 @@ def info_of(random: Random) -> tuple[bytes | None, str]:
 
 
 def maker(random: Random) -> dict[str, object]:
-    """A calibration.json of a bare sensor."""
     values: dict[str, object] = {"isCalibrated": False, "calibrationMethod": 2}
     values |= {f"offset{axis}_{RATE}": random.randrange(-50, 50) for axis in "XYZ"}
     values |= {f"sensitivity{axis * 2}_{RATE}": random.randrange(24_000, 27_000) for axis in "XYZ"}
@@ -248,7 +237,6 @@ def zipped(log: bytes, info: bytes | None, more: dict[str, bytes], random: Rando
 
 
 def damaged_zip(data: bytes, random: Random) -> bytes:
-    """The zip file's own structures damaged."""
     directory, ending = data.rfind(b"PK\x01\x02"), data.rfind(b"PK\x05\x06")
     new = bytearray(data)
     form = random.randrange(8)
@@ -286,7 +274,6 @@ def old(random: Random) -> Mutant:
 
 
 def mutant(random: Random) -> Mutant:
-    """A damaged recording."""
     if random.random() < 0.1:
         return old(random)
     log = list(random.choice(recordings()))
@@ -340,7 +327,6 @@ def record_bytes(log: bytes, place: int) -> int:
 
 
 def record_rows(one: bytes) -> np.ndarray:
-    """Samples of a record in g; none of another kind."""
     kind, _, payload = fields(one)
     if kind == ACTIVITY2:
         return np.frombuffer(payload, "<i2", len(payload) // 6 * 3).reshape(-1, 3) / 256

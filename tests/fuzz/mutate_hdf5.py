@@ -61,7 +61,6 @@ def counts() -> np.ndarray:
 
 
 def packing(random: Random, rows: int, width: int) -> dict[str, Any]:
-    """Chunks and filters."""
     length = random.choice([0, 0, 7, 64, 100, 300, ROWS])
     if not length or not rows:
         return {}
@@ -124,7 +123,6 @@ def sound(file: Any, random: Random) -> Truth | None:
 
 
 def place(group: Any, data: np.ndarray, random: Random, about: dict[str, Any]) -> None:
-    """The samples as one dataset, on end, or one for each axis."""
     form = random.random()
     if form < 0.6:
         made = [group.create_dataset("accel", data=data, **packing(random, len(data), 3))]
@@ -170,7 +168,6 @@ def add_channels(group: Any, random: Random, rows: int) -> None:
 
 
 def absurd(file: Any, random: Random) -> None:
-    """Anything that the library lets through."""
     data = counts().astype(random.choice(SOUND_TYPES + ODD_TYPES))
     group = (
         file.create_group(random.choice(["sensor1", "Sensors", "a", "gyro"]))
@@ -211,7 +208,6 @@ def file_of(random: Random, build: Any) -> tuple[bytes, Any]:
 
 
 def damaged(data: bytes, random: Random) -> bytes:
-    """Addresses, sizes and counts of the library's own structures replaced."""
     new = bytearray(data)
     for _ in range(random.choice([1, 1, 3, 10])):
         at = random.randrange(min(len(new) - 8, random.choice([100, 2000, 6000, len(new)])))
@@ -221,7 +217,6 @@ def damaged(data: bytes, random: Random) -> bytes:
 
 
 def mutant(random: Random) -> Mutant:
-    """A file that is odd, or damaged."""
     choice = random.random()
     if choice < 0.35:
         data, truth = file_of(random, sound)

@@ -21,7 +21,6 @@ VALUES: tuple[Any, ...] = (
 
 
 def sound(random: Random, order: str) -> tuple[list[bytes], Truth]:
-    """Variables, or a structure, in which all is well."""
     found, truth = arrays(random)
     found = {name: plain(value) for name, value in found.items()}
     if random.random() < 0.3:
@@ -39,7 +38,6 @@ def plain(value: Any) -> Any:
 
 
 def absurd(random: Random, order: str) -> list[bytes]:
-    """Variables of any kind under any name."""
     parts, _ = sound(random, order)
     for _ in range(random.choice([1, 1, 3])):
         name, form = random.choice(NAMES).encode("ascii", "replace").decode(), random.randrange(6)
@@ -61,14 +59,12 @@ def absurd(random: Random, order: str) -> list[bytes]:
 
 
 def opaque(name: str, order: str) -> bytes:
-    """An object as MATLAB writes it, without a shape."""
     head = element(6, struct.pack(f"{order}II", OPAQUE, 0), order)
     head += element(1, name.encode(), order) + element(1, b"MCOS", order) + element(1, b"timetable", order)
     return struct.pack(f"{order}II", 14, len(head)) + head
 
 
 def tags(data: bytes, random: Random) -> bytes:
-    """Words at the places of tags, lengths and shapes replaced."""
     new = bytearray(data)
     for _ in range(random.choice([1, 1, 3])):
         at = random.randrange(120, min(len(new) - 4, random.choice([200, 400, len(new)]))) & ~3
@@ -78,7 +74,6 @@ def tags(data: bytes, random: Random) -> bytes:
 
 
 def mutant(random: Random) -> Mutant:
-    """A file that is odd, or damaged."""
     choice, order, packed = random.random(), random.choice("<<>"), random.random() < 0.5
     parts, truth = sound(random, order)
     if choice < 0.4:

@@ -59,7 +59,6 @@ def counts() -> np.ndarray:
 
 
 def times(random: Random) -> np.ndarray:
-    """Times of all rows in seconds."""
     seconds = START_S + np.arange(ROWS) / RATE
     at, form = random.randrange(ROWS), random.randrange(8)
     if form == 0:
@@ -72,7 +71,6 @@ def times(random: Random) -> np.ndarray:
 
 
 def arrays(random: Random) -> tuple[dict[str, Any], Truth]:
-    """What a sound archive holds."""
     kind, unit = random.choice(["<i2", "<i4", "<i8", "<f4", "<f8", ">f8"]), "counts"
     if "f" in kind:
         unit = random.choice(["counts", "g", "mg"])
@@ -99,7 +97,6 @@ def arrays(random: Random) -> tuple[dict[str, Any], Truth]:
 
 
 def absurd(random: Random) -> bytes:
-    """Members of any kind under any name, with any head."""
     found, _ = arrays(random)
     for _ in range(random.choice([1, 1, 3])):
         found[random.choice(NAMES)] = random.choice(VALUES)
@@ -112,7 +109,6 @@ def absurd(random: Random) -> bytes:
 
 
 def mutant(random: Random) -> Mutant:
-    """An archive that is odd, or damaged."""
     choice = random.random()
     found, truth = arrays(random)
     data = archive({name: member(value) for name, value in found.items()}, random.random() < 0.5)

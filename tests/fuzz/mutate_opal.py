@@ -22,7 +22,6 @@ JUMPS_US = (1, 20_000, 10**6, 3600 * 10**6, 10**14, 10**18)
 
 
 def times(random: Random) -> np.ndarray:
-    """Microseconds, which may jump, fall, or stand still for a while."""
     values = START_US + np.arange(ROWS, dtype=np.int64) * round(1e6 / RATE)
     at, form, step = random.randrange(ROWS), random.randrange(8), random.choice(JUMPS_US)
     if form == 0:
@@ -54,7 +53,6 @@ def sound(file: Any, random: Random) -> Truth:
 
 
 def absurd(file: Any, random: Random) -> None:
-    """Parts of a sensor missing, of other shapes, or with attributes that are none."""
     sound(file, random)
     for _ in range(random.choice([1, 1, 2, 4])):
         group = file[f"Sensors/XI-00000{random.choice([1, 2])}"]
@@ -71,7 +69,6 @@ def absurd(file: Any, random: Random) -> None:
 
 
 def mutant(random: Random) -> Mutant:
-    """A file that is odd, or damaged."""
     choice = random.random()
     if choice < 0.4:
         data, truth = file_of(random, sound)

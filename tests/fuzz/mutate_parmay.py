@@ -35,7 +35,6 @@ SIZES = (6, 6, 4, 4)
 
 @cache
 def recording() -> tuple[bytes, ...]:
-    """Packets of 4 s, some with rotation rates or temperatures."""
     counts = np.random.RandomState(11).randint(-9000, 9000, (12 * ROWS, 3))
     made = []
     for k in range(12):
@@ -57,7 +56,6 @@ def set_field(packet: bytes, form: str, at: int, value: int) -> bytes:
 
 
 def jump(packets: Records, random: Random) -> None:
-    """The clock jumps, for a while or for good."""
     where, by = stretch(packets, random, (1, 3, 1000)), random.choice(JUMPS_S)
     for at in range(where.start, where.stop):
         for place in random.choice([(12, 16), (12, 16), (12,), (16,)]):
@@ -66,7 +64,6 @@ def jump(packets: Records, random: Random) -> None:
 
 
 def shorter(packets: Records, random: Random) -> None:
-    """A packet with fewer samples, its numbers and checksum right."""
     at = random.randrange(len(packets))
     k = random.choice([0, 1, 2, 40])
     start = make_parmay.START_S + 4 * at
@@ -75,7 +72,6 @@ def shorter(packets: Records, random: Random) -> None:
 
 
 def cut_short(packets: Records, random: Random) -> None:
-    """A packet without its end or its beginning."""
     at = random.randrange(len(packets))
     size = random.choice([1, 7, 8, 30, 36, 100])
     packets[at] = random.choice(
@@ -84,7 +80,6 @@ def cut_short(packets: Records, random: Random) -> None:
 
 
 def junk(packets: Records, random: Random) -> None:
-    """Something that is no packet."""
     packets.insert(
         random.randrange(len(packets) + 1),
         random.choice([MAGIC, MAGIC[:5], MAGIC * 20, bytes(36), b"\xff" * 700, random.randbytes(50)]),
@@ -103,7 +98,6 @@ CHANGES: tuple[Change, ...] = (
 
 
 def mutant(random: Random) -> Mutant:
-    """A damaged recording."""
     head, packets = make_parmay.header(12), list(recording())
     options = ReadOptions()
     if random.random() < 0.2:

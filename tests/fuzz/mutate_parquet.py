@@ -64,7 +64,6 @@ def counts() -> np.ndarray:
 
 
 def stamps(random: Random) -> pa.Array:
-    """Times of all rows, or of most."""
     us = START_US + np.arange(ROWS) * 20_000
     at, form = random.randrange(ROWS), random.randrange(10)
     if form == 0:
@@ -115,7 +114,6 @@ def placed(random: Random, data: np.ndarray, empty: np.ndarray) -> dict[str, pa.
 
 
 def absurd(random: Random) -> pa.Table:
-    """Anything that pyarrow lets through."""
     made, _ = sound(random)
     for _ in range(random.choice([1, 1, 2, 4])):
         form, name = random.randrange(6), random.choice(NAMES)
@@ -138,7 +136,6 @@ def absurd(random: Random) -> pa.Table:
 
 
 def odd(random: Random) -> pa.Array:
-    """A column of another kind."""
     numbers = np.arange(ROWS)
     builders: tuple[Callable[[], pa.Array], ...] = (
         lambda: pa.array([str(number) for number in numbers]),
@@ -178,7 +175,6 @@ def bytes_of(made: pa.Table, random: Random) -> bytes:
 
 
 def footer(data: bytes, random: Random) -> bytes:
-    """Bytes of the footer changed, its length kept."""
     length = int.from_bytes(data[-8:-4], "little")
     new, start = bytearray(data), len(data) - 8 - length
     for _ in range(random.choice([1, 1, 3])):
@@ -188,7 +184,6 @@ def footer(data: bytes, random: Random) -> bytes:
 
 
 def mutant(random: Random) -> Mutant:
-    """A file that is odd, or damaged."""
     choice = random.random()
     made, truth = sound(random)
     if choice < 0.35:

@@ -98,7 +98,6 @@ class Plan:
         return (self.page - 16) // self.frame if self.page else 60
 
     def text(self) -> str:
-        """The layout file."""
         size = SIZES[self.kind]
         lines = ["[dump]", f"rate_hz = {RATE}.0", f"lsb_per_g = {self.scale!r}", f'endian = "{self.endian}"']
         lines += [f"frame_bytes = {self.frame}", f"header_bytes = {self.header}", 'serial = "7"']
@@ -137,7 +136,6 @@ def plans() -> tuple[Plan, ...]:
 
 
 def coded(value: int, plan: Plan) -> bytes:
-    """A number as it lies in a frame."""
     if plan.kind == "int24":
         return int(value).to_bytes(3, "little" if plan.endian == "little" else "big", signed=True)
     mark = "<" if plan.endian == "little" else ">"
@@ -156,7 +154,6 @@ def pages(plan: Plan) -> tuple[bytes, ...]:
 
 
 def page(plan: Plan, number: int, body: bytes) -> bytes:
-    """A page with its number, its time and a checksum that is right."""
     mark = "<" if plan.endian == "little" else ">"
     when = START_S + number * plan.page_rows // RATE
     head = struct.pack(mark + "III", number, when, 0)
@@ -164,7 +161,6 @@ def page(plan: Plan, number: int, body: bytes) -> bytes:
 
 
 def sealed(plan: Plan, body: bytes) -> bytes:
-    """All but the checksum, with it."""
     mark = "<" if plan.endian == "little" else ">"
     if plan.crc == "crc16-ccitt":
         return body + struct.pack(mark + "H", crc_hqx(body, 0xFFFF)) + b"\0\0"
@@ -194,7 +190,6 @@ def page_changes(plan: Plan) -> tuple[Change, ...]:
 
 
 def mutant(random: Random) -> Mutant:
-    """A damaged dump with a sound layout, or a dump with a damaged layout."""
     plan = random.choice(plans())
     parts = list(pages(plan))
     head = bytes(range(plan.header % 256)).ljust(plan.header, b"h")
@@ -217,12 +212,10 @@ def mutant(random: Random) -> Mutant:
 
 
 def floats() -> bytes:
-    """Numbers that are none, or too large."""
     return np.array([np.nan, np.inf, -np.inf, 1e38, -1e38, 1e-45, 0.5] * 100, "f4").tobytes()
 
 
 def damaged_layout(text: str, random: Random) -> str:
-    """A few keys with absurd values, more of them, fewer, or another text altogether."""
     lines = text.splitlines()
     for _ in range(random.choice([1, 1, 2, 4])):
         at = random.randrange(len(lines))
@@ -311,7 +304,6 @@ def checks(plan: Plan, part: bytes) -> bool:
 
 
 def frame_rows(plan: Plan, body: bytes) -> np.ndarray:
-    """x, y, z in g of whole frames one after the other."""
     size = SIZES[plan.kind]
     raw = np.frombuffer(body, np.uint8, len(body) // plan.frame * plan.frame).reshape(-1, plan.frame)
     octets = np.ascontiguousarray(raw[:, : 3 * size]).reshape(-1, 3, size)

@@ -27,17 +27,14 @@ STARTS = ("0001-01-01T00:00:00", "9999-12-31T23:59:59", "9999-12-31T23:59:59-14:
 
 @cache
 def values() -> np.ndarray:
-    """Accelerations (n, 3)."""
     return np.random.RandomState(11).randint(-9000, 9000, (800, 3))
 
 
 def usual(data_type: str) -> str:
-    """A description of them."""
     return make_unisens.description(make_unisens.signal(NAME, "acc", data_type=data_type))
 
 
 def hard(random: Random) -> str:
-    """A description with absurd attributes, and other signals that are there or not."""
     said = {key: random.choice(known) for key, known in HARD.items() if random.random() < 0.25}
     channels = random.choice(
         [("accX", "accY", "accZ")] * 4 + [("a", "b"), (), ("x", "y", "z", "x"), ("t",) * 40]
@@ -60,7 +57,6 @@ def hard(random: Random) -> str:
 
 
 def mutant(random: Random) -> Mutant:
-    """A damaged folder."""
     kind = random.choice(["data", "description", "attributes", "attributes"])
     data_type = random.choice(list(CODES))
     numbers = values() if data_type != "int8" else values() % 100

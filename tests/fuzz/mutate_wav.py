@@ -44,14 +44,12 @@ def recording() -> tuple[bytes, ...]:
 
 
 def flags(frames: Records, random: Random) -> None:
-    """What the last channel says, of a stretch."""
     where = stretch(frames, random, (1, 3, 300))
     last = struct.pack("<H", random.choice([0x8000, 0xFFFF, 0x4000, 0x0C00 | random.getrandbits(10)]))
     frames[where] = [frame[:6] + last for frame in frames[where]]
 
 
 def ends(frames: Records, random: Random) -> None:
-    """Values at the end of what 16 bits hold."""
     where = stretch(frames, random, (1, 20))
     value = struct.pack("<h", random.choice([-32_768, 32_767]))
     frames[where] = [value + frame[2:] for frame in frames[where]]
@@ -61,7 +59,6 @@ CHANGES: tuple[Change, ...] = (*ORDER, flags, flags, ends)
 
 
 def header(data_bytes: int, random: Random) -> bytes:
-    """A header with absurd chunks and lines."""
     said = make_wav.comment(
         tuple(random.choice(LABELS) if random.random() < 0.1 else axis for axis in make_wav.AXES),
         tuple(random.choice(SCALES) if random.random() < 0.1 else 8 for _ in range(3)),
@@ -84,7 +81,6 @@ def header(data_bytes: int, random: Random) -> bytes:
 
 
 def mutant(random: Random) -> Mutant:
-    """A damaged recording."""
     frames = list(recording())
     if random.random() < 0.25:
         data = b"".join(frames)

@@ -83,7 +83,6 @@ SLOW, SLOW_SHARE = "evaluate", 0.1
 def commands(
     command: click.Command = cli, names: tuple[str, ...] = ()
 ) -> Iterator[tuple[tuple[str, ...], click.Command]]:
-    """All commands, those of groups too, by their names."""
     if not isinstance(command, click.Group):
         yield names, command
         return
@@ -95,7 +94,6 @@ def commands(
 
 
 def line(names: tuple[str, ...], one: click.Command, random: Random) -> list[str]:
-    """A command line: each argument, one or two options on average, many of their values odd."""
     words = list(names)
     for item in one.params:
         odd = random.choice(WORDS)
@@ -110,7 +108,6 @@ def line(names: tuple[str, ...], one: click.Command, random: Random) -> list[str
 
 
 def option(item: click.Parameter, value: str, random: Random) -> list[str]:
-    """One option and its values."""
     name = random.choice(item.opts)
     if getattr(item, "is_flag", False):
         return [name]
@@ -122,7 +119,6 @@ def option(item: click.Parameter, value: str, random: Random) -> list[str]:
 
 
 def options(folder: Path) -> Any:
-    """Command lines in a folder with a recording, its report and points; neither may be changed."""
     kept, here = folder / "kept", folder / "here"
     kept.mkdir(exist_ok=True)
     recording(kept / "good.csv")
@@ -150,7 +146,6 @@ def options(folder: Path) -> Any:
 
 
 def hurt(here: Path, held: dict[str, bytes]) -> str | None:
-    """An input that a command changed, or what it left half done."""
     for name, data in held.items():
         path = here / name
         if not path.is_file() or path.read_bytes() != data:

@@ -73,7 +73,6 @@ Attempt = Callable[[Random, int, Path, Any], "tuple[bytes, str, str | None]"]
 
 
 def places(node: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Where the values of a JSON document are."""
     items = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
     for key, value in items:
         yield (*at, key)
@@ -81,7 +80,6 @@ def places(node: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 
 def damaged_document(document: Any, random: Random) -> tuple[Any, str]:
-    """Values of a JSON document replaced, scaled, removed or added."""
     new, names = json.loads(json.dumps(document)), []
     for _ in range(random.choice([1, 1, 1, 2, 3])):
         place = random.choice(list(places(new)) or [()])
@@ -95,7 +93,6 @@ def damaged_document(document: Any, random: Random) -> tuple[Any, str]:
 
 
 def damage_value(node: Any, key: Any, random: Random) -> None:
-    """One value of an object or a list."""
     value, form = node[key], random.randrange(5)
     if form == 0:
         del node[key]
@@ -135,7 +132,6 @@ def same(before: Any, after: bytes) -> bool:
 
 
 def reports(folder: Path) -> Attempt:
-    """Reports: in the way of `calibrate`, given to `apply`, verified."""
     source, out = recording(folder / "source.csv"), folder / "out"
     command.run(["calibrate", source, "-d", folder / "good"])
     good_report = folder / "good" / "source.calibration.json"
@@ -174,7 +170,6 @@ def verified(ran: command.Ran, what: str) -> str | None:
 
 
 def points(folder: Path) -> Attempt:
-    """Tables of points, for `fit`."""
     rows, path, result = directions(60).tolist(), folder / "mutant.csv", folder / "result.json"
 
     def attempt(random: Random, number: int, folder: Path, tally: Any) -> tuple[bytes, str, str | None]:
@@ -233,7 +228,6 @@ def damaged_lines(lines: list[str], random: Random) -> str:
 
 
 def poses(folder: Path) -> Attempt:
-    """Sessions on six faces, and their lists of poses, for `six-pose`."""
     faces = np.repeat(
         np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]), 300, axis=0
     )
@@ -259,7 +253,6 @@ def poses(folder: Path) -> Attempt:
 
 
 def pose(random: Random) -> str:
-    """A line of a list of poses."""
     begin = random.uniform(-10, 70)
     length = random.choice([8, 0, -3, 1e9])
     axes = [random.choice(["1", "-1", "0", "9.81", "nan", "1e400", "x", ""]) for _ in range(3)]
@@ -267,7 +260,6 @@ def pose(random: Random) -> str:
 
 
 def study_tables(folder: Path) -> Attempt:
-    """study.parquet, for `devices`."""
     source, study = folder / "in", folder / "study"
     source.mkdir(exist_ok=True)
     recording(source / "a.csv")
@@ -299,7 +291,6 @@ def start_of(number: int) -> str:
 
 
 def damaged_table(rows: list[dict[str, Any]], schema: Any, random: Random) -> tuple[Any, str]:
-    """Odd values of the right type, or columns of wrong types, missing or doubled."""
     for _ in range(random.choice([1, 3, 10, 60])):
         row, field = random.choice(rows), schema.field(random.randrange(len(schema)))
         try:

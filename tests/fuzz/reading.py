@@ -155,7 +155,6 @@ def same_in_other_chunks(reader: Reader, chunks: list[Chunk], size: int) -> None
 
 
 def columns(chunks: list[Chunk]) -> Iterator[list[np.ndarray]]:
-    """What is compared."""
     yield [chunk.counts.reshape(-1) for chunk in chunks]
     yield [chunk.clock.times(0, len(chunk)) for chunk in chunks]
     yield [chunk.breaks + chunk.first_sample for chunk in chunks]

@@ -31,8 +31,7 @@ LSB_PER_G = 256.0
 GYRO_BITS = {8000 / (1 << bits) / (1 << 15): bits for bits in range(2, 7)}
 """Bits for the range of a gyroscope (2000 to 125 deg/s) by deg/s in one count."""
 
-NOT_MEASURED = 0
-WARMEST = 0x3FE
+NOT_MEASURED, WARMEST = 0, 0x3FE
 ALWAYS, NEVER = 0, 0xFFFF_FFFF
 UNSET = b"\xff"
 

@@ -35,8 +35,7 @@ ONSET = re.compile(rb"([+-])(\d{1,9})(?:\.(\d{0,9}))?\x14", re.ASCII)
 
 RATES_HZ = (0.001, 100_000.0)
 NO_START = "the header has no date; times count from 1970-01-01"
-MILLIKELVIN_ZERO = -273_150
-HOTTEST = 1_000_000
+MILLIKELVIN_ZERO, HOTTEST = -273_150, 1_000_000
 
 
 class RecordDecoder(PageDecoder[RawBlock]):

@@ -29,8 +29,7 @@ from accelcal_cli.formats._writing import (
 from accelcal_cli.formats.flash import HEADER_MAGIC, PAGE_BYTES, PAGE_MAGIC, SAMPLES
 from accelcal_cli.formats.flash import reader as flash
 
-RECORDING_ID = 1
-LARGEST = (1 << 32) - 1
+RECORDING_ID, LARGEST = 1, (1 << 32) - 1
 INT16 = np.iinfo(np.int16)
 
 

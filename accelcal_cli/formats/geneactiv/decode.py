@@ -42,13 +42,11 @@ SHORTEST_BYTES = BODY_DIGITS + 150
 
 HEAD = re.compile(PAGE_HEAD)
 _NUMBER = re.compile(rb"(-?\d{1,6}(?:[.,]\d{1,6})?)(?: Hz)?")
-STAMP_BYTES = 23
+STAMP_BYTES, CARRIAGE_RETURN = 23, 13
 NO_STAMP = int(np.iinfo(np.int64).min)
 """Stands for a time that does not exist, such as the 31st of February."""
 
 _BLANK = re.compile(rb"\s+")
-CARRIAGE_RETURN = 13
-
 Head = tuple[bytes, ...]
 """Serial number, sequence number, time, temperature and rate of a page, as in its text."""
 

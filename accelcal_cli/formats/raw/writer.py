@@ -23,8 +23,7 @@ from accelcal_cli.formats._writing import new_file
 
 SUFFIX = ".raw"
 LAYOUT_SUFFIX = ".layout.toml"
-DEGREES_PER_UNIT = 1 / 128
-USUAL_RANGE_G = 16.0
+DEGREES_PER_UNIT, USUAL_RANGE_G = 1 / 128, 16.0
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 OTHER_FORMAT = "choose another format, such as flash"
 

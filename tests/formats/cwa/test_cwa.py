@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.formats import Probe, ReadOptions, probe_file
-from accelcal_cli.core.recording import Chunk, Device, Reader
+from accelcal_cli.core.recording import Device, Reader
 from accelcal_cli.formats.cwa import FORMAT
 from tests.formats.make_cwa import START_US, Sector, header, make, sectors, unpacked_time, written
+from tests.formats.reading import breaks
+from tests.formats.reading import column as joined
+from tests.formats.reading import times as times_of
 
 RNG = np.random.default_rng(1)
 REAL = {
@@ -29,24 +32,14 @@ def opened(path: Path) -> Reader:
     return FORMAT.open(path, ReadOptions())
 
 
-def joined(chunks: list[Chunk], name: str) -> np.ndarray:
-    return np.concatenate([getattr(chunk, name) for chunk in chunks])
-
-
-def times_of(chunks: list[Chunk]) -> np.ndarray:
-    return np.concatenate([chunk.clock.times(0, len(chunk)) for chunk in chunks])
-
-
 def everything(reader: Reader, chunk_samples: int) -> tuple:
     chunks = list(reader.chunks(chunk_samples))
-    breaks = [chunk.first_sample + row for chunk in chunks for row in chunk.breaks.tolist()]
-    problems = [problem for chunk in chunks for problem in chunk.problems]
     return (
         joined(chunks, "counts").tolist(),
         times_of(chunks).tolist(),
         joined(chunks, "temperature_mc").tolist(),
-        breaks,
-        problems,
+        breaks(chunks),
+        [problem for chunk in chunks for problem in chunk.problems],
         [chunk.first_sample for chunk in chunks] == np.cumsum([0, *map(len, chunks[:-1])]).tolist(),
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +11,9 @@ import pytest
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Chunk, Device
 from tests.formats.cuts import cuts, every_byte
-from tests.formats.cwa.test_cwa import everything, joined, opened, random_counts, times_of
-from tests.formats.make_cwa import START_US, Sector, header, make, sectors, with_checksum, written
+from tests.formats.cwa.test_cwa import joined, opened, random_counts, times_of
+from tests.formats.make_cwa import START_US, Sector, header, sectors, with_checksum, written
+from tests.formats.reading import breaks, problems
 
 VALUES = random_counts(800)
 SAMPLE_US = 10_000
@@ -21,16 +21,12 @@ Found = list[tuple[str, int | None, int, int]]
 
 
 def pages() -> list[Sector]:
-    """Ten full sectors."""
     return sectors(VALUES)
 
 
 def read(path: Path, chunk_samples: int = 300) -> tuple[list[Chunk], list[int], Found]:
-    """Chunks, breaks, and problems as (code, byte offset, sample, count)."""
     chunks = list(opened(path).chunks(chunk_samples))
-    breaks = [chunk.first_sample + row for chunk in chunks for row in chunk.breaks.tolist()]
-    problems = [problem for chunk in chunks for problem in chunk.problems]
-    return chunks, breaks, [(p.code, p.byte_offset, p.sample, p.count) for p in problems]
+    return chunks, breaks(chunks), problems(chunks)
 
 
 def without(*lost: int) -> np.ndarray:
@@ -105,15 +101,20 @@ def test_a_restart_of_the_logging_is_a_break(tmp_path: Path) -> None:
     assert times_of(chunks)[799] == pytest.approx(START_US + 7_990_000, abs=62)
 
 
-def test_a_resume_flag_alone_is_not_a_break(tmp_path: Path) -> None:
-    flagged = [replace(page, events=1) for page in pages()]
-    assert read(written(tmp_path / "a.cwa", flagged))[1:] == ([], [])
-
-
-def test_a_new_session_is_a_break(tmp_path: Path) -> None:
-    two = [replace(page, session=778 if page.sequence >= 6 else 777) for page in pages()]
-    _, breaks, problems = read(written(tmp_path / "a.cwa", two))
-    assert (breaks, problems) == ([480], [("session_change", 1024 + 6 * 512, 480, 1)])
+@pytest.mark.parametrize(
+    ("name", "values", "first", "code"),
+    [
+        pytest.param("events", [1] * 10, 0, None, id="a resume flag alone"),
+        pytest.param("events", [0, 0, 0, 0, 0x20, 0, 0, 0, 0, 0], 4, "device_overflow", id="overflow"),
+        pytest.param("session", [777] * 6 + [778] * 4, 6, "session_change", id="a new session"),
+    ],
+)
+def test_what_sectors_say_of_themselves_may_be_a_break(
+    tmp_path: Path, name: str, values: list[int], first: int, code: str | None
+) -> None:
+    said = [replace(page, **{name: value}) for page, value in zip(pages(), values, strict=True)]
+    expected = ([80 * first], [(code, 1024 + first * 512, 80 * first, 1)]) if code else ([], [])
+    assert read(written(tmp_path / "a.cwa", said))[1:] == expected
 
 
 @pytest.mark.parametrize(
@@ -153,12 +154,6 @@ def test_a_hole_between_stamps_of_neighbouring_samples_is_told(tmp_path: Path) -
     late[6] = replace(late[6], anchor=0, time_us=late[6].time_us - late[6].anchor * SAMPLE_US)
     _, breaks, problems = read(written(tmp_path / "a.cwa", late))
     assert (breaks, problems) == ([480], [("clock_gap", 1024 + 6 * 512, 480, 1)])
-
-
-def test_overflow_of_the_device_is_a_break(tmp_path: Path) -> None:
-    lossy = [replace(page, events=0x20 * (page.sequence == 4)) for page in pages()]
-    _, breaks, problems = read(written(tmp_path / "a.cwa", lossy))
-    assert (breaks, problems) == ([320], [("device_overflow", 1024 + 4 * 512, 320, 1)])
 
 
 def test_sectors_of_another_rate_or_range_are_left_out(tmp_path: Path) -> None:
@@ -284,40 +279,6 @@ def test_truncation_at_every_byte_gives_fewer_rows_or_a_plain_error(tmp_path: Pa
         assert (joined(chunks, "counts") == VALUES[: 80 * sectors_left]).all()
         tail = [("truncated", 1024 + 512 * sectors_left, 80 * sectors_left, rest)] if rest else []
         assert (breaks, problems) == ([], tail)
-
-
-def test_a_broken_gzip_gives_the_same_rows_for_every_chunk_size(tmp_path: Path) -> None:
-    whole = gzip.compress(make(tmp_path, random_counts(8000), 100.0, 256.0).path.read_bytes())
-    path = tmp_path / "cut.cwa.gz"
-    path.write_bytes(whole[: len(whole) // 2])
-    results = [everything(opened(path), size) for size in (1, 3000, 10**6)]
-    assert results[0] == results[1] == results[2]
-    assert 3200 < len(results[0][0]) < 4800
-    assert results[0][4][-1].code == "truncated"
-
-
-@pytest.mark.nightly
-def test_mutations_give_rows_or_a_plain_error_and_do_not_depend_on_chunks(tmp_path: Path) -> None:
-    kinds = [pages(), sectors(random_counts(400, 6), axes=0x62, scale=0x23), sectors(VALUES, axes=0x32)]
-    path, random = tmp_path / "mutant.cwa", np.random.default_rng(8)
-    read_at_all = 0
-    for number in range(60):
-        data = bytearray(written(path, kinds[number % 3]).read_bytes())
-        for at in random.integers(0, len(data), random.integers(1, 20)):
-            data[at] = random.integers(256)
-        mended = bytes(data[:1024]) + b"".join(
-            with_checksum(bytes(data[at : at + 512])) for at in range(1024, len(data), 512)
-        )
-        path.write_bytes(mended if number % 2 else bytes(data))
-        try:
-            results = [everything(opened(path), size) for size in (1, 1000)]
-        except UnreadableError as error:
-            assert "holds no intact data sector" in str(error)
-            continue
-        read_at_all += 1
-        assert results[0] == results[1]
-        assert results[0][5]
-    assert read_at_all > 56
 
 
 def test_many_problems_are_few_records(tmp_path: Path) -> None:

@@ -37,7 +37,6 @@ def interrupted(rate_hz: float) -> Clock:
 
 
 def made(path: Path, rate_hz: int, clock: Clock, number: int = 600, **how: int) -> np.ndarray:
-    """Write sectors with the whole second in which their first sample was taken; return the times [us]."""
     times = BEGIN_US + np.rint(clock(np.arange(number * ROWS)) * 1e6).astype(np.int64)
     data = np.zeros((ROWS, 3), "<i2").tobytes()
     pages = [
@@ -49,7 +48,6 @@ def made(path: Path, rate_hz: int, clock: Clock, number: int = 600, **how: int) 
 
 
 def read(path: Path, chunk_samples: int = 5000) -> tuple[np.ndarray, list[int], list[str], list[Chunk]]:
-    """Times [us], breaks, and codes of problems."""
     with FORMAT.open(path, ReadOptions()) as reader:
         chunks = list(reader.chunks(chunk_samples))
     breaks = [chunk.first_sample + row for chunk in chunks for row in chunk.breaks.tolist()]

@@ -12,11 +12,11 @@ import pytest
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, probe_file
-from accelcal_cli.core.recording import Chunk
 from accelcal_cli.formats import find_format
 from accelcal_cli.formats.edf import FORMAT
 from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_edf import START_US, Signal, header, onsets, records, written, xyz
+from tests.formats.reading import Read, joined
 
 RNG = np.random.default_rng(8)
 SAMPLES, RECORDS = 20, 12
@@ -25,29 +25,15 @@ AXES = xyz(COUNTS, SAMPLES)
 NUMBERS = [f"+{number}" for number in range(RECORDS)]
 
 
-class Read:
-    """All of a recording, with the chunks joined."""
-
-    def __init__(self, path: Path, chunk_samples: int = 70, **options: Any) -> None:
-        with FORMAT.open(path, ReadOptions(**options)) as reader:
-            self.about = reader.recording
-            chunks: list[Chunk] = list(reader.chunks(chunk_samples))
-        self.counts = np.concatenate([chunk.counts for chunk in chunks])
-        self.times = np.concatenate([chunk.time_us for chunk in chunks])
-        self.breaks = [chunk.first_sample + int(row) for chunk in chunks for row in chunk.breaks]
-        self.problems = [problem for chunk in chunks for problem in chunk.problems]
-        self.codes = [problem.code for problem in self.problems]
-        self.chunks = chunks
-
-    @property
-    def g(self) -> np.ndarray:
-        return self.counts / self.about.lsb_per_g
+def read_file(path: Path, chunk_samples: int = 70, **options: Any) -> Read:
+    with FORMAT.open(path, ReadOptions(**options)) as reader:
+        return joined(reader.recording, reader.chunks(chunk_samples))
 
 
 def read(folder: Path, data: bytes, chunk_samples: int = 70, name: str = "a.edf", **options: Any) -> Read:
     path = folder / name
     path.write_bytes(data)
-    return Read(path, chunk_samples, **options)
+    return read_file(path, chunk_samples, **options)
 
 
 @pytest.mark.parametrize("reserved", ["", "EDF+C"])
@@ -57,7 +43,7 @@ def test_counts_times_and_device_are_those_of_the_file(tmp_path: Path, reserved:
     assert found.counts.dtype == np.int16
     assert np.array_equal(found.counts, COUNTS)
     assert np.array_equal(found.times, START_US + np.arange(len(COUNTS)) * 50_000)
-    about = found.about
+    about = found.recording
     assert (about.rate_hz, about.lsb_per_g, about.range_g) == (20.0, 256.0, 8.0)
     assert (about.start_us, about.samples, about.duration_s) == (START_US, len(COUNTS), 12.0)
     assert about.device.model == "Wrist Logger"
@@ -73,7 +59,7 @@ def test_bdf_has_24_bits(tmp_path: Path) -> None:
     ]
     found = read(tmp_path, written(signals, bdf=True), name="a.bdf")
     assert np.array_equal(found.counts, counts)
-    assert found.about.lsb_per_g == 1 << 20
+    assert found.recording.lsb_per_g == 1 << 20
 
 
 @pytest.mark.parametrize(
@@ -95,7 +81,7 @@ def test_signals_are_found_by_label_and_unit(tmp_path: Path, names: str, unit: s
     found = read(tmp_path, written(signals[::-1]))
     assert np.array_equal(found.counts, COUNTS)
     per_g = {"g": 1.0, "mg": 1000.0, "milli-g": 1000.0}.get(unit, 9.80665)
-    assert found.about.lsb_per_g == pytest.approx(256 * per_g, rel=1e-15)
+    assert found.recording.lsb_per_g == pytest.approx(256 * per_g, rel=1e-15)
 
 
 def test_half_counts_are_made_whole(tmp_path: Path) -> None:
@@ -103,10 +89,10 @@ def test_half_counts_are_made_whole(tmp_path: Path) -> None:
     signals = [replace(one, limits=("-16", "16", -32768, 32767)) for one in AXES]
     found = read(tmp_path, written(signals))
     assert np.array_equal(found.counts, 2 * COUNTS.astype(int) + 1)
-    assert found.about.lsb_per_g == 65535 / 16
+    assert found.recording.lsb_per_g == 65535 / 16
     truth = -16 + (COUNTS + 32768.0) * 32 / 65535
     assert np.abs(found.g - truth).max() < 1e-12
-    assert found.about.range_g == 16.0
+    assert found.recording.range_g == 16.0
 
 
 def test_axes_of_different_scales_share_a_step(tmp_path: Path) -> None:
@@ -114,7 +100,7 @@ def test_axes_of_different_scales_share_a_step(tmp_path: Path) -> None:
     signals = [replace(one, limits=limit) for one, limit in zip(AXES, limits, strict=True)]
     found = read(tmp_path, written(signals))
     assert np.array_equal(found.counts, COUNTS.astype(int) * [2, 1, 3])
-    assert found.about.lsb_per_g == 512.0
+    assert found.recording.lsb_per_g == 512.0
 
 
 def test_scales_without_a_common_step_are_rounded_to_the_grid_of_decimals(tmp_path: Path) -> None:
@@ -126,7 +112,7 @@ def test_scales_without_a_common_step_are_rounded_to_the_grid_of_decimals(tmp_pa
     first, last = (np.array([limit[place] for limit in limits]) for place in (2, 3))
     truth = low + (COUNTS - first) * (high - low) / (last - first)
     assert np.abs(found.g - truth).max() <= 0.5 / 2**24 + 1e-12
-    assert any("0.06 micro-g" in note for note in found.about.notes)
+    assert any("0.06 micro-g" in note for note in found.recording.notes)
     signals[0].values[1, 3] = -32768
     again = read(tmp_path, written(signals))
     assert np.array_equal(again.counts, np.delete(found.counts, SAMPLES + 3, axis=0)), "128 g have no count"
@@ -144,9 +130,9 @@ def test_gyroscope_and_temperature_come_along(tmp_path: Path) -> None:
     )
     found = read(tmp_path, written([*gyro, *AXES, warm]))
     assert np.array_equal(found.counts, COUNTS)
-    assert np.array_equal(np.concatenate([c.gyro_counts for c in found.chunks if len(c)]), turning)
-    assert found.about.gyro_dps_per_lsb == (0.125,) * 3
-    heat = np.concatenate([c.temperature_mc for c in found.chunks if len(c)])
+    assert np.array_equal(found.gyro, turning)
+    assert found.recording.gyro_dps_per_lsb == (0.125,) * 3
+    heat = found.temperature
     assert np.array_equal(heat, np.repeat((np.arange(2 * RECORDS) + 300) * 100, SAMPLES // 2))
 
 
@@ -158,8 +144,8 @@ def test_sensor_columns_unit_and_scale_of_the_user(tmp_path: Path) -> None:
         read(tmp_path, data)
     assert np.array_equal(read(tmp_path, data, sensor="Ankle").counts, -COUNTS)
     assert np.array_equal(read(tmp_path, data, columns=("5", "wrist acc Y", "3")).counts[:, 0], -COUNTS[:, 2])
-    assert read(tmp_path, data, sensor="wrist", unit="counts", lsb_per_g=100.0).about.lsb_per_g == 100.0
-    assert read(tmp_path, data, sensor="wrist", unit="mg").about.lsb_per_g == 256_000.0
+    assert read(tmp_path, data, sensor="wrist", unit="counts", lsb_per_g=100.0).recording.lsb_per_g == 100.0
+    assert read(tmp_path, data, sensor="wrist", unit="mg").recording.lsb_per_g == 256_000.0
     with pytest.raises(UsageError, match="no sensor is called 'hip'"):
         read(tmp_path, data, sensor="hip")
     with pytest.raises(UsageError, match=r"no signal of this file; its signals are 0 \(wrist acc X\)"):
@@ -224,7 +210,7 @@ def test_a_record_of_edf_plus_d_without_a_time_is_left_out_and_told(tmp_path: Pa
 
 def test_the_first_annotation_has_the_fraction_of_the_start(tmp_path: Path) -> None:
     found = read(tmp_path, written([*AXES, onsets(["+0.2500006", *NUMBERS[1:]])], reserved="EDF+C"))
-    assert found.times[0] == found.about.start_us == START_US + 250_001
+    assert found.times[0] == found.recording.start_us == START_US + 250_001
 
 
 @pytest.mark.parametrize(
@@ -242,7 +228,7 @@ def test_the_first_annotation_has_the_fraction_of_the_start(tmp_path: Path) -> N
 def test_dates(tmp_path: Path, start: tuple[str, str], recording: str, us: int | None) -> None:
     found = read(tmp_path, written(AXES, start=start, recording=recording))
     assert FORMAT.sniff(probe_file(tmp_path / "a.edf", ReadOptions())) == 100
-    assert found.about.start_us == us
+    assert found.recording.start_us == us
     assert found.codes == ([] if us is not None else ["no_start_time"])
 
 
@@ -305,7 +291,7 @@ def test_edfio_and_pyedflib_agree_both_ways(tmp_path: Path) -> None:
     path = tmp_path / "ours.edf"
     path.write_bytes(written([*AXES, onsets(NUMBERS)], reserved="EDF+C"))
     theirs = edfio.read_edf(path)
-    found = Read(path)
+    found = read_file(path)
     assert np.array_equal(np.stack([one.digital for one in theirs.signals], axis=1), found.counts)
     assert np.abs(np.stack([one.data for one in theirs.signals], axis=1) - found.g).max() < 1e-12
     g = RNG.normal(0, 1, (1000, 3))
@@ -316,10 +302,10 @@ def test_edfio_and_pyedflib_agree_both_ways(tmp_path: Path) -> None:
         for axis, column in zip("XYZ", g.T * 9.80665, strict=True)
     ]
     edfio.Edf(signals, annotations=[edfio.EdfAnnotation(1.5, None, "lights off")]).write(path)
-    found, again = Read(path), edfio.read_edf(path)
+    found, again = read_file(path), edfio.read_edf(path)
     metres = np.stack([one.data for one in again.signals], axis=1)
     assert np.abs(found.g * 9.80665 - metres).max() < 1e-6
-    assert found.about.rate_hz == 50.0
+    assert found.recording.rate_hz == 50.0
 
 
 def test_pyedflib_agrees(tmp_path: Path) -> None:
@@ -329,7 +315,7 @@ def test_pyedflib_agrees(tmp_path: Path) -> None:
     with pyedflib.EdfReader(str(path)) as theirs:
         digital = np.stack([theirs.readSignal(axis, digital=True) for axis in range(3)], axis=1)
         physical = np.stack([theirs.readSignal(axis) for axis in range(3)], axis=1)
-    found = Read(path)
+    found = read_file(path)
     assert np.array_equal(digital, found.counts)
     assert np.abs(physical - found.g).max() < 1e-12
 

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-HEX_LINE = re.compile(rb"[0-9A-Fa-f]{12,}")
-
 
 def signed(text: str) -> int:
     """Twelve bits of two's complement."""
@@ -19,7 +17,6 @@ def signed(text: str) -> int:
 
 
 def samples(line: str) -> list[tuple[int, int, int]]:
-    """Raw x, y, z of all whole samples of a line of digits."""
     places = range(0, len(line) // 12 * 12, 12)
     return [
         (signed(line[k : k + 3]), signed(line[k + 3 : k + 6]), signed(line[k + 6 : k + 9])) for k in places
@@ -33,13 +30,6 @@ def raw_values(path: Path) -> np.ndarray:
         lines = page.splitlines()
         rows += samples(lines[9]) if len(lines) > 9 else []
     return np.array(rows, np.int64)
-
-
-def held_anywhere(data: bytes) -> set[tuple[int, int, int]]:
-    """Every sample that a line of digits of a file, damaged or not, can be taken to hold."""
-    lines = (line.removesuffix(b"\r") for line in data.split(b"\n"))
-    whole = (line.decode() for line in lines if HEX_LINE.fullmatch(line))
-    return {row for line in whole for row in samples(line)}
 
 
 def factory(path: Path) -> tuple[np.ndarray, np.ndarray]:

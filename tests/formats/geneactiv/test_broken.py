@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,16 +15,14 @@ from accelcal_cli.core.errors import AccelcalError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Problem
 from accelcal_cli.formats import open_recording
-from tests.formats.geneactiv.oracle import held_anywhere
 from tests.formats.geneactiv.test_geneactiv import joined, times_of
 from tests.formats.make_geneactiv import header, pages, written
+from tests.formats.reading import breaks
 
 PAGES = 6
 COUNTS = np.random.default_rng(8).integers(-2000, 2000, (300 * PAGES, 3))
 HEAD = header(pages=PAGES)
 OPTIONS = ReadOptions(format="geneactiv")
-RAW_VALUES = ReadOptions(format="geneactiv", lsb_per_g=256.0)
-SIZES = (1, 2, 12, 300, 3600, 3780, 5000, 12_000)
 
 
 @dataclass(frozen=True)
@@ -41,9 +39,9 @@ class Outcome:
         return np.frombuffer(self.data, np.int32).reshape(-1, 3)
 
 
-def outcome(path: Path, chunk_samples: int, options: ReadOptions = OPTIONS) -> Outcome:
+def outcome(path: Path, chunk_samples: int) -> Outcome:
     try:
-        with open_recording(path, options) as reader:
+        with open_recording(path, OPTIONS) as reader:
             chunks = list(reader.chunks(chunk_samples))
             lasted = reader.recording.duration_s
             list(reader.preview(500, 3))
@@ -51,8 +49,7 @@ def outcome(path: Path, chunk_samples: int, options: ReadOptions = OPTIONS) -> O
         assert str(path) in str(error)
         return Outcome(refused=str(error))
     assert lasted is None or lasted > 0
-    breaks = [chunk.first_sample + row for chunk in chunks for row in chunk.breaks.tolist()]
-    rest = (times_of(chunks).tobytes(), joined(chunks, "temperature_mc").tobytes(), breaks)
+    rest = (times_of(chunks).tobytes(), joined(chunks, "temperature_mc").tobytes(), breaks(chunks))
     problems = tuple(problem for chunk in chunks for problem in chunk.problems)
     return Outcome(joined(chunks, "counts").astype(np.int32).tobytes(), rest, problems)
 
@@ -88,56 +85,6 @@ def test_a_file_cut_at_every_byte_of_its_first_pages(whole: bytes, tmp_path: Pat
     anywhere = random.Random(2)
     ends = [*range(1, 9200), *(anywhere.randrange(9200, len(whole)) for _ in range(500))]
     check_cuts(tmp_path / "cut.bin", whole, ends)
-
-
-def mutants(whole: bytes, number: int, seed: int) -> Iterator[bytes]:
-    """Bits and bytes changed, stretches removed, repeated, zeroed, swapped or shuffled."""
-    pick = random.Random(seed)
-    for _ in range(number):
-        data = bytearray(whole)
-        for _ in range(pick.choice((1, 1, 2, 6))):
-            kind, size = pick.randrange(7), pick.choice(SIZES)
-            at, other = (pick.randrange(max(1, len(data) - size)) for _ in range(2))
-            if kind == 0:
-                data[at] ^= 1 << pick.randrange(8)
-            elif kind == 1:
-                data[at] = pick.choice(b"\0\n\r:09AFfg \xff")
-            elif kind == 2:
-                del data[at : at + size]
-            elif kind == 3:
-                data[at:at] = data[other : other + size]
-            elif kind == 4:
-                data[at : at + size] = bytes(size)
-            elif kind == 5:
-                data[at : at + size], data[other : other + size] = (
-                    data[other : other + size],
-                    data[at : at + size],
-                )
-            else:
-                data[at : at + size] = pick.randbytes(size)
-        yield bytes(data)
-
-
-def check_mutants(folder: Path, whole: bytes, number: int, seed: int) -> None:
-    path = folder / "mutant.bin"
-    for data in mutants(whole, number, seed):
-        path.write_bytes(data)
-        seen = outcome(path, 900)
-        assert outcome(path, 1) == outcome(path, 10**6) == seen
-        assert seen.refused or seen.problems or len(seen.rows) >= len(COUNTS)
-        raw = outcome(path, 900, RAW_VALUES)
-        assert {tuple(row) for row in raw.rows.tolist()} <= held_anywhere(data)
-        assert seen.refused or len(seen.rows) == len(raw.rows)
-
-
-@pytest.mark.nightly
-def test_changes_anywhere_give_rows_of_the_file_or_a_plain_error(whole: bytes, tmp_path: Path) -> None:
-    check_mutants(tmp_path, whole, 20, 1)
-
-
-@pytest.mark.nightly
-def test_thousands_of_changes(whole: bytes, tmp_path: Path) -> None:
-    check_mutants(tmp_path, whole, 3000, 2)
 
 
 def test_one_changed_byte_costs_one_page_at_most(whole: bytes, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Chunk
 from tests.formats.geneactiv.test_geneactiv import everything, joined, opened, random_counts, times_of
 from tests.formats.make_geneactiv import START_US, Page, digits, header, pages
+from tests.formats.reading import breaks, problems
 
 VALUES = random_counts(3000)
 PAGE_US = 6_000_000
@@ -25,11 +26,8 @@ def ten() -> list[Page]:
 
 
 def read(path: Path, chunk_samples: int = 900, **options: object) -> tuple[list[Chunk], list[int], Found]:
-    """Chunks, breaks, and problems as (code, byte offset, sample, count)."""
     chunks = list(opened(path, **options).chunks(chunk_samples))
-    breaks = [chunk.first_sample + row for chunk in chunks for row in chunk.breaks.tolist()]
-    problems = [problem for chunk in chunks for problem in chunk.problems]
-    return chunks, breaks, [(p.code, p.byte_offset, p.sample, p.count) for p in problems]
+    return chunks, breaks(chunks), problems(chunks)
 
 
 def texts() -> list[bytes]:
@@ -206,19 +204,6 @@ def test_an_end_within_a_page_keeps_its_whole_samples(tmp_path: Path) -> None:
         assert (joined(chunks, "counts") == VALUES[: 2700 + whole]).all()
         assert not breaks
         assert problems == [("truncated", begin(data, 9), 2700 + whole, 300 - whole)]
-
-
-@pytest.mark.parametrize("chunk_samples", [300, 10**6])
-def test_a_truncated_gzip_file_gives_what_came_before(tmp_path: Path, chunk_samples: int) -> None:
-    packed = tmp_path / "a.bin.gz"
-    data = gzip.compress(HEAD + b"".join(texts()), 1)
-    packed.write_bytes(data[: len(data) * 2 // 3])
-    chunks, breaks, problems = read(packed, chunk_samples)
-    rows = sum(map(len, chunks))
-    assert 1200 < rows < 2700
-    assert (joined(chunks, "counts") == VALUES[:rows]).all()
-    assert not breaks
-    assert {code for code, *_ in problems} == {"truncated"}
 
 
 def test_a_gzip_file_damaged_within_is_refused(tmp_path: Path) -> None:

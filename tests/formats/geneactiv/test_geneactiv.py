@@ -10,10 +10,13 @@ import pytest
 
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import Probe, ReadOptions, probe_file
-from accelcal_cli.core.recording import Chunk, Device, Reader
+from accelcal_cli.core.recording import Device, Reader
 from accelcal_cli.formats.geneactiv import FORMAT
 from tests.formats.geneactiv.oracle import factory, raw_values
 from tests.formats.make_geneactiv import START_US, header, make, pages, written
+from tests.formats.reading import breaks
+from tests.formats.reading import column as joined
+from tests.formats.reading import times as times_of
 
 RNG = np.random.default_rng(3)
 REAL = {
@@ -31,20 +34,11 @@ def opened(path: Path, **options: object) -> Reader:
     return FORMAT.open(path, ReadOptions(**options))
 
 
-def joined(chunks: list[Chunk], name: str) -> np.ndarray:
-    return np.concatenate([getattr(chunk, name) for chunk in chunks])
-
-
-def times_of(chunks: list[Chunk]) -> np.ndarray:
-    return np.concatenate([chunk.clock.times(0, len(chunk)) for chunk in chunks])
-
-
 def everything(reader: Reader, chunk_samples: int) -> tuple:
     chunks = list(reader.chunks(chunk_samples))
-    breaks = [chunk.first_sample + row for chunk in chunks for row in chunk.breaks.tolist()]
     problems = [problem for chunk in chunks for problem in chunk.problems]
-    names = ("counts", "temperature_mc")
-    return (*(joined(chunks, name).tolist() for name in names), times_of(chunks).tolist(), breaks, problems)
+    columns = [joined(chunks, name).tolist() for name in ("counts", "temperature_mc")]
+    return (*columns, times_of(chunks).tolist(), breaks(chunks), problems)
 
 
 @pytest.mark.parametrize("ending", [b"\n", b"\r\n"])

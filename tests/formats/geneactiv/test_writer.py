@@ -43,7 +43,6 @@ def signed(digits: str) -> int:
 
 
 def samples(data: str) -> list[list[int]]:
-    """Twelve digits each: three of x, y and z; the rest, light and button, is not measured."""
     assert len(data) == 3_600
     assert re.fullmatch("([0-9A-F]{9}000){300}", data)
     return [[signed(data[at + 3 * axis :][:3]) for axis in range(3)] for at in range(0, 3_600, 12)]

@@ -159,7 +159,7 @@ def test_the_pieces_in_which_it_is_read_change_nothing(
     expected = whole(path)
     for size in range(piece, piece + 150):
         monkeypatch.setattr("accelcal_cli.formats.gt3x.records.PIECE_BYTES", size)
-        assert whole(path).same(expected)
+        assert whole(path).same_as(expected)
 
 
 def test_repeated_and_exchanged_blocks_step_back_in_time(tmp_path: Path) -> None:
@@ -197,8 +197,8 @@ def test_nothing_depends_on_the_size_of_chunks_or_where_pieces_end(tmp_path: Pat
     data[786_432 - 70_000 : 786_432 + 70_000] = b"\x1e" * 140_000
     path = written(tmp_path / "a.gt3x", [bytes(data)], info(RATE))
     found = whole(path, 1 << 17)
-    assert found.same(whole(path, 1))
-    assert found.same(whole(path, 10**9))
+    assert found.same_as(whole(path, 1))
+    assert found.same_as(whole(path, 10**9))
     second = (found.times - START_US) // 1_000_000
     assert (found.counts.reshape(-1, RATE, 3) == values.reshape(-1, RATE, 3)[second[::RATE]]).all()
     assert len(found.measured) > 0.8 * len(values)

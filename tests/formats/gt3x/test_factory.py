@@ -229,7 +229,7 @@ def test_the_size_of_chunks_changes_nothing(tmp_path: Path, chunk_samples: int) 
     for k, one in enumerate(seconds(random_counts(500), 50)):
         log += [one, temperature(START_S + k, 1600 + k)] if k % 3 == 0 else [one]
     path = written(tmp_path / "a.agdc", log, calibration=factory(5), temperature_calibration=LINE)
-    assert whole(path, chunk_samples).same(whole(path, 250))
+    assert whole(path, chunk_samples).same_as(whole(path, 250))
 
 
 def test_without_a_scale_anywhere_the_calibration_has_it(tmp_path: Path) -> None:

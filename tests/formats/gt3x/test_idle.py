@@ -142,7 +142,7 @@ def test_long_sleep_comes_in_parts_of_bounded_size(tmp_path: Path) -> None:
     assert filled_seconds(found) == list(range(4, night))
     assert max(map(len, found.chunks)) <= 1 << 20
     assert (np.diff(found.times) == 20_000).all()
-    assert found.same(read(tmp_path, log, 20_011))
+    assert found.same_as(read(tmp_path, log, 20_011))
 
 
 def poses(rate: int, held_s: int) -> np.ndarray:

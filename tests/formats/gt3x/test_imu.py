@@ -83,7 +83,7 @@ def test_seconds_of_the_imus_own_clock_hold_more_or_fewer_samples(tmp_path: Path
     assert (found.breaks, found.found) == ([], [])
     spread = [START_US + round(1e6 * (k + i / n)) for k, n in enumerate(lengths) for i in range(n)]
     assert np.abs(found.times - spread).max() <= 1
-    assert found.same(whole(path, 10**6, sensor="imu"))
+    assert found.same_as(whole(path, 10**6, sensor="imu"))
 
 
 def test_half_a_second_is_reported(tmp_path: Path) -> None:

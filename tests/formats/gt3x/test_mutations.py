@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,12 +24,9 @@ from tests.formats.make_gt3x import (
     encoded,
     event,
     info,
-    old_info,
-    packed,
     parameters,
     record,
     written,
-    zipped,
 )
 
 RATE = 30
@@ -99,12 +95,11 @@ def recording(random: np.random.Generator, kind: int) -> tuple[bytes, dict[int, 
 
 
 def read(path: Path) -> Whole | None:
-    """All of it, or None where it is refused; in chunks of two sizes, and not for too long."""
     begin = time.process_time()
     try:
         with opened(path) as reader:
-            found = gathered(list(reader.chunks(100)))
-            assert found.same(gathered(list(reader.chunks(10**9))))
+            found = gathered(reader, 100)
+            assert found.same_as(gathered(reader, 10**9))
     except AccelcalError as error:
         assert path.name in str(error)
         return None
@@ -155,34 +150,3 @@ def test_many_damaged_logs(tmp_path: Path, mutation: Mutation) -> None:
     """A checksum of one byte misses one damaged record in 256; what is cut off is exact."""
     foreign = sum(mutate(tmp_path / "a.gt3x", seed, mutation) for seed in range(100, 500))
     assert foreign <= (0 if mutation in (truncate, flip) else 8)
-
-
-def mutate_zip(path: Path, seed: int) -> None:
-    """A damaged zip file; of its own small structures as often as of the data."""
-    random = np.random.default_rng(seed)
-    log, rows = recording(random, ACTIVITY2)
-    old = seed % 3 == 0
-    newer: dict[str, bytes | str] = {"log.bin": log, "info.txt": info(RATE)}
-    older: dict[str, bytes | str] = {"info.txt": old_info(RATE), "activity.bin": packed(rows[START_S])}
-    data = bytearray(zipped(older if old else newer, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)[seed % 2]))
-    ending = data[-200:]
-    mutation = MUTATIONS[seed // 2 % len(MUTATIONS)]
-    mutation(ending if seed % 5 < 2 else data, random)
-    path.write_bytes(data[:-200] + ending if seed % 5 < 2 else data)
-    if not data:
-        return
-    found = read(path)
-    if found is not None and not old:
-        assert foreign_seconds(found, rows) <= 1
-
-
-@pytest.mark.nightly
-def test_damaged_zip_files(tmp_path: Path) -> None:
-    for seed in range(60):
-        mutate_zip(tmp_path / "a.gt3x", seed)
-
-
-@pytest.mark.nightly
-def test_many_damaged_zip_files(tmp_path: Path) -> None:
-    for seed in range(100, 2100):
-        mutate_zip(tmp_path / "a.gt3x", seed)

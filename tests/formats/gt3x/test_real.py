@@ -128,7 +128,7 @@ def test_headers(real_data: Path) -> None:
 @pytest.mark.parametrize("name", FACTS)
 def test_the_chunk_size_changes_nothing(real_data: Path, name: str) -> None:
     found = read(real_data, name)
-    assert found.same(whole(real_data / "vendor" / f"{name}.gt3x", 4999))
+    assert found.same_as(whole(real_data / "vendor" / f"{name}.gt3x", 4999))
 
 
 @pytest.fixture(scope="module")

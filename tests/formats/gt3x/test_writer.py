@@ -37,7 +37,6 @@ def records(path: Path) -> list[Record]:
 
 
 def samples(record: Record) -> list[list[int]]:
-    """x, y, z of a record, by its kind."""
     kind, _, payload = record
     if kind == 26:
         return [list(row) for row in struct.iter_unpack("<hhh", payload)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from accelcal_cli.core.recording import Chunk, Recording, Validity
 from accelcal_cli.formats import find_format, open_recording
 from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_parmay import START_S, header, packet, packets, sealed
+from tests.formats.reading import breaks, check_same, rows, times, told
 
 COUNTS = np.random.RandomState(3).randint(-9000, 9000, (1500, 3))
 PACKETS = packets(COUNTS)
@@ -34,24 +34,6 @@ def path(tmp_path: Path) -> Path:
 def read(path: Path, options: ReadOptions = OPTIONS, size: int = 300) -> tuple[Recording, list[Chunk]]:
     with open_recording(path, options) as reader:
         return reader.recording, list(reader.chunks(size))
-
-
-def rows(chunks: list[Chunk]) -> np.ndarray:
-    return np.concatenate([np.empty((0, 3), np.int16), *(chunk.counts for chunk in chunks)])
-
-
-def times(chunks: list[Chunk]) -> np.ndarray:
-    return np.concatenate([chunk.time_us for chunk in chunks])
-
-
-def told(chunks: list[Chunk]) -> list[tuple[str, int | None, int, int, int]]:
-    return [
-        (p.code, p.byte_offset, p.sample, p.count, p.lost_bytes) for chunk in chunks for p in chunk.problems
-    ]
-
-
-def breaks(chunks: list[Chunk]) -> list[int]:
-    return [chunk.first_sample + int(row) for chunk in chunks for row in chunk.breaks]
 
 
 def test_the_header_gives_ranges_and_the_packets_the_rest(path: Path) -> None:
@@ -200,10 +182,7 @@ def test_the_pieces_do_not_depend_on_the_length_of_what_is_read(path: Path) -> N
     made[6] = made[6][:100] + b"?" + made[6][101:]
     written(path, [*made, b"MDTCPA"])
     found = [read(path, size=size)[1] for size in (1, 700, 5000, 10**6)]
-    for other in found[1:]:
-        assert (rows(other) == rows(found[0])).all()
-        assert (times(other) == times(found[0])).all()
-        assert (told(other), breaks(other)) == (told(found[0]), breaks(found[0]))
+    check_same(*found)
     assert len({len(chunks) for chunks in found}) > 1
 
 
@@ -253,16 +232,6 @@ def test_a_packet_that_claims_too_much_is_left_out(path: Path) -> None:
     _, chunks = read(written(path, [PACKETS[0], absurd, *PACKETS[1:]]))
     assert (rows(chunks) == COUNTS).all()
     assert told(chunks) == [("checksum", 524 + SIZE, 300, 1, 36)]
-
-
-def test_a_gzip_file_cut_short(path: Path) -> None:
-    packed = gzip.compress(written(path, PACKETS).read_bytes(), mtime=0)
-    path.write_bytes(packed)
-    assert (rows(read(path)[1]) == COUNTS).all()
-    path.write_bytes(packed[: len(packed) // 2])
-    _, chunks = read(path)
-    assert 0 < len(rows(chunks)) < 1500
-    assert {code for code, *_ in told(chunks)} == {"truncated"}
 
 
 def test_a_preview_enters_a_long_file_anywhere(path: Path) -> None:

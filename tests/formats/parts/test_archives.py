@@ -43,7 +43,6 @@ def gt3x(folder_: Path, name: str = "SUB01.gt3x", counts: np.ndarray = COUNTS) -
 
 
 def packed(files: dict[str, Path], path: Path, method: int = zipfile.ZIP_STORED) -> Path:
-    """A zip or tar of files, by the names that they have in it."""
     if path.suffix == ".zip":
         with zipfile.ZipFile(path, "w", method) as made:
             for name, file in files.items():

@@ -29,7 +29,6 @@ COUNT_US = 1_000_000 // RATE_HZ
 
 
 def made(counts: np.ndarray, start_us: int) -> bytes:
-    """A file of these samples; the rest of what it holds is empty."""
     body = session(
         sensor(counts, (0, 0, 0, 0), 1 / LSB_PER_G, RATE_HZ, start_us), sensor(NONE, (0, 0, 0, 0), 1.0)
     )
@@ -47,7 +46,6 @@ def day() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The whole as one file, and its parts as Empatica hands them out: by day, and by person and device."""
     base, counts = tmp_path_factory.mktemp("embraceplus"), day()
     (base / "whole.avro").write_bytes(made(counts, START_US))
     number = SECONDS * RATE_HZ

@@ -50,13 +50,11 @@ PART_S = 225
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Half an hour as one table."""
     return write_csv(tmp_path_factory.mktemp("whole") / "whole.csv", still_counts(directions(60)))
 
 
 @pytest.fixture(scope="module")
 def made(whole: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same in eight parts, named as those of NHANES, and a log."""
     folder = tmp_path_factory.mktemp("made") / "S01"
     folder.mkdir()
     lines = whole.read_text().splitlines(keepends=True)[1:]

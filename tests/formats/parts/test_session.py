@@ -37,7 +37,6 @@ def write(
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Files of odd lengths; the second was made before the first."""
     (tmp_path / "s").mkdir()
     write(tmp_path / "s/a.csv", rows(233, 1))
     write(tmp_path / "s/b.csv", rows(101, 2), "2024-03-01T10:00:00")

@@ -14,6 +14,8 @@ from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.formats import belongs_to, find_format, open_recording
 from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_unisens import START_US, description, folder, signal
+from tests.formats.reading import column as joined
+from tests.formats.reading import told
 
 COUNTS = np.random.RandomState(3).randint(-9000, 9000, (960, 3))
 ACC = signal("acc.bin", "acc")
@@ -24,16 +26,6 @@ OPTIONS = ReadOptions()
 def read(path: Path, options: ReadOptions = OPTIONS, size: int = 250) -> tuple[Recording, list[Chunk]]:
     with open_recording(path, options) as reader:
         return reader.recording, list(reader.chunks(size))
-
-
-def joined(chunks: list[Chunk], name: str = "counts") -> np.ndarray:
-    return np.concatenate([getattr(chunk, name) for chunk in chunks])
-
-
-def told(chunks: list[Chunk]) -> list[tuple[str, int | None, int, int, int]]:
-    return [
-        (p.code, p.byte_offset, p.sample, p.count, p.lost_bytes) for chunk in chunks for p in chunk.problems
-    ]
 
 
 def test_the_description_and_the_file_are_the_same_recording(tmp_path: Path) -> None:

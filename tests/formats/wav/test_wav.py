@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import wave
 from pathlib import Path
 
@@ -15,6 +14,8 @@ from accelcal_cli.core.recording import Chunk, Recording, Validity
 from accelcal_cli.formats import find_format, open_recording
 from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_wav import AXES, START_US, chunk, comment, form, header, samples
+from tests.formats.reading import breaks, told
+from tests.formats.reading import column as joined
 
 COUNTS = np.random.RandomState(3).randint(-9000, 9000, (1000, 3))
 DATA = samples(COUNTS)
@@ -35,20 +36,6 @@ def written(path: Path, data: bytes = DATA, head: bytes | None = None) -> Path:
 def read(path: Path, options: ReadOptions = OPTIONS, size: int = 300) -> tuple[Recording, list[Chunk]]:
     with open_recording(path, options) as reader:
         return reader.recording, list(reader.chunks(size))
-
-
-def joined(chunks: list[Chunk], name: str) -> np.ndarray:
-    return np.concatenate([getattr(chunk, name) for chunk in chunks])
-
-
-def told(chunks: list[Chunk]) -> list[tuple[str, int | None, int, int, int]]:
-    return [
-        (p.code, p.byte_offset, p.sample, p.count, p.lost_bytes) for chunk in chunks for p in chunk.problems
-    ]
-
-
-def breaks(chunks: list[Chunk]) -> list[int]:
-    return [chunk.first_sample + int(row) for chunk in chunks for row in chunk.breaks]
 
 
 def test_the_header_tells_device_time_scale_and_rate(path: Path) -> None:
@@ -196,16 +183,6 @@ def test_damaged_chunks_before_samples_at_their_usual_place(path: Path) -> None:
     head[1016:1020] = b"atad"
     with pytest.raises(UnreadableError, match="chunks"):
         read(written(path, head=bytes(head)))
-
-
-def test_a_gzip_file_cut_short(path: Path) -> None:
-    packed = gzip.compress(written(path).read_bytes(), mtime=0)
-    path.write_bytes(packed)
-    assert (joined(read(path)[1], "counts") == COUNTS).all()
-    path.write_bytes(packed[: len(packed) // 2])
-    _, chunks = read(path)
-    assert 0 < len(joined(chunks, "counts")) < 1000
-    assert {code for code, *_ in told(chunks)} == {"truncated"}
 
 
 def test_a_preview_enters_the_file_anywhere(path: Path) -> None:
