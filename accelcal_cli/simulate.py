@@ -29,12 +29,8 @@ SPIN_DPS = 45.0
 """Speed [deg/s] at which the moving wrist turns about the vertical, which gravity does not show."""
 
 SLEEP_POSTURES = (
-    (0.0, 0.1, -1.0),
-    (-0.9, 0.2, -0.4),
-    (0.3, -0.9, 0.3),
-    (0.1, 0.4, 0.9),
-    (0.8, 0.5, -0.2),
-    (-0.3, 0.9, -0.1),
+    *((0.0, 0.1, -1.0), (-0.9, 0.2, -0.4), (0.3, -0.9, 0.3)),
+    *((0.1, 0.4, 0.9), (0.8, 0.5, -0.2), (-0.3, 0.9, -0.1)),
 )
 DESK_POSTURES = ((0.1, -0.2, 0.97), (0.5, 0.1, 0.85), (-0.4, 0.5, 0.75), (-0.85, -0.2, 0.4))
 TABLE = (0.02, -0.03, 1.0)
@@ -82,15 +78,8 @@ class SimulatedSensor:
 
     def as_json(self) -> dict[str, Any]:
         """Return the truth file's `sensor` object."""
-        return {
-            "gain": self.gain.tolist(),
-            "offset_g": self.offset_g.tolist(),
-            "slope_g_per_c": self.slope_g_per_c.tolist(),
-            "reference_c": self.reference_c,
-            "noise_g": self.noise_g,
-            "lsb_per_g": self.lsb_per_g,
-            "range_g": self.range_g,
-        }
+        names = ["gain", "offset_g", "slope_g_per_c", "reference_c", "noise_g", "lsb_per_g", "range_g"]
+        return {name: np.asarray(getattr(self, name)).tolist() for name in names}
 
 
 def draw_gain_and_offset(seed: int, size: float, misalignment: float) -> tuple[Floats, Floats]:
@@ -134,15 +123,8 @@ class GyroSensor:
 
     def as_json(self) -> dict[str, Any]:
         """Return the truth file's `gyroscope` object."""
-        return {
-            "equation": EQUATION,
-            "scale": self.scale.tolist(),
-            "bias_dps": self.bias_dps.tolist(),
-            "slope_dps_per_c": self.slope_dps_per_c.tolist(),
-            "reference_c": self.reference_c,
-            "noise_dps": self.noise_dps,
-            "lsb_per_dps": self.lsb_per_dps,
-        }
+        names = ["scale", "bias_dps", "slope_dps_per_c", "reference_c", "noise_dps", "lsb_per_dps"]
+        return {"equation": EQUATION} | {name: np.asarray(getattr(self, name)).tolist() for name in names}
 
 
 def draw_gyroscope(seed: int, size: float, slope_dps_per_c: Floats) -> GyroSensor:
@@ -318,13 +300,9 @@ class Truth:
 
     def as_json(self) -> dict[str, Any]:
         """Return the truth file's `still` object."""
-        means = [sum(v) / len(v) if v else None for v in (self.before, self.after)]
-        return {
-            "stretches": self.stretches,
-            "seconds": STILL_SECONDS,
-            "before_mg": means[0],
-            "with_true_parameters_mg": means[1],
-        }
+        before, after = (sum(one) / len(one) if one else None for one in (self.before, self.after))
+        means = {"before_mg": before, "with_true_parameters_mg": after}
+        return {"stretches": self.stretches, "seconds": STILL_SECONDS} | means
 
 
 def describe(plan: SimulationPlan, path: Path, format_name: str) -> Recording:
@@ -349,12 +327,15 @@ def stream(plan: SimulationPlan, truth: Truth) -> Iterator[Chunk]:
     noise = RandomState(plan.seed + 1_000_003)
     rate = rate_fraction(plan.rate_hz)
     turning = None if plan.gyroscope is None else Turning(plan.gyroscope, plan.rate_hz, plan.seed)
-    done = 0
+    done, length = 0, round(STILL_SECONDS * plan.rate_hz)
     for bout in Wearer(plan.rate_hz, plan.seed, smooth=turning is not None).bouts():
         number = min(len(bout.still), plan.samples - done)
         temperature = temperature_c(done, number, plan.rate_hz, worn=bout.worn)
         counts = plan.sensor.counts(bout.acceleration[:number], temperature, noise)
-        _note_stillness(bout, counts, temperature, plan, truth)
+        still = np.flatnonzero(bout.still[:number])
+        for start in range(int(still[0]), number - length + 1, length) if len(still) else ():
+            part = slice(start, start + length)
+            truth.see(counts[part], temperature[part], plan.sensor)
         yield Chunk(
             done,
             counts,
@@ -408,14 +389,3 @@ def temperature_c(first: int, number: int, rate_hz: float, *, worn: bool) -> Flo
     seconds = (first + np.arange(number)) / rate_hz
     swing = 3.5 * np.sin(2 * np.pi * (seconds / 86_400 - 0.2)) + 1.2 * np.sin(2 * np.pi * seconds / 5400)
     return np.asarray(29.0 + swing - (0.0 if worn else 5.0))
-
-
-def _note_stillness(
-    bout: Bout, counts: NDArray[np.int16], temperature: Floats, plan: SimulationPlan, truth: Truth
-) -> None:
-    length = round(STILL_SECONDS * plan.rate_hz)
-    at = np.flatnonzero(bout.still[: len(counts)])
-    if not len(at):
-        return
-    for start in range(int(at[0]), len(counts) - length + 1, length):
-        truth.see(counts[start : start + length], temperature[start : start + length], plan.sensor)

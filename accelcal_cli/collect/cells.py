@@ -40,13 +40,7 @@ from accelcal_cli.collect.grid import (
 )
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Correction
-from accelcal_cli.core.points import (
-    Fates,
-    PointSet,
-    Role,
-    Saturated,
-    Windows,
-)
+from accelcal_cli.core.points import Fates, PointSet, Role, Saturated, Windows
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.statistics import weighted_percentile
 
@@ -306,7 +300,12 @@ class CellCollector:
             if real or not key[CONSTANT]:
                 add_sums(cells, key[:CONSTANT], value)
         far = _far_off(cells) if self.temperature else set()
-        saturated = _near_saturation(cells, self.saturated(), self.lsb_per_g)
+        saturated = [
+            key
+            for axis, limit_g in self.saturated()
+            for key, value in cells.items()
+            if (limit_g - value[2 + axis] / (value[1] * self.lsb_per_g)) * (1 if limit_g > 0 else -1) < NEAR_G
+        ]
         return cells, dict.fromkeys(far, Role.TEMPERATURE) | dict.fromkeys(saturated, Role.SATURATED)
 
     def _keys(self, windows: Windows, constant: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -355,16 +354,6 @@ def _far_off(cells: dict[Key, Value]) -> set[Key]:
     usual = weighted_percentile(sorted((away[key], value[0]) for key, value in cells.items()), 50)
     limit = max(FAR_MC, FAR_DEVIATIONS * usual)
     return {key for key, distance in away.items() if distance > limit}
-
-
-def _near_saturation(cells: dict[Key, Value], saturated: Saturated, lsb_per_g: float) -> set[Key]:
-    """Return cells within NEAR_G of where an axis saturates."""
-    return {
-        key
-        for axis, limit_g in saturated
-        for key, value in cells.items()
-        if (limit_g - value[2 + axis] / (value[1] * lsb_per_g)) * (1 if limit_g > 0 else -1) < NEAR_G
-    }
 
 
 class Saturation:

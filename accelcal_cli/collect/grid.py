@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, rounded_quotient
+from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, rounded_quotient, three
 from accelcal_cli.core.calibration import TemperatureScale
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet, Windows
 
@@ -215,8 +215,7 @@ def _added(parts: Sequence[CellSums]) -> CellSums:
 
 
 def _total(vectors: Sequence[Vector]) -> Vector:
-    x, y, z = (sum(axis) for axis in zip(*vectors, strict=True))
-    return x, y, z
+    return three(map(sum, zip(*vectors, strict=True)))
 
 
 def _moved_out(points: PointSet, parts: Sequence[Sequence[CellSums]], scale: Fraction) -> PointSet:
@@ -248,7 +247,8 @@ def to_points(
     windows = np.array([item.windows for item in sums], np.int64)
     shares = np.array(weights, np.int64)
     places = _rows([_mean(item.xyz, item.samples, one, lsb) for item in sums])
-    points = PointSet(places, shares, windows, previous=_previous(sums, one, lsb))
+    known = [_mean(item.previous, item.samples, one, lsb) for item in sums if item.previous is not None]
+    points = PointSet(places, shares, windows, previous=_rows(known) if len(known) == len(sums) else None)
     if not temperature or not sums:
         return points
     means = [rounded_quotient(item.temperature_mc, item.samples) for item in sums]
@@ -262,12 +262,6 @@ def to_points(
     ]
     temperatures = TemperatureScale(reference, float(span))
     return replace(points, tau=np.array(tau, np.int64), temperature=temperatures)
-
-
-def _previous(sums: Sequence[CellSums], one: int, lsb: int) -> NDArray[np.int64] | None:
-    """Return means of the postures before, in fixed-point g; None if one is unknown."""
-    known = [(item.previous, item.samples) for item in sums if item.previous is not None]
-    return None if len(known) < len(sums) else _rows([_mean(total, n, one, lsb) for total, n in known])
 
 
 def _rows(vectors: Sequence[Sequence[int]]) -> NDArray[np.int64]:

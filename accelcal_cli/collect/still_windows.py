@@ -89,7 +89,13 @@ class Repetitions:
             if number > next_one:
                 self._run = 0
             next_one, index = number + 1, int(changing[number])
-            self._take(first + number, int(before[number]))
+            place, after = first + number, self._like + 1
+            goes_on = self._run and self._keys[after] == self._keys[place]
+            apart = self._samples[place] - self._samples[place - 1]
+            if goes_on and self._samples[after] - self._samples[after - 1] == apart:
+                self._like, self._run = after, self._run + 1
+            else:
+                self._like, self._run = int(before[number]), 1
             if self._run <= 1:
                 begun = index
             if self._run >= LEAST_WINDOWS:
@@ -99,19 +105,6 @@ class Repetitions:
             self._run = 0
         self.windows += int((~kept).sum())
         return kept, begun if self._run else len(windows)
-
-    def _take(self, place: int, before: int) -> None:
-        """Continue the present repetition with the window at a place, or begin one.
-
-        Args:
-            before: place of the last window like it.
-        """
-        after, keys, samples = self._like + 1, self._keys, self._samples
-        goes_on = self._run and keys[after] == keys[place]
-        if goes_on and samples[after] - samples[after - 1] == samples[place] - samples[place - 1]:
-            self._like, self._run = after, self._run + 1
-        else:
-            self._like, self._run = before, 1
 
 
 class _LastPlaces:
@@ -139,17 +132,13 @@ class _LastPlaces:
             before[order[found]] = where[at[found]]
         again = np.flatnonzero(ordered[1:] == ordered[:-1]) + 1
         before[order[again]] = places[again - 1]
-        self._add(ordered, places)
-        return before
-
-    def _add(self, keys: NDArray[np.uint64], places: NDArray[np.int64]) -> None:
-        """Add a sorted part that is later than all others."""
-        while self._parts and len(self._parts[-1][0]) <= 2 * len(keys):
+        while self._parts and len(self._parts[-1][0]) <= 2 * len(ordered):
             earlier, where = self._parts.pop()
-            at = np.searchsorted(earlier, keys, side="right")
-            keys, places = np.insert(earlier, at, keys), np.insert(where, at, places)
-        if len(keys):
-            self._parts.append((keys, places))
+            at = np.searchsorted(earlier, ordered, side="right")
+            ordered, places = np.insert(earlier, at, ordered), np.insert(where, at, places)
+        if len(ordered):
+            self._parts.append((ordered, places))
+        return before
 
 
 def _keys(windows: Windows) -> NDArray[np.uint64]:

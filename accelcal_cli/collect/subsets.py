@@ -156,10 +156,8 @@ class PaperCollector:
 
     def fates(self, windows: Windows) -> Fates:
         """Return what became of windows that were added, without the numbers of their points."""
-        role = np.array(
-            [self._role_of_sample.get(first, Role.NOT_TAKEN) for first in windows.first_sample.tolist()],
-            np.int64,
-        )
+        roles = [self._role_of_sample.get(first, Role.NOT_TAKEN) for first in windows.first_sample.tolist()]
+        role = np.array(roles, np.int64)
         role[~plausible(windows, self.lsb_per_g, self.settings)] = Role.IMPLAUSIBLE
         return Fates(role, np.full(len(windows), -1))
 
@@ -177,16 +175,12 @@ class PaperCollector:
         The point that it is near is moved to the front: a rest lasts for many windows, so that one comparison
         settles most of them.
         """
-        for place, point in enumerate(self._taken):
-            if self._near(mean, point):
+        numerator, denominator = self._distance
+        samples, (x, y, z) = mean
+        for place, (others, (u, v, w)) in enumerate(self._taken):
+            squares = (x * others - u * samples) ** 2 + (y * others - v * samples) ** 2
+            squares += (z * others - w * samples) ** 2
+            if squares * denominator**2 < (numerator * samples * others) ** 2:  # exact integers
                 self._taken.insert(0, self._taken.pop(place))
                 return False
         return True
-
-    def _near(self, one: Mean, other: Mean) -> bool:
-        """Return True if two means are less than the distance apart, in exact integers."""
-        (samples, (x, y, z)), (others, (u, v, w)) = one, other
-        squares = (x * others - u * samples) ** 2 + (y * others - v * samples) ** 2
-        squares += (z * others - w * samples) ** 2
-        numerator, denominator = self._distance
-        return squares * denominator**2 < (numerator * samples * others) ** 2

@@ -188,16 +188,16 @@ def _frame(path: Path) -> pd.DataFrame:
         options: dict[str, Any] = {"dtype": str, "keep_default_na": False, "skip_blank_lines": False}
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # a line that would be cut off
-            mark = _delimiter(path)
-            options |= {"sep": r"\s+"} if mark == " " else {"sep": mark}
+            header = probe_file(path, ReadOptions()).head.split(b"\n", 1)[0].strip()
+            mark = next((one for one in ";\t|, " if one.encode() in header), ",")
+            options["sep"] = r"\s+" if mark == " " else mark
             frame = pd.read_csv(path, index_col=False, encoding="utf-8-sig", **options)
         if mark != ",":
             frame = frame.map(_with_point)
         return frame.set_index(frame.index + 2)
     except pd.errors.ParserWarning as error:
-        raise UnreadableError(
-            "a line has more fields than the header line", path=path, hint="give each column a name"
-        ) from error
+        text = "a line has more fields than the header line"
+        raise UnreadableError(text, path=path, hint="give each column a name") from error
     except OSError as error:
         raise unread(error, path) from error
     except (EOFError, zlib.error) as error:
@@ -205,9 +205,8 @@ def _frame(path: Path) -> pd.DataFrame:
     except UnicodeDecodeError as error:
         raise UnreadableError("is not a CSV or Parquet table", path=path, hint=_HINT) from error
     except (ValueError, pd.errors.ParserError) as error:
-        raise UnreadableError(
-            f"is not a table of points ({str(error).strip()})", path=path, hint=_HINT
-        ) from error
+        text = f"is not a table of points ({str(error).strip()})"
+        raise UnreadableError(text, path=path, hint=_HINT) from error
 
 
 def _parquet(path: Path) -> pd.DataFrame:
@@ -216,9 +215,8 @@ def _parquet(path: Path) -> pd.DataFrame:
 
     names = pq.read_schema(path).names
     if {"time", "validity"} <= set(names):
-        raise UnreadableError(
-            "holds a recording, not its still windows", path=path, hint="write these with calibrate --windows"
-        )
+        hint = "write these with calibrate --windows"
+        raise UnreadableError("holds a recording, not its still windows", path=path, hint=hint)
     wanted = {alias for aliases in ALIASES.values() for alias in aliases}
     columns = [name for name in names if name.strip().lower() in wanted]
     with pq.ParquetFile(path, pre_buffer=False) as file:
@@ -227,12 +225,6 @@ def _parquet(path: Path) -> pd.DataFrame:
     texts = [name for name in frame if name.strip().lower() in ALIASES["posture"]]
     frame[texts] = frame[texts].astype(object).where(frame[texts].notna(), "").astype(str)
     return frame.set_index(frame.index + 1)
-
-
-def _delimiter(path: Path) -> str:
-    """Return the first of semicolon, tab, bar, comma and blank that occurs in the header line."""
-    head = probe_file(path, ReadOptions()).head.split(b"\n", 1)[0].strip()
-    return next((mark for mark in ";\t|, " if mark.encode() in head), ",")
 
 
 def _with_point(cell: Any) -> Any:
@@ -265,12 +257,8 @@ def _numbers(path: Path, frame: pd.DataFrame, name: str, largest: float) -> NDAr
     if bad.any():
         row = int(bad.argmax())
         shown = str(frame[name].iloc[row])[:40]
-        raise UnreadableError(
-            f"{name} is {shown!r}, not a number within +-{largest:g}",
-            path=path,
-            line=int(frame.index[row]),
-            hint=_CORRECT,
-        )
+        text = f"{name} is {shown!r}, not a number within +-{largest:g}"
+        raise UnreadableError(text, path=path, line=int(frame.index[row]), hint=_CORRECT)
     return np.asarray(values)
 
 
@@ -350,29 +338,20 @@ def _kept_apart(
     """Return a point for each cell of a posture, and the postures; cells widen if there are too many."""
     keys = _keys(table, lsb_per_g, settings.cells_per_g, temperature=temperature)
     weigh = shared_weights if table.weight is None else _table_weights
-    cells = _cells(table, _shares(table), keys)
+    shares = np.ones(len(table), np.int64)
+    if table.weight is not None:  # as integers, the largest WEIGHT_ONE
+        relative = np.rint(table.weight / table.weight.max(initial=0) * WEIGHT_ONE)
+        shares = np.maximum(1, relative.astype(np.int64))
+    cells = _cells(table, shares, keys)
     if (width := width_for(cells)).space > HARMLESS_SPACE:
-        raise UnreadableError(
-            f"holds {len(cells)} combinations of orientation, direction and temperature, "
-            f"and a fit takes at most {MAX_POINTS} points",
-            path=path,
-            hint="leave out the column `posture`, or average rows that are alike",
-        )
+        text = f"holds {len(cells)} combinations of orientation, direction and temperature"
+        hint = "leave out the column `posture`, or average rows that are alike"
+        raise UnreadableError(f"{text}, and a fit takes at most {MAX_POINTS} points", path=path, hint=hint)
     found, points = points_of(cells, width, weigh, lsb_per_g, temperature=temperature)
     if table.posture is None:
         return points, None
     _, label = np.unique([key[0] for key in found], return_inverse=True)
     return points, label.astype(np.int64)
-
-
-def _shares(table: PointTable) -> NDArray[np.int64]:
-    """Return the table's weights as integers, the largest WEIGHT_ONE; ones if it has none."""
-    if table.weight is None:
-        return np.ones(len(table), np.int64)
-    if not len(table):
-        return np.zeros(0, np.int64)
-    relative = np.rint(table.weight / table.weight.max() * WEIGHT_ONE).astype(np.int64)
-    return np.asarray(np.maximum(1, relative))
 
 
 def _keys(table: PointTable, lsb_per_g: float, cells_per_g: int, *, temperature: bool) -> NDArray[np.int64]:

@@ -134,13 +134,7 @@ class TurnCollector:
     """
 
     def __init__(
-        self,
-        length: int,
-        rate_hz: float,
-        dps_per_lsb: Triple,
-        lsb_per_g: float,
-        *,
-        revolutions: bool = False,
+        self, length: int, rate_hz: float, dps_per_lsb: Triple, lsb_per_g: float, *, revolutions: bool = False
     ) -> None:
         self._length, self._revolutions = length, revolutions
         self._dps_per_lsb, self._lsb_per_g = dps_per_lsb, lsb_per_g
@@ -170,7 +164,11 @@ class TurnCollector:
                 else:
                     self._now.go_on(rows[low:high], counts)
             else:
-                self._add_movement(counts)
+                self._end_rest()
+                if self._before is not None:
+                    self._path.append(counts[: self._longest + 1].copy())
+                    if sum(map(len, self._path)) > self._longest:
+                        self._before, self._path = None, []
 
     def result(self) -> Turns:
         """Return the turns, and the rates at rest."""
@@ -183,14 +181,6 @@ class TurnCollector:
         """End rest and turn, since the next window does not continue them."""
         self._end_rest()
         self._before, self._now, self._path = None, None, []
-
-    def _add_movement(self, counts: Counts) -> None:
-        self._end_rest()
-        if self._before is None:
-            return
-        self._path.append(counts[: self._longest + 1].copy())
-        if sum(map(len, self._path)) > self._longest:
-            self._before, self._path = None, []
 
     def _end_rest(self) -> None:
         """End the present rest: a turn ends with it, or it was too short and is part of the movement."""
@@ -211,21 +201,14 @@ class TurnCollector:
         turn = Turn(_rest(before.tail, self._length), _rest(after.head, self._length), counts, period_us)
         limits = np.iinfo(np.int16)  # devices use them up to their range
         saturated = counts.dtype == np.int16 and (counts.min() == limits.min or counts.max() == limits.max)
-        kept = _turned(turn) or (self._revolutions and self._revolved(turn))
-        if period_us > 0 and kept and not saturated and self._is_unambiguous(turn):
+        turned = _turned(turn)
+        if period_us <= 0 or saturated or not (turned or self._revolutions):
+            return
+        degrees = np.abs(self._dps_per_lsb) * (period_us / 1e6)  # in one count
+        revolved = (np.abs(counts.sum(axis=0, dtype=np.int64)) * degrees).max() > REVOLUTION_DEG
+        largest = np.abs(counts.astype(np.int64)).max(axis=0) * degrees
+        if (turned or revolved) and (largest < MOST_DEG).all():
             self._kept.add(turn)
-
-    def _revolved(self, turn: Turn) -> bool:
-        """Return True if the raw rates add up to most of a revolution."""
-        sums = turn.counts.sum(axis=0, dtype=np.int64)
-        scale = np.abs(self._dps_per_lsb) * (turn.period_us / 1e6)
-        return bool((np.abs(sums) * scale).max() > REVOLUTION_DEG)
-
-    def _is_unambiguous(self, turn: Turn) -> bool:
-        """Return True if no axis turns by more than half a turn from one sample to the next."""
-        largest = np.abs(turn.counts.astype(np.int64)).max(axis=0)
-        angles = largest * np.abs(self._dps_per_lsb) * (turn.period_us / 1e6)
-        return bool((angles < MOST_DEG).all())
 
 
 def _turned(turn: Turn) -> bool:
@@ -261,15 +244,12 @@ class _KeptTurns:
         self._sizes[self._kinds[self._number]] += len(turn)
         self._number += 1
         while sum(self._sizes.values()) > self._rows:
-            self._leave_out()
-
-    def _leave_out(self) -> None:
-        fullest = max(self._sizes, key=lambda kind: (self._sizes[kind], kind))
-        numbers = (number for number, kind in self._kinds.items() if kind == fullest)
-        longest = max(numbers, key=lambda number: (len(self._turns[number]), number))
-        self._sizes[fullest] -= len(self._turns.pop(longest))
-        del self._kinds[longest]
-        self._left_out += 1
+            fullest = max(self._sizes, key=lambda kind: (self._sizes[kind], kind))
+            numbers = [number for number, kind in self._kinds.items() if kind == fullest]
+            longest = max(numbers, key=lambda number: (len(self._turns[number]), number))
+            self._sizes[fullest] -= len(self._turns.pop(longest))
+            del self._kinds[longest]
+            self._left_out += 1
 
     def result(self) -> tuple[tuple[Turn, ...], int]:
         """Return the turns, and how many were dropped."""

@@ -8,9 +8,10 @@ is fast enough.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from math import sqrt
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,13 @@ Fixed = NDArray[np.int64]
 """Values that fit 32 bits, kept in 64 so that their products are exact."""
 
 Matrix = Sequence[Sequence[float]]
+T = TypeVar("T")
+
+
+def three(values: Iterable[T]) -> tuple[T, T, T]:
+    """Return the values of the three axes."""
+    x, y, z = values
+    return x, y, z
 
 
 def checked(values: Fixed, what: str, limit: int = LIMIT) -> Fixed:

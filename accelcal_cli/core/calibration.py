@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import ONE, rounded_quotient, to_float
+from accelcal_cli.core.arithmetic import ONE, rounded_quotient, three, to_float
 from accelcal_cli.core.gravity import STANDARD, Gravity
 
 PARAMETER_NAMES = ("k_xx", "k_yy", "k_zz", "k_yx", "k_zx", "k_zy", "ox", "oy", "oz", "sx", "sy", "sz")
@@ -104,13 +104,11 @@ class Correction:
 
 
 def _interpolated(left: Knot, right: Knot, into: int, apart: int) -> Knot:
-    x, y, z = (a + rounded_quotient((b - a) * into, apart) for a, b in zip(left, right, strict=True))
-    return x, y, z
+    return three(a + rounded_quotient((b - a) * into, apart) for a, b in zip(left, right, strict=True))
 
 
 def _times(knot: Knot, factor: Fraction) -> Knot:
-    x, y, z = (rounded_quotient(value * factor.numerator, factor.denominator) for value in knot)
-    return x, y, z
+    return three(rounded_quotient(value * factor.numerator, factor.denominator) for value in knot)
 
 
 @dataclass(frozen=True, slots=True)

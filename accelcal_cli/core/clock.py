@@ -292,29 +292,21 @@ class Stretches:
         if len(breaks):
             times = np.append(self._last_times, clock.times(0, rows))
             earlier, before, after = (times[breaks + ahead] for ahead in (0, LOOK_BACK - 1, LOOK_BACK))
-            self._add_jumps(self.samples + breaks, earlier, before, after)
+            steps = after - before
+            far, ahead = np.abs(steps) > RESET_US, steps > self._period_us
+            left = np.append(self._left_us, np.where(far, after, before))
+            last = np.maximum.accumulate(np.append(0, np.where(ahead, np.arange(1, len(steps) + 1), 0)))
+            self._left_us = int(left[last[-1]])
+            anew = far | ((steps < 0) & (after <= earlier) & (after <= left[last[:-1]]))
+            self._excess_us += sum((steps[anew] - self._period_us).tolist())
+            large = np.flatnonzero(far | (anew & (steps <= -_DAY_S * MICROSECONDS)))
+            for row in large[: self.MOST - len(self.resets)].tolist():
+                sample = int(self.samples + breaks[row])
+                self.resets.append(ClockReset(sample, int(before[row]), int(after[row])))
         last = clock.times(max(0, rows - LOOK_BACK), rows)
         self._last_times = np.append(self._last_times, last)[-LOOK_BACK:]
         self.samples += rows
         return before, after
-
-    def _add_jumps(
-        self,
-        samples: NDArray[np.int64],
-        earlier: NDArray[np.int64],
-        before: NDArray[np.int64],
-        after: NDArray[np.int64],
-    ) -> None:
-        steps = after - before
-        far, ahead = np.abs(steps) > RESET_US, steps > self._period_us
-        left = np.append(self._left_us, np.where(far, after, before))
-        last = np.maximum.accumulate(np.append(0, np.where(ahead, np.arange(1, len(steps) + 1), 0)))
-        self._left_us = int(left[last[-1]])
-        anew = far | ((steps < 0) & (after <= earlier) & (after <= left[last[:-1]]))
-        self._excess_us += sum((steps[anew] - self._period_us).tolist())
-        large = np.flatnonzero(far | (anew & (steps <= -_DAY_S * MICROSECONDS)))
-        for row in large[: self.MOST - len(self.resets)].tolist():
-            self.resets.append(ClockReset(int(samples[row]), int(before[row]), int(after[row])))
 
 
 def rate_fraction(rate_hz: float) -> Fraction:
@@ -419,7 +411,11 @@ class PageClock:
             return times.reshape(-1)[skipped : skipped + stop - start]
         on_each = np.diff(np.append(self.first_row[pages], stop))
         on_each[0] -= skipped
-        return self._uneven(pages, on_each, skipped)
+        span = np.repeat(self.span_rows[pages], on_each)
+        uneven = np.arange(len(span), dtype=np.int64) - np.repeat(np.cumsum(on_each) - on_each, on_each)
+        uneven[: on_each[0]] += skipped
+        uneven *= np.repeat(self.span_us[pages], on_each)
+        return np.asarray(np.repeat(self.time_us[pages], on_each) + (2 * uneven + span) // (2 * span))
 
     def steps(self, start: int, stop: int) -> TimeSteps:
         """See `Clock`."""
@@ -492,15 +488,6 @@ class PageClock:
             least + shorter,
             wanted - np.uint8(shorter) if shorter else wanted,
         )
-
-    def _uneven(self, pages: slice, rows: NDArray[np.int64], skipped: int) -> NDArray[np.int64]:
-        """Return the times of the first `rows[j]` rows of each page j, after `skipped` rows in all."""
-        span = np.repeat(self.span_rows[pages], rows)
-        first = np.repeat(np.cumsum(rows) - rows, rows)
-        into = np.arange(len(first), dtype=np.int64) - first
-        into[: rows[0]] += skipped
-        into *= np.repeat(self.span_us[pages], rows)
-        return np.repeat(self.time_us[pages], rows) + (2 * into + span) // (2 * span)
 
 
 @dataclass(frozen=True, slots=True)

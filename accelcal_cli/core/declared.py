@@ -71,17 +71,15 @@ class Field:
 @cache
 def fields_of(kind: Any) -> tuple[Field, ...]:
     """Return the declared keys of a record, in their order."""
-    hints = get_type_hints(kind, include_extras=True)
-    return tuple(_field(one.name, hints[one.name]) for one in fields(kind))
-
-
-def _field(name: str, hint: Any) -> Field:
-    key = Key(name.replace("_", " ").capitalize())
-    if get_origin(hint) is Annotated:
-        hint, key = get_args(hint)[0], next(one for one in get_args(hint)[1:] if isinstance(one, Key))
-    kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-    plain = [one for one in kinds if one is not NoneType]
-    return Field(name, plain[0] if len(plain) == 1 else Any, NoneType in kinds, key)
+    hints, found = get_type_hints(kind, include_extras=True), []
+    for name in (one.name for one in fields(kind)):
+        hint, key = hints[name], Key(name.replace("_", " ").capitalize())
+        if get_origin(hint) is Annotated:
+            hint, key = get_args(hint)[0], next(one for one in get_args(hint)[1:] if isinstance(one, Key))
+        kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+        plain = [one for one in kinds if one is not NoneType]
+        found.append(Field(name, plain[0] if len(plain) == 1 else Any, NoneType in kinds, key))
+    return tuple(found)
 
 
 # Writing
@@ -133,15 +131,19 @@ def _readers(kind: Any) -> tuple[tuple[str, Callable[[Any], Any]], ...]:
 def _reader(kind: Any) -> Callable[[Any], Any]:
     """Return what reads a value: a record, a list of records, a word, or the value as it is."""
     inner: Any = next((one for one in get_args(kind) if is_dataclass(one)), None)
-    if isinstance(kind, type) and is_dataclass(kind):
-        return lambda value: None if value is None else from_json(kind, value)
+    if is_dataclass(kind):
+        return lambda value: None if value is None else from_json(cast("Any", kind), value)
     if inner is not None and get_origin(kind) is tuple:
         return lambda values: None if values is None else tuple(from_json(inner, one) for one in values)
     if inner is not None:
         return lambda values: (
             None if values is None else {name: from_json(inner, one) for name, one in values.items()}
         )
-    return kind if isinstance(kind, type) and issubclass(kind, StrEnum) else lambda value: value
+    return kind if _is_words(kind) else lambda value: value
+
+
+def _is_words(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, StrEnum)
 
 
 # Describing
@@ -171,32 +173,29 @@ PLAIN = {str: "string", int: "integer", float: "number", bool: "boolean"}
 
 def _schema(kind: Any, key: Key) -> Schema:
     origin, inner = get_origin(kind), get_args(kind)
+    words = key.words or (inner if origin is Literal else map(str, kind) if _is_words(kind) else ())
     if key.only is not None:
-        found: Schema = {"const": key.only}
-    elif isinstance(kind, type) and is_dataclass(kind):
-        found = schema_of(cast("Any", kind))
-    elif origin is Literal or key.words or (isinstance(kind, type) and issubclass(kind, StrEnum)):
-        found = {"enum": list(key.words or inner or map(str, kind))}
-    elif kind in PLAIN:
-        limits = {"minimum": key.least, "pattern": key.pattern or None}
-        limits |= {"exclusiveMinimum": 0} if key.positive else {}
-        found = {"type": PLAIN[kind], **_known(limits)}
-    elif origin in (tuple, Sequence):
+        return {"const": key.only}
+    if is_dataclass(kind):
+        return schema_of(cast("Any", kind))
+    if known := list(words):
+        return {"enum": known}
+    if kind in PLAIN:
+        above = {"exclusiveMinimum": 0} if key.positive else {}
+        return _known({"type": PLAIN[kind], "minimum": key.least, "pattern": key.pattern, **above})
+    if origin in (tuple, Sequence):
         length = len(inner) if origin is tuple and ... not in inner else None
-        ends = {"minItems": length or key.fewest, "maxItems": length}
-        found = {"type": "array", "items": _schema(inner[0], replace(key, fewest=None)), **_known(ends)}
-    elif origin is Mapping:
-        found = _of_mapping(inner[1], key)
-    else:
-        found = {}
-    return found
+        each = _schema(inner[0], replace(key, fewest=None))
+        return _known({"type": "array", "items": each, "minItems": length or key.fewest, "maxItems": length})
+    return _of_mapping(inner[1], key) if origin is Mapping else {}
 
 
 def _of_mapping(kind: Any, key: Key) -> Schema:
     each = _schema(kind, replace(key, entries=None, meaning=""))
     if key.entries is None:
-        open_to = {"additionalProperties": each or None, "required": [*key.needs] or None}
-        return {"type": "object", **_known(open_to)}
+        return _known(
+            {"type": "object", "additionalProperties": each or None, "required": [*key.needs] or None}
+        )
     return {
         "type": "object",
         "required": [*key.entries][: key.needed],
@@ -206,4 +205,4 @@ def _of_mapping(kind: Any, key: Key) -> Schema:
 
 
 def _known(limits: Mapping[str, Any]) -> Schema:
-    return {name: value for name, value in limits.items() if value is not None}
+    return {name: value for name, value in limits.items() if value not in (None, "")}

@@ -66,89 +66,55 @@ class ReadOptions:
         gyro_columns: like `columns`, for the gyroscope; gyro_unit: deg/s, rad/s, or none: it is not read.
     """
 
-    format: str | None = setting(
-        None,
-        option=Option("--format", "Format, if the content does not show it.", "NAME"),
-    )
+    format: str | None = setting(None, "--format", "Format, if the content does not show it.", "NAME")
     rate_hz: float | None = setting(
-        None, 1e-3, 100_000, Option("--rate", "Sampling rate, if the file has no times.", "HZ", above=0)
+        None, "--rate", "Sampling rate, if the file has no times.", "HZ", within=(1e-3, 100_000), above=0
     )
-    unit: str | None = setting(
-        None, option=Option("--unit", "Unit, if the file does not state it."), choices=UNIT_CHOICES
+    unit: str | None = setting(None, "--unit", "Unit, if the file does not state it.", choices=UNIT_CHOICES)
+    lsb_per_g: float | None = setting(
+        None, "--lsb-per-g", "Counts per g.", "N", within=(1e-9, 10**9), above=0
     )
-    lsb_per_g: float | None = setting(None, 1e-9, 10**9, Option("--lsb-per-g", "Counts per g.", "N", above=0))
     zero: int | None = setting(
-        None,
-        -(2**30),
-        2**30,
-        Option("-R zero", "Count that means 0 g in a table, such as 512 for a 10-bit converter.", "N"),
-    )
+        None, "-R zero", "Count that means 0 g in a table, such as 512 for a 10-bit converter.", "N",
+        within=(-(2**30), 2**30))  # fmt: skip
     columns: tuple[str, str, str] | None = setting(
-        None,
-        option=Option("--columns", "Names of the columns, or numbers from 0."),
+        None, "--columns", "Names of the columns, or numbers from 0."
     )
-    time_column: str | None = setting(None, option=Option("-R time_column", "Column of the times.", "NAME"))
+    time_column: str | None = setting(None, "-R time_column", "Column of the times.", "NAME")
     date_format: str | None = setting(
-        None,
-        option=Option("-R date_format", "Order of day, month and year in dates such as 04/03/2024."),
-        choices=("dmy", "mdy", "ymd"),
-    )
+        None, "-R date_format", "Order of day, month and year in dates such as 04/03/2024.",
+        choices=("dmy", "mdy", "ymd"))  # fmt: skip
     time_format: str | None = setting(
-        None,
-        option=Option(
-            "-R time_format",
-            "Form of a table's times, in strptime codes: '%d/%m/%Y %H:%M:%S.%f'. Numbers: s, ms, us or ns.",
-            "FORM",
-        ),
-    )
+        None, "-R time_format",
+        "Form of a table's times, in strptime codes: '%d/%m/%Y %H:%M:%S.%f'. Numbers: s, ms, us or ns.",
+        "FORM")  # fmt: skip
     timezone: str | None = setting(
-        None,
-        option=Option(
-            "--timezone",
-            "Time zone of its clock, such as Europe/Berlin.",
-            "ZONE",
-        ),
+        None, "--timezone", "Time zone of its clock, such as Europe/Berlin.", "ZONE"
     )
     force_timezone: bool = setting(
-        False, option=Option("-R force_timezone", "Use --timezone even if a file states another zone.")
+        False, "-R force_timezone", "Use --timezone even if a file states another zone."
     )
-    start: str | None = setting(
-        None, option=Option("-R start", "Start time, for files that do not contain one.", "ISO")
-    )
+    start: str | None = setting(None, "-R start", "Start time, for files that do not contain one.", "ISO")
     shift_s: float | None = setting(
-        None,
-        -1e9,
-        1e9,
-        Option("-R shift", "Add SECONDS to all times, to correct a clock that was wrong.", "SECONDS"),
-    )
+        None, "-R shift", "Add SECONDS to all times, to correct a clock that was wrong.", "SECONDS",
+        within=(-1e9, 1e9))  # fmt: skip
     configured_zone: str | None = setting(
-        None,
-        option=Option(
-            "-R configured_zone", "Time zone that the device's clock was set to (with worn_zone).", "ZONE"
-        ),
+        None, "-R configured_zone", "Time zone that the device's clock was set to (with worn_zone).", "ZONE"
     )
     worn_zone: str | None = setting(
-        None,
-        option=Option(
-            "-R worn_zone",
-            "Time zone where the device was worn, if it differs from the zone its clock was set to.",
-            "ZONE",
-        ),
-    )
-    layout: Path | None = setting(None, option=Option("--layout", "Layout of a raw dump.", "FILE.toml"))
-    sensor: str | None = setting(
-        None, option=Option("--sensor", "One of several sensors in the file.", "NAME")
-    )
+        None, "-R worn_zone",
+        "Time zone where the device was worn, if it differs from the zone its clock was set to.",
+        "ZONE")  # fmt: skip
+    layout: Path | None = setting(None, "--layout", "Layout of a raw dump.", "FILE.toml")
+    sensor: str | None = setting(None, "--sensor", "One of several sensors in the file.", "NAME")
     gyro_columns: tuple[str, str, str] | None = setting(
-        None, option=Option("-R gyro_columns", "Columns of the gyroscope's x, y and z.")
+        None, "-R gyro_columns", "Columns of the gyroscope's x, y and z."
     )
     gyro_unit: str | None = setting(
-        None,
-        option=Option("-R gyro_unit", "Unit of the gyroscope; none: do not read it."),
-        choices=("deg/s", "rad/s", "none"),
-    )
+        None, "-R gyro_unit", "Unit of the gyroscope; none: do not read it.",
+        choices=("deg/s", "rad/s", "none"))  # fmt: skip
     lsb_per_dps: float | None = setting(
-        None, 1e-9, 10**9, Option("-R lsb_per_dps", "Counts of the gyroscope per deg/s.", "N", above=0)
+        None, "-R lsb_per_dps", "Counts of the gyroscope per deg/s.", "N", within=(1e-9, 10**9), above=0
     )
 
     @property
@@ -167,16 +133,13 @@ class ReadOptions:
         return Retiming(zone, by_user, self.force_timezone, self.start, shift_us, self.worn_zone)
 
 
-GYRO_OPTIONS = ("gyro_columns", "gyro_unit", "lsb_per_dps")
-"""Options on the gyroscope, which only tables understand."""
-
 TIMES_OF_TABLES = ("time_column", "date_format", "time_format")
 """Options on times, which only tables understand."""
 
 UNUSED = "unused"
 """Key of a report's `settings.input` for options that were given and mean nothing for the recording."""
 
-ONLY_TABLES = (*GYRO_OPTIONS, "zero")
+ONLY_TABLES = ("gyro_columns", "gyro_unit", "lsb_per_dps", "zero")
 """Options that only tables understand, besides those on times."""
 
 NOT_FOR_DEVICES = ("unit", "columns", *TIMES_OF_TABLES, "layout", "sensor", *ONLY_TABLES)
@@ -191,8 +154,7 @@ COLUMNS = ("columns", "gyro_columns")
 
 
 def three_names(value: Any) -> list[str] | None:
-    """Return the three columns of a list, or of a text with commas; a single one thrice; None if there are
-    others."""
+    """Return three columns, of a list or a text with commas; a single one thrice; None for another number."""
     parts = [str(part).strip() for part in (value.split(",") if isinstance(value, str) else value)]
     names = parts * 3 if len(parts) == 1 else parts
     return names if len(names) == 3 and all(names) else None
@@ -411,11 +373,6 @@ class Sampling:
     unit_samples: int = 1
 
 
-def any_sampling(recording: Recording) -> Sampling:
-    """Return the sampling of a format that takes any rate, scale and number of samples."""
-    return Sampling(recording.rate_hz)
-
-
 @dataclass(frozen=True, slots=True)
 class Encoder:
     """A writer of recordings of one format.
@@ -426,8 +383,8 @@ class Encoder:
         write: writes all chunks to a path that the caller chose (temporary; the caller renames).
         companion: a file that must lie next to the recording, such as a layout; None if the
             recording stands alone.
-        sampling: how a requested recording is sampled. Raises UsageError if no device of the
-            format has such a rate, scale or range.
+        sampling: how a requested recording is sampled; by default, any rate, scale and number of samples
+            are taken. Raises UsageError if no device of the format has such a rate, scale or range.
         gyroscope: True if it writes the gyroscope of recordings that have one.
     """
 
@@ -435,5 +392,5 @@ class Encoder:
     suffix: str
     write: Callable[[Path, Recording, Iterable[Chunk]], None]
     companion: Companion | None = None
-    sampling: Callable[[Recording], Sampling] = any_sampling
+    sampling: Callable[[Recording], Sampling] = lambda recording: Sampling(recording.rate_hz)
     gyroscope: bool = False

@@ -66,24 +66,17 @@ def files_of(path: Path) -> tuple[Path, ...] | None:
     try:
         status = look(path)
         if status is not None and stat.S_ISDIR(status.st_mode):
-            found = _below(path)
+            faults: list[OSError] = []
+            found = [place / name for place, _, names in files_below(path, faults) for name in names]
+            if faults:
+                raise faults[0]
         elif is_pattern(path):
-            found = matching(path)
+            found = list(matching(path))
         else:
             return None
         return tuple(sorted(one for one in found if is_file(one) and not is_no_part(one)))
     except OSError as error:
         raise unreadable(error, path) from error
-
-
-def _below(folder: Path) -> Iterable[Path]:
-    """Yield all files in a folder and its subfolders; raises OSError if one cannot be listed."""
-
-    faults: list[OSError] = []
-    for place, _, names in files_below(folder, faults):
-        yield from (place / name for name in names)
-    for fault in faults:
-        raise fault
 
 
 def is_pattern(path: Path) -> bool:

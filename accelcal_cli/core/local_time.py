@@ -14,9 +14,10 @@ all later stages see one offset for a whole recording.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, tzinfo
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,8 +75,13 @@ def in_its_zone(
             that the times themselves had.
     """
     zone = _zone(recording, wanted, force, OMIT.format(option=option))
-    note = () if zone is None or recording.start_us is None else _start_note(zone, recording.start_us)
-    return replace(recording, timezone=zone, notes=(*recording.notes, *note))
+    notes, start_us = recording.notes, recording.start_us
+    if zone is not None and start_us is not None:
+        first, second = (utc_offset_s(zone, start_us, fold=fold) or 0 for fold in (0, 1))
+        if first != second:
+            shown = (datetime(1970, 1, 1) + timedelta(microseconds=start_us)).isoformat(" ", "seconds")
+            notes = (*notes, (TWICE if first > second else NEVER).format(time=shown, zone=zone))
+    return replace(recording, timezone=zone, notes=notes)
 
 
 def _zone(recording: Recording, wanted: str | None, force: bool, omit: str) -> str | None:
@@ -92,15 +98,6 @@ def _zone(recording: Recording, wanted: str | None, force: bool, omit: str) -> s
         what = f"its times have offsets from UTC, which -R force_timezone cannot replace with {wanted}"
         raise UsageError(what, path=recording.path, hint=f"{omit}; or write the times without offsets")
     return wanted
-
-
-def _start_note(zone: str, start_us: int) -> tuple[str, ...]:
-    """Return a note on a start that daylight saving made to occur twice or never; none for any other."""
-    first, second = (utc_offset_s(zone, start_us, fold=fold) or 0 for fold in (0, 1))
-    if first == second:
-        return ()
-    shown = (datetime(1970, 1, 1) + timedelta(microseconds=start_us)).isoformat(" ", "seconds")
-    return ((TWICE if first > second else NEVER).format(time=shown, zone=zone),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +147,10 @@ def zone_changes(zone: str | None, start_us: int, end_us: int) -> Iterator[ZoneC
         while low_s < end_s:
             high_s = min(low_s + _DAY_S, end_s)
             if (after_s := _offset_at(place, high_s)) != before_s:
-                at_s = _first_other(place, low_s, high_s, before_s)
+                at_s = high_s
+                while at_s - low_s > 1:
+                    middle = (low_s + at_s) // 2
+                    low_s, at_s = (middle, at_s) if _offset_at(place, middle) == before_s else (low_s, middle)
                 yield ZoneChange(zone, (at_s + before_s) * MICROSECONDS, before_s, after_s)
                 before_s = after_s
             low_s = high_s
@@ -163,14 +163,6 @@ def _place(zone: str | None) -> tzinfo | None:
     from zoneinfo import ZoneInfo  # few recordings name one
 
     return None if zone is None or "/" not in zone else ZoneInfo(zone)
-
-
-def _first_other(place: tzinfo, low_s: int, high_s: int, offset_s: int) -> int:
-    """Return the first second with another offset, between one that has it and one that does not."""
-    while high_s - low_s > 1:
-        middle = (low_s + high_s) // 2
-        low_s, high_s = (middle, high_s) if _offset_at(place, middle) == offset_s else (low_s, middle)
-    return high_s
 
 
 def _offset_at(place: tzinfo, utc_s: int) -> int:
@@ -206,7 +198,9 @@ class LocalStamps:
         before = np.concatenate(([self._before], times[:-1]))
         self._before = int(times[-1])
         rows, running = [], times + (self._start_s - self._offset_s) * MICROSECONDS
-        for row in _like_a_change(times - before):
+        steps = times - before
+        far = np.flatnonzero((np.abs(steps) > SHIFT_STEP_US // 2) & (np.abs(steps) <= LARGEST_SHIFT_US))
+        for row in far[steps[far] % SHIFT_STEP_US <= PAUSE_US].tolist():
             shift_s = self._shift_s(int(before[row]), int(times[row]))
             if shift_s:
                 self._offset_s += shift_s
@@ -228,13 +222,6 @@ class LocalStamps:
         except (OverflowError, ValueError, OSError):
             return 0
         return then_s - now_s if moved else 0
-
-
-def _like_a_change(steps: NDArray[np.int64]) -> list[int]:
-    """Return the rows whose step [us] may be a change of clocks and a pause."""
-    far = np.flatnonzero((np.abs(steps) > SHIFT_STEP_US // 2) & (np.abs(steps) <= LARGEST_SHIFT_US))
-    rows: list[int] = far[steps[far] % SHIFT_STEP_US <= PAUSE_US].tolist()
-    return rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,7 +281,7 @@ class RetimedReader(Reader):
 
     def __init__(self, reader: Reader, recording: Recording, by_us: int, *, dated: bool) -> None:
         self.recording = recording
-        self._reader, self._by_us, self._dated = reader, by_us, dated
+        self._reader, self._moved = reader, partial(moved, by_us=by_us, dated=dated)
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """See `Reader`."""
@@ -303,7 +290,7 @@ class RetimedReader(Reader):
 
     def intake(self) -> Intake:
         """See `Reader`."""
-        return RetimedIntake(self._reader.intake(), self._by_us, dated=self._dated)
+        return RetimedIntake(self._reader.intake(), self._moved)
 
     def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
         """See `Reader`."""
@@ -312,9 +299,6 @@ class RetimedReader(Reader):
     def close(self) -> None:
         """Release the file."""
         self._reader.close()
-
-    def _moved(self, chunk: Chunk) -> Chunk:
-        return moved(chunk, self._by_us, dated=self._dated)
 
 
 def moved(chunk: Chunk, by_us: int, *, dated: bool) -> Chunk:
@@ -328,13 +312,12 @@ def moved(chunk: Chunk, by_us: int, *, dated: bool) -> Chunk:
 class RetimedIntake(Intake):
     """Intake that moves the times of another one's chunks as `RetimedReader` does."""
 
-    def __init__(self, intake: Intake, by_us: int, *, dated: bool) -> None:
-        self._intake, self._by_us, self._dated = intake, by_us, dated
+    def __init__(self, intake: Intake, moved: Callable[[Chunk], Chunk]) -> None:
+        self._intake, self._moved = intake, moved
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
         """See `Intake`."""
-        for chunk in self._intake.take(data, last=last):
-            yield moved(chunk, self._by_us, dated=self._dated)
+        return map(self._moved, self._intake.take(data, last=last))
 
 
 def retimed(reader: Reader, stated: Retiming) -> Reader:

@@ -348,14 +348,6 @@ class Optimizer:
 
 
 @dataclass(frozen=True, slots=True)
-class Cycles:
-    """Clock cycles of one operation."""
-
-    addition: int
-    multiplication: int
-
-
-@dataclass(frozen=True, slots=True)
 class Microcontroller:
     """A processor of F's Table 1.
 
@@ -364,25 +356,19 @@ class Microcontroller:
         clock_hz: the clock to which the times in section II.C refer.
         current_ma: typical current at that clock, by the same section; the Cortex-M3, which it does not give,
             is taken to draw as much as the M4.
-        cycles: cost by kind of number.
+        cycles: clock cycles of an addition and of a multiplication, by kind of number.
     """
 
     name: str
     clock_hz: int
     current_ma: float
-    cycles: dict[Arithmetic, Cycles]
-
-    def seconds(self, operations: Operations, arithmetic: Arithmetic) -> float:
-        """Return the predicted time of operations [s]."""
-        cost = self.cycles[arithmetic]
-        cycles = operations.additions * cost.addition + operations.multiplications * cost.multiplication
-        return cycles / self.clock_hz
+    cycles: dict[Arithmetic, tuple[int, int]]
 
 
 MICROCONTROLLERS = (
-    Microcontroller("ATmega328", 16_000_000, 9.2, {"integer": Cycles(28, 97), "float": Cycles(123, 160)}),
-    Microcontroller("ARM Cortex-M3", 80_000_000, 8.45, {"integer": Cycles(14, 14), "float": Cycles(96, 68)}),
-    Microcontroller("ARM Cortex-M4", 80_000_000, 8.45, {"integer": Cycles(7, 6), "float": Cycles(11, 11)}),
+    Microcontroller("ATmega328", 16_000_000, 9.2, {"integer": (28, 97), "float": (123, 160)}),
+    Microcontroller("ARM Cortex-M3", 80_000_000, 8.45, {"integer": (14, 14), "float": (96, 68)}),
+    Microcontroller("ARM Cortex-M4", 80_000_000, 8.45, {"integer": (7, 6), "float": (11, 11)}),
 )
 
 
@@ -390,7 +376,12 @@ def predicted_seconds(operations: Operations, arithmetic: Arithmetic) -> dict[st
     """Return predicted times by processor [s]; None if no operations were counted."""
     if operations == Operations():
         return None
-    return {item.name: item.seconds(operations, arithmetic) for item in MICROCONTROLLERS}
+    costs = [(item, *item.cycles[arithmetic]) for item in MICROCONTROLLERS]
+    return {
+        item.name: (operations.additions * addition + operations.multiplications * multiplication)
+        / item.clock_hz
+        for item, addition, multiplication in costs
+    }
 
 
 def predicted_charge_mc(operations: Operations, arithmetic: Arithmetic) -> dict[str, float] | None:

@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import three
 from accelcal_cli.core.clock import Clock, JoinedClock, StampClock
 from accelcal_cli.core.errors import UnreadableError
 
@@ -338,8 +339,7 @@ class Chunk:
 
 def first_row(counts: Counts) -> tuple[int, int, int]:
     """Return the first row of counts (n, 3)."""
-    x, y, z = counts[0].tolist()
-    return x, y, z
+    return three(counts[0].tolist())
 
 
 def in_columns(chunk: Chunk) -> Chunk:

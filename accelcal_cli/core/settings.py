@@ -82,13 +82,21 @@ class Setting:
 
 def setting(
     default: Any,
-    low: float | None = None,
-    high: float | None = None,
-    option: Option | None = None,
+    /,
+    *option: Any,
+    within: tuple[float, float] | None = None,
     choices: tuple[str, ...] = (),
+    **shown: Any,
 ) -> Any:
-    """Return a field of a dataclass with its Setting."""
-    return field(default=default, metadata={SETTING: Setting(low, high, option, choices)})
+    """Return a field of a dataclass with its Setting.
+
+    Args:
+        option, shown: arguments of its Option; without any it has none.
+        within: bounds of a number, or of every number of a tuple.
+    """
+    low, high = within or (None, None)
+    made = Setting(low, high, Option(*option, **shown) if option else None, choices)
+    return field(default=default, metadata={SETTING: made})
 
 
 def setting_of(kind: Any, name: str) -> Setting:
@@ -115,12 +123,12 @@ class Adaptive:
             by a settled minimum (measured: 16384 are about 4.5 h of rest; 3 MB).
     """
 
-    acceleration_factor: int = setting(2, 1, 30)
-    rotation_factor: int = setting(3, 1, 30)
-    min_samples: int = setting(100, 1, 1_000_000)
-    min_windows: int = setting(2, 1, 1_000_000)
-    max_windows: int = setting(60, 1, 1_000_000)
-    held_windows: int = setting(1 << 14, 1, 1_000_000)
+    acceleration_factor: int = setting(2, within=(1, 30))
+    rotation_factor: int = setting(3, within=(1, 30))
+    min_samples: int = setting(100, within=(1, 1_000_000))
+    min_windows: int = setting(2, within=(1, 1_000_000))
+    max_windows: int = setting(60, within=(1, 1_000_000))
+    held_windows: int = setting(1 << 14, within=(1, 1_000_000))
 
 
 _FIXED: dict[str, Any] = {
@@ -208,180 +216,73 @@ class Settings:
     """
 
     profile: str = setting(
-        "default",
-        option=Option("--profile", "paper: the published procedure."),
-        choices=("default", "paper"),
+        "default", "--profile", "paper: the published procedure.", choices=("default", "paper")
     )
     optimizer: str = setting(
-        "fixed32",
-        option=Option("--optimizer", "Optimizer that finds the parameters.", "NAME", rare=True),
+        "fixed32", "--optimizer", "Optimizer that finds the parameters.", "NAME", rare=True
     )
-    model: str = setting(
-        "auto",
-        option=Option(
-            "--model",
-            "Number of parameters.",
-        ),
-        choices=("auto", "9", "6", "3"),
-    )
+    model: str = setting("auto", "--model", "Number of parameters.", choices=("auto", "9", "6", "3"))
     prior: str = setting(
-        NO_PRIOR,
-        option=Option(
-            "--prior",
-            "none: fit only what the recording supports.",
-            default="population",
-        ),
-        choices=("population", NO_PRIOR, *LEARNT_PRIORS),
-    )
+        NO_PRIOR, "--prior", "none: fit only what the recording supports.",
+        choices=("population", NO_PRIOR, *LEARNT_PRIORS), default="population")  # fmt: skip
     recalibrate: str = setting(
-        NEVER,
-        option=Option(
-            "--recalibrate",
-            "auto: adapt the calibration when the sensor changes during the recording. never: only report "
-            "the change.",
-            default="auto",
-            rare=True,
-        ),
-        choices=("auto", NEVER),
-    )
-    temperature: bool = setting(True, option=Option("--no-temperature", "Leave temperature out."))
+        NEVER, "--recalibrate", "auto: adapt the calibration when the sensor changes during the recording. "
+        "never: only report the change.", choices=("auto", NEVER), default="auto", rare=True)  # fmt: skip
+    temperature: bool = setting(True, "--no-temperature", "Leave temperature out.")
     stillness: str = setting(
-        "both",
-        option=Option(
-            "--stillness",
-            "Rule by which a window counts as still.",
-            default="both; profile paper: range, or both if no axis calibrates",
-            rare=True,
-        ),
-        choices=tuple(STILLNESS),
-    )
+        "both", "--stillness", "Rule by which a window counts as still.", choices=tuple(STILLNESS),
+        default="both; profile paper: range, or both if no axis calibrates", rare=True)  # fmt: skip
     segment_seconds: float = setting(
-        5.0,
-        1e-6,
-        3600,
-        Option(
-            "--segment-seconds", "Length of a window.", default="depends on --stillness", above=0, rare=True
-        ),
-    )
+        5.0, "--segment-seconds", "Length of a window.", within=(1e-6, 3600),
+        default="depends on --stillness", above=0, rare=True)  # fmt: skip
     stillness_threshold_g: float | None = setting(
-        0.12,
-        1e-9,
-        4,
-        Option(
-            "--stillness-threshold-g",
-            f"Largest max - min in a still window (rules {', '.join(RANGE_RULES)}).",
-            above=0,
-            rare=True,
-        ),
-    )
-    stillness_deviation_g: float | None = setting(0.013, 1e-9, 4)
+        0.12, "--stillness-threshold-g",
+        f"Largest max - min in a still window (rules {', '.join(RANGE_RULES)}).", within=(1e-9, 4), above=0,
+        rare=True)  # fmt: skip
+    stillness_deviation_g: float | None = setting(0.013, within=(1e-9, 4))
     stillness_axes: tuple[int, ...] = setting(
-        (0, 1, 2),
-        0,
-        2,
-        Option(
-            "--stillness-axis",
-            "Axis that --stillness range checks.",
-            default="x; profile paper: the first that calibrates",
-            rare=True,
-        ),
-    )
+        (0, 1, 2), "--stillness-axis", "Axis that --stillness range checks.", within=(0, 2),
+        default="x; profile paper: the first that calibrates", rare=True)  # fmt: skip
     adaptive: Adaptive | None = None
     other_stillness: bool = False
     longest_gap_s: float = setting(
-        0.0,
-        0,
-        10,
-        Option(
-            "--longest-gap",
-            "Longest gap between time stamps that a window may span; 0 for none.",
-            "SECONDS",
-            default="0.5; profile paper: 0",
-            rare=True,
-        ),
-    )
-    cells_per_g: int = setting(20, 1, 1000)
-    norm_low_g: float = setting(0.5, 0, 10)
-    norm_high_g: float = setting(1.5, 0, 10)
-    posture_degrees: float = setting(15.0, 1e-3, 180)
-    folds: int = setting(5, 2, 1000)
-    min_postures: int = setting(9, 2, 1_000_000)
-    coverage_g: float = setting(0.3, 0, 4)
+        0.0, "--longest-gap", "Longest gap between time stamps that a window may span; 0 for none.",
+        "SECONDS", within=(0, 10), default="0.5; profile paper: 0", rare=True)  # fmt: skip
+    cells_per_g: int = setting(20, within=(1, 1000))
+    norm_low_g: float = setting(0.5, within=(0, 10))
+    norm_high_g: float = setting(1.5, within=(0, 10))
+    posture_degrees: float = setting(15.0, within=(1e-3, 180))
+    folds: int = setting(5, within=(2, 1000))
+    min_postures: int = setting(9, within=(2, 1_000_000))
+    coverage_g: float = setting(0.3, within=(0, 4))
     max_error_mg: float = setting(
-        10.0,
-        0,
-        1e6,
-        Option(
-            "--max-error",
-            "Limit of the calibration error.",
-            "MG",
-            above=0,
-        ),
+        10.0, "--max-error", "Limit of the calibration error.", "MG", within=(0, 1e6), above=0
     )
-    strict: bool = setting(
-        False,
-        option=Option("--strict", "Refuse provisional calibrations."),
-    )
-    min_temperature_range_c: float = setting(2.0, 0, 1e3)
-    temperature_block_c: float = setting(2.0, 1e-3, 1e3)
+    strict: bool = setting(False, "--strict", "Refuse provisional calibrations.")
+    min_temperature_range_c: float = setting(2.0, within=(0, 1e3))
+    temperature_block_c: float = setting(2.0, within=(1e-3, 1e3))
     precision_mg: float | None = setting(
-        None,
-        1e-3,
-        1000,
-        Option(
-            "--precision", "Round values to steps of at most MG, for smaller files.", "MG", "exact", rare=True
-        ),
-    )
+        None, "--precision", "Round values to steps of at most MG, for smaller files.", "MG", "exact",
+        within=(1e-3, 1000), rare=True)  # fmt: skip
     latitude: float | None = setting(
-        None,
-        -90,
-        90,
-        Option(
-            "--latitude",
-            "Latitude of the place where the recording was made, for local gravity.",
-            "DEGREES",
-            rare=True,
-        ),
-    )
+        None, "--latitude", "Latitude of the place where the recording was made, for local gravity.",
+        "DEGREES", within=(-90, 90), rare=True)  # fmt: skip
     altitude_m: float | None = setting(
-        None, -500, 9000, Option("--altitude", "Altitude above sea level.", "METRES", "0", rare=True)
+        None, "--altitude", "Altitude above sea level.", "METRES", "0", within=(-500, 9000), rare=True
     )
     max_damage_percent: float = setting(
-        50.0, 0, 100, Option("-R max_damage", "Refuse a recording if more of it is damaged.", "PERCENT")
+        50.0, "-R max_damage", "Refuse a recording if more of it is damaged.", "PERCENT", within=(0, 100)
     )
     min_distance_g: float = setting(
-        0.0,
-        0,
-        2,
-        Option(
-            "--min-distance-g",
-            "Smallest distance between two points (--profile paper only); 0 for no limit.",
-            default="profile paper: 0.2",
-            rare=True,
-        ),
-    )
+        0.0, "--min-distance-g",
+        "Smallest distance between two points (--profile paper only); 0 for no limit.", within=(0, 2),
+        default="profile paper: 0.2", rare=True)  # fmt: skip
     min_subset_points: int = setting(
-        2,
-        1,
-        100,
-        Option(
-            "--min-subset-points",
-            "Minimum number of points per subset (--profile paper only).",
-            "N",
-            rare=True,
-        ),
-    )
+        2, "--min-subset-points", "Minimum number of points per subset (--profile paper only).", "N",
+        within=(1, 100), rare=True)  # fmt: skip
     max_subset_points: int = setting(
-        2,
-        1,
-        100,
-        Option(
-            "--max-subset-points",
-            "Maximum number of points per subset (--profile paper only).",
-            "N",
-            rare=True,
-        ),
-    )
+        2, "--max-subset-points", "Maximum number of points per subset (--profile paper only).", "N",
+        within=(1, 100), rare=True)  # fmt: skip
 
     @property
     def gravity(self) -> Gravity:
@@ -428,35 +329,28 @@ class PoseSettings:
     """
 
     segment_seconds: float = setting(
-        1.0, 1e-6, 3600, Option("--segment-seconds", "Length of a window.", bounds=(0.1, 60))
+        1.0, "--segment-seconds", "Length of a window.", within=(1e-6, 3600), bounds=(0.1, 60)
     )
     stillness_threshold_g: float = setting(
-        0.12, 1e-9, 4, Option("--stillness-threshold-g", "Largest max - min in a still window.", above=0)
+        0.12, "--stillness-threshold-g", "Largest max - min in a still window.", within=(1e-9, 4), above=0
     )
     stillness_deviation_g: float = _as_in_settings("stillness_deviation_g")
     longest_gap_s: float = _as_in_settings("longest_gap_s")
     norm_low_g: float = _as_in_settings("norm_low_g")
     norm_high_g: float = _as_in_settings("norm_high_g")
     face_degrees: float = setting(
-        15.0,
-        0.1,
-        90,
-        Option(
-            "--face-degrees", "Largest angle between the raw mean of a face and its axis.", bounds=(1, 45)
-        ),
-    )
-    state_degrees: float = setting(2.0, 1e-3, 180)
-    min_state_seconds: float = setting(2.0, 0, 3600)
+        15.0, "--face-degrees", "Largest angle between the raw mean of a face and its axis.",
+        within=(0.1, 90), bounds=(1, 45))  # fmt: skip
+    state_degrees: float = setting(2.0, within=(1e-3, 180))
+    min_state_seconds: float = setting(2.0, within=(0, 3600))
     posture_degrees: float = _as_in_settings("posture_degrees")
-    max_condition: float = setting(1000.0, 1, 1e9)
+    max_condition: float = setting(1000.0, within=(1, 1e9))
     max_error_mg: float = _as_in_settings("max_error_mg")
-    max_vector_error_mg: float = setting(20.0, 0, 1e6)
+    max_vector_error_mg: float = setting(20.0, within=(0, 1e6))
     latitude: float | None = _as_in_settings("latitude")
     altitude_m: float | None = _as_in_settings("altitude_m")
     max_damage_percent: float = _as_in_settings("max_damage_percent")
-    unchecked: bool = setting(
-        False, option=Option("--unchecked", "Fit four poses too, of which none can be held out.")
-    )
+    unchecked: bool = setting(False, "--unchecked", "Fit four poses too, of which none can be held out.")
     roll: tuple[str, ...] = ()
 
     @property
@@ -473,14 +367,8 @@ class PoseSettings:
     def stillness(self) -> Settings:
         """The settings of the segmenter."""
         names = (
-            "segment_seconds",
-            "stillness_threshold_g",
-            "stillness_deviation_g",
-            "longest_gap_s",
-            "norm_low_g",
-            "norm_high_g",
-            "latitude",
-            "altitude_m",
+            *("segment_seconds", "stillness_threshold_g", "stillness_deviation_g", "longest_gap_s"),
+            *("norm_low_g", "norm_high_g", "latitude", "altitude_m"),
         )
         return Settings(**{name: getattr(self, name) for name in names})
 

@@ -73,9 +73,7 @@ class Thermometer:
     unit: HeatUnit | None
 
 
-def find_thermometer(
-    columns: Sequence[tuple[str, str | None]],
-) -> tuple[Thermometer | None, tuple[int, ...]]:
+def find_thermometer(columns: Sequence[tuple[str, str | None]]) -> tuple[Thermometer | None, tuple[int, ...]]:
     """Return the temperature of the device, None if there is none or several, and columns that look like one.
 
     Args:

@@ -45,10 +45,7 @@ ACCELERATION_UNITS = {
     "g": AccelerationUnit(
         per_g=Fraction(1),
         rest=(0.7, 1.4),
-        names=(
-            *("g", "gravity", "gs", "gn", "g0", "gee", "grav", "gravities", "gforce"),
-            "standardgravity",
-        ),
+        names=(*("g", "gravity", "gs", "gn", "g0", "gee", "grav", "gravities", "gforce"), "standardgravity"),
         pose_ending="_g",
     ),
     "mg": AccelerationUnit(

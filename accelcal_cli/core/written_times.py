@@ -183,8 +183,7 @@ def read_date(text: str, order: str | None = None) -> date | None:
 
 
 def _with_month(numbers: list[str], month: int, order: str | None) -> date | None:
-    """Return the date of a day and a year next to the name of a month; of two digits, the year is the
-    last."""
+    """Return the date of a day and a year next to a month; of two digits each, the year is the last."""
     first, last = numbers
     if len(first) == 4 or (order == "ymd" and len(first) == len(last) == 2):
         first, last = last, first
@@ -346,12 +345,8 @@ def is_digits_of_day(text: str) -> bool:
 
 def is_time(text: str) -> bool:
     """Return True if a text has the form of a time of day, with or without a date; it need not exist."""
-    if len(text) > LONGEST:
-        return False
-    for shape in SHAPES:
-        if (found := shape.fullmatch(text)) is not None:
-            return surroundings(found["before"], found["after"]) is not None
-    return False
+    around = around_time(text) if len(text) <= LONGEST else None
+    return around is not None and surroundings(*around) is not None
 
 
 def is_date(text: str) -> bool:

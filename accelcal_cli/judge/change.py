@@ -18,7 +18,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, rounded_quotient
+from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, rounded_quotient, three
 from accelcal_cli.core.calibration import Calibration, Correction
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.points import TimedMeans
@@ -150,7 +150,7 @@ class ChangeSearch:
         still = design.errors_mg(None)
         alarms = []
         for hypothesis in _hypotheses(means):
-            fit = design.held_out_fit(hypothesis)
+            fit = replace(design.fit(hypothesis), errors_mg=design.errors_mg(hypothesis))
             if _falls(still, fit.errors_mg) and design.size_mg(fit) >= LEAST_MG:
                 alarms.append(fit)
         if not alarms:
@@ -159,13 +159,9 @@ class ChangeSearch:
         gain = [before - after for before, after in zip(still, fit.errors_mg, strict=True)]
         holdout = TimeHoldout(len(still), mean(still), mean(fit.errors_mg), standard_error(gain))
         moments = fit.hypothesis.moments
-        change = Change(
-            fit.hypothesis.kind,
-            None,
-            holdout,
-            at_block=int(moments[fit.moment]) if len(moments) else None,
-            size_mg=design.size_mg(fit),
-        )
+        at_block = int(moments[fit.moment]) if len(moments) else None
+        size_mg = design.size_mg(fit)
+        change = Change(fit.hypothesis.kind, None, holdout, at_block=at_block, size_mg=size_mg)
         return _measured(replace(change, correction=_correction(means, fit)), fit)
 
     def compared(self) -> ComparedErrors | None:
@@ -207,8 +203,7 @@ def _correction(means: TimedMeans, fit: ChangeFit) -> Correction | None:
 
 def _knot(values: list[float]) -> tuple[int, int, int]:
     """Convert values to fixed point with KNOT_BITS fraction bits."""
-    x, y, z = (round(value * (1 << KNOT_BITS)) << FRACTION_BITS - KNOT_BITS for value in values)
-    return x, y, z
+    return three(round(value * (1 << KNOT_BITS)) << FRACTION_BITS - KNOT_BITS for value in values)
 
 
 def _combined(first: Correction, then: Correction) -> Correction:
@@ -227,18 +222,14 @@ def _measured(change: Change, fit: ChangeFit) -> Change:
     """Add to a change how offsets and scales differ from beginning to end."""
     if change.correction is None:
         moved = dict(zip(fit.hypothesis.columns, (fit.path()[0] - fit.path()[-1]).tolist(), strict=True))
-        offset = [moved.get(column, 0.0) for column in _OFFSETS]
-        scale = [moved.get(column, 0.0) for column in (0, 1, 2)]
-        return replace(change, offset_mg=_three(1000, offset), scale_percent=_three(100, scale))
-    stretch, shift = (np.array(knots) / ONE for knots in (change.correction.stretch, change.correction.shift))
-    offset = (shift[0] / stretch[0] - shift[-1] / stretch[-1]).tolist()
-    scale = (stretch[0] / stretch[-1] - 1).tolist()
-    return replace(change, offset_mg=_three(1000, offset), scale_percent=_three(100, scale))
-
-
-def _three(factor: float, values: list[float]) -> tuple[float, float, float]:
-    x, y, z = (factor * value for value in values)
-    return x, y, z
+        moves = (np.array([moved.get(column, 0.0) for column in columns]) for columns in (_OFFSETS, range(3)))
+        offset, scale = moves
+    else:
+        stretch, shift = (np.array(one) / ONE for one in (change.correction.stretch, change.correction.shift))
+        offset = shift[0] / stretch[0] - shift[-1] / stretch[-1]
+        scale = stretch[0] / stretch[-1] - 1
+    offset_mg, percent = three((1000 * offset).tolist()), three((100 * scale).tolist())
+    return replace(change, offset_mg=offset_mg, scale_percent=percent)
 
 
 def change_reason(change: Change, offset_s: int | None, *, followed: bool) -> Reason | None:
@@ -251,15 +242,9 @@ def change_reason(change: Change, offset_s: int | None, *, followed: bool) -> Re
     holdout = change.holdout
     if holdout is None or change.size_mg is None:
         return None
-    return Reason.of(
-        "sensor_changed",
-        kind=change.kind,
-        at=iso_time(change.at_us, offset_s),
-        size_mg=change.size_mg,
-        followed=followed,
-        constant_mg=holdout.constant_mg,
-        changing_mg=holdout.changing_mg,
-    )
+    errors = {"constant_mg": holdout.constant_mg, "changing_mg": holdout.changing_mg}
+    what = {"kind": change.kind, "at": iso_time(change.at_us, offset_s), "size_mg": change.size_mg}
+    return Reason.of("sensor_changed", **what, followed=followed, **errors)
 
 
 def _falls(before: list[float], after: list[float]) -> bool:
@@ -281,7 +266,9 @@ def _hypotheses(means: TimedMeans) -> list[ChangeHypothesis]:
     """Return all hypotheses that a recording is long enough for, by number of parameters."""
     time_h = np.asarray((np.arange(means.blocks()) + 0.5) * means.block_h, np.float64)
     offset, scale, other = WIDTHS["offset"], WIDTHS["scale"], WIDTHS["misalignment"]
-    moments, nowhere, nothing = _moments(means), np.zeros(0, np.int64), np.zeros(0)
+    known, least = np.array(sorted(set(means.block.tolist())), np.int64), ceil(LEAST_H / means.block_h)
+    moments = known[least : len(known) - least + 1]  # LEAST_H of stillness lie before and after
+    nowhere, nothing = np.zeros(0, np.int64), np.zeros(0)
     line = (time_h / means.hours() - 0.5)[np.newaxis, :, np.newaxis]
     ends, halves = np.array([0.0, means.hours()]), np.array([[-0.5], [0.5]])
     found = [ChangeHypothesis("drift", _OFFSETS, [offset] * 3, line, nowhere, ends, halves)]
@@ -301,13 +288,6 @@ def _hypotheses(means: TimedMeans) -> list[ChangeHypothesis]:
             widths = [WIDTHS["knot"]] * 3
             found.append(ChangeHypothesis("walk", _OFFSETS, widths, hats, nowhere, knots, np.eye(number + 1)))
     return found
-
-
-def _moments(means: TimedMeans) -> Ints:
-    """Return the blocks at which a change may begin: LEAST_H of stillness lie before and after."""
-    known = np.array(sorted(set(means.block.tolist())), np.int64)
-    least = ceil(LEAST_H / means.block_h)
-    return known[least : len(known) - least + 1]
 
 
 class Design:
@@ -348,7 +328,13 @@ class Design:
         for fold in range(FOLDS):
             out = self._fold[self._block] == fold
             if out.any():
-                left[out] = self._left(self._solve(hypothesis, self._fold != fold), hypothesis)[out]
+                moment, values = self._solve(hypothesis, self._fold != fold)
+                explained = self._rows[:, self._base] @ values[: len(self._base)]
+                if hypothesis is not None:
+                    changing = values[len(self._base) :].reshape(hypothesis.functions.shape[2], -1)
+                    path = (hypothesis.functions[moment] @ changing)[self._block]
+                    explained = explained + (self._rows[:, hypothesis.columns] * path).sum(axis=1)
+                left[out] = (self._error - explained)[out]
         return np.asarray(1000 * np.abs(left))
 
     def errors_mg(self, hypothesis: ChangeHypothesis | None) -> list[float]:
@@ -356,10 +342,6 @@ class Design:
         deviations = self._unseen_mg(hypothesis)
         stretches = sorted(set(self._stretch.tolist()))
         return [float(deviations[self._stretch == one].mean()) for one in stretches]
-
-    def held_out_fit(self, hypothesis: ChangeHypothesis) -> ChangeFit:
-        """Fit a hypothesis to all observations, and add its errors on held-out stretches."""
-        return replace(self.fit(hypothesis), errors_mg=self.errors_mg(hypothesis))
 
     def fit(self, hypothesis: ChangeHypothesis) -> ChangeFit:
         """Fit a hypothesis to all observations."""
@@ -374,15 +356,6 @@ class Design:
         _, rows = _linear(raw, raw - _shift(self._found, None), gain)
         moved = rows[:, fit.hypothesis.columns] @ fit.path().T
         return float(1000 * (moved.max(axis=1) - moved.min(axis=1)).max())
-
-    def _left(self, fitted: tuple[int, Floats], hypothesis: ChangeHypothesis | None) -> Floats:
-        moment, values = fitted
-        explained = self._rows[:, self._base] @ values[: len(self._base)]
-        if hypothesis is not None:
-            changing = values[len(self._base) :].reshape(hypothesis.functions.shape[2], -1)
-            path = hypothesis.functions[moment] @ changing
-            explained = explained + (self._rows[:, hypothesis.columns] * path[self._block]).sum(axis=1)
-        return np.asarray(self._error - explained)
 
     def _solve(self, hypothesis: ChangeHypothesis | None, blocks: NDArray[np.bool_]) -> tuple[int, Floats]:
         """Return the number of the best moment, and the parameters, for the observations of some blocks."""
@@ -406,9 +379,8 @@ class Design:
         whole[:, len(base) :, : len(base)] = with_base[:, :, :-1]
         whole[:, : len(base), len(base) :] = with_base[:, :, :-1].transpose(0, 2, 1)
         whole[:, len(base) :, len(base) :] = among
-        right = np.concatenate(
-            [np.broadcast_to(total[base, _ERROR], (number, len(base))), with_base[:, :, -1]], axis=1
-        )
+        alone = np.broadcast_to(total[base, _ERROR], (number, len(base)))
+        right = np.concatenate([alone, with_base[:, :, -1]], axis=1)
         values = np.linalg.solve(whole, right[:, :, np.newaxis])[:, :, 0]
         best = int((right * values).sum(axis=1).argmax())
         return best, values[best]

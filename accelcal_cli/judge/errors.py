@@ -132,10 +132,10 @@ def worst_direction_mg(parameters: tuple[int, ...], free: list[int], covariance:
 
 
 @cache
-def directions() -> Floats:
-    """Return 162 directions evenly spread over the sphere (a golden spiral), (162, 3)."""
-    index = np.arange(162) + 0.5
-    z = 1 - 2 * index / 162
+def directions(number: int = 162) -> Floats:
+    """Return directions evenly spread over the sphere (a golden spiral), (number, 3)."""
+    index = np.arange(number) + 0.5
+    z = 1 - 2 * index / number
     turn = np.pi * (1 + 5**0.5) * index
     ring = np.sqrt(1 - z * z)
     return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)

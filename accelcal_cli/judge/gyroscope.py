@@ -8,14 +8,14 @@ each turn is corrected by the rates of its own two rests; the bias that is repor
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import asin, cos, degrees, fsum, radians, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import inverse
+from accelcal_cli.core.arithmetic import inverse, three
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.gyroscope import Bias, Gyroscope, Rest, RestRates, Triple, Turn, TurnHoldout, Turns
 from accelcal_cli.core.reasons import Reason
@@ -93,7 +93,9 @@ def bias_on_grid(found: Turns, least_range_c: float | None) -> Bias | None:
     bias = bias_at_rest(found.rates, found.dps_per_lsb, found.period_s, least_range_c)
     if bias is None:
         return None
-    b, c = (_triple(np.rint(np.array(one) * GRID) / GRID) for one in (bias.dps, bias.slope_dps_per_c))
+    b, c = (
+        three((np.rint(np.array(one) * GRID) / GRID).tolist()) for one in (bias.dps, bias.slope_dps_per_c)
+    )
     return replace(bias, dps=b, slope_dps_per_c=c)
 
 
@@ -106,9 +108,8 @@ def _judged(pairs: TurnPairs, found: Turns, bias: Bias) -> Gyroscope:
     except ValueError:
         return refused(UNDETERMINED, len(pairs.turns), found, bias)
     holdout = _holdout(fit, gravity, pairs.after, raw)
-    known = replace(
-        refused(UNDETERMINED, len(pairs.turns), found, bias), holdout=holdout, standard_errors=rows_of(errors)
-    )
+    known = refused(UNDETERMINED, len(pairs.turns), found, bias)
+    known = replace(known, holdout=holdout, standard_errors=rows_of(errors))
     if holdout.after > LARGEST_DEG:
         return replace(known, reason=Reason.of("gravity_still_off", after_deg=holdout.after))
     factor = mean([abs(fit.scale[axis, axis]) for axis in range(3)])
@@ -120,13 +121,9 @@ def _judged(pairs: TurnPairs, found: Turns, bias: Bias) -> Gyroscope:
         return replace(known, reason=Reason.of("too_little_turning", axis=axis, standard_error=worst))
     if holdout.mean_after > holdout.mean_before:
         return replace(known, reason=Reason.of("scale_no_better", before_deg=holdout.mean_before))
-    why = Reason.of(
-        "gyroscope_calibrated",
-        turns=len(pairs.turns),
-        before_deg=holdout.before,
-        after_deg=holdout.after,
-        unusual=bool(np.abs(fit.scale - np.eye(3)).max() > UNUSUAL),
-    )
+    unusual = bool(np.abs(fit.scale - np.eye(3)).max() > UNUSUAL)
+    values = {"turns": len(pairs.turns), "before_deg": holdout.before, "after_deg": holdout.after}
+    why = Reason.of("gyroscope_calibrated", **values, unusual=unusual)
     scale = rows_of(np.rint(fit.scale * GRID) / GRID)
     return replace(known, outcome="calibrated", reason=why, scale=scale)
 
@@ -136,15 +133,9 @@ def refused(reason: Reason, pairs: int, found: Turns, bias: Bias | None) -> Gyro
     return Gyroscope("refused", reason, pairs, found.left_out, bias=bias)
 
 
-def _triple(values: Floats) -> Triple:
-    x, y, z = values.tolist()
-    return x, y, z
-
-
 def rows_of(matrix: Floats) -> tuple[Triple, Triple, Triple]:
     """Return the rows of a matrix (3, 3)."""
-    x, y, z = map(_triple, matrix)
-    return x, y, z
+    return three(map(three, matrix.tolist()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,9 +182,8 @@ def _directions(rests: list[Rest], calibration: Calibration, lsb_per_g: float) -
 def _too_little(pairs: TurnPairs, dps_per_lsb: Triple) -> Reason | None:
     """Return why the turns alone do not allow the scale to be found, or None."""
     if len(pairs.turns) < LEAST_PAIRS:
-        return Reason.of(
-            "too_few_turns", turns=len(pairs.turns), least_deg=LEAST_TURN_DEG, needed=LEAST_PAIRS
-        )
+        values = {"turns": len(pairs.turns), "least_deg": LEAST_TURN_DEG, "needed": LEAST_PAIRS}
+        return Reason.of("too_few_turns", **values)
     moments = np.zeros((3, 3))
     for turn in pairs.turns:
         steps = raw_steps(turn, dps_per_lsb)
@@ -317,13 +307,9 @@ def turn_errors(raw: Turned, calibrated: Turned, after: Floats) -> TurnHoldout:
         ci95=(quantile(ordered, low), quantile(ordered, high)),
         mean_before=mean(before),
         mean_after=mean(angles),
-        rms_before=_root_mean_square(before),
-        rms_after=_root_mean_square(angles),
+        rms_before=sqrt(mean([angle * angle for angle in before])),
+        rms_after=sqrt(mean([angle * angle for angle in angles])),
     )
-
-
-def _root_mean_square(values: list[float]) -> float:
-    return sqrt(mean([value * value for value in values]))
 
 
 def bias_at_rest(
@@ -339,49 +325,36 @@ def bias_at_rest(
         return None
     dps = rates.gyro_sums / rates.samples[:, np.newaxis] * np.array(dps_per_lsb)
     weights = rates.samples / rates.samples.max()
-    stretch = np.arange(len(rates)) * STRETCHES // len(rates)
-    constant = _held_out(dps, weights, stretch, None)
     warmth, reference, with_slope = None, None, None
+    constant = _held_out(dps, weights, None) if len(rates) >= STRETCHES else None
     if rates.temperature_sums is not None and least_range_c is not None and constant is not None:
         celsius = rates.temperature_sums / (1000 * rates.samples)
         if float(celsius.max() - celsius.min()) >= least_range_c:
-            reference = round(float(quantile(sorted(celsius.tolist()), 0.5)), 3)
-            with_slope = _held_out(dps, weights, stretch, celsius - reference)
-            assert with_slope is not None
+            middle = round(float(quantile(sorted(celsius.tolist()), 0.5)), 3)
+            with_slope = _held_out(dps, weights, celsius - middle)
             falls = [one - other for one, other in zip(constant, with_slope, strict=True)]
-            warmth = celsius - reference if interval95(falls)[0] > 0 else None
+            if interval95(falls)[0] > 0:
+                warmth, reference = celsius - middle, middle
     lines = [_line(dps[:, axis], weights, warmth) for axis in range(3)]
     here = np.zeros(len(dps)) if warmth is None else warmth
-
-    def line_error(axis: int) -> float:
-        return _weighted_error(dps[:, axis] - _on_line(lines[axis], here), weights)
-
-    off = [_lengths(dps), constant, with_slope]
-    raw, fixed, sloped = (None if one is None else mean(one) for one in off)
-    assert raw is not None
+    off = [dps[:, axis] - _on_line(line, here) for axis, line in enumerate(lines)]
+    level, slope = np.array(lines).T
+    fixed, sloped = (None if one is None else mean(one) for one in (constant, with_slope))
     return Bias(
-        dps=_of_axes(lambda axis: lines[axis][0]),
-        standard_errors=None if len(rates) < 2 else _of_axes(line_error),
-        slope_dps_per_c=_of_axes(lambda axis: lines[axis][1]),
-        reference_c=None if warmth is None else reference,
+        dps=three(level.tolist()),
+        standard_errors=None if len(rates) < 2 else three(_weighted_errors(off, weights).tolist()),
+        slope_dps_per_c=three(slope.tolist()),
+        reference_c=reference,
         rest_s=float(rates.samples.sum()) * period_s,
-        raw_dps=raw,
+        raw_dps=mean(_lengths(dps)),
         constant_dps=fixed,
         slope_dps=sloped,
     )
 
 
-def _of_axes(value: Callable[[int], float]) -> Triple:
-    return value(0), value(1), value(2)
-
-
-def _held_out(
-    dps: Floats, weights: Floats, stretch: NDArray[np.int64], warmth: Floats | None
-) -> list[float] | None:
-    """Return the mean error [deg/s] of each stretch by lines through the others; None for too few blocks."""
-    if len(dps) < STRETCHES:
-        return None
-    found = []
+def _held_out(dps: Floats, weights: Floats, warmth: Floats | None) -> list[float]:
+    """Return the mean error [deg/s] of each stretch of time by lines through the others."""
+    stretch, found = np.arange(len(dps)) * STRETCHES // len(dps), []
     for one in range(STRETCHES):
         out = stretch == one
         part = None if warmth is None else warmth[~out]
@@ -426,9 +399,8 @@ def _least_squares(dps: Floats, weights: Floats, warmth: Floats | None) -> Line:
     return level - slope * centre, slope
 
 
-def _weighted_error(off: Floats, weights: Floats) -> float:
-    """Return the standard error of a weighted mean by the scatter of at least two blocks."""
-    total = fsum(weights.tolist())
-    square = fsum((weights * weights * off * off).tolist())
-    number = len(off)
-    return sqrt(square * number / (number - 1)) / total
+def _weighted_errors(off: Sequence[Floats], weights: Floats) -> Floats:
+    """Return standard errors of weighted means by the scatter of at least two blocks, one for each axis."""
+    total, number = fsum(weights.tolist()), len(weights)
+    squares = [fsum((weights * weights * one * one).tolist()) for one in off]
+    return np.array([sqrt(square * number / (number - 1)) / total for square in squares])

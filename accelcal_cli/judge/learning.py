@@ -52,7 +52,7 @@ UNDATED_MONTHS = 24.0
 """Time assumed between two recordings of which one has no date [months]."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, order=True)
 class Estimate:
     """A parameter and its variance, as estimated from one recording or device alone."""
 
@@ -126,28 +126,19 @@ def _weighted(
 
 
 def _scale(devices: Sequence[Estimate], centre: float, width: float, freedom: float) -> float:
-    """Return the scale of the distribution about a centre, between bounds."""
-    low, high = NARROWEST * width, WIDEST * width
+    """Return the scale of the distribution about a centre, between bounds: the most probable one."""
+    low, high, fewer = NARROWEST * width, WIDEST * width, (len(devices) - 1) / len(devices)
     for _ in range(HALVINGS):
-        middle = sqrt(low * high)
-        if _too_narrow(devices, centre, middle, width, freedom):
-            low = middle
+        scale, slopes = sqrt(low * high), []
+        for one in devices:
+            spread = scale * scale + one.variance
+            away = (one.value - centre) * (one.value - centre) / spread
+            slopes.append(((freedom + 1) * away / (freedom + away) - fewer) * scale * scale / spread)
+        if fsum(slopes) > log_ratio(scale, width) / (WIDTH_SPREAD * WIDTH_SPREAD):
+            low = scale
         else:
-            high = middle
+            high = scale
     return sqrt(low * high)
-
-
-def _too_narrow(
-    devices: Sequence[Estimate], centre: float, scale: float, width: float, freedom: float
-) -> bool:
-    """Return True if devices and population favour a larger scale: the slope of their log probability."""
-    fewer = (len(devices) - 1) / len(devices)
-    slopes = []
-    for one in devices:
-        spread = scale * scale + one.variance
-        away = (one.value - centre) * (one.value - centre) / spread
-        slopes.append(((freedom + 1) * away / (freedom + away) - fewer) * scale * scale / spread)
-    return fsum(slopes) > log_ratio(scale, width) / (WIDTH_SPREAD * WIDTH_SPREAD)
 
 
 def along_device(
@@ -167,34 +158,32 @@ def along_device(
         occasion: standard deviation between recordings of one day.
     """
     all_dated = [
-        (one.month, one.estimate.value, one.estimate.variance + occasion * occasion) for one in others
+        (one.month, Estimate(one.estimate.value, one.estimate.variance + occasion * occasion))
+        for one in others
     ]
-    dated = sorted((when, value, variance) for when, value, variance in all_dated if when is not None)
-    seen = [(when, Estimate(value, variance)) for when, value, variance in dated]
-    undated = [(0.0, Estimate(value, variance)) for when, value, variance in all_dated if when is None]
-    far = UNDATED_MONTHS
-    if month is None:
-        ends = [(seen, far)]
-    else:
-        before = [one for one in seen if one[0] <= month]
-        after = [(-when, estimate) for when, estimate in reversed(seen) if when > month]
-        ends = [
-            (part, now - part[-1][0] if part else 0.0) for part, now in ((before, month), (after, -month))
-        ]
-    parts = [_later(part, walk, months) for part, months in (*ends, (undated, far)) if part]
-    device = together(parts)
+    seen = sorted((when, estimate) for when, estimate in all_dated if when is not None)
+    undated = [(0.0, estimate) for when, estimate in all_dated if when is None]
+    parts = [(seen, UNDATED_MONTHS), (undated, UNDATED_MONTHS)]
+    if month is not None:
+        parts[:1] = _until(seen, month)
+    device = together([_later(part, walk, months) for part, months in parts if part])
     squares = [*_filtered(seen, walk)[1], *_filtered(undated, walk)[1]]
     birge = max(1.0, fsum(squares) / len(squares)) if squares else 1.0
     device = Estimate(device.value, device.variance * birge)
-    known = together([_loosened(base, device), device])
+    # a model's distribution has heavy tails: what is known of it is widened for a device that is far from it
+    away = (device.value - base.value) * (device.value - base.value) / (base.variance + device.variance)
+    loose = max(1.0, (POPULATION.freedom + away) / (POPULATION.freedom + 1))
+    known = together([Estimate(base.value, base.variance * loose), device])
     return Estimate(known.value, known.variance + occasion * occasion)
 
 
-def _loosened(base: Estimate, device: Estimate) -> Estimate:
-    """Widen what is known of the model for a device that is far from it: the distribution has heavy tails."""
-    away = (device.value - base.value) * (device.value - base.value) / (base.variance + device.variance)
-    loose = max(1.0, (POPULATION.freedom + away) / (POPULATION.freedom + 1))
-    return Estimate(base.value, base.variance * loose)
+def _until(
+    seen: list[tuple[float, Estimate]], month: float
+) -> list[tuple[list[tuple[float, Estimate]], float]]:
+    """Return estimates before a time and, as if time ran backwards, after it; and the time that is left."""
+    before = [one for one in seen if one[0] <= month]
+    after = [(-when, estimate) for when, estimate in reversed(seen) if when > month]
+    return [(part, now - part[-1][0]) for part, now in ((before, month), (after, -month)) if part]
 
 
 def _later(seen: Sequence[tuple[float, Estimate]], walk: float, months: float) -> Estimate:

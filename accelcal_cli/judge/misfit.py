@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import ONE
+from accelcal_cli.core.arithmetic import ONE, three
 from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, PointSet
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Misfit, MisfitKind
@@ -140,8 +140,8 @@ class MisfitSearch:
         return Misfit(
             hypothesis.kind,
             hypothesis.unit,
-            _three(-hypothesis.factor * c),
-            _three(hypothesis.factor * errors),
+            three((-hypothesis.factor * c).tolist()),
+            three((hypothesis.factor * errors).tolist()),
             mean(self._still),
             mean(after),
             largest,
@@ -151,18 +151,13 @@ class MisfitSearch:
     def _lasts(self, hypothesis: MisfitHypothesis, together: Posterior, c: Floats, errors: Floats) -> bool:
         """Return True if some axis is far from 0 by all postures, and on the same side by parts of them."""
         side, far = np.sign(c), np.abs(c) > SURE * errors
-        for which, times in self._parts():
+        parts = [(self._fold != fold, SURE_WITHOUT_A_FOLD) for fold in sorted(set(self._fold.tolist()))]
+        parts += [(self._label % 2 == half, SURE_OF_A_HALF) for half in (0, 1)]
+        for which, times in parts:
             moved, around = self._fit(hypothesis, which, together.noise_g)
             own = np.sqrt(self._unit(together.noise_g) * np.diag(np.linalg.inv(around))[-3:])
             far &= side * moved[-3:] > times * own
         return bool(far.any())
-
-    def _parts(self) -> Iterator[tuple[NDArray[np.bool_], float]]:
-        """Yield parts of the postures that must show a misfit, and in how many standard errors."""
-        for fold in sorted(set(self._fold.tolist())):
-            yield self._fold != fold, SURE_WITHOUT_A_FOLD
-        for half in (0, 1):
-            yield self._label % 2 == half, SURE_OF_A_HALF
 
     def _together(self, hypothesis: MisfitHypothesis) -> tuple[Posterior, Floats]:
         """Fit parameters and misfit together; return their posterior, with the noise that is left, and c."""
@@ -180,12 +175,9 @@ class MisfitSearch:
         parameters = list(known.found.fit.parameters)
         for index, value in zip(self._free, moved.tolist(), strict=False):
             parameters[index] += round(value * ONE)
-        joint = replace(
-            known,
-            found=replace(known.found, fit=replace(known.found.fit, parameters=tuple(parameters))),
-            noise_g=noise_g,
-            covariance=tuple(map(tuple, covariance.tolist())),
-        )
+        fitted = replace(known.found, fit=replace(known.found.fit, parameters=tuple(parameters)))
+        rows = tuple(map(tuple, covariance.tolist()))
+        joint = replace(known, found=fitted, noise_g=noise_g, covariance=rows)
         return joint, np.asarray(moved[-3:])
 
     def _unit(self, noise_g: float) -> float:
@@ -228,9 +220,4 @@ def _falls(before: list[float], after: list[float]) -> bool:
 
 
 def _bent(kind: MisfitKind, together: Posterior, c: Floats) -> Posterior:
-    return replace(together, bend=Bend(POWERS[kind], _three(c)))
-
-
-def _three(values: Floats) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z
+    return replace(together, bend=Bend(POWERS[kind], three(c.tolist())))

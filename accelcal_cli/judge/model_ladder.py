@@ -197,44 +197,26 @@ def of_postures(
     return Holdout(method, number, len(pairs), *summaries, (max(0.0, low), high), pairs, blocks)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
-    """The data on which the models of the ladder are tried.
-
-    Attributes:
-        sample: the recording's points, their postures and blocks.
-        coverage: where the points lie.
-        models: names of the models that the optimizer can fit.
-    """
-
-    sample: Sample
-    coverage: Coverage
-    models: tuple[str, ...] = LADDER
-
-
-def try_models(evidence: Evidence, settings: Settings, fit: FitFunction) -> tuple[Trial, ...]:
+def try_models(sample: Sample, coverage: Coverage, how: Fitting) -> tuple[Trial, ...]:
     """Try every model that the settings allow; slopes only if there are temperatures."""
-    warm = evidence.sample.points.tau is not None
-    allowed = ("0", *LADDER) if settings.model == "auto" else ("0", settings.model, f"{settings.model}T")
-    trials = []
-    for name in LADDER:
-        if name in allowed and (warm or not name.endswith("T")):
-            trials.append(_trial(evidence, settings, fit, MODELS[name]))
-    return tuple(trials)
+    warm, asked = sample.points.tau is not None, how.settings.model
+    allowed = ("0", *LADDER) if asked == "auto" else ("0", asked, f"{asked}T")
+    names = (name for name in LADDER if name in allowed and (warm or not name.endswith("T")))
+    return tuple(_trial(sample, coverage, how, MODELS[name]) for name in names)
 
 
-def _trial(evidence: Evidence, settings: Settings, fit: FitFunction, model: Model) -> Trial:
-    reason = not_eligible(evidence, settings, model)
+def _trial(sample: Sample, coverage: Coverage, how: Fitting, model: Model) -> Trial:
+    reason = not_eligible(sample, coverage, how, model)
     if reason is not None:
         return Trial(model.name, None, reason)
     try:
-        holdout, whole = blocked(evidence.sample, model, fit, settings.folds)
+        holdout, whole = blocked(sample, model, how.fit, how.settings.folds)
     except DivergedError:
         return Trial(model.name, None, Reason("fit_diverges"))
     if not model.free:
         return Trial(model.name, holdout, None, whole)
-    known = errors.uncertainty(evidence.sample.points, whole.parameters, model)
-    unsure = doubt(known, settings.max_error_mg if settings.model == "auto" else inf)
+    known = errors.uncertainty(sample.points, whole.parameters, model)
+    unsure = doubt(known, how.settings.max_error_mg if how.settings.model == "auto" else inf)
     return Trial(model.name, holdout if unsure is None else None, unsure, whole)
 
 
@@ -247,24 +229,24 @@ def doubt(known: errors.Uncertainty | None, limit_mg: float) -> Reason | None:
     return None
 
 
-def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> Reason | None:
+def not_eligible(sample: Sample, coverage: Coverage, how: Fitting, model: Model) -> Reason | None:
     """Return why a model cannot be fitted, or None if it can be (or the user insists on it)."""
-    if model.name not in evidence.models:
-        return never_fits(settings.optimizer, _never_fitted(evidence.models, model))
-    number = evidence.coverage.distinct_orientations
+    settings, number = how.settings, coverage.distinct_orientations
+    if model.name not in how.models:
+        return never_fits(settings.optimizer, _never_fitted(how.models, model))
     if model.free and number < settings.min_postures:
         return Reason.of("too_few_orientations", orientations=number, needed=settings.min_postures)
-    range_c, least_c = temperature_range_c(evidence.sample.points), settings.min_temperature_range_c
+    range_c, least_c = temperature_range_c(sample.points), settings.min_temperature_range_c
     if model.has_temperature and range_c < least_c:
         return Reason.of("temperature_too_even", range_c=range_c, least_c=least_c)
     if model.has_temperature:
-        left_out = _left_out(evidence.sample.label, settings.folds)
-        parts = (evidence.sample.points.select(~out) for out in left_out)
+        left_out = _left_out(sample.label, settings.folds)
+        parts = (sample.points.select(~out) for out in left_out)
         # every fit, with any fold left out, has to tell slopes from offsets on all axes
         if any(errors.slope_information(part) < LEAST_INFORMATION for part in parts):
             return Reason("few_orientations_differ_in_temperature")
     if settings.model == "auto" and model.free:
-        return _uncovered(evidence.coverage, settings.coverage_g, model)
+        return _uncovered(coverage, settings.coverage_g, model)
     return None
 
 
@@ -302,13 +284,10 @@ def choose(trials: tuple[Trial, ...]) -> Trial:
 
     The errors are those of the blocks; the standard error is that of their differences, clustered by posture.
     """
-    scored = [trial for trial in trials if trial.holdout is not None]
-    best = min(scored, key=lambda trial: trial.holdout.compared_mg() if trial.holdout else float("inf"))
-    return next(trial for trial in scored if _ties(trial, best))
-
-
-def _ties(trial: Trial, best: Trial) -> bool:
-    assert trial.holdout is not None and best.holdout is not None
-    simple, full = trial.holdout.blocks, best.holdout.blocks
-    differences = [a - b for (_, a), (_, b) in zip(simple, full, strict=True)]
-    return mean(differences) <= clustered_error(differences, [posture for posture, _ in full])
+    scored = [(trial, trial.holdout) for trial in trials if trial.holdout is not None]
+    best, full = min(scored, key=lambda one: one[1].compared_mg())
+    for trial, simple in scored:
+        differences = [a - b for (_, a), (_, b) in zip(simple.blocks, full.blocks, strict=True)]
+        if mean(differences) <= clustered_error(differences, [posture for posture, _ in full.blocks]):
+            return trial
+    return best

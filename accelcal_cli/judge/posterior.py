@@ -23,7 +23,7 @@ from math import log, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import ONE, inverse
+from accelcal_cli.core.arithmetic import ONE, inverse, three
 from accelcal_cli.core.calibration import IDENTITY, PARAMETER_NAMES
 from accelcal_cli.core.points import (
     PENALTY_BITS,
@@ -81,6 +81,9 @@ BEND_ROUNDS = 4
 
 Floats = NDArray[np.float64]
 
+_Scaled = tuple[tuple[int, ...], tuple[float, ...]]
+"""A prior in the units of the fit: twelve fixed-point parameters, and their scale parameters."""
+
 
 @dataclass(frozen=True, slots=True)
 class Bend:
@@ -123,10 +126,7 @@ class Posterior:
         """Return a function that fits parts of the points, with the same noise and prior."""
 
         def fits(sets: Sequence[PointSet], model: Model) -> list[Fit]:
-            found = []
-            for points in sets:
-                found.append(penalized(points, model, self.penalty, IDENTITY).fit)
-            return found
+            return [penalized(points, model, self.penalty, IDENTITY).fit for points in sets]
 
         return fits
 
@@ -169,10 +169,10 @@ def posterior(
     Raises:
         DivergedError, FixedPointOverflowError: the fit raises it.
     """
-    scaled = _scaled(prior, points)
+    scaled, total = _scaled(prior, points), sum(points.weights.tolist()) / WEIGHT_ONE
     noise_g, start, before = 2 * prior.noise_g, IDENTITY, None
     for _ in range(ROUNDS):
-        penalty = _penalty(points, postures, scaled, prior.freedom, noise_g, start)
+        penalty = _penalty(scaled, prior.freedom, 4 * noise_g * noise_g / postures * total, start)
         if penalty == before:
             break
         found, before = fitter(points, model, penalty, start), penalty
@@ -187,14 +187,6 @@ def posterior(
     covariance = tuple(tuple(unit * value for value in row) for row in _inverse(points, found, penalty))
     held = tuple(value / unit for value in _strengths(points, model, penalty))
     return Posterior(model, found, postures, prior, penalty, held, noise_g, covariance)
-
-
-@dataclass(frozen=True, slots=True)
-class _ScaledPrior:
-    """A prior in the units of the fit: twelve fixed-point parameters, and their scale parameters."""
-
-    centre: tuple[int, ...]
-    widths: tuple[float, ...]
 
 
 def speaks_against(
@@ -215,19 +207,19 @@ def speaks_against(
 
 def _log_evidence(known: Posterior, prior: Prior, points: PointSet) -> float:
     """Return the log probability of the points, up to a constant, by Laplace's approximation."""
-    scaled, freedom = _scaled(prior, points), prior.freedom
+    (centres, widths), freedom = _scaled(prior, points), prior.freedom
     squares = known.postures * known.found.mean_square / (4 * known.noise_g * known.noise_g)
     evidence = -known.postures * log(known.noise_g) - squares / 2
     for index in known.model.free:
-        width = scaled.widths[index]
-        away = (known.found.fit.parameters[index] - scaled.centre[index]) / ONE / width
+        width = widths[index]
+        away = (known.found.fit.parameters[index] - centres[index]) / ONE / width
         evidence -= (freedom + 1) / 2 * log(1 + away * away / freedom) + log(width)
     away = log(known.noise_g / prior.noise_g) / prior.noise_spread
     evidence -= (prior.noise_freedom + 1) / 2 * log(1 + away * away / prior.noise_freedom)
     return evidence + float(np.linalg.slogdet(np.array(known.covariance))[1]) / 2
 
 
-def _scaled(prior: Prior, points: PointSet) -> _ScaledPrior:
+def _scaled(prior: Prior, points: PointSet) -> _Scaled:
     """Convert a prior to the points' mean temperature, with slopes per scaled degree."""
     scale, centre = points.temperature, list(prior.centre)
     span = 1.0 if scale is None else scale.span_c
@@ -236,28 +228,23 @@ def _scaled(prior: Prior, points: PointSet) -> _ScaledPrior:
         centre[6:9] = [offset + warmer * slope for offset, slope in zip(centre[6:9], centre[9:], strict=True)]
     centre[9:] = [slope * span for slope in centre[9:]]
     widths = (*prior.width[:9], *(width * span for width in prior.width[9:]))
-    return _ScaledPrior(tuple(round(value * ONE) for value in centre), widths)
+    return tuple(round(value * ONE) for value in centre), widths
 
 
-def _penalty(
-    points: PointSet,
-    postures: int,
-    scaled: _ScaledPrior,
-    freedom: float,
-    noise_g: float,
-    parameters: tuple[int, ...],
-) -> Penalty:
-    """Convert a prior to a penalty on the sum of (|a|^2 - 1)^2, whose residuals are twice those of |a|."""
-    total = sum(points.weights.tolist()) / WEIGHT_ONE
-    unit = 4 * noise_g * noise_g / postures * total
+def _penalty(scaled: _Scaled, freedom: float, unit: float, parameters: tuple[int, ...]) -> Penalty:
+    """Convert a prior to a penalty on the sum of (|a|^2 - 1)^2, whose residuals are twice those of |a|.
+
+    Args:
+        unit: the variance of (|a|^2 - 1) of a point that weighs 1.
+    """
     strength = []
-    for value, centre, width in zip(parameters, scaled.centre, scaled.widths, strict=True):
+    for value, centre, width in zip(parameters, *scaled, strict=True):
         away = (value - centre) / ONE / width
         weight = (freedom + 1) / (freedom + away * away)
         whole = round(unit * weight / (width * width) * (1 << PENALTY_BITS))
         drop = max(0, whole.bit_length() - PENALTY_DIGITS)
         strength.append(max(1, whole >> drop << drop))
-    return Penalty(scaled.centre, tuple(strength))
+    return Penalty(scaled[0], tuple(strength))
 
 
 def _inverse(points: PointSet, found: PenalizedFit, penalty: Penalty) -> list[list[float]]:
@@ -277,20 +264,15 @@ def _strengths(points: PointSet, model: Model, penalty: Penalty) -> list[float]:
 def noise(used: float, mean_square: float, postures: int, prior: Prior) -> float:
     """Return the most probable noise [g], given residuals and prior.
 
+    With n the number of postures beyond those that the parameters use up, S the sum of their squared
+    residuals and x the logarithm of s over the usual noise, it solves n - S / s^2 + pull(x) = 0. The pull of
+    a heavy-tailed distribution fades: a sensor that is far quieter than others is believed.
+
     Args:
         used: number of postures that the parameters use up.
         mean_square: weighted mean of (|a|^2 - 1)^2.
     """
-    return _noise_g(postures - used, postures * mean_square / 4, prior)
-
-
-def _noise_g(surplus: float, squares: float, prior: Prior) -> float:
-    """Return the most probable noise [g], given the residuals and the prior.
-
-    With n the number of postures beyond those that the parameters use up, S the sum of their squared
-    residuals and x the logarithm of s over the usual noise, it solves n - S / s^2 + pull(x) = 0. The pull of
-    a heavy-tailed distribution fades: a sensor that is far quieter than others is believed.
-    """
+    surplus, squares = postures - used, postures * mean_square / 4
     low, high = prior.noise_g / NOISE_RANGE, prior.noise_g * NOISE_RANGE
     for _ in range(60):
         middle = sqrt(low * high)
@@ -336,7 +318,8 @@ def sphere_errors(
     """
     drawn = _drawn(known, _independent(points))
     best, bend = known.found.fit.parameters, known.bend
-    visited = _posture_means(points, label)
+    g, postures = points.xyz_g(), [label == one for one in sorted(set(label.tolist()))]
+    visited = np.asarray([np.average(g[own], axis=0, weights=points.weights[own]) for own in postures])
     true = (_raw_directions(best), _straight(visited, bend))
     raw = (_as_measured(_bent(true[0], bend), saturated), _as_measured(visited, saturated))
     moved = [
@@ -398,12 +381,11 @@ def _summary(everywhere: Floats, visited: Floats, raw_everywhere: Floats, raw_vi
     of_directions, of_draws = everywhere.mean(axis=0), everywhere.mean(axis=1)
     worst = int(of_directions.argmax())
     ordered = sorted(of_draws.tolist())
-    x, y, z = directions()[worst].tolist()
     return SphereError(
         mean=1000 * float(of_draws.mean()),
         ci95=(1000 * quantile(ordered, TAIL), 1000 * quantile(ordered, 1 - TAIL)),
         worst_direction=1000 * float(of_directions[worst]),
-        worst_direction_at=(x, y, z),
+        worst_direction_at=three(directions()[worst].tolist()),
         better_everywhere=float((of_draws < raw_everywhere.mean(axis=1)).mean()),
         better_where_worn=float((visited.mean(axis=1) < raw_visited.mean(axis=1)).mean()),
     )
@@ -426,14 +408,6 @@ def _as_measured(raw: Floats, saturated: Saturated) -> Floats:
         bound = np.minimum if limit_g > 0 else np.maximum
         measured[:, axis] = bound(measured[:, axis], limit_g)
     return measured
-
-
-def _posture_means(points: PointSet, label: NDArray[np.int64]) -> Floats:
-    """Return the raw mean of each posture, (postures, 3) in g."""
-    g = points.xyz_g()
-    keys = sorted(set(label.tolist()))
-    rows = [np.average(g[label == key], axis=0, weights=points.weights[label == key]) for key in keys]
-    return np.asarray(rows)
 
 
 def _independent(points: PointSet) -> float:
@@ -496,9 +470,8 @@ def _drawn(known: Posterior, most: float, numbers: tuple[Floats, Floats] | None 
         width = chi2 / (WIDTH_FREEDOM + apart + (moved * (share * moved + 2 * pull)).sum(axis=1))
         width, ratio = width[:, np.newaxis], ratio[:, np.newaxis]
         precision = ratio * (1 - share) + width * share
-        moved = (ratio * slope - width * pull) / precision + normal[:, : len(factor)] @ turn / np.sqrt(
-            precision
-        )
+        apart_by_chance = normal[:, : len(factor)] @ turn / np.sqrt(precision)
+        moved = (ratio * slope - width * pull) / precision + apart_by_chance
         squares = (moved * ((1 - share) * moved - 2 * slope)).sum(axis=1)
         ratio = noise.ratio(squares, normal[:, -1])
         found.append(moved)

@@ -77,7 +77,10 @@ def odd_rest(rest: Rest, lsb_per_g: float, *, decimal: bool) -> Reason | None:
         return _wrong_size(rest.samples_median_g, "samples", lsb_per_g, decimal)
     if rest.alike:
         return Reason.of("axes_alike", axes=rest.alike)
-    return _stuck_axis(rest) or _wrong_size(rest.median_g, "rest", lsb_per_g, decimal) or _scatter(rest)
+    odd = _stuck_axis(rest) or _wrong_size(rest.median_g, "rest", lsb_per_g, decimal)
+    if odd is None and rest.p95_g - rest.p5_g >= WIDEST_G:
+        return Reason.of("rest_scatters", low_g=rest.p5_g, high_g=rest.p95_g)
+    return odd
 
 
 def _stuck_axis(rest: Rest) -> Reason | None:
@@ -103,19 +106,12 @@ def _wrong_size(median_g: float | None, of: str, lsb_per_g: float, decimal: bool
         return Reason.of("wrong_unit", of=of, median_g=median_g, unit=unit[0], read_as=unit[1])
     if decimal:
         return Reason.of("not_1_g", of=of, median_g=median_g)
-    return Reason.of(
-        "wrong_counts_per_g", of=of, median_g=median_g, lsb_per_g=lsb_per_g, fits=lsb_per_g * median_g
-    )
+    values = {"median_g": median_g, "lsb_per_g": lsb_per_g, "fits": lsb_per_g * median_g}
+    return Reason.of("wrong_counts_per_g", of=of, **values)
 
 
 WRONG_SIZE = ("gravity_is_zero", "wrong_unit", "not_1_g", "wrong_counts_per_g")
 """Codes of rest that is far from 1 g."""
-
-
-def _scatter(rest: Rest) -> Reason | None:
-    if rest.p95_g - rest.p5_g < WIDEST_G:
-        return None
-    return Reason.of("rest_scatters", low_g=rest.p5_g, high_g=rest.p95_g)
 
 
 def advised(verdict: Judgement, facts: Facts, recording: Recording, settings: Settings) -> Judgement:
@@ -124,7 +120,11 @@ def advised(verdict: Judgement, facts: Facts, recording: Recording, settings: Se
         return verdict
     odd = _odd_rest_of(facts, recording)
     if odd is not None and verdict.reason.code == "provisional":
-        verdict = replace(verdict, reason=_against(verdict.reason, odd, facts.rest))
+        values = {name: verdict.reason.values[name] for name in ("error_mg", "low_mg", "high_mg", "limit_mg")}
+        reason = Reason.of("calibration_error_over_limit", **values)
+        if odd.code in WRONG_SIZE:
+            reason = Reason.of(FAR_FROM_1_G.code, median_g=facts.rest.median_g)
+        verdict = replace(verdict, reason=reason)
     if odd is not None and odd.code in WRONG_SIZE:
         return replace(verdict, notes=(*verdict.notes, odd), advice=())
     if verdict.reason == NOTHING_STILL:
@@ -138,14 +138,6 @@ def advised(verdict: Judgement, facts: Facts, recording: Recording, settings: Se
     if facts.cut_short:
         return replace(verdict, advice=(Reason("copy_again"), *verdict.advice))
     return verdict
-
-
-def _against(provisional: Reason, odd: Reason, rest: Rest) -> Reason:
-    """Return why what would be provisional is refused where rest is odd."""
-    if odd.code in WRONG_SIZE:
-        return Reason.of(FAR_FROM_1_G.code, median_g=rest.median_g)
-    values = {name: provisional.values[name] for name in ("error_mg", "low_mg", "high_mg", "limit_mg")}
-    return Reason.of("calibration_error_over_limit", **values)
 
 
 def damage_verdict(facts: Facts, max_percent: float, coverage: Coverage) -> Judgement | None:

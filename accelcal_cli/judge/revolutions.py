@@ -55,7 +55,11 @@ def judge_revolutions(
     if bias is None or calibration is None:
         return None
     integrals, wanted = _revolutions(found, calibration)
-    if not len(integrals) or not _span_all_axes(integrals):
+    if not len(integrals):
+        return None
+    unit = integrals / np.sqrt((integrals * integrals).sum(axis=1, keepdims=True))
+    moments = sum(np.multiply.outer(one, one) for one in unit) / len(unit)
+    if np.linalg.eigvalsh(moments)[0] < LEAST_SHARE:
         return None
     scale = _fitted(integrals, wanted)
     pairs = wide_turns(found, calibration)
@@ -93,12 +97,6 @@ def _revolutions(found: Turns, calibration: Calibration) -> tuple[Floats, Floats
             upward = middle / sqrt(float((middle * middle).sum()))
             wanted.append((whole if along > 0 else -whole) * upward)
     return np.array(integrals).reshape(-1, 3), np.array(wanted).reshape(-1, 3)
-
-
-def _span_all_axes(integrals: Floats) -> bool:
-    unit = integrals / np.sqrt((integrals * integrals).sum(axis=1, keepdims=True))
-    moments = sum(np.multiply.outer(one, one) for one in unit) / len(unit)
-    return bool(np.linalg.eigvalsh(moments)[0] >= LEAST_SHARE)
 
 
 def _fitted(integrals: Floats, wanted: Floats) -> Floats:

@@ -42,7 +42,7 @@ from accelcal_cli.judge.draws import DrawnSensors, calibration_of_fit
 from accelcal_cli.judge.errors import Uncertainty, deviations_mg, per_posture, uncertainty
 from accelcal_cli.judge.errors import coverage as coverage_of
 from accelcal_cli.judge.misfit import MisfitSearch
-from accelcal_cli.judge.model_ladder import FEWEST_POSTURES, Evidence, Fitting, Sample, blocked, postures
+from accelcal_cli.judge.model_ladder import FEWEST_POSTURES, Fitting, Sample, blocked, postures
 from accelcal_cli.judge.posterior import Posterior, outcome_by_error, posterior, speaks_against, sphere_errors
 from accelcal_cli.judge.refusal import LONGER, NOTHING_STILL
 
@@ -89,9 +89,15 @@ def judge(
     if verdict is None:
         blocks = model_ladder.temperature_blocks(points, label, how.settings.temperature_block_c)
         sample, truth = Sample(points, label, blocks), None
-        trials = model_ladder.try_models(Evidence(sample, coverage, how.models), how.settings, how.fit)
+        trials = model_ladder.try_models(sample, coverage, how)
         if how.penalized is None:
-            verdict = _best_held_out(sample, trials, coverage, how)
+            chosen = _chosen(trials, how.settings)
+            verdict = _outcome(chosen, trials, coverage, how.settings).judgement(
+                coverage, trials, chosen.holdout
+            )
+            if verdict.outcome is not Outcome.REFUSED and chosen.fit is not None:
+                gravity = how.settings.gravity
+                verdict = _complete(verdict, chosen.model, chosen.fit, points, label, gravity)
         else:
             verdict, truth = _most_probable(sample, trials, coverage, how, how.penalized)
         verdict = with_simpler(verdict, sample, how, truth)
@@ -123,22 +129,8 @@ def _too_few(points: PointSet, how: Fitting, why_none: Reason, coverage: Coverag
     return Judgement(Outcome.REFUSED, few, coverage, (), advice=(LONGER,))
 
 
-def _best_held_out(sample: Sample, trials: tuple[Trial, ...], coverage: Coverage, how: Fitting) -> Judgement:
-    """Judge the model that the ladder chooses."""
-    settings = how.settings
-    chosen = _chosen(trials, settings)
-    verdict = _outcome(chosen, trials, coverage, settings).judgement(coverage, trials, chosen.holdout)
-    if verdict.outcome is Outcome.REFUSED or chosen.fit is None:
-        return verdict
-    return _complete(verdict, chosen.model, chosen.fit, sample.points, sample.label, settings.gravity)
-
-
 def _most_probable(
-    sample: Sample,
-    trials: tuple[Trial, ...],
-    coverage: Coverage,
-    how: Fitting,
-    penalized: PenalizedFitter,
+    sample: Sample, trials: tuple[Trial, ...], coverage: Coverage, how: Fitting, penalized: PenalizedFitter
 ) -> tuple[Judgement, Posterior | None]:
     """Judge the fit with a prior by its error over the whole sphere.
 
@@ -149,8 +141,11 @@ def _most_probable(
     slopes = model_ladder.temperature_range_c(points) >= settings.min_temperature_range_c
     name = "9T" if slopes else "9"
     try:
-        known = posterior(points, coverage.distinct_orientations, MODELS[name], how.prior, penalized)
-        unlike = how.prior is not POPULATION and _contradicts_prior(known, sample, coverage, how, penalized)
+        number, unlike = coverage.distinct_orientations, False
+        known = posterior(points, number, MODELS[name], how.prior, penalized)
+        if how.prior is not POPULATION:
+            usual = posterior(points, number, MODELS[name], POPULATION, penalized)
+            unlike = speaks_against(known, usual, (how.prior, POPULATION), points)
         holdout, _ = blocked(sample, MODELS[name], known.fitter(penalized), settings.folds)
     except DivergedError:
         return Judgement(Outcome.REFUSED, DIVERGES, coverage, trials, advice=(LONGER,)), None
@@ -186,14 +181,10 @@ def _most_probable(
     if outcome is Outcome.REFUSED:
         return verdict, truth
     completed = _complete(verdict, name, fitted, points, label, settings.gravity)
-    return _with_posterior(completed, known, settings.gravity), truth
-
-
-def _with_posterior(verdict: Judgement, known: Posterior, gravity: Gravity) -> Judgement:
-    """Replace the errors of least squares by those of the posterior, and add its penalty."""
-    errors = _in_standard_g(known.standard_errors(), gravity)
-    coverage = replace(verdict.coverage, worst_direction_mg=known.worst_direction_mg())
-    return replace(verdict, standard_errors=errors, coverage=coverage, penalty=known.penalty)
+    # the errors of the posterior, not those of least squares
+    errors = _in_standard_g(known.standard_errors(), settings.gravity)
+    coverage = replace(completed.coverage, worst_direction_mg=known.worst_direction_mg())
+    return replace(completed, standard_errors=errors, coverage=coverage, penalty=known.penalty), truth
 
 
 def judge_calibrated(points: PointSet, how: Fitting, origin: str) -> Judgement:
@@ -206,31 +197,16 @@ def judge_calibrated(points: PointSet, how: Fitting, origin: str) -> Judgement:
     label = postures(points, how.settings.posture_degrees)
     coverage = coverage_of(points, label)
     if not len(points):
-        return Judgement(
-            Outcome.REFUSED, Reason.of("calibrated_before_unchecked", origin=origin), coverage, ()
-        )
-    sample = Sample(
-        points, label, model_ladder.temperature_blocks(points, label, how.settings.temperature_block_c)
-    )
+        why = Reason.of("calibrated_before_unchecked", origin=origin)
+        return Judgement(Outcome.REFUSED, why, coverage, ())
+    blocks = model_ladder.temperature_blocks(points, label, how.settings.temperature_block_c)
+    sample = Sample(points, label, blocks)
     holdout, same = blocked(sample, MODELS["0"], how.fit, how.settings.folds)
-    why = Reason.of(
-        "calibrated_before",
-        origin=origin,
-        before_mg=holdout.before.mean,
-        orientations=coverage.distinct_orientations,
-    )
+    values = {"before_mg": holdout.before.mean, "orientations": coverage.distinct_orientations}
+    why = Reason.of("calibrated_before", origin=origin, **values)
     trials = (Trial("0", holdout, None, same),)
     verdict = Judgement(Outcome.ALREADY_GOOD, why, coverage, trials, holdout=holdout)
     return _complete(verdict, "0", same, points, label, how.settings.gravity)
-
-
-def _contradicts_prior(
-    known: Posterior, sample: Sample, coverage: Coverage, how: Fitting, penalized: PenalizedFitter
-) -> bool:
-    """Return True if the points speak against the prior that was used, and for the one of all sensors."""
-    points = sample.points
-    usual = posterior(points, coverage.distinct_orientations, known.model, POPULATION, penalized)
-    return speaks_against(known, usual, (how.prior, POPULATION), points)
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,10 +279,7 @@ def _missing(verdict: Judgement, settings: Settings) -> tuple[Reason, ...]:
 
 
 def judge_paper(
-    fit_points: PointSet,
-    control_points: PointSet,
-    missing: tuple[list[str], list[str]],
-    how: Fitting,
+    fit_points: PointSet, control_points: PointSet, missing: tuple[list[str], list[str]], how: Fitting
 ) -> Judgement:
     """Judge by F's procedure: nine parameters from the full first set, held out on the second (eq. 21).
 
@@ -325,7 +298,13 @@ def judge_paper(
     if len(control_points) >= FEWEST_CONTROL_POINTS:
         second = []
     if first or second:
-        why = _not_full(first, second, settings)
+        why = Reason.of(
+            "subsets_not_full",
+            of="fit" if first else "control",
+            subsets=first or second,
+            points=settings.min_subset_points,
+            apart_g=settings.min_distance_g,
+        )
         return Judgement(Outcome.REFUSED, why, coverage, (), advice=(*ANOTHER_PROFILE, LONGER))
     name = "9" if "9" in how.models else "6"
     try:
@@ -387,17 +366,6 @@ def _verdict_of_paper(trial: Trial, coverage: Coverage, settings: Settings) -> J
     unfit = Trial("9", None, model_ladder.never_fits(settings.optimizer, "misalignment"))
     trials = (trial,) if trial.model == "9" else (trial, unfit)
     return _outcome(trial, trials, coverage, settings).judgement(coverage, trials, trial.holdout)
-
-
-def _not_full(first: list[str], second: list[str], settings: Settings) -> Reason:
-    """Name the subsets that are not full, of the first set or else of the second."""
-    return Reason.of(
-        "subsets_not_full",
-        of="fit" if first else "control",
-        subsets=first or second,
-        points=settings.min_subset_points,
-        apart_g=settings.min_distance_g,
-    )
 
 
 def _with_precision(coverage: Coverage, known: Uncertainty | None) -> Coverage:
@@ -462,28 +430,23 @@ def _outcome(chosen: Trial, trials: tuple[Trial, ...], coverage: Coverage, setti
         return Decision(Outcome.REFUSED, Reason.of("not_better", **values))
     if model in FULL_MODELS:
         return Decision(Outcome.CALIBRATED, Reason.of("calibrated_held_out", **values))
-    values |= (
-        {}
-        if insisted
-        else {"left_out": "scale and misalignment" if model.startswith("3") else "misalignment"}
-    )
     why = next((trial.reason for trial in trials if trial.model == "9" and trial.reason), None)
-    return Decision(
-        Outcome.REDUCED_MODEL, Reason.of("calibrated_in_part", **values, why=None if insisted else why)
-    )
+    if insisted:
+        why = None
+    else:
+        values["left_out"] = "scale and misalignment" if model.startswith("3") else "misalignment"
+    return Decision(Outcome.REDUCED_MODEL, Reason.of("calibrated_in_part", **values, why=why))
 
 
 def _no_model(
     holdout: Holdout, trials: tuple[Trial, ...], coverage: Coverage, settings: Settings
 ) -> Decision:
+    reason = Reason.of("raw_no_worse", **_held_out_values(holdout))
     if all(trial.holdout is None for trial in trials if trial.model != "0"):
-        why = trials[1].reason if len(trials) > 1 else None
-        return Decision(Outcome.REFUSED, Reason.of("no_model_tried", why=why), _advice(coverage, settings))
-    if holdout.before.mean < settings.max_error_mg:
-        return Decision(Outcome.ALREADY_GOOD, Reason.of("raw_no_worse", **_held_out_values(holdout)))
-    return Decision(
-        Outcome.REFUSED, Reason.of("raw_no_worse", **_held_out_values(holdout)), _advice(coverage, settings)
-    )
+        reason = Reason.of("no_model_tried", why=trials[1].reason if len(trials) > 1 else None)
+    elif holdout.before.mean < settings.max_error_mg:
+        return Decision(Outcome.ALREADY_GOOD, reason)
+    return Decision(Outcome.REFUSED, reason, _advice(coverage, settings))
 
 
 def _advice(coverage: Coverage, settings: Settings) -> tuple[Reason, ...]:
@@ -507,14 +470,8 @@ def with_errors_before(followed: Judgement, raw: Judgement) -> Judgement:
     simpler = followed.without_misalignment
     if simpler is not None and simpler.holdout is not None and raw.holdout is not None:
         simpler = replace(simpler, holdout=replace(simpler.holdout, before=raw.holdout.before))
-    return replace(
-        followed,
-        reason=reason,
-        holdout=holdout,
-        fit_errors=errors,
-        sphere_before=before,
-        without_misalignment=simpler,
-    )
+    followed = replace(followed, reason=reason, holdout=holdout, fit_errors=errors)
+    return replace(followed, sphere_before=before, without_misalignment=simpler)
 
 
 def better(borrowed: Holdout, own: Holdout) -> bool:
@@ -557,11 +514,9 @@ def with_simpler(
         holdout, fitted = _fitted(MODELS[name], sample, how, verdict)
     except DivergedError:
         return verdict
-    sphere = None
+    sphere, saturated = None, verdict.coverage.saturated
     if truth is not None:
-        (sphere,) = sphere_errors(
-            points, sample.label, truth, (fitted.parameters,), verdict.coverage.saturated
-        )
+        (sphere,) = sphere_errors(points, sample.label, truth, (fitted.parameters,), saturated)
     simpler = WithoutMisalignment(calibration_of_fit(name, fitted, points, gravity), holdout, sphere)
     return replace(verdict, without_misalignment=simpler)
 

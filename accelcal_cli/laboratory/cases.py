@@ -18,7 +18,7 @@ from numpy.random import RandomState
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.subsets import SubsetCollector
-from accelcal_cli.core.arithmetic import ONE, to_fixed
+from accelcal_cli.core.arithmetic import ONE, three, to_fixed
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.points import MODELS, WEIGHT_ONE, Fit, Model, Optimizer, PointSet
 from accelcal_cli.optimize import all_optimizers, named_optimizer
@@ -133,8 +133,7 @@ def _collected(plan: CasePlan, random: RandomState, truth: tuple[int, ...]) -> t
     taken: list[tuple[Real, Real]] = []
     while len(taken) < plan.number:
         for still, noisy in zip(*_drawn(plan, random, truth), strict=True):
-            x, y, z = np.rint(noisy * ONE).astype(int).tolist()
-            if collector.offer(1, (x, y, z)):
+            if collector.offer(1, three(np.rint(noisy * ONE).astype(int).tolist())):
                 taken.append((still, noisy))
     return np.array([still for still, _ in taken]), np.array([noisy for _, noisy in taken])
 
@@ -174,20 +173,18 @@ def methods(labels: tuple[str, ...]) -> tuple[Method, ...]:
     """
     chosen: dict[str, Method] = {}
     for label in labels or USUAL:
-        for method in _installed() if label == ALL else [_method(label)]:
-            chosen.setdefault(method.label, method)
+        if label == ALL:
+            chosen |= {method.label: method for method in _installed() if method.label not in chosen}
+            continue
+        name, _, profile = label.partition(":")
+        method = Method(named_optimizer(name), profile or "default")
+        if method.profile not in method.optimizer.settings:
+            raise UsageError(
+                f"optimizer {name} has no settings of profile {profile!r}",
+                hint=f"use one of {', '.join(sorted(method.optimizer.settings))}",
+            )
+        chosen.setdefault(method.label, method)
     return tuple(chosen.values())
-
-
-def _method(label: str) -> Method:
-    name, _, profile = label.partition(":")
-    optimizer = named_optimizer(name)
-    if (profile or "default") not in optimizer.settings:
-        raise UsageError(
-            f"optimizer {name} has no settings of profile {profile!r}",
-            hint=f"use one of {', '.join(sorted(optimizer.settings))}",
-        )
-    return Method(optimizer, profile or "default")
 
 
 def _installed() -> Iterator[Method]:

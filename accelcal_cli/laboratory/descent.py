@@ -22,6 +22,7 @@ from accelcal_cli.laboratory.cases import CasePlan, Method, make_case
 
 Real = NDArray[np.float64]
 Objective = Literal["mean", "root", "sum"]
+Spread = dict[str, float | None]
 
 NAME = "descent"
 STEP = 1e-5
@@ -97,20 +98,14 @@ def descent(numbers: DescentNumbers) -> Method:
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
-    """Median and 90th percentile over the cases; None without any."""
-
-    median: float | None
-    p90: float | None
-
-
-@dataclass(frozen=True, slots=True)
 class Convergence:
     """Convergence of the descent over all cases in which it did not diverge.
 
     Attributes:
         left: largest distance from the last iteration, by iteration and group of parameters.
         within: iterations after which all nine parameters stay within a tolerance of the last one.
+
+    Both as `median` and 90th percentile, `p90`, over the cases; None without any.
     """
 
     points: int
@@ -149,14 +144,13 @@ def _arrival(far: Real, limit: float) -> int:
 
 
 def _spread(values: Sequence[float] | Real) -> Spread:
-    if not len(values):
-        return Spread(None, None)
-    median, p90 = np.percentile(values, (50, 90)).tolist()
-    return Spread(median, p90)
+    percentiles = np.percentile(values, (50, 90)).tolist() if len(values) else (None, None)
+    return dict(zip(("median", "p90"), percentiles, strict=True))
 
 
 def as_json(found: Convergence) -> dict[str, Any]:
     """Return the table as JSON, with iterations and tolerances as text."""
     shown = asdict(found)
-    keyed = {name: shown[name].items() for name in ("left", "within")}
-    return shown | {name: {f"{key:g}": value for key, value in pairs} for name, pairs in keyed.items()}
+    return shown | {
+        name: {f"{key:g}": value for key, value in shown[name].items()} for name in ("left", "within")
+    }

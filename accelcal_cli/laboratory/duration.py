@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -140,7 +141,7 @@ def _worn(still: Stillness, start_h: float, hours: float, settings: Settings, na
 
 def lengths(found: Sequence[Measured]) -> list[Length]:
     """Return the segments of each kind and length together, and of all kinds if there are several."""
-    segments = [segment for one in found for segment in one.segments]
+    segments = list(chain.from_iterable(one.segments for one in found))
     kinds = list(dict.fromkeys(segment.kind for segment in segments))
     rows = [row for kind in kinds for row in _lengths(kind, [one for one in segments if one.kind == kind])]
     return [*rows, *(_lengths("all", segments) if len(kinds) > 1 else [])]
@@ -167,24 +168,17 @@ def _lengths(kind: str, segments: Sequence[Worn]) -> Iterator[Length]:
         )
 
 
-def needed_h(kind: str, rows: Sequence[Length]) -> tuple[float, str]:
-    """Return the length [h] that usually suffices for a kind of device, and how that is known."""
-    for own, words in ((kind, f"other recordings of {kind}"), ("all", "the other recordings")):
-        of_kind = [row for row in rows if row.kind == own]
-        enough = [row.hours for row in of_kind if row.usable - row.provisional >= ENOUGH]
-        if enough:
-            return min(enough), words
-    return USUAL_H, "a recording of 84 h of a GENEActiv"
-
-
 def missing(one: Measured, rows: Sequence[Length]) -> str:
     """Return what a refused recording lacks, and how many more hours usually bring it."""
-    needed, known_from = needed_h(one.kind, rows)
+    needed, known_from = USUAL_H, "a recording of 84 h of a GENEActiv"
+    for kind, words in (("all", "the other recordings"), (one.kind, f"other recordings of {one.kind}")):
+        of_kind = [row for row in rows if row.kind == kind]
+        if enough := [row.hours for row in of_kind if row.usable - row.provisional >= ENOUGH]:
+            needed, known_from = min(enough), words
     more = needed - one.span_h
+    lacks = f"about {more:.0f} more usually help" if more > 0 else "length is not what it lacks"
     usually = f"{ENOUGH:.0%} of segments of {needed:g} h are calibrated, by {known_from}"
-    if more <= 0:
-        return f"{one.refusal}. It has {one.span_h:.1f} h, and {usually}: length is not what it lacks"
-    return f"{one.refusal}. It has {one.span_h:.1f} h, and {usually}: about {more:.0f} more usually help"
+    return f"{one.refusal}. It has {one.span_h:.1f} h, and {usually}: {lacks}"
 
 
 FIGURES = {
@@ -197,19 +191,12 @@ FIGURES = {
 @click.command(
     "duration",
     cls=Command,
-    examples=(
-        "evaluate duration recording.cwa",
-        "evaluate duration recordings --hours 6,12,24,48",
-    ),
+    examples=("evaluate duration recording.cwa", "evaluate duration recordings --hours 6,12,24,48"),
 )
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
-@click.option(
-    "--hours",
-    type=options.Listed(float, 0.1, 10_000),
-    default="1,3,6,12,24,48,72,96",
-    show_default=True,
-    help="Lengths of wear; those of more than half a recording are left out.",
-)
+@click.option("--hours", type=options.Listed(float, 0.1, 10_000), default="1,3,6,12,24,48,72,96",
+              show_default=True,
+              help="Lengths of wear; those of more than half a recording are left out.")  # fmt: skip
 @click.option("--number", type=click.IntRange(1, 10_000), metavar="N", default=12, show_default=True,
               help="Largest number of segments of each length in a recording.")  # fmt: skip
 @table_hours_option
@@ -248,18 +235,16 @@ def _shown(found: list[Measured], values: dict[str, Any]) -> str:
     rows = lengths(found)
     refused = {one.recording: missing(one, rows) for one in found if one.refusal is not None}
     if values["as_json_"]:
-        segments = [asdict(segment) for one in found for segment in one.segments]
-        return json.dumps(
-            {"lengths": [asdict(row) for row in rows], "segments": segments, "refused": refused}
-        )
+        segments = list(chain.from_iterable(one.segments for one in found))
+        shown = {"lengths": list(map(asdict, rows)), "segments": list(map(asdict, segments))}
+        return json.dumps(shown | {"refused": refused})
     if values["as_csv"]:
-        fields = list(Length.__dataclass_fields__)
-        return csv_text(fields, [[getattr(row, name) for name in fields] for row in rows]).rstrip("\n")
-    lines = [
-        [row.kind, *(formatted(getattr(row, key), form) for key, form in FIGURES.items())] for row in rows
-    ]
-    table = [aligned(["device", *(key.replace("_", " ") for key in FIGURES)], lines)] if rows else []
-    short = (
+        return csv_text([*Length.__dataclass_fields__], map(astuple, rows)).rstrip("\n")
+    table = (
         f"no recording is twice as long as the shortest of {', '.join(map('{:g} h'.format, values['hours']))}"
     )
-    return "\n".join([*(table or [short]), *(f"{name}: refused: {text}" for name, text in refused.items())])
+    if rows:
+        cells = [[formatted(getattr(row, key), form) for key, form in FIGURES.items()] for row in rows]
+        head = ["device", *(key.replace("_", " ") for key in FIGURES)]
+        table = aligned(head, [[row.kind, *shown] for row, shown in zip(rows, cells, strict=True)])
+    return "\n".join([table, *(f"{name}: refused: {text}" for name, text in refused.items())])

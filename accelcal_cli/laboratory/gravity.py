@@ -13,6 +13,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from fractions import Fraction
+from itertools import starmap
 from typing import Any
 
 import click
@@ -88,26 +89,34 @@ def gravity_residuals(
         DivergedError: no case can be fitted.
     """
     plan.check()
+    true_g = float(plan.rest_g)
     kept: list[tuple[Fraction, list[Floats]]] = [(Fraction(1), []), (plan.rest_g, [])]
     for index in range(cases):
         case = make_case(plan, seed, index)
         for assumed_g, rows in kept:
-            rows.extend(_residuals(method, case, assumed_g, float(plan.rest_g)))
+            for calibration in _fitted(method, case, assumed_g):
+                fitted = _norms(calibration, case.points.xyz_g())
+                exact = _norms(calibration, measured(case.truth, true_g * directions()))
+                costs = [_gravity_cost(fitted, gravity_g) for gravity_g in (float(assumed_g), true_g)]
+                rows.append(np.array([*costs, 1e3 * float(np.abs(exact - true_g).mean())]))
         progress(index + 1)
-    return tuple(_mean_residuals(assumed_g, rows) for assumed_g, rows in kept)
+    if not all(rows for _, rows in kept):
+        raise DivergedError("no case could be fitted")
+    means = ((_m_s2(assumed_g), *np.mean(rows, axis=0).tolist(), len(rows)) for assumed_g, rows in kept)
+    return tuple(starmap(Residuals, means))
 
 
-def _residuals(method: Method, case: Case, assumed_g: Fraction, true_g: float) -> list[Floats]:
-    """Return one row of errors, none if the fit fails."""
+def _fitted(method: Method, case: Case, assumed_g: Fraction) -> list[Calibration]:
+    """Return the calibration of a case, none if the fit fails."""
     try:
         fit = method.fit(as_points(case.points.xyz_g() / float(assumed_g)))
     except DivergedError:
         return []
-    calibration = Calibration(method.model.name, in_standard_g(fit.parameters, assumed_g))
-    fitted = _norms(calibration, case.points.xyz_g())
-    exact = _norms(calibration, measured(case.truth, true_g * directions()))
-    mg = 1e3 * float(np.abs(exact - true_g).mean())
-    return [np.array([_gravity_cost(fitted, float(assumed_g)), _gravity_cost(fitted, true_g), mg])]
+    return [Calibration(method.model.name, in_standard_g(fit.parameters, assumed_g))]
+
+
+def _m_s2(gravity_g: Fraction) -> float:
+    return round(float(gravity_g) * STANDARD_GRAVITY, 6)
 
 
 def _norms(calibration: Calibration, raw_g: Floats) -> Floats:
@@ -117,13 +126,6 @@ def _norms(calibration: Calibration, raw_g: Floats) -> Floats:
 def _gravity_cost(norms_g: Floats, gravity_g: float) -> float:
     """Return E of G eq. 5 [m4/s8] of norms and gravity in standard g."""
     return float(((norms_g**2 - gravity_g**2) ** 2).mean()) * STANDARD_GRAVITY**4
-
-
-def _mean_residuals(assumed_g: Fraction, rows: list[Floats]) -> Residuals:
-    if not rows:
-        raise DivergedError("no case could be fitted")
-    assumed, true, mg = np.mean(rows, axis=0).tolist()
-    return Residuals(_m_s2(assumed_g), assumed, true, mg, len(rows))
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,26 +150,14 @@ def turn_residuals(plan: CasePlan, method: Method, cases: int, seed: int) -> tup
         case = make_case(plan, seed, index)
         turns = _turns(case, plan, RandomState([seed, index]))
         for assumed_g, angles in kept:
-            angles.extend(_angles(method, case, assumed_g, turns))
+            for calibration in _fitted(method, case, assumed_g):
+                holdout = judge_gyroscope(turns, calibration, None).holdout
+                if holdout is not None:
+                    angles.append(holdout.after)
     return tuple(
         TurnResidual(_m_s2(assumed_g), mean(angles) if angles else None, len(angles))
         for assumed_g, angles in kept
     )
-
-
-def _m_s2(gravity_g: Fraction) -> float:
-    return round(float(gravity_g) * STANDARD_GRAVITY, 6)
-
-
-def _angles(method: Method, case: Case, assumed_g: Fraction, turns: Turns) -> list[float]:
-    """Return the angle of a case, none if a fit fails."""
-    try:
-        fit = method.fit(as_points(case.points.xyz_g() / float(assumed_g)))
-    except DivergedError:
-        return []
-    calibration = Calibration(method.model.name, in_standard_g(fit.parameters, assumed_g))
-    found = judge_gyroscope(turns, calibration, None)
-    return [] if found.holdout is None else [found.holdout.after]
 
 
 def _turns(case: Case, plan: CasePlan, random: RandomState) -> Turns:
@@ -228,7 +218,12 @@ def command(label: str, as_json: bool, **values: Any) -> None:
 
     Table 8 of Grammenos, Mascolo, Crowcroft 2018 (section 5.2): the residual of the cost function.
     """
-    plan = CasePlan(values["points"], values["noise_mg"] / 1e3, rest_g=_rest_g(values))
+    rest_g = standard_g(values["local_gravity"] or TABLE_8_GRAVITY)
+    if values["latitude"] is not None or values["altitude_m"] is not None:
+        if values["local_gravity"] is not None and values["latitude"] is not None:
+            raise UsageError("--local-gravity and --latitude cannot be combined", hint="give one of them")
+        rest_g = chosen_gravity(values).local_g()
+    plan = CasePlan(values["points"], values["noise_mg"] / 1e3, rest_g=rest_g)
     if label == ALL:
         raise UsageError("gravity is evaluated with one optimizer", hint="name it with --optimizer")
     (method,) = methods((label,))
@@ -237,26 +232,24 @@ def command(label: str, as_json: bool, **values: Any) -> None:
         residuals = gravity_residuals(plan, method, values["cases"], values["seed"], progress)
     turned = turn_residuals(plan, method, values["cases"], values["seed"])
     if as_json:
-        record = _record(plan, values, label, residuals) | {"gyroscope": _gyroscope_record(turned)}
-        exit_codes.show(json.dumps(record))
+        exit_codes.show(json.dumps(_record(plan, values, label, residuals, turned)))
     else:
-        exit_codes.show(f"{_text(plan, values, residuals)}\n{_gyroscope_text(plan, turned)}")
-
-
-def _rest_g(values: dict[str, Any]) -> Fraction:
-    if values["local_gravity"] is not None and values["latitude"] is not None:
-        raise UsageError("--local-gravity and --latitude cannot be combined", hint="give one of them")
-    if values["latitude"] is not None or values["altitude_m"] is not None:
-        return chosen_gravity(values).local_g()
-    return standard_g(values["local_gravity"] or TABLE_8_GRAVITY)
+        exit_codes.show(_text(plan, values, residuals, turned))
 
 
 def _record(
-    plan: CasePlan, values: dict[str, Any], label: str, residuals: tuple[Residuals, ...]
+    plan: CasePlan,
+    values: dict[str, Any],
+    label: str,
+    residuals: tuple[Residuals, ...],
+    turned: tuple[TurnResidual, ...],
 ) -> dict[str, Any]:
     fits = [
         {name: significant(value, 7 if name == "assumed_m_s2" else 4) for name, value in asdict(row).items()}
         for row in residuals
+    ]
+    angles = [
+        {**asdict(row), "holdout_deg": row.holdout_deg and significant(row.holdout_deg)} for row in turned
     ]
     return {
         **identity("gravity"),
@@ -265,40 +258,38 @@ def _record(
         "method": label,
         "published": dict(zip(("default", "local"), TABLE_8, strict=True)),
         "fits": fits,
+        "gyroscope": {
+            "published": dict(zip(("default", "local"), TABLE_8_GYROSCOPE, strict=True)),
+            "fits": angles,
+        },
     }
 
 
-def _text(plan: CasePlan, values: dict[str, Any], residuals: tuple[Residuals, ...]) -> str:
+def _text(
+    plan: CasePlan, values: dict[str, Any], residuals: tuple[Residuals, ...], turned: tuple[TurnResidual, ...]
+) -> str:
     rest = float(plan.rest_g) * STANDARD_GRAVITY
-    head = (
-        f"{values['cases']} cases (seed {values['seed']}) of {plan.number} points, noise "
-        f"{values['noise_mg']:g} mg; rest measures {rest:.5f} m/s2."
-    )
+    known = [
+        [f"{paper:.4f}" if round(rest, 6) == TABLE_8_GRAVITY else "-" for paper in papers]
+        for papers in (TABLE_8, TABLE_8_GYROSCOPE)
+    ]
     names = ("gravity assumed", "E, assumed g", "E, true g", "| |a| - g | mg", "paper's E", "failed")
     rows = []
-    for row, paper in zip(residuals, TABLE_8, strict=True):
+    for row, paper in zip(residuals, known[0], strict=True):
         shown = figure(row.against_assumed), figure(row.against_true), figure(row.norm_error_mg)
-        known = f"{paper:.4f}" if round(rest, 6) == TABLE_8_GRAVITY else "-"
-        rows.append((f"{row.assumed_m_s2:.5f} m/s2", *shown, known, str(values["cases"] - row.fitted)))
-    about = (
-        "E: mean of (|A|^2 - g^2)^2 over the fitted points, m4/s8; the paper does not say against which g."
+        rows.append((f"{row.assumed_m_s2:.5f} m/s2", *shown, paper, str(values["cases"] - row.fitted)))
+    turns = [
+        (f"{row.assumed_m_s2:.5f} m/s2", figure(row.holdout_deg), paper)
+        for row, paper in zip(turned, known[1], strict=True)
+    ]
+    return "\n".join(
+        [
+            f"{values['cases']} cases (seed {values['seed']}) of {plan.number} points, noise "
+            f"{values['noise_mg']:g} mg; rest measures {rest:.5f} m/s2.",
+            "E: mean of (|A|^2 - g^2)^2 over the fitted points, m4/s8; "
+            "the paper does not say against which g.",
+            aligned(names, rows),
+            f"A gyroscope, calibrated with the first {turned[0].fitted} of these accelerometers:",
+            aligned(("gravity assumed", "degrees off after a turn, held out", "paper's E"), turns),
+        ]
     )
-    return "\n".join([head, about, aligned(names, rows)])
-
-
-def _gyroscope_record(turned: tuple[TurnResidual, ...]) -> dict[str, Any]:
-    fits = [
-        {**asdict(row), "holdout_deg": row.holdout_deg and significant(row.holdout_deg)} for row in turned
-    ]
-    return {"published": dict(zip(("default", "local"), TABLE_8_GYROSCOPE, strict=True)), "fits": fits}
-
-
-def _gyroscope_text(plan: CasePlan, turned: tuple[TurnResidual, ...]) -> str:
-    known = _m_s2(plan.rest_g) == TABLE_8_GRAVITY
-    rows = [
-        (f"{row.assumed_m_s2:.5f} m/s2", figure(row.holdout_deg), f"{paper:.4f}" if known else "-")
-        for row, paper in zip(turned, TABLE_8_GYROSCOPE, strict=True)
-    ]
-    head = f"A gyroscope, calibrated with the first {turned[0].fitted} of these accelerometers:"
-    names = ("gravity assumed", "degrees off after a turn, held out", "paper's E")
-    return "\n".join([head, aligned(names, rows)])

@@ -108,10 +108,9 @@ class Likeness:
     before: tuple[float, ...]
     after: tuple[float, ...]
 
-    def rms_mg(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def rms_mg(self) -> list[list[float]]:
         """Return the roots of the mean squares [mg], before and after."""
-        before, after = (tuple(1000 * value**0.5 for value in values) for values in (self.before, self.after))
-        return before, after
+        return [[1000 * value**0.5 for value in values] for values in (self.before, self.after)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,10 +153,6 @@ class _Device:
     utc_offset_us: int
     transforms: tuple[Transform, ...]
 
-    @property
-    def path(self) -> Path:
-        return self.run.job.source
-
     def hours(self, cell_us: int, shift: Shift, transforms: Sequence[Transform]) -> Iterator[Hour]:
         """Yield its hours, in cells of the common clock."""
         chunks = self.run.reader.chunks(self.run.request.chunk_samples)
@@ -196,7 +191,7 @@ def homogeneity(
     recordings = []
     for one in devices:
         (_, clock), likeness = next(pairs) if one in good else ((None, None), None)
-        recordings.append(Compared(one.path, one.serial, one.outcome, one.message, clock, likeness))
+        recordings.append(Compared(one.run.job.source, one.serial, one.outcome, one.message, clock, likeness))
     together = _likeness(sums.mean(axis=0) / cells)
     return Homogeneity(tuple(recordings), cells * CELL_US // MICROSECONDS, together)
 
@@ -296,11 +291,11 @@ def _clocks(devices: Sequence[_Device], largest_lag_s: float) -> list[tuple[Shif
                 lags.append((hour * HOUR_US + HOUR_US // 2, *lag))
     lost = next((one for one, lags in zip(devices[1:], found[1:], strict=True) if not lags), None)
     if lost is not None:
-        text = f"shows no movement in common with {printable(devices[0].path.name)}"
+        text = f"shows no movement in common with {printable(devices[0].run.job.source.name)}"
         hint = (
             "give recordings of devices moved together, and a larger --largest-lag if clocks differ by more"
         )
-        raise UsageError(text, path=lost.path, hint=hint)
+        raise UsageError(text, path=lost.run.job.source, hint=hint)
     return [(Shift(), Clock()), *map(line_of, found[1:])]
 
 
@@ -313,7 +308,12 @@ def lag_between(first: Integers, other: Integers, largest_lag_s: float) -> tuple
     Returns:
         None if one of them hardly moves, or the best lag is at the end of the allowed range.
     """
-    signals = [_centred(table) for table in (first, other)]
+    signals = []  # |a| less its mean [g]; 0 in empty cells
+    for table in (first, other):
+        known, signal = table[:, 0] > 0, np.zeros(len(table))
+        signal[known] = table[known, 4] / table[known, 0] * (MG / 1000)
+        signal[known] -= signal[known].mean()
+        signals.append(signal)
     power = [float(signal @ signal) for signal in signals]
     if min(power) < len(first) * (LEAST_MOVED_MG / 1000) ** 2:
         return None
@@ -328,15 +328,6 @@ def lag_between(first: Integers, other: Integers, largest_lag_s: float) -> tuple
     between = float(0.5 * (left - right) / (left - 2 * top + right))
     correlation = float(products[best]) / (power[0] * power[1]) ** 0.5
     return (best - reach + between) * FINE_US, correlation
-
-
-def _centred(table: Integers) -> Floats:
-    """Return |a| less its mean [g]; 0 in empty cells."""
-    known = table[:, 0] > 0
-    values = np.zeros(len(table))
-    values[known] = table[known, 4] / table[known, 0] * (MG / 1000)
-    values[known] -= values[known].mean()
-    return values
 
 
 def line_of(lags: Sequence[tuple[int, float, float]]) -> tuple[Shift, Clock]:
@@ -415,12 +406,9 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     with progress_bars("homogeneity", quiet=values["quiet"]) as bars:
         found = homogeneity(recordings, request, values["largest_lag_s"], bars)
     exit_codes.show(_shown(found, values))
-    return exit_codes.OK if accepted(found, values["accept_mg"]) else exit_codes.SOME_FAILED
-
-
-def accepted(found: Homogeneity, limit_mg: float | None) -> bool:
-    """Return True if all devices deviate by less than the limit."""
-    return limit_mg is None or all(_within(one, limit_mg) for one in found.recordings)
+    limit_mg = values["accept_mg"]
+    accepted = limit_mg is None or all(_within(one, limit_mg) for one in found.recordings)
+    return exit_codes.OK if accepted else exit_codes.SOME_FAILED
 
 
 def _within(one: Compared, limit_mg: float) -> bool:
@@ -430,34 +418,22 @@ def _within(one: Compared, limit_mg: float) -> bool:
 def _shown(found: Homogeneity, values: dict[str, Any]) -> str:
     limit_mg = values["accept_mg"]
     if values["as_json"]:
-        shown = asdict(found) | {"recordings": [_as_json(one, limit_mg) for one in found.recordings]}
-        shown["together"] = _likeness_json(found.together)
-        return json.dumps(shown)
+        recordings = [
+            {
+                "recording": printable(one.path),
+                **{name: getattr(one, name) for name in ("serial", "outcome", "message")},
+                "clock": one.clock and asdict(one.clock),
+                "likeness": one.likeness and _likeness_json(one.likeness),
+                "accepted": None if limit_mg is None else _within(one, limit_mg),
+            }
+            for one in found.recordings
+        ]
+        together = _likeness_json(found.together)
+        return json.dumps({"recordings": recordings, "seconds": found.seconds, "together": together})
     if values["as_csv"]:
-        head = (
-            "recording",
-            "serial",
-            "outcome",
-            "lag_s",
-            "drift_ppm",
-            "residual_ms",
-            "correlation",
-            *FIGURES,
-        )
+        head = ("recording", "serial", "outcome", *(word.replace(" ", "_") for word in HEAD), *FIGURES)
         return csv_text(head, [_csv_row(one) for one in found.recordings]).rstrip("\n")
     return printable(_text(found, limit_mg), kept="\n")
-
-
-def _as_json(one: Compared, limit_mg: float | None) -> dict[str, Any]:
-    return {
-        "recording": printable(one.path),
-        "serial": one.serial,
-        "outcome": one.outcome,
-        "message": one.message,
-        "clock": None if one.clock is None else asdict(one.clock),
-        "likeness": None if one.likeness is None else _likeness_json(one.likeness),
-        "accepted": None if limit_mg is None else _within(one, limit_mg),
-    }
 
 
 def _likeness_json(likeness: Likeness) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from itertools import chain
 from pathlib import Path
 from time import perf_counter
@@ -18,16 +18,14 @@ from accelcal_cli.cli.output import aligned, each_recording, refuse_both
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import MODELS
-from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import NO_PRIOR, PAPER, Settings, other_rules, rule_options
 from accelcal_cli.core.statistics import mean, ratio_uncertainty95
-from accelcal_cli.judge.model_ladder import Fitting
-from accelcal_cli.laboratory.methods_page import MOST_DRAWN, Drawn, drawn, page
+from accelcal_cli.laboratory.methods_page import MOST_DRAWN, Drawn, drawn
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.output.files import csv_text, write_text
 from accelcal_cli.output.numbers import formatted, percent
 from accelcal_cli.output.words import begun_small, explained
-from accelcal_cli.pages.rendering import PageTable
+from accelcal_cli.pages.rendering import PageTable, rendered
 from accelcal_cli.pages.write import refuse_foreign_page
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
@@ -75,17 +73,6 @@ class MethodRow:
     seconds: float | None = None
 
 
-def compare(
-    path: Path, options: ReadOptions, settings: Settings, optimizers: tuple[str, ...], progress: ProgressMaker
-) -> Iterator[MethodRow]:
-    """Yield a row for each optimizer; the recording is read once.
-
-    Raises:
-        AccelcalError: it cannot be read.
-    """
-    yield from rows_of(path, *collected_to_fit(path, options, settings, progress), optimizers)
-
-
 def rows_of(
     path: Path, procedure: Procedure, settings: Settings, optimizers: tuple[str, ...]
 ) -> Iterator[MethodRow]:
@@ -124,42 +111,28 @@ def _row(path: Path, procedure: Procedure, settings: Settings) -> MethodRow:
         verdict = procedure.judge(fitter)
     except AccelcalError as error:
         return MethodRow(printable(path), settings.optimizer, "failed", str(error))
-    seconds = None if verdict.fit is None else _seconds(procedure, fitter, verdict)
-    cells = verdict.coverage.cells
+    cells, fit, holdout = verdict.coverage.cells, verdict.fit, verdict.holdout
     rule = rule_options(settings) if settings.profile == PAPER.profile else None
     message = explained(verdict.reason, verdict.advice)
     row = MethodRow(printable(path), settings.optimizer, str(verdict.outcome), message, rule, points=cells)
-    return _judged(row, verdict, seconds)
-
-
-def _seconds(procedure: Procedure, fitter: Fitting, verdict: Judgement) -> float:
-    """Return the time [s] of the fit to all points."""
-    assert verdict.calibration is not None
-    points, model = procedure.result(), MODELS[verdict.calibration.model]
-    start = perf_counter()
-    fitter.fit((points,), model)
-    return perf_counter() - start
-
-
-def _judged(row: MethodRow, verdict: Judgement, seconds: float | None) -> MethodRow:
-    """Return the row with its errors, and with the costs of the fit if there is a calibration."""
-    holdout, fit = verdict.holdout, verdict.fit
     if holdout is None:
         return row
     row = replace(row, postures=holdout.postures, before_mg=holdout.before.mean)
     if fit is None or verdict.calibration is None:
         return row
-    operations = fit.operations
+    points, model = procedure.result(), MODELS[verdict.calibration.model]
+    start = perf_counter()
+    fitter.fit((points,), model)
     return replace(
         row,
-        model=verdict.calibration.model,
+        model=model.name,
         after_mg=holdout.after.mean,
         improvement_percent=holdout.improvement_percent(),
         improvement_ci95=_percent(holdout.improvement_ci95()),
         iterations=fit.iterations,
-        additions=operations.additions or None,
-        multiplications=operations.multiplications or None,
-        seconds=seconds,
+        additions=fit.operations.additions or None,
+        multiplications=fit.operations.multiplications or None,
+        seconds=perf_counter() - start,
     )
 
 
@@ -207,7 +180,7 @@ def as_json(rows: list[MethodRow]) -> dict[str, Any]:
     """Return all rows, their means over recordings, and the published ones as JSON."""
     names = ("method", "before_mg", "after_mg", "improvement_percent")
     return {
-        "rows": [{name: getattr(row, name) for name in row.__dataclass_fields__} for row in rows],
+        "rows": [asdict(row) for row in rows],
         "means": [asdict(one) for one in means(rows)],
         "published": [dict(zip(names, row, strict=True)) for row in TABLE_3_OF_F],
     }
@@ -221,6 +194,7 @@ HEAD = (
 )  # fmt: skip
 MEANS = ("mean over recordings", "calibrated", "before mg", "after mg", "improved %", INTERVAL)
 PUBLISHED = ("Table 3 of Farago, Maczak, Gingl 2024 (own recordings)", "before mg", "after mg", "improved %")
+PUBLISHED_ROWS = [list(map(str, row)) for row in TABLE_3_OF_F]
 
 
 @click.command(
@@ -229,9 +203,8 @@ PUBLISHED = ("Table 3 of Farago, Maczak, Gingl 2024 (own recordings)", "before m
     examples=("evaluate methods recording.cwa", "evaluate methods recordings --profile paper # a folder"),
 )
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
-@click.option(
-    "--only", type=options.OPTIMIZERS, metavar="A,B", help="Compare only these optimizers.  [default: all]"
-)
+@click.option("--only", type=options.OPTIMIZERS, metavar="A,B",
+              help="Compare only these optimizers.  [default: all]")  # fmt: skip
 @click.option("--html", "page", type=options.FILE, metavar="PAGE.html",
               help="Also write a page: the tables, and figures of the first recordings.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace a page that accelcal did not make.")
@@ -249,7 +222,11 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     paper: 18 points and a second set of control points to judge by, as in the paper.
     """
     refuse_both(as_json=values["as_json_"], as_csv=values["as_csv"])
-    names, to = _names(values["only"]), values["page"]
+    only, to = values["only"], values["page"]
+    asked = [one.name for one in all_optimizers()] if only is None else only.split(",")
+    names = tuple(named_optimizer(name.strip()).name for name in asked if name.strip())
+    if not names:
+        raise UsageError("--only names no optimizer")
     if to is not None:
         refuse_foreign_page(to, force=values["force"])
     pictures: list[Drawn] = []
@@ -265,18 +242,9 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     found, code = each_recording(chosen, work, quiet=values["quiet"])
     if rows := list(chain.from_iterable(found)):
         if to is not None:
-            write_text(to, page(_page_tables(rows), pictures))
+            write_text(to, rendered("methods.html", tables=_page_tables(rows), recordings=pictures))
         exit_codes.show(_shown(rows, values))
     return code
-
-
-def _names(only: str | None) -> tuple[str, ...]:
-    if only is None:
-        return tuple(item.name for item in all_optimizers())
-    names = tuple(name.strip() for name in only.split(",") if name.strip())
-    if not names:
-        raise UsageError("--only names no optimizer")
-    return tuple(named_optimizer(name).name for name in names)
 
 
 def _shown(rows: list[MethodRow], values: dict[str, Any]) -> str:
@@ -284,18 +252,16 @@ def _shown(rows: list[MethodRow], values: dict[str, Any]) -> str:
         return json.dumps(as_json(rows))
     if values["as_csv"]:
         fields = list(MethodRow.__dataclass_fields__)
-        return csv_text(fields, [[getattr(row, name) for name in fields] for row in rows]).rstrip("\n")
-    return "\n\n".join([*_tables(rows), *_means(rows), aligned(PUBLISHED, _published())])
-
-
-def _published() -> list[list[str]]:
-    return [[name, str(before), str(after), str(gain)] for name, before, after, gain in TABLE_3_OF_F]
+        return csv_text(fields, map(astuple, rows)).rstrip("\n")
+    means = [aligned(MEANS, lines)] if (lines := _mean_lines(rows)) else []
+    return "\n\n".join([*_tables(rows), *means, aligned(PUBLISHED, PUBLISHED_ROWS)])
 
 
 def _page_tables(rows: list[MethodRow]) -> list[PageTable]:
     """Return the means, the published ones, and each recording's own."""
-    found = [PageTable("Mean over recordings", list(MEANS), _mean_lines(rows))] if means(rows) else []
-    found.append(PageTable(PUBLISHED[0], ["method", *PUBLISHED[1:]], _published()))
+    lines = _mean_lines(rows)
+    found = [PageTable("Mean over recordings", list(MEANS), lines)] if lines else []
+    found.append(PageTable(PUBLISHED[0], ["method", *PUBLISHED[1:]], PUBLISHED_ROWS))
     for recording in dict.fromkeys(row.recording for row in rows):
         own = [_cells(row) for row in rows if row.recording == recording]
         found.append(PageTable(recording, list(HEAD), own, words=(0, 1)))
@@ -312,12 +278,6 @@ def _tables(rows: list[MethodRow]) -> list[str]:
         rule = f" ({own[0].stillness})" if own[0].stillness else ""
         tables.append("\n".join([recording + rule, aligned(HEAD, [_cells(row) for row in own]), *refusals]))
     return tables
-
-
-def _means(rows: list[MethodRow]) -> list[str]:
-    """Return a table of the means over recordings; none for a single one."""
-    lines = _mean_lines(rows)
-    return [aligned(MEANS, lines)] if lines else []
 
 
 def _mean_lines(rows: list[MethodRow]) -> list[list[str]]:

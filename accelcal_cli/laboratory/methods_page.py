@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +18,6 @@ from accelcal_cli.laboratory.segments import Stillness, stillness
 from accelcal_cli.output.numbers import number
 from accelcal_cli.pages import svg
 from accelcal_cli.pages.figures import Figure
-from accelcal_cli.pages.rendering import PageTable, rendered
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES
 from accelcal_cli.pipeline.options import recording_options
 from accelcal_cli.pipeline.survey import open_marked
@@ -51,11 +50,6 @@ class Sketch:
     body: list[str]
 
 
-def page(tables: Sequence[PageTable], recordings: Sequence[Drawn]) -> str:
-    """Return the page as HTML."""
-    return rendered("methods.html", tables=tables, recordings=recordings)
-
-
 def drawn(path: Path, options: ReadOptions, settings: Settings, points: PointSet, place: int) -> Drawn:
     """Return the figures of a recording, of which the points were fitted.
 
@@ -65,25 +59,20 @@ def drawn(path: Path, options: ReadOptions, settings: Settings, points: PointSet
     Raises:
         AccelcalError: it cannot be read.
     """
-    still = stillness(path, options, settings, DEFAULT_CHUNK_SAMPLES)
+    still, sketches = stillness(path, options, settings, DEFAULT_CHUNK_SAMPLES), []
+    if len(still.windows) and len(points):
+        mean = still.windows.sums / (still.windows.samples[:, np.newaxis] * still.lsb_per_g)
+        sketches = [_rest(path, options, still), _orientations(mean, points)]
+        with suppress(DivergedError):
+            steps = trace(points, DescentNumbers())
+            sketches += [_errors(mean, still, steps[-1]), *_convergence(steps)]
     found = []
-    for one in _sketches(path, options, still, points):
+    for one in sketches:
         ids = f"{one.name}-{'abc'[place]}"
-        picture = svg.figure(ids, one.title, one.text, one.height, one.body)
-        found.append(Figure(ids, one.title, picture, one.text))
+        found.append(
+            Figure(ids, one.title, svg.figure(ids, one.title, one.text, one.height, one.body), one.text)
+        )
     return Drawn(printable(path), found)
-
-
-def _sketches(path: Path, options: ReadOptions, still: Stillness, points: PointSet) -> list[Sketch]:
-    if not len(still.windows) or not len(points):
-        return []
-    mean = still.windows.sums / (still.windows.samples[:, np.newaxis] * still.lsb_per_g)
-    found = [_rest(path, options, still), _orientations(mean, points)]
-    try:
-        steps = trace(points, DescentNumbers())
-    except DivergedError:
-        return found
-    return [*found, _errors(mean, still, steps[-1]), *_convergence(steps)]
 
 
 def _rest(path: Path, options: ReadOptions, still: Stillness) -> Sketch:

@@ -174,7 +174,14 @@ def segments(still: Stillness, hours: float, number: int, settings: Settings) ->
         UsageError: the settings have a profile without orientation cells.
     """
     for start in starts(still, hours, number, settings):
-        yield _segment(still, start, hours, settings)
+        which = inside(still, start, hours)
+        judgement = collected(still, which, settings).judge(fitting(settings))
+        rest = collected(still, ~which, settings).result()
+        errors = judgement.calibration and held_out(
+            rest, judgement.calibration, settings.gravity, settings.posture_degrees, REST
+        )
+        raw, true = (errors.before.mean, errors.after.mean) if errors else (None, None)
+        yield claimed(judgement, hours, start, raw, true)
 
 
 def starts(still: Stillness, hours: float, number: int, settings: Settings) -> list[float]:
@@ -187,17 +194,6 @@ def starts(still: Stillness, hours: float, number: int, settings: Settings) -> l
     count = min(number, max(1, int(2 * room / hours) + 1))
     found: list[float] = np.linspace(0, room, count).tolist()
     return found
-
-
-def _segment(still: Stillness, start_h: float, hours: float, settings: Settings) -> Segment:
-    which = inside(still, start_h, hours)
-    judgement = collected(still, which, settings).judge(fitting(settings))
-    rest = collected(still, ~which, settings).result()
-    raw = true = None
-    if judgement.calibration is not None:
-        errors = held_out(rest, judgement.calibration, settings.gravity, settings.posture_degrees, REST)
-        raw, true = (None, None) if errors is None else (errors.before.mean, errors.after.mean)
-    return claimed(judgement, hours, start_h, raw, true)
 
 
 def inside(still: Stillness, start_h: float, hours: float) -> NDArray[np.bool_]:
@@ -259,10 +255,18 @@ def simulated(
     """
     if not places:
         return
-    rests = rests_of(still, settings)
-    for index in range(simulation.sensors):
-        place = places[index * len(places) // simulation.sensors]
-        yield _worn(still, rests, place, settings, simulation, index)
+    rests, local_g = rests_of(still, settings), float(settings.gravity.local_g())
+    for number in range(simulation.sensors):
+        hours, start_h = places[number * len(places) // simulation.sensors]
+        random = np.random.default_rng((simulation.seed, number))
+        sensor = simulation.population.draw(random)
+        worn = rests.worn(sensor, simulation.population, random)
+        again = replace(still, windows=worn, lsb_per_g=FLOAT_LSB_PER_G)
+        judgement = collected(again, inside(still, start_h, hours), settings).judge(fitting(settings))
+        raw, true = sphere_error_mg(sensor, np.eye(3), np.zeros(3), local_g), None
+        if (best := judgement.calibration) is not None:
+            true = sphere_error_mg(sensor, best.gain(), best.offset_g(), local_g)
+        yield replace(claimed(judgement, hours, start_h, raw, true), sensor=number)
 
 
 def rests_of(still: Stillness, settings: Settings) -> Track:
@@ -280,65 +284,34 @@ def rests_of(still: Stillness, settings: Settings) -> Track:
     return track(still.windows, raw_g, calibration, settings.posture_degrees)
 
 
-def _worn(
-    still: Stillness,
-    rests: Track,
-    place: tuple[float, float],
-    settings: Settings,
-    simulation: Simulation,
-    number: int,
-) -> Segment:
-    """Judge one segment with the sensor of this number."""
-    hours, start_h = place
-    random = np.random.default_rng((simulation.seed, number))
-    sensor = simulation.population.draw(random)
-    local_g = float(settings.gravity.local_g())
-    worn = rests.worn(sensor, simulation.population, random)
-    again = replace(still, windows=worn, lsb_per_g=FLOAT_LSB_PER_G)
-    judgement = collected(again, inside(still, start_h, hours), settings).judge(fitting(settings))
-    raw = sphere_error_mg(sensor, np.eye(3), np.zeros(3), local_g)
-    found = replace(claimed(judgement, hours, start_h, raw, None), sensor=number)
-    if judgement.calibration is None:
-        return found
-    best = judgement.calibration.gain(), judgement.calibration.offset_g()
-    return replace(found, true_mg=sphere_error_mg(sensor, *best, local_g))
-
-
 def summary(found: list[Segment], limit_mg: float) -> Summary:
     """Sum up segments."""
-    usable = [item for item in found if item.true_mg is not None and item.raw_mg is not None]
-    holds = [item.holds for item in usable if item.holds is not None]
+    known = [(item, item.raw_mg, item.true_mg) for item in found]
+    usable = [(item, raw, true) for item, raw, true in known if raw is not None and true is not None]
+    outcomes = [item.outcome for item, *_ in usable]
     return Summary(
         segments=len(found),
         tried=sum(item.orientations >= FEWEST_POSTURES for item in found),
         usable=len(usable),
-        provisional=sum(item.outcome == Outcome.PROVISIONAL for item in usable),
-        raw_mg=_mean([item.raw_mg for item in usable]),
-        true_mg=_mean([item.true_mg for item in usable]),
-        claimed_mg=_mean([item.claimed_mg for item in usable]),
-        above_limit=sum((item.true_mg or 0) >= limit_mg for item in usable),
-        worse=sum((item.true_mg or 0) > (item.raw_mg or 0) for item in usable),
-        holds=sum(holds) / len(holds) if holds else None,
+        provisional=outcomes.count(Outcome.PROVISIONAL),
+        raw_mg=_mean([raw for _, raw, _ in usable]),
+        true_mg=_mean([true for *_, true in usable]),
+        claimed_mg=_mean([item.claimed_mg for item, *_ in usable]),
+        above_limit=sum(true >= limit_mg for *_, true in usable),
+        worse=sum(true > raw for _, raw, true in usable),
+        holds=_mean([item.holds for item, *_ in usable]),
     )
 
 
-def _mean(values: list[float | None]) -> float | None:
+def _mean(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return mean(known) if known else None
 
 
 FIGURES = {
-    "segments": "d",
-    "tried": "d",
-    "usable": "d",
-    "provisional": "d",
-    "raw_mg": ".2f",
-    "true_mg": ".2f",
-    "claimed_mg": ".2f",
-    "above_limit": "d",
-    "worse": "d",
-    "holds": ".3f",
-}
+    "segments": "d", "tried": "d", "usable": "d", "provisional": "d", "raw_mg": ".2f", "true_mg": ".2f",
+    "claimed_mg": ".2f", "above_limit": "d", "worse": "d", "holds": ".3f",
+}  # fmt: skip
 """Columns of the table and how their values are shown."""
 
 ERRORS = {
@@ -352,23 +325,19 @@ ERRORS = {
 
 def known_errors() -> dict[str, Named]:
     """Return the errors of the simulated sensors that can be set, by name."""
+    usual = {
+        name: "as the others" if value is None else f"{value:g}" for name, value in asdict(USUAL).items()
+    }
     return {
-        name: Named("N", f"{text}.  [default: {_usual(name)}]", options.Within(0, largest))
+        name: Named("N", f"{text}.  [default: {usual[name]}]", options.Within(0, largest))
         for name, (text, largest) in ERRORS.items()
     }
 
 
-def _usual(name: str) -> str:
-    default = getattr(USUAL, name)
-    return "as the others" if default is None else f"{default:g}"
-
-
 table_hours_option = click.option(
-    "--table-hours",
-    type=options.Positive(100_000),
-    metavar="HOURS",
+    "--table-hours", type=options.Positive(100_000), metavar="HOURS",
     help="The files are tables of still windows in the order of time, and span HOURS.",
-)
+)  # fmt: skip
 
 
 @click.command(
@@ -380,31 +349,16 @@ table_hours_option = click.option(
     ),
 )
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
-@click.option(
-    "--hours",
-    type=options.Listed(float, 0.1, 10_000),
-    default="3,6,12,24,48,72",
-    show_default=True,
-    help="Lengths of the segments.",
-)
-@click.option(
-    "--number",
-    type=click.IntRange(1, 10_000),
-    metavar="N",
-    default=24,
-    show_default=True,
-    help="Largest number of segments of each length.",
-)
+@click.option("--hours", type=options.Listed(float, 0.1, 10_000), default="3,6,12,24,48,72",
+              show_default=True, help="Lengths of the segments.")  # fmt: skip
+@click.option("--number", type=click.IntRange(1, 10_000), metavar="N", default=24, show_default=True,
+              help="Largest number of segments of each length.")  # fmt: skip
 @table_hours_option
-@click.option(
-    "--sensors",
-    type=click.IntRange(1, 100_000),
-    metavar="N",
-    help="Replay each recording's still windows through N simulated sensors with known errors.",
-)
-@click.option(
-    "--seed", type=click.IntRange(0), metavar="N", default=1, show_default=True, help="Seed of these sensors."
-)
+@click.option("--sensors", type=click.IntRange(1, 100_000), metavar="N",
+              help="Replay each recording's still windows through N simulated sensors with known "
+                   "errors.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(0), metavar="N", default=1, show_default=True,
+              help="Seed of these sensors.")  # fmt: skip
 @click.option("--errors", type=NameValue(known_errors), multiple=True,
               help="Set an error of these sensors (--help-all lists them).")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print each segment as a JSON object on a line.")
@@ -440,31 +394,28 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
 def _found(still: Stillness, chosen: Settings, values: dict[str, Any]) -> Iterator[Segment]:
     """Judge the recording's segments, or simulated sensors in them."""
-    simulation = _simulation(values)
-    if simulation is None:
+    errors = dict(values["errors"])
+    if values["sensors"] is None:
+        if errors:
+            raise UsageError("--errors are of simulated sensors", hint="add --sensors, or omit them")
         for hours in values["hours"]:
             yield from segments(still, hours, values["number"], chosen)
         return
-    lengths = [(hours, starts(still, hours, values["number"], chosen)) for hours in values["hours"]]
-    places = [(hours, start) for hours, found in lengths for start in found]
+    places = [
+        (hours, start)
+        for hours in values["hours"]
+        for start in starts(still, hours, values["number"], chosen)
+    ]
+    simulation = Simulation(values["sensors"], values["seed"], replace(USUAL, **errors))
     yield from simulated(still, places, chosen, simulation)
-
-
-def _simulation(values: dict[str, Any]) -> Simulation | None:
-    """Return the simulation that is asked for, if any; raises UsageError for errors without sensors."""
-    errors = dict(values["errors"])
-    if values["sensors"] is not None:
-        return Simulation(values["sensors"], values["seed"], replace(USUAL, **errors))
-    if errors:
-        raise UsageError("--errors are of simulated sensors", hint="add --sensors, or omit them")
-    return None
 
 
 def _shown(results: dict[str, list[Segment]], chosen: Settings, *, as_json: bool) -> str:
     if as_json:
-        pairs = [(path, item) for path, found in results.items() for item in found]
         return "\n".join(
-            json.dumps({"recording": path, **asdict(item), "holds": item.holds}) for path, item in pairs
+            json.dumps({"recording": path, **asdict(item), "holds": item.holds})
+            for path, found in results.items()
+            for item in found
         )
     tables = [f"{path}\n{_table(found, chosen.max_error_mg)}" for path, found in results.items()]
     if len(results) > 1:

@@ -7,7 +7,6 @@ and only its sensor is replaced by one that is drawn, whose true error is known 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
+from accelcal_cli.judge.errors import directions
 
 Floats = NDArray[np.float64]
 
@@ -136,15 +136,6 @@ def sphere_error_mg(sensor: WornSensor, gain: Floats, offset_g: Floats, local_g:
         gain, offset_g: calibration, (3, 3) and (3,) in standard g; the identity and 0 for raw data.
         local_g: acceleration at rest.
     """
-    raw_g = local_g * sensor.raw(sphere(DIRECTIONS))
+    raw_g = local_g * sensor.raw(directions(DIRECTIONS))
     deviation = np.linalg.norm((raw_g + offset_g) @ gain.T, axis=1) / local_g - 1
     return 1000 * float(np.abs(deviation).mean())
-
-
-def sphere(number: int) -> Floats:
-    """Return unit vectors in all directions, (number, 3), on a golden spiral."""
-    index = np.arange(number) + 0.5
-    z = 1 - 2 * index / number
-    turn = pi * (1 + sqrt(5)) * index
-    ring = np.sqrt(1 - z * z)
-    return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)

@@ -142,10 +142,9 @@ class Tally:
         """Return the statistics over the cases."""
         fitted = len(self.fits)
         if not fitted:
-            none = (None,) * 9
-            return Scores(
-                self.method, none, none, none, None, 0, dict(self.failures), None, Operations(), None
-            )
+            none, failed = (None,) * 9, dict(self.failures)
+            return Scores(self.method, none, none, none, None, 0, failed, None, Operations(), None)
+        counted = [fit.operations for fit in self.fits]
         absolute = np.abs(self.errors)
         mean = np.mean(absolute, axis=0)
         free = list(self.method.model.free)
@@ -158,20 +157,16 @@ class Tally:
             fitted=fitted,
             failures=dict(self.failures),
             iterations=median(fit.iterations for fit in self.fits),
-            operations=self._operations(),
+            operations=Operations(
+                round(median(item.additions for item in counted)),
+                round(median(item.multiplications for item in counted)),
+            ),
             seconds=median(self.seconds),
         )
 
     def _of_fitted(self, values: Real) -> tuple[float | None, ...]:
         free = self.method.model.free
         return tuple(float(value) if index in free else None for index, value in enumerate(values))
-
-    def _operations(self) -> Operations:
-        counted = [fit.operations for fit in self.fits]
-        return Operations(
-            round(median(item.additions for item in counted)),
-            round(median(item.multiplications for item in counted)),
-        )
 
 
 def fisher_information(still_g: Real, truth: tuple[int, ...], noise_g: float) -> Real:
@@ -282,26 +277,21 @@ def _table(protocol: Protocol, plan: CasePlan, methods: tuple[Method, ...], step
 
 def as_json(protocol: Protocol, tables: Sequence[ErrorTable]) -> dict[str, Any]:
     """Return all results as JSON, errors of offsets in g; only `seconds_per_fit` varies by run."""
-    return {
-        **identity("simulation"),
-        "protocol": asdict(protocol),
-        "tables": [_table_json(table) for table in tables],
-    }
-
-
-def _table_json(table: ErrorTable) -> dict[str, Any]:
-    published = table.published
-    return {
-        "points": table.points,
-        "noise_mg": table.noise_mg,
-        "published": None if published is None else _pair_json(published.mean, published.sd),
-        "bound": _by_parameter(table.bound),
-        "methods": [_method(table, scores) for scores in table.scores],
-    }
+    shown = [
+        {
+            "points": table.points,
+            "noise_mg": table.noise_mg,
+            "published": table.published and _pair_json(table.published.mean, table.published.sd),
+            "bound": _by_parameter(table.bound),
+            "methods": [_method(table, scores) for scores in table.scores],
+        }
+        for table in tables
+    ]
+    return {**identity("simulation"), "protocol": asdict(protocol), "tables": shown}
 
 
 def _method(table: ErrorTable, scores: Scores) -> dict[str, Any]:
-    method, seconds = scores.method, scores.seconds
+    method = scores.method
     counted = asdict(scores.operations) if scores.operations.additions else None
     spent = scores.operations, method.optimizer.arithmetic
     predicted, charge = predicted_seconds(*spent), predicted_charge_mc(*spent)
@@ -321,7 +311,7 @@ def _method(table: ErrorTable, scores: Scores) -> dict[str, Any]:
         "operations": counted,
         "predicted_seconds": predicted and {name: significant(value) for name, value in predicted.items()},
         "predicted_charge_mc": charge and {name: significant(value) for name, value in charge.items()},
-        "seconds_per_fit": _short(seconds),
+        "seconds_per_fit": _short(scores.seconds),
     }
 
 
@@ -339,32 +329,21 @@ def _short(value: float | None) -> float | None:
 
 def rows(tables: tuple[ErrorTable, ...]) -> list[tuple[object, ...]]:
     """Return rows of COLUMNS, for each table, source (the paper, the bound, a method) and parameter."""
-    return [
-        (table.points, f"{table.noise_mg:g}", *row)
-        for table in tables
-        for source in _sources(table)
-        for row in source
-    ]
-
-
-def _sources(table: ErrorTable) -> Iterator[Iterator[tuple[object, ...]]]:
-    none: tuple[None, ...] = (None,) * 9
-    if table.published is not None:
-        yield _rows("paper", "9", (table.published.mean, table.published.sd), (None, None))
-    yield _rows("bound", "9", (table.bound, none), (None, None))
-    for scores in table.scores:
-        counts = (scores.fitted, sum(scores.failures.values()))
-        yield _rows(scores.method.label, scores.method.model.name, (scores.mean, scores.sd), counts)
-
-
-def _rows(
-    source: str,
-    model: str,
-    errors: tuple[Sequence[float | None], Sequence[float | None]],
-    counts: tuple[int | None, int | None],
-) -> Iterator[tuple[object, ...]]:
-    for name, mean, sd in zip(NINE, *errors, strict=True):
-        yield (source, model, name, _short(mean), _short(sd), *counts)
+    found: list[tuple[object, ...]] = []
+    for table in tables:
+        known, none = table.published, (None,) * 9
+        sources: list[tuple[Any, ...]] = [("bound", "9", table.bound, none, None, None)]
+        if known is not None:
+            sources.insert(0, ("paper", "9", known.mean, known.sd, None, None))
+        for one in table.scores:
+            counts = one.fitted, sum(one.failures.values())
+            sources.append((one.method.label, one.method.model.name, one.mean, one.sd, *counts))
+        for source, model, means, sds, *numbers in sources:
+            found += [
+                (table.points, f"{table.noise_mg:g}", source, model, name, _short(mean), _short(sd), *numbers)
+                for name, mean, sd in zip(NINE, means, sds, strict=True)
+            ]
+    return found
 
 
 NONE = "-"
@@ -484,14 +463,7 @@ def command(**values: Any) -> None:
     more method, the paper's descent in double precision with these numbers.
     """
     numbers = _numbers(values)
-    protocol = Protocol(
-        cases=values["cases"],
-        seed=values["seed"],
-        points=values["points"],
-        noise_mg=values["noise_mg"],
-        selection=values["selection"],
-        gauge=values["gauge"],
-    )
+    protocol = Protocol(**{name: values[name] for name in Protocol.__dataclass_fields__})
     with progress_bars("simulation", quiet=values["quiet"], unit="cases") as bars:
         more: tuple[Method, ...] = () if numbers is None else (descent(numbers),)
         tables = run(protocol, (*methods(values["labels"]), *more), bars)
@@ -540,12 +512,12 @@ def _convergence_lines(found: Convergence) -> Iterator[str]:
     yield aligned(
         head,
         [
-            (str(number), *_scaled([value for one in row.values() for value in (one.median, one.p90)]))
+            (str(number), *_scaled([value for one in row.values() for value in one.values()]))
             for number, row in found.left.items()
         ],
     )
     for limit, one in found.within.items():
-        after = " and ".join(formatted(value, ".0f") for value in (one.median, one.p90))
+        after = " and ".join(formatted(value, ".0f") for value in one.values())
         yield f"All nine stay within {limit:g} of it after {after} iterations (median, 90th percentile)."
     if found.diverged:
         yield f"It diverges in {found.diverged} more cases."

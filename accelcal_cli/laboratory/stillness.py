@@ -23,7 +23,6 @@ from accelcal_cli.core.calibration import IDENTITY, Calibration, TemperatureScal
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import PointSet
-from accelcal_cli.core.recording import Reader
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import STILLNESS, Settings, with_stillness
 from accelcal_cli.core.statistics import mean
@@ -97,23 +96,20 @@ def compare(
     """
     truth = true_parameters(path)
     with open_marked(path, recording_options(path, options)) as reader:
-        found = [
-            _by_rule(reader, with_stillness(settings, rule), chunk_samples, progress) for rule in STILLNESS
-        ]
+        recording, found = reader.recording, []
+        for rule in STILLNESS:
+            chosen = with_stillness(settings, rule)
+            method = make_method(recording, chosen)
+            shown = progress(f"by rule {rule}", recording.total_bytes)
+            survey(reader.chunks(chunk_samples), method.segmenter, (method.procedure,), shown)
+            use, points = method.procedure.window_use(method.segmenter.counts), method.procedure.result()
+            still_s = (use.used + use.joined) * method.segmenter.length / recording.rate_hz
+            label, judgement = (
+                postures(points, chosen.posture_degrees),
+                method.procedure.judge(fitting(chosen)),
+            )
+            found.append(RuleResult(rule, use.used, still_s, points, label, judgement))
     return Comparison(tuple(found), truth)
-
-
-def _by_rule(reader: Reader, settings: Settings, chunk_samples: int, progress: ProgressMaker) -> RuleResult:
-    recording = reader.recording
-    method = make_method(recording, settings)
-    shown = progress(f"by rule {settings.stillness}", recording.total_bytes)
-    survey(reader.chunks(chunk_samples), method.segmenter, (method.procedure,), shown)
-    use, points = method.procedure.window_use(method.segmenter.counts), method.procedure.result()
-    still_s = (use.used + use.joined) * method.segmenter.length / recording.rate_hz
-    label = postures(points, settings.posture_degrees)
-    return RuleResult(
-        settings.stillness, use.used, still_s, points, label, method.procedure.judge(fitting(settings))
-    )
 
 
 def _error_mg(by: RuleResult | None, on: RuleResult) -> float | None:
@@ -145,17 +141,9 @@ def true_errors(calibration: Calibration, truth: TrueParameters) -> tuple[float,
 
 Row = dict[str, Any]
 FIGURES = {
-    "windows": "d",
-    "still_h": ".2f",
-    "points": "d",
-    "postures": "d",
-    "outcome": "",
-    "model": "",
-    "before_mg": ".2f",
-    "after_mg": ".3f",
-    "gain_error": ".1e",
-    "offset_error_mg": ".3f",
-}
+    "windows": "d", "still_h": ".2f", "points": "d", "postures": "d", "outcome": "", "model": "",
+    "before_mg": ".2f", "after_mg": ".3f", "gain_error": ".1e", "offset_error_mg": ".3f",
+}  # fmt: skip
 """Columns of the first table, and how their values are shown."""
 
 
@@ -206,14 +194,12 @@ def _shown(results: dict[str, list[Row]], values: dict[str, Any]) -> str:
 
 def rows(comparison: Comparison) -> list[Row]:
     """Return a row for raw data and for each rule."""
-    on = {
-        rule: {name: _rounded(error) for name, error in errors.items()}
-        for rule, errors in comparison.errors_mg().items()
-    }
-    rows_of_rules = [
-        _row(item, comparison) | {"on_points_of_mg": on[item.rule]} for item in comparison.results
+    own = {item.rule: _row(item, comparison) for item in comparison.results}
+    return [
+        own.get(rule, {"rule": RAW})
+        | {"on_points_of_mg": {name: _rounded(error) for name, error in on.items()}}
+        for rule, on in comparison.errors_mg().items()
     ]
-    return [{"rule": RAW, "on_points_of_mg": on[RAW]}, *rows_of_rules]
 
 
 def _row(result: RuleResult, comparison: Comparison) -> Row:

@@ -157,7 +157,13 @@ def gradients(
     heated = [[0, 0, 0]] * len(plain)
     if stack.tau is not None and any(index >= PARAMETERS - 3 for index in free):
         heated = _sums(force * stack.tau)
-    return list(map(_gradient, scale, plain, heated, parameters, stack.weight))
+    found = []
+    for entries, force_sum, heated_sum, k, weight in zip(
+        scale, plain, heated, parameters, stack.weight, strict=True
+    ):
+        sums = entries + _turned_back(k, force_sum) + _turned_back(k, heated_sum)
+        found.append([rounded_quotient(4 * total * WEIGHT_ONE, weight) for total in sums])
+    return found
 
 
 def _of_entries(force: Fixed, shifted: Fixed, wanted: list[int]) -> list[list[int]]:
@@ -170,11 +176,6 @@ def _of_entries(force: Fixed, shifted: Fixed, wanted: list[int]) -> list[list[in
         found[:, wanted] = _sums(products)
     sums: list[list[int]] = found.tolist()
     return sums
-
-
-def _gradient(scale: list[int], plain: list[int], heated: list[int], k: list[int], weight: int) -> list[int]:
-    sums = scale + _turned_back(k, plain) + _turned_back(k, heated)
-    return [rounded_quotient(4 * total * WEIGHT_ONE, weight) for total in sums]
 
 
 def _sums(products: Fixed) -> list[list[int]]:

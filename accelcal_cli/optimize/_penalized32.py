@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, Fixed, inverse, narrow, rounded_quotient
+from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, inverse, narrow, rounded_quotient
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError
 from accelcal_cli.core.points import (
@@ -63,7 +63,10 @@ def start_of(points: PointSet) -> tuple[int, ...]:
     These may have an offset of half a g. All of them then lie near a sphere, whose centre is that of the
     linear least squares of |v|^2 = 2 c v + d; the fit sets out from the offset -c.
     """
-    if not len(points) or not _beyond_ideal(points.xyz):
+    if not len(points) or np.abs(points.xyz).max() >= VALUE_LIMIT:
+        return IDENTITY
+    of_ideal = narrow((points.xyz**2).sum(axis=1) - (ONE << FRACTION_BITS))
+    if of_ideal.max() < RESIDUAL_LIMIT:
         return IDENTITY
     coarse = points.xyz >> (FRACTION_BITS - COARSE_BITS)
     squares = (coarse**2).sum(axis=1)
@@ -80,14 +83,6 @@ def start_of(points: PointSet) -> tuple[int, ...]:
     return (*IDENTITY[:ENTRIES], *offset, 0, 0, 0) if explained else IDENTITY
 
 
-def _beyond_ideal(xyz: Fixed) -> bool:
-    """Return True if points within the range of values leave that of residuals in an ideal sensor."""
-    if np.abs(xyz).max() >= VALUE_LIMIT:
-        return False
-    residuals = narrow((xyz**2).sum(axis=1) - (ONE << FRACTION_BITS))
-    return bool(residuals.max() >= RESIDUAL_LIMIT)
-
-
 def curvature(stack: Stack, state: State, parameters: tuple[int, ...], model: Model) -> list[list[float]]:
     """Return the weighted mean of J^T J of one set of points, J = d(|a|^2 - 1)/dp of the free parameters.
 
@@ -98,13 +93,8 @@ def curvature(stack: Stack, state: State, parameters: tuple[int, ...], model: Mo
     """
     a, u, k = state.calibrated[:, 0], state.shifted[:, 0], np.array(parameters, np.int64)
     entries = [index for index in model.free if index < ENTRIES]
-    back = np.stack(
-        [
-            narrow(k[0] * a[0] + k[3] * a[1] + k[4] * a[2]),
-            narrow(k[1] * a[1] + k[5] * a[2]),
-            narrow(k[2] * a[2]),
-        ]
-    )
+    products = k[0] * a[0] + k[3] * a[1] + k[4] * a[2], k[1] * a[1] + k[5] * a[2], k[2] * a[2]
+    back = narrow(np.stack(products))
     rows = [narrow(a[[ROWS[entry] for entry in entries]] * u[[COLUMNS[entry] for entry in entries]]), back]
     if stack.tau is not None and model.has_temperature:
         rows.append(narrow(back * stack.tau[0]))

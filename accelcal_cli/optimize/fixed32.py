@@ -150,6 +150,7 @@ class _Descent:
         mark: parameters where a quiet step began, the 1st, 2nd, 4th, 8th ... of them (Brent 1980).
         stop: why the descent ended.
         costs, gradients: numbers of their evaluations.
+        fit: the result, once the descent has ended.
     """
 
     points: int
@@ -167,6 +168,7 @@ class _Descent:
     costs: int = 0
     gradients: int = 0
     history: list[tuple[int, ...]] = field(default_factory=list)
+    fit: Fit | None = None
 
     def ahead(self) -> list[int]:
         """Return the parameters to which momentum leads, where cost and gradient are evaluated next."""
@@ -228,23 +230,20 @@ def _accelerated(sets: Sequence[PointSet], model: Model, settings: DescentSettin
         return []
     rates, keep, last = _rates(settings), settings.keep_history, settings.max_iterations
     descents = [_Descent(len(points), model.free, rates, keep, list(start_of(points))) for points in sets]
-    fits: list[Fit | None] = [None] * len(sets)
-    stack, left = stacked(sets), list(range(len(sets)))
+    stack, left = stacked(sets), descents
     for iteration in range(1, last + 1):
-        aheads = [descents[row].ahead() for row in left]
+        aheads = [descent.ahead() for descent in left]
         state = evaluate(stack, np.array(aheads, np.int64))
         slopes = gradients(stack, state, aheads, model.free)
-        of_each = zip(left, aheads, cost(stack, state), slopes, strict=True)
-        places = {row: descents[row].advance(ahead, c, slope) for row, ahead, c, slope in of_each}
-        ended = {row: place for row, place in places.items() if place is not None}
-        for row, place in ended.items():
-            fits[row] = descents[row].result(place, iteration)
-        if len(ended) == len(left):
+        for descent, ahead, c, slope in zip(left, aheads, cost(stack, state), slopes, strict=True):
+            if (end := descent.advance(ahead, c, slope)) is not None:
+                descent.fit = descent.result(end, iteration)
+        going = [row for row, descent in enumerate(left) if descent.fit is None]
+        if not going:
             break
-        if ended:
-            stack = stack.select([place for place, row in enumerate(left) if row not in ended])
-            left = [row for row in left if row not in ended]
-    ends = [fit or descent.result(descent.best, last) for fit, descent in zip(fits, descents, strict=True)]
+        if len(going) < len(left):
+            stack, left = stack.select(going), [left[row] for row in going]
+    ends = [descent.fit or descent.result(descent.best, last) for descent in descents]
     return [_finished(points, model, end) for points, end in zip(sets, ends, strict=True)]
 
 

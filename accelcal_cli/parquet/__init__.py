@@ -9,13 +9,6 @@ from accelcal_cli.parquet.sink import Axes, Column, ColumnValues, Memory, Number
 from accelcal_cli.parquet.source import ParquetSource, read_schema
 
 __all__ = [
-    "Axes",
-    "Column",
-    "ColumnValues",
-    "Memory",
-    "Numbers",
-    "ParquetSink",
-    "ParquetSource",
-    "read_schema",
+    "Axes", "Column", "ColumnValues", "Memory", "Numbers", "ParquetSink", "ParquetSource", "read_schema",
     "row_group_offsets",
-]
+]  # fmt: skip

@@ -245,21 +245,16 @@ def dictionary_chunk(name: str, of_rows: NDArray[Any], values: NDArray[Any]) -> 
     """
     physical, stored = PHYSICAL[values.dtype.name]
     table = values.astype(stored).tobytes(), len(values)
-    first = compress_pages(DICTIONARY_PAGE, PLAIN, [table])
-    second = compress_pages(DATA_PAGE, RLE_DICTIONARY, [(_one_run(of_rows), len(of_rows))])
-    return chunk_of(name, physical, first + second, len(of_rows))
-
-
-def _one_run(of_rows: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return the width of a place in bits, and all places in one run; a run has a multiple of 8."""
-    groups = -(-len(of_rows) // 8)
-    width = of_rows.itemsize
+    # the width of a place in bits, and all places in one run; a run has a multiple of 8
+    groups, width = -(-len(of_rows) // 8), of_rows.itemsize
     head = bytes([8 * width]) + thrift.varint(groups << 1 | 1)
     page = np.zeros(len(head) + 8 * groups * width, np.uint8)
     page[: len(head)] = list(head)
     rows = page[len(head) : len(head) + len(of_rows) * width]
     rows[:] = of_rows.astype(of_rows.dtype.newbyteorder("<"), copy=False).view(np.uint8)
-    return page
+    first = compress_pages(DICTIONARY_PAGE, PLAIN, [table])
+    second = compress_pages(DATA_PAGE, RLE_DICTIONARY, [(page, len(of_rows))])
+    return chunk_of(name, physical, first + second, len(of_rows))
 
 
 def delta_chunk(name: str, steps: TimeSteps) -> ColumnChunk | None:
@@ -293,18 +288,14 @@ def _delta_page(steps: TimeSteps) -> NDArray[np.uint8]:
 
 def float_chunk(name: str, values: NDArray[np.float32]) -> ColumnChunk:
     """Encode a column of (n,) values without missing ones: as they are if they repeat, else byte by byte."""
-    repeat = _values_repeat(values)
+    # zstd finds values that repeat; of others, only the high bytes are alike
+    sample = np.sort(values.view(np.uint32)[::SAMPLED])  # several times faster than np.unique
+    different = 1 + np.count_nonzero(sample[1:] != sample[:-1])
+    repeat = different <= MOST_DIFFERENT * len(sample)
     parts = [values[start : start + PAGE_ROWS] for start in range(0, max(1, len(values)), PAGE_ROWS)]
     contents = [(part.view(np.uint8) if repeat else _split(part), len(part)) for part in parts]
     encoding, level = (PLAIN, LEVEL) if repeat else (BYTE_STREAM_SPLIT, SPLIT_LEVEL)
     return chunk_of(name, FLOAT, compress_pages(DATA_PAGE, encoding, contents, level), len(values))
-
-
-def _values_repeat(values: NDArray[np.float32]) -> bool:
-    """Return True if values repeat, which zstd finds; if not, only their high bytes are alike."""
-    sample = np.sort(values.view(np.uint32)[::SAMPLED])  # several times faster than np.unique
-    different = 1 + np.count_nonzero(sample[1:] != sample[:-1])
-    return bool(different <= MOST_DIFFERENT * len(sample))
 
 
 def _split(values: NDArray[np.float32]) -> NDArray[np.uint8]:

@@ -237,20 +237,20 @@ class ParquetSink:
         """Encode a row group; runs on any thread."""
         arrays = {column.name: array[: group.rows] for column, array in group.memory}
         chunks = _dictionary_chunks(self._others, arrays)
-        chunks[self._time.name] = self._time_chunk(joined_steps(group.steps) if group.steps else None)
+        time, steps = self._time.name, joined_steps(group.steps) if group.steps else None
+        if (chunk := None if steps is None else delta_chunk(time, steps)) is None:
+            chunk = self._pyarrow_chunk(time, np.empty(0, np.int64) if steps is None else steps.times())
+        chunks[time] = chunk
         for column in self._others:
             if column.name not in chunks:
-                values = _values_of_stored(column, arrays)
+                values, numbers = arrays[column.name], column.numbers
+                if numbers is not None:
+                    with_others = [] if numbers.paired_with is None else [arrays[numbers.paired_with]]
+                    values = numbers.values(values, *with_others)
                 single = values.dtype == np.float32
                 encode = float_chunk if single else self._pyarrow_chunk
                 chunks[column.name] = encode(column.name, values)
         return RowGroup([chunks[column.name] for column in self._columns], group.rows), group.results
-
-    def _time_chunk(self, steps: TimeSteps | None) -> ColumnChunk:
-        """Encode the times of a row group; None if there are no rows."""
-        if steps is not None and (chunk := delta_chunk(self._time.name, steps)) is not None:
-            return chunk
-        return self._pyarrow_chunk(self._time.name, np.empty(0, np.int64) if steps is None else steps.times())
 
     def _pyarrow_chunk(self, name: str, values: NDArray[Any]) -> ColumnChunk:
         """Encode a column that `pages` does not; `pa.array` would load pandas."""
@@ -314,11 +314,3 @@ def _dictionary_chunks(
         for name, where in found.items()
         if where is not None
     }
-
-
-def _values_of_stored(column: Column, arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
-    """Return the values of a column of a row group."""
-    array, numbers = arrays[column.name], column.numbers
-    if numbers is None:
-        return array
-    return numbers.values(array, *([] if numbers.paired_with is None else [arrays[numbers.paired_with]]))

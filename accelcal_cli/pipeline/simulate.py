@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.door import is_file, is_there
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError
-from accelcal_cli.core.formats import Sampling
 from accelcal_cli.core.identity import identity
 from accelcal_cli.core.recording import Chunk
 from accelcal_cli.formats import all_encoders, named_encoder
@@ -73,7 +72,10 @@ def simulate(
     if plan.gyroscope is not None and not encoder.gyroscope:
         others = ", ".join(one.name for one in all_encoders() if one.gyroscope)
         raise UsageError(f"{format_name} is not written with a gyroscope", hint=f"use one of {others}")
-    plan = _as_sampled(plan, encoder.sampling(describe(plan, out, format_name)))
+    sampling = encoder.sampling(describe(plan, out, format_name))
+    plan = replace(plan, rate_hz=sampling.rate_hz, unit_samples=sampling.unit_samples)
+    if plan.samples < 1:
+        raise UsageError("nothing to simulate", hint="raise --days")
     refuse_nameless(out)
     base = out.parent / (out.name.removesuffix(encoder.suffix) or out.name)
     path = base.with_name(base.name + encoder.suffix)
@@ -91,13 +93,6 @@ def simulate(
     truth_json = _truth_json(plan, truth, format_name)
     write_text(truth_path, json.dumps(truth_json, indent=2) + "\n")
     return path, truth_json
-
-
-def _as_sampled(plan: SimulationPlan, sampling: Sampling) -> SimulationPlan:
-    plan = replace(plan, rate_hz=sampling.rate_hz, unit_samples=sampling.unit_samples)
-    if plan.samples < 1:
-        raise UsageError("nothing to simulate", hint="raise --days")
-    return plan
 
 
 def _counted(chunks: Iterator[Chunk], progress: Progress) -> Iterator[Chunk]:
@@ -151,22 +146,17 @@ def true_parameters(recording: Path) -> TrueParameters | None:
     if not is_file(path):
         return None
     try:
-        return _parsed_truth(parsed(path.read_text("utf-8")))
+        known = parsed(path.read_text("utf-8"))
+        if "sensor" in known:
+            sensor = known["sensor"]
+            slope = sensor.get("slope_g_per_c", NO_SLOPE)
+            return _checked(sensor["gain"], sensor["offset_g"], sensor["reference_c"], slope)
+        offset, slope = ([-value for value in values] for values in (known["b"], known.get(SLOPE, NO_SLOPE)))
+        return _checked(known["K"], offset, known.get("temp_ref_c", 0.0), slope)
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UnreadableError(
-            f"does not hold the truth of a simulated recording ({error})",
-            path=path,
-            hint="move it away, or write it again with accelcal simulate",
-        ) from error
-
-
-def _parsed_truth(known: dict[str, Any]) -> TrueParameters:
-    if "sensor" in known:
-        sensor = known["sensor"]
-        slope = sensor.get("slope_g_per_c", NO_SLOPE)
-        return _checked(sensor["gain"], sensor["offset_g"], sensor["reference_c"], slope)
-    offset, slope = ([-value for value in values] for values in (known["b"], known.get(SLOPE, NO_SLOPE)))
-    return _checked(known["K"], offset, known.get("temp_ref_c", 0.0), slope)
+        text = f"does not hold the truth of a simulated recording ({error})"
+        hint = "move it away, or write it again with accelcal simulate"
+        raise UnreadableError(text, path=path, hint=hint) from error
 
 
 def _checked(gain: Any, offset_g: Any, reference_c: Any, slope_g_per_c: Any) -> TrueParameters:

@@ -32,21 +32,11 @@ from accelcal_cli.core.points import Windows
 from accelcal_cli.core.settings import Adaptive
 from accelcal_cli.segment.segmenter import Blocks, centred_squares
 
-CANDIDATE = np.dtype(
-    [
-        ("run", np.int64),
-        ("first", np.int64),
-        ("sums", np.int64, 3),
-        ("low", np.int64, 3),
-        ("high", np.int64, 3),
-        ("temperature_sum", np.int64),
-        ("temperature_known", np.bool_),
-        ("norm", np.int64),
-        ("turn", np.int64),
-        ("least_norm", np.int64),
-        ("least_turn", np.int64),
-    ]
-)
+CANDIDATE = np.dtype([
+    ("run", np.int64), ("first", np.int64), ("sums", np.int64, 3), ("low", np.int64, 3),
+    ("high", np.int64, 3), ("temperature_sum", np.int64), ("temperature_known", np.bool_),
+    ("norm", np.int64), ("turn", np.int64), ("least_norm", np.int64), ("least_turn", np.int64),
+])  # fmt: skip
 """A window that may be still: norm and turn are n times the variance of |a| and of the rotation, least_norm
 and least_turn their minima when it came, later the minima that decide it."""
 
@@ -235,18 +225,14 @@ class LeastSpread:
         counted = np.full(len(values), NEVER)
         counted[index] = np.where((values[index] > 0) & (values[index] < NEVER), values[index], NEVER)
         least = np.minimum(np.minimum.accumulate(counted), self._least)
-        step = self._steps(columns, index, len(values))
+        observed = np.full(len(values), self.step)
+        if self.step > 1:  # at least one count
+            observed[index] = steps(columns, self.widest)
+        step = np.minimum(np.minimum.accumulate(observed), self.step)
         floors = {step_size: self._floor(step_size) for step_size in set(step.tolist())}
         allowed = np.array([floors[step_size] for step_size in step.tolist()], np.int64)
         self._least, self.step = int(least[-1]), int(step[-1])
         return np.maximum(least, allowed)
-
-    def _steps(self, columns: NDArray[Any], index: NDArray[np.int64], number: int) -> NDArray[np.int64]:
-        """Return the sensor's step after each window, (m,), at least one count."""
-        observed = np.full(number, self.step)
-        if self.step > 1:
-            observed[index] = steps(columns, self.widest)
-        return np.minimum(np.minimum.accumulate(observed), self.step)
 
     def _floor(self, step: int) -> int:
         """Return n times the variance of rounding to steps, at least 1, at most NEVER."""

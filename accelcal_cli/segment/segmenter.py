@@ -273,19 +273,13 @@ class Segmenter:
         low, high = columns.min(axis=2).astype(np.int64), columns.max(axis=2).astype(np.int64)
         sums = exact_sums(columns, self.length * (1 << 8 * columns.itemsize - 1))
         usable = self._usable(rows, number)
-        self._note_quietest(columns, (high - low).max(axis=0), usable)
+        if usable.any():  # the first window with the least max - min
+            spread = (high - low).max(axis=0)
+            index = int(np.where(usable, spread, spread.max() + 1).argmin())
+            if self.quietest is None or spread[index] < self.quietest.spread:
+                deviation = float(columns[:, index].astype(np.float64).std(axis=1).max())
+                self.quietest = Quietest(int(spread[index]), deviation)
         return Blocks(self._run_number, rows, columns, low, high, sums, usable)
-
-    def _note_quietest(
-        self, columns: NDArray[Any], spread: NDArray[np.int64], usable: NDArray[np.bool_]
-    ) -> None:
-        """Keep the first window with the least max - min."""
-        if not usable.any():
-            return
-        index = int(np.where(usable, spread, spread.max() + 1).argmin())
-        if self.quietest is None or spread[index] < self.quietest.spread:
-            deviation = float(columns[:, index].astype(np.float64).std(axis=1).max())
-            self.quietest = Quietest(int(spread[index]), deviation)
 
     def _usable(self, rows: Chunk, number: int) -> NDArray[np.bool_]:
         """Return a mask of windows that were measured throughout; count the others by their worst row."""

@@ -140,7 +140,13 @@ def _listed(place: LinePlace, names: Sequence[str], cells: Sequence[str], end: s
         raise place.wrong(f"has {len(cells)} values, the header {len(names)}")
     values = dict(zip(names, cells, strict=True))
     x, y, z = (_number(values[f"{axis}{end}"], place) * UNITS[end] for axis in AXES)
-    _check_length(_length((x, y, z)), place, of_rest=not end)
+    length = _length((x, y, z))
+    if not end and abs(length - 1) > LENGTH_TOLERANCE:
+        hint = "ax, ay, az are in g: at rest their length is 1 (call them ax_g, ay_g, az_g if it is not)"
+        raise place.wrong(f"the reference has the length {length:.4g}", hint)
+    if end and not LEAST_G <= length <= LARGEST_G:
+        hint = f"possible are {LEAST_G:g} to {LARGEST_G:g} g"
+        raise place.wrong(f"the reference has the length {length:.4g} g", hint)
     times = [values.get(name, "") for name in TIMES]
     # A file without times is one pose.
     is_whole = FILE in values and not any(times)
@@ -148,16 +154,6 @@ def _listed(place: LinePlace, names: Sequence[str], cells: Sequence[str], end: s
     if FILE in values and not values[FILE]:
         raise place.wrong("names no file")
     return ListedPose(place, start, stop, (x, y, z), not end, values.get(FILE))
-
-
-def _check_length(length: float, place: LinePlace, *, of_rest: bool) -> None:
-    if of_rest and abs(length - 1) > LENGTH_TOLERANCE:
-        hint = "ax, ay, az are in g: at rest their length is 1 (call them ax_g, ay_g, az_g if it is not)"
-        raise place.wrong(f"the reference has the length {length:.4g}", hint)
-    if not of_rest and not LEAST_G <= length <= LARGEST_G:
-        raise place.wrong(
-            f"the reference has the length {length:.4g} g", f"possible are {LEAST_G:g} to {LARGEST_G:g} g"
-        )
 
 
 def _length(vector: Fractions3) -> float:
@@ -290,7 +286,6 @@ def _device_us(moment: Moment, item: ListedPose, origin: Origin) -> int:
     if zone is None:
         return local_us
     if origin.offset_s is None:
-        raise item.place.wrong(
-            "the time has a zone, but that of the recording is not known", "give --timezone"
-        )
+        text = "the time has a zone, but that of the recording is not known"
+        raise item.place.wrong(text, "give --timezone")
     return local_us - zone // _MICROSECOND + origin.offset_s * 1_000_000

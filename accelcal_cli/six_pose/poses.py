@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import LIMIT, ONE, rounded_quotient, to_fixed
+from accelcal_cli.core.arithmetic import LIMIT, ONE, rounded_quotient, three, to_fixed
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError, UsageError
 from accelcal_cli.core.points import Windows
@@ -229,10 +229,8 @@ def _times(still: Windows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def _mean(sums: list[int], samples: int, lsb_per_g: Fraction) -> Integers3:
-    x, y, z = (
-        rounded_quotient(axis * ONE * lsb_per_g.denominator, samples * lsb_per_g.numerator) for axis in sums
-    )
-    return x, y, z
+    scale, divisor = ONE * lsb_per_g.denominator, samples * lsb_per_g.numerator
+    return three(rounded_quotient(axis * scale, divisor) for axis in sums)
 
 
 def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -263,7 +261,12 @@ def find_listed(
         DivergedError: no window within a line's times is still.
     """
     spans = in_order([span_of(item, origins) for item in listed])
-    _refuse_unlisted(spans, origins, rolled_files)
+    named = {span.file for span in spans} | set(rolled_files)
+    left = [origin.name for number, origin in enumerate(origins) if number not in named]
+    if left and left[0] is not None:
+        some = ", ".join(str(name) for name in left[:SHOWN]) + (", ..." if len(left) > SHOWN else "")
+        hint = "write a line for each file of the session, or take it out of the folder"
+        raise UsageError(f"does not list {some}", path=spans[0].listed.place.path, hint=hint)
     numbers = _numbers([item.listed for item in spans], settings.posture_degrees)
     local_g = settings.gravity.local_g()
     poses = []
@@ -274,19 +277,6 @@ def find_listed(
         x, y, z = (to_fixed(value) for value in item.in_g(local_g))
         poses.append(Pose(_face(item), number, rest, (x, y, z)))
     return Session(origins[0].first_us, tuple(poses), files=file_origins(origins))
-
-
-def _refuse_unlisted(spans: Sequence[Span], origins: Sequence[Origin], rolled_files: Collection[int]) -> None:
-    """Raise UsageError for files of the session that no line names."""
-    known = {span.file for span in spans} | set(rolled_files)
-    left = [origin.name for number, origin in enumerate(origins) if number not in known]
-    if left and left[0] is not None:
-        some = ", ".join(str(name) for name in left[:SHOWN]) + (", ..." if len(left) > SHOWN else "")
-        raise UsageError(
-            f"does not list {some}",
-            path=spans[0].listed.place.path,
-            hint="write a line for each file of the session, or take it out of the folder",
-        )
 
 
 def in_order(spans: Sequence[Span]) -> list[Span]:
@@ -319,9 +309,8 @@ def _longest(still: Windows, indices: list[int], settings: PoseSettings, place: 
     """Return the longest state of a file, without its first and last window, if there are others."""
     some = still.select(np.array(indices))
     alike = np.zeros(len(some), np.int64)
-    run = max(
-        runs(some, unit(some.sums / some.samples[:, np.newaxis]), alike, settings.state_degrees), key=len
-    )
+    directions = unit(some.sums / some.samples[:, np.newaxis])
+    run = max(runs(some, directions, alike, settings.state_degrees), key=len)
     start_us, end_us = _times(some)
     if int(end_us[run[-1]] - start_us[run[0]]) < settings.min_state_seconds * 1e6:
         text = f"the longest rest of its file is shorter than {settings.min_state_seconds:g} s"
@@ -370,9 +359,8 @@ def find_faces(
     """Return the states of a session, each on the face whose axis shows most of gravity.
 
     A state is a run of adjacent still windows on one face that keep within a few degrees of their mean:
-    taking
-    the device up ends it, putting it down again begins another, and so does another file. Its first and last
-    window may hold the beginning of a movement and are left out if there are others.
+    taking the device up ends it, putting it down again begins another, and so does another file. Its first
+    and last window may hold the beginning of a movement and are left out if there are others.
 
     Args:
         origins: the files of the session.
@@ -398,19 +386,14 @@ def find_faces(
             between.append(rest)
         else:
             poses.append(Pose(FACES[face], face, rest, reference(face, local_g)))
-    _refuse_without({pose.state.file for pose in poses} | set(rolled_files), origins, settings)
-    return Session(origins[0].first_us, tuple(poses), tuple(between), short, file_origins(origins))
-
-
-def _refuse_without(known: Collection[int], origins: Sequence[Origin], settings: PoseSettings) -> None:
-    """Raise DivergedError for the first file of a session without a pose."""
+    known = {pose.state.file for pose in poses} | set(rolled_files)
     for number, origin in enumerate(origins):
         if origin.name is not None and number not in known:
-            raise DivergedError(
-                f"{origin.name}: no rest of {settings.min_state_seconds:g} s lies within "
-                f"{settings.face_degrees:g} degrees of a face",
-                hint="rest the device on a face in each file, or take this one out",
-            )
+            within = f"within {settings.face_degrees:g} degrees of a face"
+            text = f"{origin.name}: no rest of {settings.min_state_seconds:g} s lies {within}"
+            hint = "rest the device on a face in each file, or take this one out"
+            raise DivergedError(text, hint=hint)
+    return Session(origins[0].first_us, tuple(poses), tuple(between), short, file_origins(origins))
 
 
 def faces_of(directions: NDArray[np.float64], degrees: float) -> NDArray[np.int64]:
@@ -448,5 +431,4 @@ def runs(
 def reference(face: int, local_g: int) -> Integers3:
     """Return the true acceleration on a face (index of FACES), fixed-point g."""
     up = -local_g if face % 2 else local_g
-    x, y, z = (up if axis == face // 2 else 0 for axis in range(3))
-    return x, y, z
+    return three(up if axis == face // 2 else 0 for axis in range(3))

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.cells import CellCollector, plausible
-from accelcal_cli.core.arithmetic import ONE
+from accelcal_cli.core.arithmetic import ONE, three
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import utc_offset_s
 from accelcal_cli.core.declared import as_json, json_or_null
@@ -34,7 +34,6 @@ from accelcal_cli.core.local_time import NO_START
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, PlacedFile, Recording, Validity
-from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.output import sections
 from accelcal_cli.output.words import sentence
@@ -141,20 +140,12 @@ def _origins(files: Sequence[PlacedFile], found: Survey) -> tuple[Origin, ...]:
     if not files:
         dated = all(problem.code != NO_START for problem in facts.problems)
         return (Origin(facts.first_us or 0, dated, facts.utc_offset_s),)
-    return tuple(
-        Origin(
-            one.first_us,
-            one.dated,
-            utc_offset_s(zone, one.first_us - one.moved_us) if one.dated else None,
-            one.name,
-            one.first_sample,
-            one.first_sample + one.samples,
-            one.moved_us,
-            one.problems,
-            one.lost_bytes,
-        )
-        for one in files
-    )
+    origins = []
+    for one in files:
+        ahead_s = utc_offset_s(zone, one.first_us - one.moved_us) if one.dated else None
+        samples, damage = (one.first_sample, one.first_sample + one.samples), (one.problems, one.lost_bytes)
+        origins.append(Origin(one.first_us, one.dated, ahead_s, one.name, *samples, one.moved_us, *damage))
+    return tuple(origins)
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,15 +289,13 @@ class RollSums:
 
     def mean_g(self, lsb_per_g: float) -> Level:
         """Return the mean of each axis [g]."""
-        x, y, z = (Fraction(value, self.samples) / Fraction(lsb_per_g) for value in self._first)
-        return x, y, z
+        return three(Fraction(value, self.samples) / Fraction(lsb_per_g) for value in self._first)
 
     def products_g2(self, lsb_per_g: float) -> Products:
         """Return the mean products of two axes, less those of the means [g^2]."""
         mean, scale = self.mean_g(lsb_per_g), self.samples * Fraction(lsb_per_g) ** 2
         rows = [[self._second[i][j] / scale - mean[i] * mean[j] for j in range(3)] for i in range(3)]
-        first, second, third = ((x, y, z) for x, y, z in rows)
-        return first, second, third
+        return three(map(three, rows))
 
 
 def within(still: Windows, span: Span, origin: Origin) -> NDArray[np.bool_]:
@@ -344,11 +333,8 @@ def judge_roll(
     after = None if calibration is None else _calibrated(roll.axis, sums, lsb_per_g, calibration)
     best = after or raw
     if best.turn_g < LEAST_TURN_G or best.sd_g > MOST_LEVEL_G:
-        raise DivergedError(
-            f"{printable(roll.text)}: the device does not roll there by half a turn, with "
-            f"{AXES[roll.axis]} level",
-            hint="check the axis and the times",
-        )
+        text = f"the device does not roll there by half a turn, with {AXES[roll.axis]} level"
+        raise DivergedError(f"{printable(roll.text)}: {text}", hint="check the axis and the times")
     return RollResult(roll.axis, span.file, sums.ends_us, sums.samples, raw, after)
 
 
@@ -358,11 +344,10 @@ def _calibrated(axis: int, sums: RollSums, lsb_per_g: float, calibration: Calibr
     offset = [Fraction(value, ONE) for value in calibration.parameters[6:9]]
     shifted = [value + o for value, o in zip(sums.mean_g(lsb_per_g), offset, strict=True)]
     products = sums.products_g2(lsb_per_g)
-    x, y, z = (sum((k * v for k, v in zip(row, shifted, strict=True)), Fraction(0)) for row in gain)
+    level = three(sum((k * v for k, v in zip(row, shifted, strict=True)), Fraction(0)) for row in gain)
     half = [[_dot(row, [products[i][j] for i in range(3)]) for j in range(3)] for row in gain]
     rows = [[_dot(half[i], gain[j]) for j in range(3)] for i in range(3)]
-    first, second, third = ((a, b, c) for a, b, c in rows)
-    return _figures(axis, (x, y, z), (first, second, third))
+    return _figures(axis, level, three(map(three, rows)))
 
 
 def _dot(one: Sequence[Fraction], other: Sequence[Fraction]) -> Fraction:
@@ -449,22 +434,15 @@ class KnownOrientations(Judge):
         judgement, vectors = judge_six_pose(session, fit, self.poses)
         if judgement.calibration is not None:
             check_range(judgement.calibration)
-        rolls = self._rolled(run, judgement, spans, origins)
-        judgement = replace(judgement, notes=tuple(roll.reason() for roll in rolls))
-        rolled = [roll.section(session) for roll in rolls]
+        lsb_per_g, rolls = run.reader.recording.lsb_per_g, []
+        for roll, span in zip(self.rolls, spans, strict=True):  # for each, the recording is read once more
+            sums = sums_of(run.reader.chunks(run.request.chunk_samples), span, origins[span.file])
+            rolls.append(judge_roll(roll, span, sums, lsb_per_g, judgement.calibration))
+        judgement = replace(judgement, notes=tuple(one.reason() for one in rolls))
+        rolled = [one.section(session) for one in rolls]
         known = known_json(session, fit, judgement.outcome, vectors, rolled)
         sections = {"poses": poses_json(session, fit), "known_orientations": known}
         return Verdict(judgement, sections, sum(pose.state.windows for pose in session.poses))
-
-    def _rolled(
-        self, run: RecordingRun, judgement: Judgement, spans: Sequence[Span], origins: Sequence[Origin]
-    ) -> list[RollResult]:
-        """Return the result of each roll, for which the recording is read once more."""
-        lsb_per_g, found = run.reader.recording.lsb_per_g, []
-        for roll, span in zip(self.rolls, spans, strict=True):
-            sums = sums_of(run.reader.chunks(run.request.chunk_samples), span, origins[span.file])
-            found.append(judge_roll(roll, span, sums, lsb_per_g, judgement.calibration))
-        return found
 
     def find_poses(self, found: Survey, origins: Sequence[Origin], rolls: Sequence[Span] = ()) -> Session:
         """Return the listed poses, or else the six faces.
@@ -482,7 +460,13 @@ class KnownOrientations(Judge):
             still = still.select(~within(still, span, origins[span.file]))
         rolled_files = [span.file for span in rolls]
         if not len(still):
-            raise self._no_stillness(found)
+            counts = found.method.segmenter.counts
+            text = f"none of {counts.complete} windows of {self.poses.segment_seconds:g} s is still"
+            hint = "rest the device on every face for 10 s without touching it"
+            if counts.still:
+                text = "every still window holds one constant value: the sensor was off or asleep"
+                hint = "turn off its sleep mode"
+            raise DivergedError(text, hint=hint)
         if self.listed:
             return find_listed(still, self.listed, origins, lsb_per_g, self.poses, rolled_files)
         near_1_g = plausible(still, found.method.rest_lsb, self.settings)
@@ -490,15 +474,3 @@ class KnownOrientations(Judge):
             hint = "check the unit with --unit and --lsb-per-g"
             raise DivergedError("still windows measure far from 1 g", hint=hint)
         return find_faces(still.select(near_1_g), origins, lsb_per_g, self.poses, rolled_files)
-
-    def _no_stillness(self, found: Survey) -> DivergedError:
-        counts = found.method.segmenter.counts
-        if counts.still:
-            return DivergedError(
-                "every still window holds one constant value: the sensor was off or asleep",
-                hint="turn off its sleep mode",
-            )
-        return DivergedError(
-            f"none of {counts.complete} windows of {self.poses.segment_seconds:g} s is still",
-            hint="rest the device on every face for 10 s without touching it",
-        )

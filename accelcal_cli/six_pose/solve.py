@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import LIMIT, ONE, checked, to_fixed
+from accelcal_cli.core.arithmetic import LIMIT, ONE, checked, three, to_fixed
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import DivergedError, counted
 from accelcal_cli.core.gravity import Gravity
@@ -73,16 +73,14 @@ def six_pose_fit(session: Session, settings: PoseSettings) -> SixPoseFit:
     pairs = zip(session.poses, errors, strict=True)
     checked = len({pose.number for pose, error in pairs if error.held_out is not None}) >= FEWEST_CHECKED
     if not checked and not settings.unchecked:
-        raise DivergedError(
-            f"only {counted(session.orientations, 'pose')} found{_which(session)}: "
-            "enough for a fit, but not to check it",
-            hint=f"{_missing(session)}{_way(session)}, {_UNCHECKED}",
-        )
+        found = f"only {counted(session.orientations, 'pose')} found{_which(session)}"
+        hint = f"{_missing(session)}{_way(session)}, {_UNCHECKED}"
+        raise DivergedError(f"{found}: enough for a fit, but not to check it", hint=hint)
     surplus = session.orientations > UNKNOWNS
     return SixPoseFit(
         calibration=solution.calibration,
         k=_matrix3(solution.k),
-        o=(float(solution.o[0]), float(solution.o[1]), float(solution.o[2])),
+        o=three(map(float, solution.o)),
         precision=uncertainty(session.poses, solution) if surplus else None,
         condition_number=condition,
         errors=errors,
@@ -94,39 +92,24 @@ def six_pose_fit(session: Session, settings: PoseSettings) -> SixPoseFit:
 def _require(session: Session, condition: float, settings: PoseSettings) -> None:
     """Raise DivergedError unless the matrix [a 1] of the poses has rank 4, and well so."""
     if not session.poses:
-        raise DivergedError(_no_poses(session, settings), hint=_LONGER)
+        others = [(len(session.between), "lie between faces"), (session.short, "are too short")]
+        elsewhere = " and ".join(f"{number} {what}" for number, what in others if number)
+        near = f"no still state lies within {settings.face_degrees:g} degrees of a face"
+        raise DivergedError(f"{near}; {elsewhere}" if elsewhere else near, hint=_LONGER)
     number, limit = session.orientations, settings.max_condition
-    if number < FEWEST or condition > limit:
-        raise DivergedError(
-            _too_few(session, settings.unchecked)
-            if number < FEWEST
-            else _too_alike(session, condition, limit),
-            hint=f"{_missing(session)}{_way(session)}",
-        )
-
-
-def _too_few(session: Session, unchecked: bool) -> str:
-    """Say how many poses there are, and how many are needed."""
-    found = f"only {counted(session.orientations, 'pose')} found{_which(session)}"
-    return f"{found}, and at least {FEWEST if unchecked else FEWEST + 1} are needed"
-
-
-def _too_alike(session: Session, condition: float, limit: float) -> str:
-    """Say that the directions of the poses do not separate the parameters."""
-    numbers = f"the condition number of [a 1] is {condition:.3g}, the limit {limit:g}"
-    return f"the poses{_which(session)} do not determine twelve parameters: {numbers}"
+    if number >= FEWEST and condition <= limit:
+        return
+    text = f"the poses{_which(session)} do not determine twelve parameters: the condition number of [a 1] is "
+    text += f"{condition:.3g}, the limit {limit:g}"
+    if number < FEWEST:
+        text = f"only {counted(number, 'pose')} found{_which(session)}"
+        text += f", and at least {FEWEST if settings.unchecked else FEWEST + 1} are needed"
+    raise DivergedError(text, hint=f"{_missing(session)}{_way(session)}")
 
 
 def _way(session: Session) -> str:
     """Return advice on too few poses."""
     return _MORE if any(pose.face == LISTED for pose in session.poses) else _LONGER
-
-
-def _no_poses(session: Session, settings: PoseSettings) -> str:
-    others = [(len(session.between), "lie between faces"), (session.short, "are too short")]
-    elsewhere = "; " + " and ".join(f"{number} {what}" for number, what in others if number)
-    near = f"no still state lies within {settings.face_degrees:g} degrees of a face"
-    return near + elsewhere.removesuffix("; ")
 
 
 def _which(session: Session) -> str:
@@ -224,9 +207,8 @@ def _inverse(k: Sequence[Sequence[Fraction]], o: Sequence[Fraction], gravity: Gr
     try:
         gain = eliminated([list(row) for row in k], unity)
     except DivergedError as error:
-        raise DivergedError(
-            "K has no inverse: an axis does not follow the orientation", hint="check the sensor and the poses"
-        ) from error
+        text = "K has no inverse: an axis does not follow the orientation"
+        raise DivergedError(text, hint="check the sensor and the poses") from error
     lower = tuple(to_fixed(gain[row][column]) for row, column in _LOWER)
     upper = tuple(to_fixed(gain[row][column]) for row, column in _UPPER)
     offset = tuple(to_fixed(-value) for value in o)
@@ -243,8 +225,7 @@ def calibrated(raw: Integers3, calibration: Calibration) -> Floats3:
     """Return a = K (v + o) of a fixed-point mean [g], exact until the last division."""
     shifted = [value + offset for value, offset in zip(raw, calibration.parameters[6:9], strict=True)]
     rows = fixed_gain(calibration)
-    x, y, z = (sum(k * v for k, v in zip(row, shifted, strict=True)) / ONE**2 for row in rows)
-    return x, y, z
+    return three(sum(k * v for k, v in zip(row, shifted, strict=True)) / ONE**2 for row in rows)
 
 
 def fixed_gain(calibration: Calibration) -> tuple[Integers3, Integers3, Integers3]:
@@ -284,15 +265,20 @@ def between_norm_mg(states: Sequence[StillState], calibration: Calibration, grav
 
 def _errors(pose: Pose, estimate: Floats3, unseen: Calibration | None, centre: Floats3 | None) -> PoseError:
     raw, reference = _in_g(pose.state.raw), _in_g(pose.reference)
-    guess = None if unseen is None else calibrated(pose.state.raw, unseen)
+    held_out = norm = tilt = None
+    if unseen is not None:
+        guess = calibrated(pose.state.raw, unseen)
+        held_out, norm = _distance(guess, reference), _norm_error(guess, reference)
+        dot = fsum(left * right for left, right in zip(guess, reference, strict=True))
+        tilt = degrees(acos(max(-1.0, min(1.0, dot / (_length(guess) * _length(reference))))))
     return PoseError(
         raw=_distance(raw, reference),
         raw_norm=_norm_error(raw, reference),
         residual=_distance(estimate, reference),
         norm=_norm_error(estimate, reference),
-        held_out=None if guess is None else _distance(guess, reference),
-        held_out_norm=None if guess is None else _norm_error(guess, reference),
-        tilt_degrees=None if guess is None else _angle(guess, reference),
+        held_out=held_out,
+        held_out_norm=norm,
+        tilt_degrees=tilt,
         repeat=None if centre is None else _distance(estimate, centre),
     )
 
@@ -302,8 +288,7 @@ def _centre(poses: Sequence[Pose], estimates: Sequence[Floats3], number: int) ->
     own = [estimate for pose, estimate in zip(poses, estimates, strict=True) if pose.number == number]
     if len(own) < 2:
         return None
-    x, y, z = (fsum(values) / len(own) for values in zip(*own, strict=True))
-    return x, y, z
+    return three(fsum(values) / len(own) for values in zip(*own, strict=True))
 
 
 def _in_g(values: Integers3) -> Floats3:
@@ -320,11 +305,6 @@ def _distance(a: Floats3, b: Floats3) -> float:
 
 def _norm_error(a: Floats3, b: Floats3) -> float:
     return 1000 * abs(_length(a) - _length(b))
-
-
-def _angle(a: Floats3, b: Floats3) -> float:
-    cosine = fsum(left * right for left, right in zip(a, b, strict=True)) / (_length(a) * _length(b))
-    return degrees(acos(max(-1.0, min(1.0, cosine))))
 
 
 def uncertainty(poses: Sequence[Pose], solution: Solution) -> Uncertainty:
@@ -358,8 +338,7 @@ def uncertainty(poses: Sequence[Pose], solution: Solution) -> Uncertainty:
 
 
 def _matrix3(rows: Iterable[Any]) -> Matrix3:
-    first, second, third = ((float(x), float(y), float(z)) for x, y, z in rows)
-    return first, second, third
+    return three(three(map(float, row)) for row in rows)
 
 
 def _worst_direction(gain: Real, inverse: Real, variance: float) -> float:

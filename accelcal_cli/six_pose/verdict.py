@@ -6,7 +6,7 @@ Orientations that the fit has not seen judge it. The report gives the model in i
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import sqrt
 from typing import Any
 
@@ -36,25 +36,11 @@ from accelcal_cli.output.sections import (
     vector,
 )
 from accelcal_cli.six_pose.listing import LENGTH_TOLERANCE, Origin
-from accelcal_cli.six_pose.poses import Pose, PoseError, Session, SixPoseFit, Uncertainty, VectorErrors
+from accelcal_cli.six_pose.poses import PoseError, Session, SixPoseFit, VectorErrors
 
 METHOD = "one orientation left out at a time"
 UNKNOWN = Reason("nothing_held_out")
 EQUATION = "z = K a + O"
-
-
-@dataclass(frozen=True, slots=True)
-class SessionHoldout:
-    """Errors of the orientations that could be left out.
-
-    Attributes:
-        raw, norms: errors of the length, without a calibration and with the twelve parameters.
-        vectors: errors of the vector, by which the two are compared.
-    """
-
-    raw: Holdout
-    norms: Holdout
-    vectors: VectorErrors
 
 
 def judge_six_pose(
@@ -67,19 +53,19 @@ def judge_six_pose(
     """
     if not fit.checked:
         return _unjudged(session, fit), None
-    holdout = _holdout(session, fit)
-    decided = _outcome(session, fit, settings, holdout)
+    raw, norms, vectors = _holdout(session, fit)
+    decided = _outcome(session, fit, settings, norms, vectors)
     outcome = decided.outcome
     verdict = Judgement(
         outcome=outcome,
         reason=decided.reason,
         advice=decided.advice,
         coverage=_coverage(session, fit),
-        trials=(Trial("0", holdout.raw, None), Trial("12", holdout.norms, None)),
-        holdout=holdout.raw if outcome is Outcome.ALREADY_GOOD else holdout.norms,
+        trials=(Trial("0", raw, None), Trial("12", norms, None)),
+        holdout=raw if outcome is Outcome.ALREADY_GOOD else norms,
         fit_errors=_fit_errors(session, fit),
     )
-    return _with_calibration(verdict, fit), holdout.vectors
+    return _with_calibration(verdict, fit), vectors
 
 
 def _unjudged(session: Session, fit: SixPoseFit) -> Judgement:
@@ -109,22 +95,22 @@ def _with_calibration(verdict: Judgement, fit: SixPoseFit) -> Judgement:
     )
 
 
-def _outcome(session: Session, fit: SixPoseFit, settings: PoseSettings, holdout: SessionHoldout) -> Decision:
-    before, after = holdout.vectors.before.mean, holdout.vectors.after.mean
-    norm_before, norm_after = holdout.norms.before.mean, holdout.norms.after.mean
-    values = {
-        "before_mg": before,
-        "after_mg": after,
-        "norm_before_mg": norm_before,
-        "norm_after_mg": norm_after,
-    }
+def _outcome(
+    session: Session, fit: SixPoseFit, settings: PoseSettings, norms: Holdout, vectors: VectorErrors
+) -> Decision:
+    before, after = vectors.before.mean, vectors.after.mean
+    norm_before, norm_after = norms.before.mean, norms.after.mean
+    values = {"before_mg": before, "after_mg": after}
+    values |= {"norm_before_mg": norm_before, "norm_after_mg": norm_after}
     if after >= settings.max_vector_error_mg or norm_after >= settings.max_error_mg:
         limits = {"vector_limit_mg": settings.max_vector_error_mg, "limit_mg": settings.max_error_mg}
         why = Reason.of("poses_disagree", **values, **limits, **_worst(session, fit))
         return Decision(Outcome.REFUSED, why, (_way(session, settings),))
     if after >= before:
         return Decision(Outcome.ALREADY_GOOD, Reason.of("poses_no_better", **values))
-    faces = _unchecked(session, fit)
+    # the orientations without which there is no fit, so that nothing checks them
+    pairs = zip(session.poses, fit.errors, strict=True)
+    faces = sorted({str(pose.face) for pose, error in pairs if error.held_out is None})
     why = Reason.of("poses_calibrated", **values, unchecked=faces, missing=session.missing if faces else ())
     return Decision(Outcome.CALIBRATED, why)
 
@@ -151,26 +137,23 @@ def _worst(session: Session, fit: SixPoseFit) -> dict[str, Any]:
     }
 
 
-def _unchecked(session: Session, fit: SixPoseFit) -> list[str]:
-    """Return the orientations without which there is no fit, so that nothing checks them."""
-    pairs = zip(session.poses, fit.errors, strict=True)
-    return sorted({str(pose.face) for pose, error in pairs if error.held_out is None})
+def _holdout(session: Session, fit: SixPoseFit) -> tuple[Holdout, Holdout, VectorErrors]:
+    """Return the errors of held-out orientations; each counts the same, with the mean of its states.
 
-
-def _holdout(session: Session, fit: SixPoseFit) -> SessionHoldout:
-    """Return the errors of held-out orientations; each counts the same, with the mean of its states."""
+    Returns:
+        those of the length, without a calibration and with the twelve parameters, and those of the vector, by
+        which the two are compared.
+    """
     known = [error for error in fit.errors if error.held_out is not None]
     norm_before = _by_orientation(session, fit, lambda error: error.raw_norm)
     norm_after = _by_orientation(session, fit, lambda error: error.held_out_norm or 0.0)
     before = _by_orientation(session, fit, lambda error: error.raw)
     after = _by_orientation(session, fit, lambda error: error.held_out or 0.0)
     raw, norms = (
-        of_postures(
-            METHOD, len(known), tuple(zip(norm_before, shown, strict=True)), tuple(enumerate(compared))
-        )
+        of_postures(METHOD, len(known), (*zip(norm_before, shown, strict=True),), (*enumerate(compared),))
         for shown, compared in ((norm_before, before), (norm_after, after))
     )
-    return SessionHoldout(raw, norms, VectorErrors(summary(before), summary(after)))
+    return raw, norms, VectorErrors(summary(before), summary(after))
 
 
 def _by_orientation(
@@ -206,25 +189,24 @@ def _coverage(session: Session, fit: SixPoseFit) -> Coverage:
 
 def poses_json(session: Session, fit: SixPoseFit) -> list[dict[str, Any]]:
     """Return the `poses` list, in the order of time."""
-    return [_pose(session, fit, pose, error) for pose, error in zip(session.poses, fit.errors, strict=True)]
-
-
-def _pose(session: Session, fit: SixPoseFit, pose: Pose, error: PoseError) -> dict[str, Any]:
-    state = pose.state
-    section = PoseSection(
-        face=pose.face,
-        **session.place_json(state.file, state.start_us, state.end_us),
-        windows=state.windows,
-        mean_raw_g=vector(map(to_float, state.raw)),
-        reference_g=vector(map(to_float, pose.reference)),
-        raw_mg=error.raw,
-        residual_mg=None if fit.precision is None else error.residual,
-        held_out_mg=error.held_out,
-        held_out_norm_mg=error.held_out_norm,
-        held_out_tilt_degrees=error.tilt_degrees,
-        repeat_mg=error.repeat,
-    )
-    return as_json(section)
+    found = []
+    for pose, error in zip(session.poses, fit.errors, strict=True):
+        state = pose.state
+        section = PoseSection(
+            face=pose.face,
+            **session.place_json(state.file, state.start_us, state.end_us),
+            windows=state.windows,
+            mean_raw_g=vector(map(to_float, state.raw)),
+            reference_g=vector(map(to_float, pose.reference)),
+            raw_mg=error.raw,
+            residual_mg=None if fit.precision is None else error.residual,
+            held_out_mg=error.held_out,
+            held_out_norm_mg=error.held_out_norm,
+            held_out_tilt_degrees=error.tilt_degrees,
+            repeat_mg=error.repeat,
+        )
+        found.append(as_json(section))
+    return found
 
 
 def known_json(
@@ -239,13 +221,15 @@ def known_json(
     Args:
         vectors: None if nothing was held out.
     """
-    refused = outcome is Outcome.REFUSED
+    refused, known = outcome is Outcome.REFUSED, fit.precision
     repeats = [error.repeat for error in fit.errors if error.repeat is not None]
     section = KnownOrientations(
         equation=EQUATION,
         K=None if refused else matrix(fit.k),
         O=None if refused else vector(fit.o),
-        standard_errors=None if refused or fit.precision is None else _errors(fit.precision),
+        standard_errors=None
+        if refused or known is None
+        else OrientationErrors(matrix(known.k), vector(known.o)),
         holdout_vector_mg=None if vectors is None else ErrorPair(vectors.before, vectors.after),
         repeat_spread_mg=max(repeats, default=None),
         orientations=session.orientations,
@@ -267,7 +251,3 @@ def _file(origin: Origin) -> SessionFile:
         problems=origin.problems,
         lost_bytes=origin.lost_bytes,
     )
-
-
-def _errors(known: Uncertainty) -> OrientationErrors:
-    return OrientationErrors(matrix(known.k), vector(known.o))

@@ -42,8 +42,7 @@ def test_all_formats_hold_the_same_samples_and_times(tmp_path: Path, capsys: Cap
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.nightly] * (name != "gt3x")) for name in FORMATS],
+    "name", [pytest.param(name, marks=[pytest.mark.nightly] * (name != "gt3x")) for name in FORMATS]
 )
 def test_the_truth_is_found_again(tmp_path: Path, capsys: Capture, name: str) -> None:
     words = ("--days", 0.4, "--rate", SLOWEST.get(name, 12.5), "--seed", 6, "--truth", 2, "-q", "--json")

@@ -9,7 +9,7 @@ from math import floor
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from accelcal_cli.collect import cells
@@ -136,33 +136,6 @@ def test_merging_leaves_the_other_collector_as_it_was() -> None:
     assert one.points().windows.tolist() == [3]
 
 
-@given(wear())
-def test_weights_of_each_group_of_eight_cells_sum_to_one(items: Windows) -> None:
-    points = collected(items).points()
-    sums: dict[tuple[int, ...], list[int]] = defaultdict(list)
-    cell = np.floor(points.xyz_g() * 20).astype(int)
-    on_a_border = (abs(points.xyz_g() * 20 - np.rint(points.xyz_g() * 20)) < 1e-6).any()
-    assume(not on_a_border)
-    for group, weight in zip((cell // 2).tolist(), points.weights.tolist(), strict=True):
-        sums[tuple(group)].append(weight)
-    for weights in sums.values():
-        assert abs(sum(weights) - WEIGHT_ONE) <= len(weights)
-
-
-def test_a_rare_posture_weighs_as_much_as_a_frequent_one() -> None:
-    often, once = (0, 0, 256 * LENGTH), (256 * LENGTH, 0, 0)
-    points = collected(windows(LENGTH, [often] * 500 + [once])).points()
-    assert points.weights.tolist() == [WEIGHT_ONE, WEIGHT_ONE]
-    assert points.windows.tolist() == [500, 1]
-
-
-def test_cells_of_one_group_share_a_point_by_their_windows() -> None:
-    # cells 0 and 1 of x: 0 to 0.05 and 0.05 to 0.1 g, at 100 counts per g
-    low, high = (2 * LENGTH, 0, 100 * LENGTH), (7 * LENGTH, 0, 100 * LENGTH)
-    points = collected(windows(LENGTH, [low] * 3 + [high]), 100.0).points()
-    assert points.weights.tolist() == [WEIGHT_ONE * 3 // 4, WEIGHT_ONE // 4]
-
-
 def test_a_border_between_cells_belongs_to_the_upper_one() -> None:
     # 0.05 g is 5 counts at 100 counts per g
     below, at = (5 * LENGTH - 1, 0, 100 * LENGTH), (5 * LENGTH, 0, 100 * LENGTH)
@@ -229,11 +202,6 @@ def test_constants_alone_are_a_devices_fill() -> None:
     held = collected(windows(LENGTH, [UP] * 5, 0))
     assert held.counts() == CellCounts(implausible=0, constant=5, constant_used=False)
     assert len(held.points()) == 0
-
-
-def test_believed_constants_share_the_cell_of_the_others() -> None:
-    held = collected(windows(LENGTH, [UP] * 6, [(0, 0, 0)] * 3 + [(1, 0, 0)] * 3))
-    assert held.points().windows.tolist() == [6]
 
 
 def test_cells_are_split_by_whole_degrees_where_temperature_is_used() -> None:

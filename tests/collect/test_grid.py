@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from accelcal_cli.collect import grid
 from accelcal_cli.collect.cells import CellCollector
@@ -36,7 +35,8 @@ from accelcal_cli.core.points import WEIGHT_ONE, Windows
 from accelcal_cli.core.settings import DEFAULT
 from tests.cli.run import run
 from tests.collect.made import plain, windows
-from tests.collect.test_cells import wear
+from tests.collect.test_cells import collected, wear
+from tests.optimize.oracle import directions
 
 SCALE = Fraction(2047, 8)
 
@@ -261,27 +261,20 @@ LENGTH = 8
 NUMBER = 600
 
 
-def sphere(number: int) -> NDArray[np.float64]:
-    """Directions that cover it evenly."""
-    index = np.arange(number) + 0.5
-    z, turn = 1 - 2 * index / number, 2.399963 * index
-    ring = np.sqrt(1 - z * z)
-    return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
+def table_of(folder: Path, columns: str, rows: Any) -> Path:
+    """A table of mean accelerations [g] and what goes with them."""
+    table = folder / "means.csv"
+    table.write_text("\n".join([columns, *rows]) + "\n")
+    return table
 
 
 def many_cells(temperatures: range = range(20_000, 21_000, 1000)) -> Windows:
     """Windows all over the sphere, one for each temperature [thousandths of a degree C]."""
-    sums = np.rint(sphere(NUMBER) * 256 * LENGTH).astype(np.int64)
+    sums = np.rint(directions(NUMBER) * 256 * LENGTH).astype(np.int64)
     warm = np.tile(np.array(temperatures) * LENGTH, NUMBER)
     return windows(
         LENGTH, np.repeat(sums, len(temperatures), axis=0).tolist(), temperature_sums=warm.tolist()
     )
-
-
-def collected(items: Windows, *, temperature: bool = False) -> CellCollector:
-    held = CellCollector(256.0, DEFAULT, temperature=temperature)
-    held.add(items)
-    return held
 
 
 @pytest.mark.parametrize("limit", [599, 200, 60, 8])
@@ -345,15 +338,15 @@ def wide_keys(items: Windows) -> list[tuple[int, ...]]:
 
 
 @pytest.mark.parametrize(
-    "directions", [2000, *(pytest.param(number, marks=pytest.mark.nightly) for number in (2500, 3500))]
+    "number", [2000, *(pytest.param(number, marks=pytest.mark.nightly) for number in (2500, 3500))]
 )
 def test_slopes_stay_known_where_each_direction_has_all_temperatures(
-    directions: int, tmp_path: Path, capsys: Capture
+    number: int, tmp_path: Path, capsys: Capture
 ) -> None:
     """Each at 16 to 31 degrees: too many cells, of one mean temperature; of many, wide from the start."""
-    warm = np.tile(np.arange(16.5, 32), directions)
+    warm = np.tile(np.arange(16.5, 32), number)
     slopes = np.array([0.001, -0.001, 0.0005])
-    g = np.repeat(sphere(directions), 16, axis=0) - np.outer(warm - 26, slopes)
+    g = np.repeat(directions(number), 16, axis=0) - np.outer(warm - 26, slopes)
     table = tmp_path / "warm.csv"
     np.savetxt(table, np.column_stack([g, warm]), "%.7f", ",", header="x,y,z,temperature_c", comments="")
     report = json.loads(run(capsys, "fit", table, "--json").out)
@@ -383,7 +376,7 @@ def test_many_temperatures_end_as_few_enough_points() -> None:
 def test_what_lies_apart_for_other_reasons_stays_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     """Numbers before the last four, as of postures, keep cells apart, however wide these become."""
     monkeypatch.setattr(grid, "MAX_POINTS", 100)
-    sums = np.rint(sphere(200) * 256).astype(int).tolist()
+    sums = np.rint(directions(200) * 256).astype(int).tolist()
     cells = {
         (n % 2, *(v // 13 for v in g), n): CellSums(1, 1, (g[0], g[1], g[2])) for n, g in enumerate(sums)
     }
@@ -409,7 +402,7 @@ def test_a_wrist_that_was_everywhere_is_calibrated_as_well(
         np.array([[1.02, 0, 0], [0.01, 0.97, 0], [-0.02, 0.015, 1.01]]),
         np.array([0.03, -0.02, 0.01]),
     )
-    g = sphere(6000) @ np.linalg.inv(truth).T - offset
+    g = directions(6000) @ np.linalg.inv(truth).T - offset
     warm = np.random.default_rng(2).uniform(20, 36, len(g))
     columns = [*g.T, warm] if temperature else [*g.T]
     table = tmp_path / "means.csv"
@@ -430,10 +423,9 @@ def test_postures_that_hold_too_many_directions_are_refused_in_one_line(
     postures: int, each: int, tmp_path: Path, capsys: Capture
 ) -> None:
     """Their means would lie far inside the sphere; moved out, they would be those of a perfect sensor."""
-    table = tmp_path / "many.csv"
-    g = sphere(postures * each) * [0.98, 1.02, 1.01] + [0.02, -0.03, 0.01]
+    g = directions(postures * each) * [0.98, 1.02, 1.01] + [0.02, -0.03, 0.01]
     rows = [f"{x:.6f},{y:.6f},{z:.6f},p{n % postures}" for n, (x, y, z) in enumerate(g.tolist())]
-    table.write_text("\n".join(["x,y,z,posture", *rows]) + "\n")
+    table = table_of(tmp_path, "x,y,z,posture", rows)
     done = run(capsys, "fit", table)
     said = "combinations of orientation, direction and temperature, and a fit takes at most 4096 points"
     hint = "leave out the column `posture`, or average rows that are alike"
@@ -441,17 +433,12 @@ def test_postures_that_hold_too_many_directions_are_refused_in_one_line(
     assert done.err.startswith(f"accelcal: {table}: holds ")
 
 
-def test_temperatures_of_a_posture_can_all_be_joined(tmp_path: Path, capsys: Capture) -> None:
+@pytest.mark.parametrize(("postures", "degrees"), [(MAX_POINTS, [25]), (3000, [-5, 5])])
+def test_as_many_postures_as_points_are_fitted_and_their_temperatures_can_all_be_joined(
+    postures: int, degrees: list[int], tmp_path: Path, capsys: Capture
+) -> None:
     """On both sides of freezing, too."""
-    table = tmp_path / "cold.csv"
-    rows = [f"{x:.6f},{y:.6f},{z:.6f},p{n}" for n, (x, y, z) in enumerate(sphere(3000).tolist())]
-    lines = [f"{row},{celsius}" for row in rows for celsius in (-5, 5)]
-    table.write_text("\n".join(["x,y,z,posture,temperature_c", *lines]) + "\n")
-    assert json.loads(run(capsys, "fit", table, "--json").out)["fit"]["points"] == 3000
-
-
-def test_as_many_postures_as_points_are_fitted(tmp_path: Path, capsys: Capture) -> None:
-    rows = [f"{x:.6f},{y:.6f},{z:.6f},p{n}" for n, (x, y, z) in enumerate(sphere(MAX_POINTS).tolist())]
-    table = tmp_path / "many.csv"
-    table.write_text("\n".join(["x,y,z,posture", *rows]) + "\n")
-    assert json.loads(run(capsys, "fit", table, "--json").out)["fit"]["points"] == MAX_POINTS
+    places = enumerate(directions(postures).tolist())
+    rows = [f"{x:.6f},{y:.6f},{z:.6f},p{n},{celsius}" for n, (x, y, z) in places for celsius in degrees]
+    table = table_of(tmp_path, "x,y,z,posture,temperature_c", rows)
+    assert json.loads(run(capsys, "fit", table, "--json").out)["fit"]["points"] == postures

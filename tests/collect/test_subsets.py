@@ -62,10 +62,7 @@ def test_a_point_fills_its_subset(name: str) -> None:
 
 
 @pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize(
-    ("border", "outside"),
-    [(-5, -1), (-3, 1), (-1, -1), (1, 1), (3, -1), (5, 1)],
-)
+@pytest.mark.parametrize(("border", "outside"), [(-5, -1), (-3, 1), (-1, -1), (1, 1), (3, -1), (5, 1)])
 def test_the_borders_belong_to_the_intervals(axis: int, border: int, outside: int) -> None:
     quarter = G // 4
     inside = [NOWHERE] * 3

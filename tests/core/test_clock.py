@@ -48,18 +48,6 @@ def test_uniform_times_are_the_nearest_microsecond(
     assert times.tolist() == [exact_time(start_us, first + start + k, rate) for k in range(number)]
 
 
-@given(STARTS, RATES, st.integers(1, 60), st.lists(st.integers(0, 60)))
-def test_uniform_times_do_not_depend_on_chunking(
-    start_us: int, rate: Fraction, number: int, cuts: list[int]
-) -> None:
-    edges = sorted({0, number, *(cut for cut in cuts if cut < number)})
-    parts = [UniformClock(start_us, low, rate).times(0, high - low) for low, high in pairwise(edges)]
-    slices = [UniformClock(start_us, 0, rate).times(low, high) for low, high in pairwise(edges)]
-    whole = UniformClock(start_us, 0, rate).times(0, number).tolist()
-    assert np.concatenate(parts).tolist() == whole
-    assert np.concatenate(slices).tolist() == whole
-
-
 def test_a_month_at_an_awkward_rate_stays_exact_in_the_last_row_of_a_large_chunk() -> None:
     rate = Fraction(999_983, 10_000)
     first, rows = 30 * 86_400 * 100, 500_000
@@ -229,13 +217,6 @@ def test_steps_of_parts_are_those_of_the_whole(times: list[int], cuts: list[int]
     whole = np.array(times, np.int64)
     edges = sorted({0, len(times), *(cut for cut in cuts if cut < len(times))})
     same(joined_steps([steps_of(whole[low:high]) for low, high in pairwise(edges)]), whole)
-
-
-def test_parts_by_hand() -> None:
-    parts = [steps_of(np.array(times, np.int64)) for times in ([3, 8, 17], [37, 41], [45, 52], [50])]
-    steps = joined_steps(parts)
-    assert (steps.first_us, steps.last_us, steps.least_us) == (3, 50, -2)
-    assert steps.above.dtype == np.uint8 and steps.above.tolist() == [7, 11, 22, 6, 6, 9, 0]
 
 
 STEP_PAGES = st.lists(

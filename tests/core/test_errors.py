@@ -31,14 +31,11 @@ def test_an_error_names_its_place_and_remedy(place: dict[str, object], text: str
 @pytest.mark.parametrize(
     ("cause", "again"),
     [
-        (OSError(errno.EIO, "the disk"), True),
-        (OSError(errno.EMFILE, "files"), True),
-        (PermissionError(errno.EACCES, "rights"), True),
-        (OSError("Not a gzipped file"), False),
-        (OSError(errno.EINVAL, "a seek that a file asks for"), False),
-        (ValueError("a number"), False),
+        (OSError(errno.EIO, "the disk"), True), (OSError(errno.EMFILE, "files"), True),
+        (PermissionError(errno.EACCES, "rights"), True), (OSError("Not a gzipped file"), False),
+        (OSError(errno.EINVAL, "a seek that a file asks for"), False), (ValueError("a number"), False),
     ],
-)
+)  # fmt: skip
 def test_what_came_of_the_machine_is_told_from_what_is_in_a_file(cause: Exception, again: bool) -> None:
     try:
         try:
@@ -56,14 +53,10 @@ def test_an_error_is_one_line() -> None:
 @pytest.mark.parametrize(
     ("name", "code"),
     [
-        ("AccelcalError", 70),
-        ("UsageError", 2),
-        ("UnreadableError", 3),
-        ("OutputError", 5),
-        ("DivergedError", 4),
-        ("FixedPointOverflowError", 4),
+        ("AccelcalError", 70), ("UsageError", 2), ("UnreadableError", 3), ("OutputError", 5),
+        ("DivergedError", 4), ("FixedPointOverflowError", 4),
     ],
-)
+)  # fmt: skip
 def test_every_kind_has_its_exit_code(name: str, code: int) -> None:
     assert getattr(errors, name).exit_code == code
     assert issubclass(getattr(errors, name), errors.AccelcalError)
@@ -86,12 +79,9 @@ def test_cells_that_a_spreadsheet_would_calculate(text: object, cell: object) ->
 @pytest.mark.parametrize(
     ("name", "shown"),
     [
-        ("\ud800", "\ufffd"),
-        ("a\udcffb", "a\ufffdb"),
-        ("\udcc3\udca9", "\u00e9"),
-        ("\x1b[0m", r"\x1b[0m"),
+        ("\ud800", "\ufffd"), ("a\udcffb", "a\ufffdb"), ("\udcc3\udca9", "\u00e9"), ("\x1b[0m", r"\x1b[0m"),
         ("\0", r"\x00"),
     ],
-)
+)  # fmt: skip
 def test_any_name_can_be_printed(name: str, shown: str) -> None:
     assert errors.printable(name) == shown

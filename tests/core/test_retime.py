@@ -211,10 +211,7 @@ def test_the_files_own_zone_is_that_of_its_clock(tmp_path: Path) -> None:
         (("-R", "start=today"), "-R start='today' is not a date and time"),
         (("-R", "start=0001-01-01T00:00+14:00"), "is not a date and time"),
         (("-R", "shift=nan"), "shift cannot be nan"),
-        (
-            ("-R", "force_timezone=true"),
-            "-R force_timezone has no zone to use",
-        ),
+        (("-R", "force_timezone=true"), "-R force_timezone has no zone to use"),
     ],
 )
 def test_what_is_not_enough_or_contradicts_itself(

@@ -29,8 +29,7 @@ def test_bytes_that_are_no_text_stay_as_they_are() -> None:
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["4 marca 2024 10:41:40", "4 Mrz 2024 10:41:40", "2024年03月04日 10:41:40", "2024-03-04 10-41-40"],
+    "text", ["4 marca 2024 10:41:40", "4 Mrz 2024 10:41:40", "2024年03月04日 10:41:40", "2024-03-04 10-41-40"]
 )
 def test_t6_times_of_further_languages_and_shapes(text: str) -> None:
     assert written_start(text) == written_start("2024-03-04 10:41:40") is not None

@@ -238,15 +238,9 @@ def test_borders_are_the_same_to_a_count(driver: Driver, seed: int) -> None:
     ]
     means = random.choice([*ends, 0, 300, 400, 900, 1200], (400, 3))
     means[:8] = [
-        [500, 0, 0],
-        [300, 400, 0],
-        [0, 0, 501],
-        [0, 1500, 0],
-        [900, 1200, 0],
-        [0, 1, 1499],
-        [0] * 3,
+        [500, 0, 0], [300, 400, 0], [0, 0, 501], [0, 1500, 0], [900, 1200, 0], [0, 1, 1499], [0] * 3,
         [1000, 0, 0],
-    ]
+    ]  # fmt: skip
     means[8:12] = [[1000, 0, 200], [1000, 160, -120], [1000, 0, -199], [880, 160, 1]]
     counts = np.repeat(means, 10, axis=0).astype(np.int16)
     counts[::10, 0] += random.choice([0, 0, 119, 120, -119, -120], 400)
@@ -377,13 +371,9 @@ def test_cycles_of_instructions_are_arms() -> None:
 """
     table = measure.disassembled(text)
     assert {address: (size, name) for address, (size, name, _) in table.items()} == {
-        0x848: (2, "push"),
-        0x84A: (4, "ldr"),
-        0x84E: (4, "smull"),
-        0x852: (2, "bne"),
-        0x854: (2, "pop"),
+        0x848: (2, "push"), 0x84A: (4, "ldr"), 0x84E: (4, "smull"), 0x852: (2, "bne"), 0x854: (2, "pop"),
         0x856: (2, "nop"),
-    }
+    }  # fmt: skip
     body = [0x84A, 0x84E, 0x852]
     executed = [0, 1, 0x848, *body * 3, 0x854, 2, 3]
     (pairs,) = measure.between(executed, 1, 2)

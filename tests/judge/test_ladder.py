@@ -14,12 +14,13 @@ from accelcal_cli.core.calibration import TemperatureScale
 from accelcal_cli.core.errors import FixedPointOverflowError
 from accelcal_cli.core.points import MODELS, Fit, Model, PointSet
 from accelcal_cli.core.reasons import Reason
-from accelcal_cli.core.results import Trial, sides_not_up
-from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.core.results import Coverage, Trial, sides_not_up
+from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.judge.errors import coverage, slope_information
 from accelcal_cli.judge.model_ladder import (
     LADDER,
-    Evidence,
+    FitFunction,
+    Fitting,
     Sample,
     choose,
     not_eligible,
@@ -33,28 +34,33 @@ from tests.judge.made import NINE, OFFSET, SIX, WARM, spread, trial
 from tests.optimize.oracle import IDEAL, directions, fast_fit, fast_fits, measured, one_by_one, points
 
 
-def evidence(held: PointSet) -> Evidence:
+def evidence(held: PointSet) -> tuple[Sample, Coverage]:
     label = postures(held, DEFAULT.posture_degrees)
     sample = Sample(held, label, temperature_blocks(held, label, DEFAULT.temperature_block_c))
-    return Evidence(sample, coverage(held, label))
+    return sample, coverage(held, label)
+
+
+def trials_of(
+    held: PointSet,
+    settings: Settings = DEFAULT,
+    fit: FitFunction = fast_fits,
+    models: tuple[str, ...] = LADDER,
+) -> dict[str, Trial]:
+    return {item.model: item for item in try_models(*evidence(held), Fitting(settings, fit, models))}
 
 
 def chosen(held: PointSet) -> str:
-    return choose(try_models(evidence(held), DEFAULT, fixed32.fit_each)).model
+    return choose(try_models(*evidence(held), Fitting(DEFAULT, fixed32.fit_each))).model
 
 
 @pytest.mark.parametrize(
     ("p", "warm", "model"),
     [
-        (IDEAL, False, "0"),
-        (OFFSET, False, "3"),
-        (SIX, False, "6"),
-        (NINE, False, "9"),
-        (NINE, True, "9"),
+        (IDEAL, False, "0"), (OFFSET, False, "3"), (SIX, False, "6"), (NINE, False, "9"), (NINE, True, "9"),
         (WARM, True, "9T"),
     ],
     ids=["ideal", "offset", "scale", "misalignment", "constant temperature error", "slopes"],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("seeds", [3, pytest.param(12, marks=pytest.mark.nightly)])
 def test_the_simplest_model_that_describes_the_sensor_is_chosen(
     p: np.ndarray, warm: bool, model: str, seeds: int
@@ -72,18 +78,15 @@ def test_the_ladder_rises_by_number_of_parameters() -> None:
 @pytest.mark.parametrize(
     ("model", "warm", "tried"),
     [
-        ("auto", False, ["0", "3", "6", "9"]),
-        ("auto", True, ["0", "3", "6", "3T", "9", "6T", "9T"]),
-        ("6", False, ["0", "6"]),
-        ("9", True, ["0", "9", "9T"]),
-        ("3", True, ["0", "3", "3T"]),
+        ("auto", False, ["0", "3", "6", "9"]), ("auto", True, ["0", "3", "6", "3T", "9", "6T", "9T"]),
+        ("6", False, ["0", "6"]), ("9", True, ["0", "9", "9T"]), ("3", True, ["0", "3", "3T"]),
     ],
-)
+)  # fmt: skip
 def test_the_identity_and_the_models_the_user_allows_are_tried(
     model: str, warm: bool, tried: list[str]
 ) -> None:
     held = spread(NINE, number=60, warm=warm)
-    trials = try_models(evidence(held), replace(DEFAULT, model=model), fast_fits)
+    trials = trials_of(held, replace(DEFAULT, model=model)).values()
     assert [item.model for item in trials] == tried
     assert all(item.holdout is not None and item.reason is None for item in trials)
 
@@ -94,7 +97,7 @@ def one_sided() -> PointSet:
 
 
 def test_scale_needs_stillness_on_both_sides_of_every_axis() -> None:
-    trials = {item.model: item for item in try_models(evidence(one_sided()), DEFAULT, fast_fits)}
+    trials = trials_of(one_sided())
     for model in ("6", "9"):
         assert trials[model].holdout is None
         assert trials[model].reason == Reason.of("no_stillness_on_sides", sides=["-x"], reach_g=0.3)
@@ -103,7 +106,7 @@ def test_scale_needs_stillness_on_both_sides_of_every_axis() -> None:
 
 def test_a_model_the_user_insists_on_need_not_be_covered() -> None:
     insisted = replace(DEFAULT, model="9")
-    assert not_eligible(evidence(one_sided()), insisted, MODELS["9"]) is None
+    assert not_eligible(*evidence(one_sided()), Fitting(insisted, fast_fits), MODELS["9"]) is None
 
 
 def test_sides_without_points_are_named() -> None:
@@ -131,7 +134,7 @@ def test_the_range_of_temperatures_is_in_degrees() -> None:
 @pytest.mark.parametrize("model", ["auto", pytest.param("9", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(("degrees", "tried"), [(1.9, False), (2.1, True)])
 def test_slopes_need_a_range_of_temperatures(degrees: float, tried: bool, model: str) -> None:
-    trials = try_models(evidence(warm_points(degrees)), replace(DEFAULT, model=model), fast_fits)
+    trials = trials_of(warm_points(degrees), replace(DEFAULT, model=model)).values()
     for item in trials:
         if item.model.endswith("T"):
             assert (item.holdout is not None) == tried
@@ -156,7 +159,7 @@ def test_slopes_need_more_than_one_hot_posture(hot: tuple[int, ...]) -> None:
         steps.extend(fit.iterations for fit in found)
         return found
 
-    trials = {item.model: item for item in try_models(evidence(glitched), DEFAULT, counted)}
+    trials = trials_of(glitched, fit=counted)
     slopes = {name for name in trials if name.endswith("T")}
     assert {getattr(trials[name].reason, "code", None) for name in slopes} == {
         "few_orientations_differ_in_temperature"
@@ -183,7 +186,7 @@ def test_a_slope_that_follows_the_posture_is_not_believed() -> None:
     order = np.argsort(held.xyz[:, 2])
     tau = np.empty_like(held.xyz[:, 2])
     tau[order] = np.sort(warm_points(2.5).tau)
-    trials = {item.model: item for item in try_models(evidence(replace(held, tau=tau)), DEFAULT, fast_fits)}
+    trials = trials_of(replace(held, tau=tau))
     assert trials["9"].holdout is not None
     assert trials["9T"].holdout is None
     assert trials["9T"].reason is not None and trials["9T"].reason.code == "uncertain_somewhere"
@@ -193,7 +196,7 @@ def test_points_in_a_plane_determine_nothing_across_it() -> None:
     turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     flat = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
     noisy = measured(OFFSET, flat) + 0.001 * np.random.default_rng(1).standard_normal((60, 3))
-    trials = {item.model: item for item in try_models(evidence(points(noisy)), DEFAULT, fast_fits)}
+    trials = trials_of(points(noisy))
     assert all(trials[name].holdout is None for name in ("3", "6", "9"))
     assert trials["3"].reason == Reason.of("no_stillness_along", axes=["z"], reach_g=0.3)
 
@@ -201,7 +204,7 @@ def test_points_in_a_plane_determine_nothing_across_it() -> None:
 def test_an_offset_needs_one_side_of_an_axis() -> None:
     d = directions(200)
     above = points(measured(OFFSET, d[d[:, 2] > 0.1]))
-    trials = {item.model: item for item in try_models(evidence(above), DEFAULT, fast_fits)}
+    trials = trials_of(above)
     assert trials["3"].holdout is not None and trials["6"].holdout is None
 
 
@@ -212,7 +215,7 @@ def diverging(held: PointSet, model: Model) -> Fit:
 
 
 def test_a_model_whose_fit_diverges_is_not_eligible() -> None:
-    trials = {item.model: item for item in try_models(evidence(spread(NINE)), DEFAULT, one_by_one(diverging))}
+    trials = trials_of(spread(NINE), fit=one_by_one(diverging))
     assert trials["9"].holdout is None
     assert trials["9"].reason == Reason("fit_diverges")
     assert trials["6"].holdout is not None
@@ -228,8 +231,7 @@ def test_a_model_whose_fit_diverges_is_not_eligible() -> None:
 def test_a_model_that_the_optimizer_does_not_fit_is_not_tried(
     models: tuple[str, ...], reasons: dict[str, str]
 ) -> None:
-    seen = replace(evidence(warm_points(5.0)), models=models)
-    trials = {item.model: item for item in try_models(seen, replace(DEFAULT, optimizer="some"), fast_fits)}
+    trials = trials_of(warm_points(5.0), replace(DEFAULT, optimizer="some"), models=models)
     assert {name for name, item in trials.items() if item.holdout is not None} == set(models)
     for name, kind in reasons.items():
         assert trials[name].reason == Reason.of("optimizer_never_fits", optimizer="some", what=kind)
@@ -241,15 +243,11 @@ BEST = trial("9", [2.0, 2.0, 2.0, 2.0])
 @pytest.mark.parametrize(
     ("simple", "model"),
     [
-        ([2.0, 2.0, 2.0, 2.0], "6"),
-        ([1.0, 3.5, 1.5, 2.5], "6"),
-        ([3.0, 2.0, 2.0, 2.0], "6"),
-        ([3.0, 3.0, 2.0, 2.0], "9"),
-        ([2.1, 2.1, 2.1, 2.1], "9"),
-        ([9.0, 8.0, 9.0, 8.0], "9"),
+        ([2.0, 2.0, 2.0, 2.0], "6"), ([1.0, 3.5, 1.5, 2.5], "6"), ([3.0, 2.0, 2.0, 2.0], "6"),
+        ([3.0, 3.0, 2.0, 2.0], "9"), ([2.1, 2.1, 2.1, 2.1], "9"), ([9.0, 8.0, 9.0, 8.0], "9"),
     ],
     ids=["equal", "within", "just one standard error", "beyond", "little but always", "much"],
-)
+)  # fmt: skip
 def test_a_tie_goes_to_the_simpler_model(simple: list[float], model: str) -> None:
     # [1, 0, 0, 0]: mean 1/4, standard error sqrt(0.25 / 4) = 1/4; [1, 1, 0, 0]: 1/2 and 0.289
     trials = (trial("0", [20.0, 21.0, 20.0, 21.0]), trial("6", simple), BEST)

@@ -12,14 +12,9 @@ from accelcal_cli.core.results import Rest
 from accelcal_cli.judge.refusal import odd_rest
 
 SOUND = Rest(
-    windows=100,
-    median_g=1.02,
-    p5_g=0.9,
-    p95_g=1.1,
-    axis_min_g=(-1.0, -0.9, -1.1),
-    axis_max_g=(1.0, 1.1, 0.9),
-    samples_median_g=1.0,
-)
+    windows=100, median_g=1.02, p5_g=0.9, p95_g=1.1, axis_min_g=(-1.0, -0.9, -1.1),
+    axis_max_g=(1.0, 1.1, 0.9), samples_median_g=1.0,
+)  # fmt: skip
 
 
 def seen(lsb_per_g: float = 256.0, *, decimal: bool = False, **changed: Any) -> Reason | None:

@@ -105,17 +105,8 @@ def test_csv_has_the_same_figures_as_json(capsys: Capture) -> None:
 
 def test_failures_are_named(capsys: Capture) -> None:
     words = (
-        "evaluate",
-        "simulation",
-        "--cases",
-        2,
-        "--noise-mg",
-        100,
-        "--points",
-        1152,
-        "--optimizer",
-        "fixed16",
-    )
+        "evaluate", "simulation", "--cases", 2, "--noise-mg", 100, "--points", 1152, "--optimizer", "fixed16",
+    )  # fmt: skip
     ran = run(capsys, *words)
     assert ran.code == 0
     assert "1152 points, 100 mg, fixed16: 2 x the cost leaves 32 bits" in ran.out

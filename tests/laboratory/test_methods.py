@@ -16,7 +16,8 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.settings import DEFAULT
-from accelcal_cli.laboratory.methods import MethodRow, collected, compare
+from accelcal_cli.laboratory import methods
+from accelcal_cli.laboratory.methods import MethodRow, collected
 from accelcal_cli.optimize import all_optimizers
 from accelcal_cli.output.numbers import percent
 from accelcal_cli.pipeline.calibrate import calibrate
@@ -51,7 +52,8 @@ def test_nine_parameters_end_at_the_optimum_of_the_sample_recordings(optimizer, 
 
 
 def rows_of(path: Path, *names: str, settings=DEFAULT) -> list[MethodRow]:
-    return list(compare(path, ReadOptions(), settings, names, no_progress))
+    read = methods.collected_to_fit(path, ReadOptions(), settings, no_progress)
+    return list(methods.rows_of(path, *read, names))
 
 
 def test_the_default_s_row_is_what_calibrate_says(tmp_path: Path) -> None:

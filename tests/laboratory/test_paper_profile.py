@@ -17,12 +17,13 @@ from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.results import Judgement, Outcome
 from accelcal_cli.core.settings import PAPER, Settings, with_stillness
-from accelcal_cli.laboratory.methods import collected, compare
+from accelcal_cli.laboratory.methods import collected
 from accelcal_cli.pipeline.jobs import no_progress
 from accelcal_cli.pipeline.procedures import fitting
 from accelcal_cli.pipeline.simulate import TrueParameters, simulate, true_parameters
 from accelcal_cli.simulate import SimulatedSensor, SimulationPlan, draw_gain_and_offset
 from tests.cli.run import run_process
+from tests.laboratory.test_methods import rows_of
 from tests.optimize.oracle import directions
 
 ALL_AXES = with_stillness(PAPER, "both")
@@ -112,7 +113,7 @@ def test_point_1_six_simulations(
 
 def agree(path: Path, *converged: str) -> None:
     """Methods that converge give one answer, and the descent is as near to it as 50 iterations bring it."""
-    rows = compare(path, ReadOptions(), ALL_AXES, (*converged, "fixed32", "float64"), no_progress)
+    rows = rows_of(path, *converged, "fixed32", "float64", settings=ALL_AXES)
     *best, fixed, double = [row.after_mg or np.inf for row in rows]
     assert max(best) - min(best) < 0.001
     assert abs(fixed - double) < 0.001 and fixed - min(best) < 1
@@ -123,7 +124,7 @@ def test_point_1_methods_agree_again(half_a_day: Path) -> None:
 
 
 def test_the_paper_s_protocol_has_18_points_and_control_points(half_a_day: Path) -> None:
-    rows = list(compare(half_a_day, ReadOptions(), ALL_AXES, ("fixed32", "ellipsoid"), no_progress))
+    rows = rows_of(half_a_day, "fixed32", "ellipsoid", settings=ALL_AXES)
     assert [(row.points, row.postures, row.model) for row in rows] == [(18, 18, "9"), (18, 18, "6")]
     # M (100 N + 3) with M = 50 and N = 18, of each kind
     assert (rows[0].additions, rows[0].multiplications) == (90_150, 90_150)
@@ -175,8 +176,8 @@ def test_verdicts_9_missing_subsets_are_named_in_words(tmp_path: Path) -> None:
 
 
 def test_verdicts_9_no_method_is_refused_without_a_way_on() -> None:
-    options, names = ReadOptions(), ("fixed32", "fixed16", "ellipsoid", "gauss-newton")
-    rows = {row.optimizer: row for row in compare(SAMPLE, options, PAPER, names, no_progress)}
+    names = ("fixed32", "fixed16", "ellipsoid", "gauss-newton")
+    rows = {row.optimizer: row for row in rows_of(SAMPLE, *names, settings=PAPER)}
     assert [name for name, row in rows.items() if row.model is None] == ["fixed16"]
     assert "Use --optimizer fixed32" in rows["fixed16"].message
     assert {row.stillness for row in rows.values()} == {"--stillness both"}

@@ -27,7 +27,6 @@ from accelcal_cli.laboratory.sensors import (
     Track,
     WornSensor,
     bouts,
-    sphere,
     sphere_error_mg,
     track,
 )
@@ -112,13 +111,6 @@ def test_the_true_error_by_hand() -> None:
     assert sphere_error_mg(local, np.eye(3), 0.5 * local.offset_g, local_g=0.5) == pytest.approx(0, abs=1e-9)
 
 
-def test_directions_are_evenly_spread() -> None:
-    unit = sphere(1000)
-    assert np.linalg.norm(unit, axis=1) == pytest.approx(np.ones(1000))
-    assert unit.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-3)
-    assert unit.T @ unit / 1000 == pytest.approx(np.eye(3) / 3, abs=1e-3)
-
-
 def test_true_directions_are_those_of_the_calibrated_means() -> None:
     calibration = Calibration("9", (2 * IDENTITY[0], *IDENTITY[1:]))
     raw = np.array([[0.5, 0, 0], [0, 0, -0.9]])
@@ -169,17 +161,9 @@ def test_the_command(tmp_path: Path, capsys: Capture) -> None:
         item["holds"] == (item["ci95_mg"][0] <= item["true_mg"] <= item["ci95_mg"][1]) for item in found
     )
     ran = run(
-        capsys,
-        *words,
-        "--sensors",
-        1,
-        "--errors",
-        "gain_percent=0",
-        "--errors",
-        "misalignment_percent=0",
-        "--errors",
-        "offset_mg=0",
-    )
+        capsys, *words, "--sensors", 1, "--errors", "gain_percent=0", "--errors", "misalignment_percent=0",
+        "--errors", "offset_mg=0",
+    )  # fmt: skip
     assert ran.lines[1].split()[-2:] == ["worse", "holds"]
     assert ran.lines[-1].split()[:4] == ["all", "1", "1", "1"]
     ran = run(capsys, *words, "--errors", "offset_mg=5")

@@ -87,13 +87,8 @@ def test_points_in_local_g_are_judged_in_local_g(tmp_path: Path) -> None:
 
 def test_temperatures_change_their_scale() -> None:
     """25 and 29 C about 27 C by 2 C are -1 and 1; about 21 C by 8 C they are 0.5 and 1."""
-    points = PointSet(
-        np.zeros((2, 3), np.int64),
-        np.ones(2, np.int64),
-        np.ones(2, np.int64),
-        np.array([-ONE, ONE]),
-        TemperatureScale(27_000, 2.0),
-    )
+    one, tau = np.ones(2, np.int64), np.array([-ONE, ONE])
+    points = PointSet(np.zeros((2, 3), np.int64), one, one, tau, TemperatureScale(27_000, 2.0))
     scaled = on_scale(points, TemperatureScale(21_000, 8.0))
     assert scaled.tau is not None and scaled.tau.tolist() == [ONE // 2, ONE]
     assert on_scale(points, None) is points
@@ -171,13 +166,8 @@ def test_one_unreadable_recording_does_not_stop_the_others(tmp_path: Path, capsy
 
 def test_wrong_usage(tmp_path: Path, capsys: Capture) -> None:
     path = good_csv(tmp_path)
-    for words in (
-        ("--json", "--csv"),
-        ("--stillness", "both"),
-        ("--profile", "paper"),
-        ("--altitude", 3),
-        ("--optimizer", "none"),
-    ):
+    wrong = (("--json", "--csv"), ("--stillness", "both"), ("--profile", "paper"), ("--altitude", 3))
+    for words in (*wrong, ("--optimizer", "none")):
         ran = run(capsys, "evaluate", "stillness", path, *words)
         assert ran.code == 2, ran
     assert run(capsys, "evaluate", "nothing").code == 2

@@ -44,18 +44,10 @@ def arrays(number: int, *, temperature: bool = True, gyroscope: bool = True) -> 
 
 def columns(*, temperature: bool, gyroscope: bool, utc: bool) -> list[Column]:
     facts = Facts(
-        samples=0,
-        first_us=None,
-        last_us=None,
-        rate_hz=None,
-        gaps=(),
-        gaps_omitted=0,
-        problems=(),
-        counts=SampleCounts(),
-        has_temperature=temperature,
-        has_gyroscope=gyroscope,
+        samples=0, first_us=None, last_us=None, rate_hz=None, gaps=(), gaps_omitted=0, problems=(),
+        counts=SampleCounts(), has_temperature=temperature, has_gyroscope=gyroscope,
         utc_offset_s=3600 if utc else None,
-    )
+    )  # fmt: skip
     recording = Recording(Path("a"), "csv", 100.0, 256.0, 0, gyro_dps_per_lsb=(0.1, 0.2, 0.3))
     return recording_columns(recording, facts)
 

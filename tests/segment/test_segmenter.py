@@ -68,32 +68,11 @@ def test_32_bit_counts_are_treated_alike(
     assert segmented(far, length, rule, within(cuts, far)) == naive(far, length, rule)
 
 
-@given(streams(), st.integers(2, 9), CUTS)
-def test_no_window_spans_a_break(stream: Stream, length: int, cuts: list[int]) -> None:
-    found, _ = segmented(stream, length, ANYTHING, within(cuts, stream))
-    for first, *_ in found:
-        assert not any(first < row < first + length for row in stream.breaks)
-
-
-@given(streams(), st.integers(1, 9), RULES)
-def test_every_complete_window_has_one_fate(stream: Stream, length: int, rule: StillRule) -> None:
-    _, counts = segmented(stream, length, rule)
-    fates = counts.moving + counts.filled + counts.clipped + counts.recovered + counts.still
-    assert counts.complete == fates
-
-
 def test_what_is_left_before_a_break_is_not_used() -> None:
     stream = Stream(np.zeros((20, 3), np.int16), breaks=(7,))
     found, counts = segmented(stream, 5, ANYTHING)
     assert [row[0] for row in found] == [0, 7, 12]
     assert counts == WindowCounts(complete=3, still=3)
-
-
-@pytest.mark.parametrize("cuts", [(), (7,), (3, 7), (3, 8), tuple(range(20))])
-def test_a_break_on_a_chunk_border_counts_too(cuts: tuple[int, ...]) -> None:
-    stream = Stream(np.zeros((20, 3), np.int16), breaks=(7,))
-    found, _ = segmented(stream, 5, ANYTHING, cuts)
-    assert [row[0] for row in found] == [0, 7, 12]
 
 
 @pytest.mark.parametrize("flag", [Validity.FILLED, Validity.CLIPPED, Validity.RECOVERED])
@@ -111,13 +90,6 @@ def test_a_window_is_counted_once_by_its_worst_row() -> None:
     stream = Stream(np.zeros((9, 3), np.int16), validity=validity)
     _, counts = segmented(stream, 3, ANYTHING)
     assert counts == WindowCounts(complete=3, filled=1, clipped=1, recovered=1)
-
-
-def test_a_moving_window_that_was_filled_is_counted_as_filled() -> None:
-    counts = np.array([[0, 0, 0], [900, 0, 0]], np.int16)
-    stream = Stream(counts, validity=np.array([0, 1], np.uint8))
-    _, fates = segmented(stream, 2, StillRule((0,), 10, None))
-    assert fates == WindowCounts(complete=1, filled=1)
 
 
 @given(CUTS)

@@ -10,14 +10,7 @@ RATE_HZ = 50.0
 LSB_PER_G = 1024.0
 K = np.array([[1.02, -0.013, 0.008], [0.021, 0.985, -0.017], [-0.009, 0.014, 1.005]])
 O = np.array([0.035, -0.06, 0.045])  # noqa: E741
-UP = {
-    "+x": (1, 0, 0),
-    "-x": (-1, 0, 0),
-    "+y": (0, 1, 0),
-    "-y": (0, -1, 0),
-    "+z": (0, 0, 1),
-    "-z": (0, 0, -1),
-}
+UP = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 START = "2024-03-04T08:00:00"
 
 
@@ -26,10 +19,7 @@ def turned(vector: tuple[float, ...], degrees: float, axis: int = 2) -> np.ndarr
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     first, second = [other for other in range(3) if other != axis]
     out = np.array(vector, float)
-    out[first], out[second] = (
-        c * vector[first] - s * vector[second],
-        s * vector[first] + c * vector[second],
-    )
+    out[first], out[second] = (c * vector[first] - s * vector[second], s * vector[first] + c * vector[second])
     return out
 
 

@@ -117,10 +117,7 @@ def test_only_rows_within_the_times_that_were_measured_count() -> None:
 def test_without_a_calibration_there_is_no_after() -> None:
     found = of_rows(counts_of(about(2)), known=False)
     assert found.after is None
-    before = {
-        "mean": round(1000 * found.before.mean_g, 4),
-        "sd": round(1000 * found.before.sd_g, 4),
-    }
+    before = {"mean": round(1000 * found.before.mean_g, 4), "sd": round(1000 * found.before.sd_g, 4)}
     assert found.reason() == Reason("rolled", {"axis": "z", "before_mg": before, "after_mg": None})
     after = of_rows(counts_of(about(2))).reason().values["after_mg"]
     assert abs(after["mean"]) < 1 and after["sd"] > 0

@@ -17,12 +17,12 @@ from accelcal_cli.core.arithmetic import FRACTION_BITS
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError
 from accelcal_cli.core.points import WEIGHT_ONE, Fit, Model, Operations, Optimizer, PointSet
+from accelcal_cli.optimize.fixed32 import RATES_OF_F
 
 BITS = 13
 SINGLE = 1 << BITS
 WEIGHT_BITS = WEIGHT_ONE.bit_length() - 1
 SHORT, LONG = 1 << 15, 1 << 31
-RATES_OF_F = {"scale": 0.3, "misalignment": 0.8, "offset": 0.2, "slope": 0.2}
 Short = NDArray[np.int64]
 """Values that fit 16 bits, or products that fit 32; each is checked."""
 
@@ -55,7 +55,11 @@ def fit(points: PointSet, model: Model, settings: Fixed16Settings = PAPER) -> Fi
     """
     if not model.free or not len(points):
         return Fit(IDENTITY, 0, "nothing to fit", Operations())
-    return _descent(_held(points), model, settings)
+    if int(points.weights.sum()) <= 0:
+        raise DivergedError("no point has any weight")
+    tau, drop = np.zeros(len(points), np.int64) if points.tau is None else points.tau, FRACTION_BITS - BITS
+    v, tau = _short(_narrow(points.xyz, drop), "a point"), _short(_narrow(tau, drop), "a temperature")
+    return _descent(_Points(v, tau, points.weights), model, settings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,15 +69,6 @@ class _Points:
     v: Short
     tau: Short
     weights: Short
-
-
-def _held(points: PointSet) -> _Points:
-    if int(points.weights.sum()) <= 0:
-        raise DivergedError("no point has any weight")
-    tau = np.zeros(len(points), np.int64) if points.tau is None else points.tau
-    drop = FRACTION_BITS - BITS
-    v, tau = _short(_narrow(points.xyz, drop), "a point"), _short(_narrow(tau, drop), "a temperature")
-    return _Points(v, tau, points.weights)
 
 
 def _descent(points: _Points, model: Model, settings: Fixed16Settings) -> Fit:
@@ -103,22 +98,15 @@ def _rates(settings: Fixed16Settings) -> list[int]:
 def _cost(points: _Points, parameters: Short) -> list[int]:
     """Return sums of weighted squared residuals at (k, 12) parameters, in 26 fraction bits."""
     p = np.moveaxis(_short(parameters, "a parameter"), -1, 0)[..., np.newaxis]
-    x, y, z = (_shifted(points, p, axis) for axis in range(3))
-    a = (
-        _calibrated(p[0] * x),
-        _calibrated(p[3] * x + p[1] * y),
-        _calibrated(p[4] * x + p[5] * y + p[2] * z),
-    )
+    slopes = (_narrow(_long(slope * points.tau, "a slope"), BITS) for slope in p[9:12])
+    shifted = (points.v[:, axis] + p[6 + axis] + slope for axis, slope in enumerate(slopes))
+    x, y, z = (_short(one, "a shifted point") for one in shifted)
+    a = (_calibrated(p[0] * x), _calibrated(p[3] * x + p[1] * y), _calibrated(p[4] * x + p[5] * y + p[2] * z))
     squared = _long(a[0] ** 2 + a[1] ** 2 + a[2] ** 2, "a square")
     residual = _short(_narrow(squared - (SINGLE << BITS), BITS), "a residual")
     weighted = _narrow(_long(residual * points.weights, "a weighted residual"), WEIGHT_BITS)
     total = _long((weighted * residual).sum(axis=1), "the cost")
     return [int(value) for value in total]
-
-
-def _shifted(points: _Points, p: Short, axis: int) -> Short:
-    slope = _narrow(_long(p[9 + axis] * points.tau, "a slope"), BITS)
-    return _short(points.v[:, axis] + p[6 + axis] + slope, "a shifted point")
 
 
 def _calibrated(products: Short) -> Short:

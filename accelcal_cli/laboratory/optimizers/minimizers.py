@@ -15,6 +15,7 @@ import numpy as np
 
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.points import Fit, Model, Operations, Optimizer, PointSet
+from accelcal_cli.optimize.fixed32 import RATES_OF_F
 from accelcal_cli.optimize.gauss_newton import (
     ENTRIES,
     FloatPoints,
@@ -28,9 +29,6 @@ from accelcal_cli.optimize.gauss_newton import (
 
 RISE_TOLERANCE = 2.0**-12
 """Relative rise of the cost that counts as one, as in fixed point."""
-
-RATES_OF_F = {"scale": 0.3, "misalignment": 0.8, "offset": 0.2, "slope": 0.2}
-"""Learning rates of F section II.C; slopes act on offsets through scaled temperatures of order 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,16 +61,12 @@ def cost(points: FloatPoints, state: FloatState) -> Real:
     return np.asarray((state.residual**2) @ points.weights)
 
 
-def jacobian(points: FloatPoints, state: FloatState, p: Real) -> Real:
-    """Return dr/dp, (n, 12), for one set of parameters."""
-    columns = [state.calibrated[:, row] * state.shifted[:, column] for row, column in ENTRIES]
-    back = state.calibrated @ gain(p)
-    return 2 * np.column_stack([*columns, back, back * points.tau[:, np.newaxis]])
-
-
 def gradient(points: FloatPoints, state: FloatState, p: Real) -> Real:
     """Return the gradient of the cost, (12,)."""
-    return 2 * ((points.weights * state.residual) @ jacobian(points, state, p))
+    columns = [state.calibrated[:, row] * state.shifted[:, column] for row, column in ENTRIES]
+    back = state.calibrated @ gain(p)
+    of_residual = 2 * np.column_stack([*columns, back, back * points.tau[:, np.newaxis]])
+    return np.asarray(2 * ((points.weights * state.residual) @ of_residual))
 
 
 @dataclass(frozen=True, slots=True)
