@@ -88,19 +88,16 @@ class Reading:
         Raises:
             UnreadableError: the recording cannot be read on.
         """
-        with speaking_python():
-            yield from self._samples()
-
-    def _samples(self) -> Iterator[Samples]:
         offset_s, dated = None, True
-        for chunk in self._reader.chunks(self._chunk_samples):
-            dated &= all(problem.code != "no_start_time" for problem in chunk.problems)
-            if len(chunk):
-                time_us = chunk.time_us
-                if offset_s is None:
-                    zone = self.recording.timezone if dated else None
-                    offset_s = utc_offset_s(zone, int(time_us[0])) or 0
-                yield _samples(chunk, self.recording, time_us - MICROSECONDS * offset_s)
+        with speaking_python():
+            for chunk in self._reader.chunks(self._chunk_samples):
+                dated &= all(problem.code != "no_start_time" for problem in chunk.problems)
+                if len(chunk):
+                    time_us = chunk.time_us
+                    if offset_s is None:
+                        zone = self.recording.timezone if dated else None
+                        offset_s = utc_offset_s(zone, int(time_us[0])) or 0
+                    yield _samples(chunk, self.recording, time_us - MICROSECONDS * offset_s)
 
     def to_pandas(self) -> pd.DataFrame:
         """Return all raw values as a data frame, with `time` as index and the columns of the Parquet file."""

@@ -22,12 +22,12 @@ from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.advice import page_verdict
-from accelcal_cli.output.coefficients import EQUATION, calibration_of
+from accelcal_cli.output.coefficients import calibration_of
 from accelcal_cli.output.files import write_text
 from accelcal_cli.output.numbers import number
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.output.report_reading import read_document
-from accelcal_cli.output.sections import ReportView, report_view
+from accelcal_cli.output.sections import EQUATION, ReportView, report_view
 from accelcal_cli.pipeline import export, jobs, survey
 from accelcal_cli.pipeline.calibrate import FirstPass
 from accelcal_cli.pipeline.calibrate import calibrate as run_job
@@ -323,27 +323,23 @@ class Result(Report):
         Raises:
             AccelcalError: the recording was refused, changed while it was read, or cannot be read to its end.
         """
-        with speaking_python():
-            yield from self._batches()
-
-    def _batches(self) -> Iterator[pa.RecordBatch]:
         import pyarrow as pa
 
         from accelcal_cli.output.columns import schema_of, values_of
 
-        path = self._given.path
-        if self._data.judgement.calibration is None:
-            raise UsageError(f"there are no calibrated values: refused: {self.message}", path=path)
-        jobs.check_unchanged(path, self._before)
-        columns = export.columns_of(self._data)
-        schema = schema_of(columns, reports.parquet_metadata(self._data))
-        request = self._request
-        with survey.open_marked(path, request.options, request.threads, joined=request.joined) as reader:
-            chunks = reader.chunks(request.chunk_samples)
-            for chunk, xyz in export.calibrated(chunks, export.transform_of(self._data), lambda _byte: None):
-                values = values_of(columns, chunk, xyz)
-                arrays = [pa.array(part, item.type) for part, item in zip(values, schema, strict=True)]
-                yield pa.record_batch(arrays, schema=schema)
+        data, path, request = self._data, self._given.path, self._request
+        with speaking_python():
+            if data.judgement.calibration is None:
+                raise UsageError(f"there are no calibrated values: refused: {self.message}", path=path)
+            jobs.check_unchanged(path, self._before)
+            columns = export.columns_of(data)
+            schema = schema_of(columns, reports.parquet_metadata(data))
+            with survey.open_marked(path, request.options, request.threads, joined=request.joined) as reader:
+                chunks = reader.chunks(request.chunk_samples)
+                for chunk, xyz in export.calibrated(chunks, export.transform_of(data), lambda _byte: None):
+                    values = zip(values_of(columns, chunk, xyz), schema, strict=True)
+                    arrays = [pa.array(part, item.type) for part, item in values]
+                    yield pa.record_batch(arrays, schema=schema)
 
     def to_arrow(self) -> pa.Table:
         """Return all calibrated values in memory (a week at 100 Hz: 1.3 GB); raises as `batches` does."""
@@ -368,17 +364,13 @@ class Result(Report):
         import xarray as xr
 
         table = self.to_arrow()
-        columns = {name: table[name].to_numpy() for name in table.column_names}
-        units = {name: {"units": unit} for name, unit in self._units(table).items()}
-        along = {
-            name: ("time", column, units.get(name, {})) for name, column in columns.items() if name != "time"
-        }
-        return xr.Dataset(along, coords={"time": columns["time"]}, attrs={"message": self.message})
-
-    @staticmethod
-    def _units(table: pa.Table) -> dict[str, str]:
-        known = {field.name: (field.metadata or {}).get(b"unit") for field in table.schema}
-        return {name: unit.decode() for name, unit in known.items() if unit}
+        along = {}
+        for field in table.schema:
+            unit = (field.metadata or {}).get(b"unit")
+            about = {"units": unit.decode()} if unit else {}
+            along[field.name] = ("time", table[field.name].to_numpy(), about)
+        _, times, _ = along.pop("time")
+        return xr.Dataset(along, coords={"time": times}, attrs={"message": self.message})
 
     def windows(self) -> pd.DataFrame:
         """Return all still windows and how each was used, with the columns of `calibrate --windows`."""

@@ -144,18 +144,13 @@ def study(
     return pd.read_parquet(Path(output) / "study.parquet")
 
 
-def _in_notebook() -> bool:
-    """Return True in a Jupyter kernel, and not just where one could be started."""
-    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
-    return hasattr(shell, "kernel")
-
-
 class _Bar:
     """Observer of a study that shows a bar, and counts failures in it."""
 
     def __init__(self, wanted: bool | None) -> None:
         terminal = sys.stderr is not None and sys.stderr.isatty()
-        self._shown = (terminal or _in_notebook()) if wanted is None else wanted
+        shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+        self._shown = (terminal or hasattr(shell, "kernel")) if wanted is None else wanted
         self._bar: Any = None
         self._failed = 0
 

@@ -30,15 +30,9 @@ from accelcal_cli.output.columns import described, schema_of, values_of
 from accelcal_cli.output.files import metadata_of, stored_schema
 from accelcal_cli.output.registry import held_in
 from accelcal_cli.output.report import ReportInput, build, result_json
-from accelcal_cli.output.report_reading import (
-    Document,
-    check_sections,
-    file_place,
-    read_document,
-    section,
-)
+from accelcal_cli.output.report_reading import Document, check_sections, file_place, read_document, section
 from accelcal_cli.output.sections import AppliedCoefficients, PoolSection
-from accelcal_cli.parquet import Column, ParquetSource
+from accelcal_cli.parquet import ParquetSource
 from accelcal_cli.pipeline import calibrate, jobs
 from accelcal_cli.pipeline.apply import DonorCoefficients, relation_of
 from accelcal_cli.pipeline.calibrate import Judge, OwnCalibration, RecordingRun, open_run
@@ -304,22 +298,16 @@ def check_parquet(
                 "no calibrated Parquet file lies next to it", path=document.path, hint="omit --values"
             )
         return None
-    metadata = metadata_of(path, UnreadableError)
+    metadata, stored = metadata_of(path, UnreadableError), stored_schema(path, UnreadableError)
+    wanted = schema_of(columns_of(written[1]), {})
     names = (*identity(SAMPLES), "calibration", "recording", *({"gyroscope"} & {*metadata, *document.report}))
     expected = {name: document.report.get(name) for name in names}
     expected |= {"kind": SAMPLES, "result": result_json(document.report)}
     keys = (
         *differing(_compared(metadata, ()), _compared(expected, ())),
-        *_other_schema(path, columns_of(written[1])),
+        *(() if stored is None else differing(described(stored), described(wanted))),
     )
     return ParquetCheck(path, keys, compare_values(*written, path) if values else None)
-
-
-def _other_schema(path: Path, columns: list[Column]) -> Iterator[str]:
-    """Find what is wrong with the file's schema: `time_zone`, columns, their types and units."""
-    stored = stored_schema(path, UnreadableError)
-    if stored is not None:
-        yield from differing(described(stored), described(schema_of(columns, {})))
 
 
 def compare_values(run: RecordingRun, data: ReportInput, path: Path) -> Values:
@@ -333,33 +321,21 @@ def compare_values(run: RecordingRun, data: ReportInput, path: Path) -> Values:
         wrong = source.other_column(schema_of(columns, {}))
         if wrong is not None:
             return Values(0, 0, wrong)
-        done = 0
-        for stored, expected in _pairs(run, data, source, columns):
-            difference = _first_difference(stored, expected)
-            if difference is not None:
-                row, column = difference
+        done, shown = 0, run.progress("comparing", data.recording.total_bytes)
+        chunks = run.reader.chunks(run.request.chunk_samples)
+        for chunk, xyz in calibrated(chunks, transform_of(data), shown):
+            pairs = zip(source.take(len(chunk)), values_of(columns, chunk, xyz), strict=True)
+            first = [_first_row(stored, expected) for stored, expected in pairs]
+            known = [(row, column) for column, row in enumerate(first) if row is not None]
+            if known:
+                row, column = min(known)
                 return Values(done + row, done + row, source.names[column])
-            done += len(expected[0])
+            done += len(chunk)
         return Values(done) if source.rows == done else Values(done, done, source.names[0])
 
 
-def _pairs(
-    run: RecordingRun, data: ReportInput, source: ParquetSource, columns: list[Column]
-) -> Iterator[tuple[list[NDArray[Any]], list[NDArray[Any]]]]:
-    """Pair the columns as they are in the file with those that they should be, some rows at a time."""
-    shown = run.progress("comparing", data.recording.total_bytes)
-    chunks = run.reader.chunks(run.request.chunk_samples)
-    for chunk, xyz in calibrated(chunks, transform_of(data), shown):
-        yield source.take(len(chunk)), values_of(columns, chunk, xyz)
-
-
-def _first_difference(stored: list[NDArray[Any]], expected: list[NDArray[Any]]) -> tuple[int, int] | None:
-    """Return row and column of the first bits that differ; rows that the file lacks differ."""
-    first = [_first_row(a, b) for a, b in zip(stored, expected, strict=True)]
-    return min(((row, column) for column, row in enumerate(first) if row is not None), default=None)
-
-
 def _first_row(stored: NDArray[Any], expected: NDArray[Any]) -> int | None:
+    """Return the first row whose bits differ; rows that the file lacks differ."""
     common = min(len(stored), len(expected))
     same = _bits(stored[:common]) == _bits(expected[:common])
     if not same.all():
@@ -387,12 +363,10 @@ def donor_of(document: Document, stated: Path | None) -> Coefficients | None:
         return None
     check_sections(document, ("coefficients",))
     used = from_json(AppliedCoefficients, document.report["coefficients"])
-    by_content = bool(used.without_provenance)
-    then = Path(used.path)
-    sibling = document.path.parent / then.name
-    original = document.path.parent / then if by_content else place_of(document, "coefficients") or then
-    places = (stated,) if stated is not None else (original, sibling)
-    existing = [path for path in places if is_file(path)]
+    by_content, then, folder = bool(used.without_provenance), Path(used.path), document.path.parent
+    original = folder / then if by_content else place_of(document, "coefficients") or then
+    places = [original, folder / then.name] if stated is None else [stated]
+    existing = [*filter(is_file, places)]
     for path in existing if by_content else ():
         if (held := held_in(path, used.sha256)) is not None:
             return held
@@ -401,7 +375,7 @@ def donor_of(document: Document, stated: Path | None) -> Coefficients | None:
         for path in existing
         if (read_document(path).content_sha256 if by_content else sha256(path)) == used.sha256
     ]
-    for path in unchanged or [path for path in existing if path is not sibling]:
+    for path in unchanged or filter(is_file, places[:1]):
         return read_coefficients(path, by_content=by_content)
     raise UsageError(
         f"was made with the coefficients in {stated or then}, which is missing",

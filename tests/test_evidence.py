@@ -48,18 +48,12 @@ def test_reports_and_errors_are_kept(frozen: dict[str, Any]) -> None:
     hint = "give --columns X,Y,Z as names, or as numbers from 0, if it is there"
     what = "no column has a name known for acceleration: time, gx, gy, gz"
     assert frozen[BAD] == {
-        "exit_code": 3,
-        "message": [f"accelcal: {BAD}, line 1: {what}; {hint}"],
-        "error": {
-            "class": "NoRecordingError",
-            "reason": {"code": "other_quantities", "values": {"columns": ["time", "gx", "gy", "gz"]}},
-            "line": 1,
-            "byte_offset": None,
-            "hint": hint,
-            "sensors": [],
-        },
+        "exit_code": 3, "message": [f"accelcal: {BAD}, line 1: {what}; {hint}"],
+        "error": {"class": "NoRecordingError",
+                  "reason": {"code": "other_quantities", "values": {"columns": ["time", "gx", "gy", "gz"]}},
+                  "line": 1, "byte_offset": None, "hint": hint, "sensors": []},
         "parquet": {},
-    }
+    }  # fmt: skip
 
 
 def changed(frozen: dict[str, Any]) -> dict[str, Any]:

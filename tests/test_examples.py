@@ -35,14 +35,9 @@ def tool(name: str, variable: str = "") -> str:
 
 def says(*words: object, cwd: Path | None = None, **environment: str) -> tuple[int, str]:
     done = subprocess.run(
-        list(map(str, words)),
-        cwd=cwd,
-        env={**ENVIRONMENT, **environment},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        timeout=120,
-        check=False,
-    )
+        list(map(str, words)), cwd=cwd, env={**ENVIRONMENT, **environment}, stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, timeout=120, check=False,
+    )  # fmt: skip
     return done.returncode, done.stdout.decode()
 
 

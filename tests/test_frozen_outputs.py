@@ -41,23 +41,18 @@ def commands(folder: Path) -> dict[str, tuple[object, ...]]:
     return {
         "apply": ("apply", "--coefficients", report, b, "-d", folder / "applied"),
         "apply --registry": ("apply", "--registry", registry, b, "-d", folder / "registered"),
-        "apply --report-only": (
-            *("apply", "--coefficients", report, b, "--report-only"),
-            *("-d", folder / "looked at"),
-        ),
-        "report": ("report", report),
-        "report OUT": ("report", out),
+        "apply --report-only": (*("apply", "--coefficients", report, b, "--report-only"),
+                                *("-d", folder / "looked at")),
+        "report": ("report", report), "report OUT": ("report", out),
         "export": ("export", report, "--to", "ggir", "-o", folder / "ggir.csv"),
         "export OUT": ("export", out, "--to", "actipy", "-d", folder / "exported"),
         "export --to csv": ("export", out / "a.calibrated.parquet", "--to", "csv", "-o", folder / "a.csv"),
         "devices": ("devices", out),
         "devices --registry": ("devices", registry, "--registry", folder / "merged.json"),
         "inspect": ("inspect", out / "a.calibrated.parquet"),
-        "calibrate --registry": (
-            *("calibrate", folder / "in" / "short.raw", "--registry", registry),
-            *("-d", folder / "short"),
-        ),
-    }
+        "calibrate --registry": (*("calibrate", folder / "in" / "short.raw", "--registry", registry),
+                                 *("-d", folder / "short")),
+    }  # fmt: skip
 
 
 NAMES = tuple(commands(Path()))

@@ -47,15 +47,9 @@ class Day:
 def make(real_data: Path, folder: Path, truth: int, words: tuple[str, ...]) -> None:
     tool = real_data.parent / "tools" / "make_recording.py"
     command = [
-        sys.executable,
-        str(tool),
-        "--truth",
-        str(truth),
-        "--seed",
-        str(truth),
-        "--out",
+        sys.executable, str(tool), "--truth", str(truth), "--seed", str(truth), "--out",
         str(folder / "day"),
-    ]
+    ]  # fmt: skip
     subprocess.run([*command, *words], check=True, capture_output=True)
     (folder / "day.layout.toml").write_text(LAYOUT)
 

@@ -84,14 +84,10 @@ assert any("verdict" in one.get("data", {}).get("text/html", "") for one in said
 print("".join(one.get("text", "") for one in said))
 """
 PROGRAMS = {
-    "script": (PLAIN, ["program.py"]),
-    "stdin": (PLAIN, ["-"]),
-    "threads": (CALIBRATE, ["program.py"]),
-    "spawn": (IN_CHILDREN, ["program.py", "spawn"]),
-    "fork": (IN_CHILDREN, ["program.py", "fork"]),
-    "forkserver": (IN_CHILDREN, ["program.py", "forkserver"]),
-    "notebook": (NOTEBOOK, ["program.py"]),
-}
+    "script": (PLAIN, ["program.py"]), "stdin": (PLAIN, ["-"]), "threads": (CALIBRATE, ["program.py"]),
+    "spawn": (IN_CHILDREN, ["program.py", "spawn"]), "fork": (IN_CHILDREN, ["program.py", "fork"]),
+    "forkserver": (IN_CHILDREN, ["program.py", "forkserver"]), "notebook": (NOTEBOOK, ["program.py"]),
+}  # fmt: skip
 FAST = ("script", "stdin")
 
 
@@ -117,14 +113,9 @@ def test_p2_a_study_is_that_of_the_command_wherever_it_is_called(
     (tmp_path / "in").symlink_to(expected[0] / "in")
     (tmp_path / "program.py").write_text(textwrap.dedent(text))
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    environment = {
-        **os.environ,
-        "PYTHONPATH": path,
-        "IPYTHONDIR": str(tmp_path),
-        "JUPYTER_PLATFORM_DIRS": "1",
-    }
+    own = {"PYTHONPATH": path, "IPYTHONDIR": str(tmp_path), "JUPYTER_PLATFORM_DIRS": "1"}
     done = subprocess.run(
-        [sys.executable, *words], input=text if "-" in words else None, cwd=tmp_path, env=environment,
+        [sys.executable, *words], input=text if "-" in words else None, cwd=tmp_path, env=os.environ | own,
         capture_output=True, text=True, timeout=200, check=False,
     )  # fmt: skip
     assert done.returncode == 0 and (how == "notebook" or not done.stderr), done.stderr
@@ -251,23 +242,16 @@ def test_p7_data_are_exported_as_by_the_command(
         accelcal.export(result, to="csv")
 
 
-@pytest.mark.parametrize(
-    ("options", "kind", "text"),
-    [
-        ({"to": "cvs"}, accelcal.AccelcalError, "there is no form 'cvs'; did you mean 'csv'"),
-        ({"to": "omconvert", "folder": "made"}, accelcal.AccelcalError, "to='omconvert' writes no folder"),
-        ({"to": "ggir", "resample": 10}, accelcal.AccelcalError, "resample is for data"),
-        ({"to": "ggir", "gzip": True}, accelcal.AccelcalError, "gzip=True is for a folder of recordings"),
-        ({"to": "csv", "output": "a", "folder": "made"}, accelcal.AccelcalError, "give one of them"),
-        (
-            {"to": "csv", "output": "a"},
-            accelcal.AccelcalError,
-            "to='csv' needs calibrated data; give .*parquet",
-        ),
-        ({"to": "csv", "folder": "made", "jobs": 0}, accelcal.AccelcalError, "jobs cannot be 0"),
-        ({"to": "csv", "output": "a", "smooth": 2.5}, TypeError, "smooth cannot be 2.5"),
-    ],
-)
+@pytest.mark.parametrize(("options", "kind", "text"), [
+    ({"to": "cvs"}, accelcal.AccelcalError, "there is no form 'cvs'; did you mean 'csv'"),
+    ({"to": "omconvert", "folder": "made"}, accelcal.AccelcalError, "to='omconvert' writes no folder"),
+    ({"to": "ggir", "resample": 10}, accelcal.AccelcalError, "resample is for data"),
+    ({"to": "ggir", "gzip": True}, accelcal.AccelcalError, "gzip=True is for a folder of recordings"),
+    ({"to": "csv", "output": "a", "folder": "made"}, accelcal.AccelcalError, "give one of them"),
+    ({"to": "csv", "output": "a"}, accelcal.AccelcalError, "to='csv' needs calibrated data; give .*parquet"),
+    ({"to": "csv", "folder": "made", "jobs": 0}, accelcal.AccelcalError, "jobs cannot be 0"),
+    ({"to": "csv", "output": "a", "smooth": 2.5}, TypeError, "smooth cannot be 2.5"),
+])  # fmt: skip
 def test_an_export_that_cannot_be_is_refused_as_by_the_command(
     options: Any, kind: type[Exception], text: str, result: accelcal.Result, tmp_path: Path
 ) -> None:

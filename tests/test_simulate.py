@@ -42,16 +42,10 @@ def counts(plan: SimulationPlan) -> np.ndarray:
     return np.concatenate([chunk.counts for chunk in made(plan)[0]])
 
 
-@pytest.mark.parametrize(
-    ("days", "rate_hz", "samples"),
-    [
-        (0.01, 100.0, 86_400),
-        (0.0123, 33.3, 35_389),
-        (0.02, 12.5, 21_600),
-        (1e-5, 85.7, 74),
-        (0.03, 100 / 3, 86_400),
-    ],
-)
+@pytest.mark.parametrize(("days", "rate_hz", "samples"), [
+    (0.01, 100.0, 86_400), (0.0123, 33.3, 35_389), (0.02, 12.5, 21_600), (1e-5, 85.7, 74),
+    (0.03, 100 / 3, 86_400),
+])  # fmt: skip
 def test_the_stream_has_the_planned_samples_without_a_gap(days: float, rate_hz: float, samples: int) -> None:
     plan = SimulationPlan(days, rate_hz, 1, SENSOR)
     chunks, _ = made(plan)

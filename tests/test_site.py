@@ -58,10 +58,7 @@ def test_the_reference_of_files_has_every_key_and_column() -> None:
 
 READERS = {
     "technician: it was refused, what now?": (["docs/refused.md"], "## The most frequent reasons"),
-    "technician: a short recording": (
-        ["docs/refused.md#which-way-helps-a-short-recording"],
-        "--borrow",
-    ),
+    "technician: a short recording": (["docs/refused.md#which-way-helps-a-short-recording"], "--borrow"),
     "data manager: every night": (["docs/study.md", "#every-night"], "cron"),
     "data manager: options of some files": (
         ["docs/study.md", "#options-for-some-of-the-recordings"],

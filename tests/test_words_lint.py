@@ -27,11 +27,7 @@ EXAMPLES = [
     ("docstring", "Columns that tell of sensors.", "Columns that tell sensors apart."),
     ("doc", "Nothing tells how long it was.", "That tells one device from another."),
     ("doc", "The marker stands at the end.", "The marker is at the end, x stands for a number, a stand-in."),
-    (
-        "help",
-        "The file is no recording.",
-        "The file is not a recording. There is no other.",
-    ),
+    ("help", "The file is no recording.", "The file is not a recording. There is no other."),
     ("docstring", "None if the text is none.", "None if it is None."),
     ("doc", "It shows it; what is left is noise.", "The rest is noise. What is a recording?"),
     ("page", "What was found", "Findings"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
-from importlib import import_module, resources
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import click
 
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.main import cli as accelcal
+from accelcal_cli.output.quality import quality_schema
 from accelcal_cli.output.report_reading import report_schema
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -114,7 +115,7 @@ def files() -> Iterator[str]:
         "[What accelcal writes](../outputs.md) explains them in context.\n"
     )
     for title, name in (("NAME.calibration.json", "report"), ("NAME.quality.json", "quality")):
-        schema = report_schema() if name == "report" else _schema_of_quality()
+        schema = report_schema() if name == "report" else quality_schema()
         yield f"## `{title}`\n\n{_cell(schema.get('description', ''))}\n"
         for key, node in schema["properties"].items():
             yield f"### `{key}` ({name})\n\n{_sentence(node)}\n"
@@ -124,12 +125,6 @@ def files() -> Iterator[str]:
                 yield from rows
                 yield ""
     yield from _study()
-
-
-def _schema_of_quality() -> Any:
-    return json.loads(
-        resources.files("accelcal_cli.output").joinpath("quality.schema.json").read_text("utf-8")
-    )
 
 
 def _study() -> Iterator[str]:

@@ -71,15 +71,22 @@ class Field:
 @cache
 def fields_of(kind: Any) -> tuple[Field, ...]:
     """Return the declared keys of a record, in their order."""
-    hints, found = get_type_hints(kind, include_extras=True), []
-    for name in (one.name for one in fields(kind)):
-        hint, key = hints[name], Key(name.replace("_", " ").capitalize())
-        if get_origin(hint) is Annotated:
-            hint, key = get_args(hint)[0], next(one for one in get_args(hint)[1:] if isinstance(one, Key))
-        kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-        plain = [one for one in kinds if one is not NoneType]
-        found.append(Field(name, plain[0] if len(plain) == 1 else Any, NoneType in kinds, key))
-    return tuple(found)
+    hints = get_type_hints(kind, include_extras=True)
+    return tuple(_field(one.name, hints[one.name]) for one in fields(kind))
+
+
+def _field(name: str, hint: Any) -> Field:
+    key = Key(name.replace("_", " ").capitalize())
+    if get_origin(hint) is Annotated:
+        hint, key = get_args(hint)[0], next(one for one in get_args(hint)[1:] if isinstance(one, Key))
+    return Field(name, *_without_none(hint), key)
+
+
+def _without_none(hint: Any) -> tuple[Any, bool]:
+    """Return a type without None, and whether None is allowed."""
+    kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    plain = [one for one in kinds if one is not NoneType]
+    return plain[0] if len(plain) == 1 else Any, NoneType in kinds
 
 
 # Writing
@@ -102,16 +109,16 @@ def json_or_null(record: Any) -> dict[str, Any] | None:
 
 
 def _json_value(value: Any, key: Key) -> Any:
-    if is_dataclass(value):
-        return as_json(value)
-    if isinstance(value, Mapping):
-        return {name: _json_value(one, key) for name, one in value.items()}
+    if isinstance(value, float):
+        if key.significant:
+            return significant(value)
+        return value if key.digits is None else round(value, key.digits)
     if isinstance(value, list | tuple):
         return [_json_value(one, key) for one in value]
-    if isinstance(value, float) and key.significant:
-        return significant(value)
-    if isinstance(value, float) and key.digits is not None:
-        return round(value, key.digits)
+    if isinstance(value, Mapping):
+        return {name: _json_value(one, key) for name, one in value.items()}
+    if is_dataclass(value):
+        return as_json(value)
     return str(value) if isinstance(value, StrEnum) else value
 
 
@@ -131,19 +138,15 @@ def _readers(kind: Any) -> tuple[tuple[str, Callable[[Any], Any]], ...]:
 def _reader(kind: Any) -> Callable[[Any], Any]:
     """Return what reads a value: a record, a list of records, a word, or the value as it is."""
     inner: Any = next((one for one in get_args(kind) if is_dataclass(one)), None)
-    if is_dataclass(kind):
-        return lambda value: None if value is None else from_json(cast("Any", kind), value)
+    if isinstance(kind, type) and is_dataclass(kind):
+        return lambda value: None if value is None else from_json(kind, value)
     if inner is not None and get_origin(kind) is tuple:
         return lambda values: None if values is None else tuple(from_json(inner, one) for one in values)
     if inner is not None:
         return lambda values: (
             None if values is None else {name: from_json(inner, one) for name, one in values.items()}
         )
-    return kind if _is_words(kind) else lambda value: value
-
-
-def _is_words(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, StrEnum)
+    return kind if isinstance(kind, type) and issubclass(kind, StrEnum) else lambda value: value
 
 
 # Describing
@@ -173,29 +176,42 @@ PLAIN = {str: "string", int: "integer", float: "number", bool: "boolean"}
 
 def _schema(kind: Any, key: Key) -> Schema:
     origin, inner = get_origin(kind), get_args(kind)
-    words = key.words or (inner if origin is Literal else map(str, kind) if _is_words(kind) else ())
+    if isinstance(kind, type) and is_dataclass(kind):
+        return schema_of(cast("Any", kind))
     if key.only is not None:
         return {"const": key.only}
-    if is_dataclass(kind):
-        return schema_of(cast("Any", kind))
-    if known := list(words):
-        return {"enum": known}
+    if words := key.words or (inner if origin is Literal else _words_of(kind)):
+        return {"enum": list(words)}
     if kind in PLAIN:
-        above = {"exclusiveMinimum": 0} if key.positive else {}
-        return _known({"type": PLAIN[kind], "minimum": key.least, "pattern": key.pattern, **above})
-    if origin in (tuple, Sequence):
-        length = len(inner) if origin is tuple and ... not in inner else None
-        each = _schema(inner[0], replace(key, fewest=None))
-        return _known({"type": "array", "items": each, "minItems": length or key.fewest, "maxItems": length})
-    return _of_mapping(inner[1], key) if origin is Mapping else {}
+        return _of_plain(kind, key)
+    if origin is Mapping:
+        return _of_mapping(inner[1], key)
+    return _of_list(origin, inner, key) if inner else {}
+
+
+def _words_of(kind: Any) -> tuple[str, ...]:
+    return tuple(map(str, kind)) if isinstance(kind, type) and issubclass(kind, StrEnum) else ()
+
+
+def _of_plain(kind: Any, key: Key) -> Schema:
+    limits = {"minimum": key.least, "pattern": key.pattern or None}
+    return {"type": PLAIN[kind], **_known(limits), **({"exclusiveMinimum": 0} if key.positive else {})}
+
+
+def _of_list(origin: Any, inner: Sequence[Any], key: Key) -> Schema:
+    length = len(inner) if origin is tuple and ... not in inner else None
+    plain, nullable = _without_none(inner[0])
+    items = _schema(plain, replace(key, fewest=None))
+    if nullable:
+        items = {**items, "type": [items["type"], "null"]}
+    return {"type": "array", "items": items, **_known({"minItems": length or key.fewest, "maxItems": length})}
 
 
 def _of_mapping(kind: Any, key: Key) -> Schema:
     each = _schema(kind, replace(key, entries=None, meaning=""))
     if key.entries is None:
-        return _known(
-            {"type": "object", "additionalProperties": each or None, "required": [*key.needs] or None}
-        )
+        open_to = {"additionalProperties": each or None, "required": [*key.needs] or None}
+        return {"type": "object", **_known(open_to)}
     return {
         "type": "object",
         "required": [*key.entries][: key.needed],
@@ -205,4 +221,4 @@ def _of_mapping(kind: Any, key: Key) -> Schema:
 
 
 def _known(limits: Mapping[str, Any]) -> Schema:
-    return {name: value for name, value in limits.items() if value not in (None, "")}
+    return {name: value for name, value in limits.items() if value is not None}

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-from accelcal_cli.core.calibration import PARAMETER_NAMES
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.reasons import Reason
 
@@ -80,22 +78,3 @@ class LearntPrior:
         """Return the note of a verdict on the prior."""
         model = printable(self.model or "")
         return Reason.of("prior_learnt", model=model, devices=self.devices, own=len(self.own))
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the report's `prior`."""
-        prior = self.prior
-        return {
-            "kind": self.kind,
-            "centre": dict(zip(PARAMETER_NAMES, prior.centre, strict=True)),
-            "width": dict(zip(PARAMETER_NAMES, prior.width, strict=True)),
-            "freedom": prior.freedom,
-            "noise": {"g": prior.noise_g, "spread": prior.noise_spread, "freedom": prior.noise_freedom},
-            "reference_c": prior.reference_c,
-            "model": {
-                "name": None if self.model is None else printable(self.model),
-                "devices": self.devices,
-                "recordings": self.recordings,
-                "sha256": self.sha256,
-            },
-            "device": [{"path": printable(one.name), "sha256": one.sha256} for one in self.own],
-        }

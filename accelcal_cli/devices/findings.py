@@ -176,7 +176,7 @@ def _found(code: str, *, certain: bool, **values: Any) -> Finding:
 
 def _jumps(device: DeviceReview, records: table.Records) -> Iterator[Finding]:
     """Yield the jump that shows two sensors, or else the largest one that is not part of a drift."""
-    both = [one for one in device.jumps if one.by_another_sensor]
+    both = [one for one in device.jumps if one.near or one.returns]
     drifting = {one.parameter for one in device.trends if one.drift is not None and one.drift.significant}
     steps = [one for one in device.jumps if one.parameter not in drifting]
     for jump in sorted(both or steps, key=lambda one: -abs(one.change) / one.error)[:1]:

@@ -47,11 +47,6 @@ class Jump:
     near: bool
     returns: bool
 
-    @property
-    def by_another_sensor(self) -> bool:
-        """True if a sensor that changed once explains less than two sensors do."""
-        return self.near or self.returns
-
 
 @dataclass(frozen=True, slots=True)
 class _State:

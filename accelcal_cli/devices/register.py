@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import OutputError, UsageError, counted, printable
@@ -43,19 +42,14 @@ def added(out: Path, path: Path) -> str:
 
 
 def _of_study(out: Path) -> Iterator[RegistryEntry]:
-    """Yield the entries of a study's reports."""
-    for name in _reports(out):
-        report = out / name
-        quality = report.with_name(report.name.removesuffix(REPORT_SUFFIX) + QUALITY_SUFFIX)
-        if (entry := entry_of(report, quality)) is not None:
-            yield entry
-
-
-def _reports(out: Path) -> list[str]:
-    """Return the names of the reports in a study's table."""
+    """Yield the entries of the reports in a study's table."""
     path = out / NAME
     if not is_file(path):
         hint = "give the folder that was given to `accelcal study` with -d, or a registry"
         raise UsageError("does not exist", path=path, hint=hint)
-    names: list[Any] = read_columns(path, ["report"])["report"].to_pylist()
-    return [name for name in names if isinstance(name, str)]
+    for name in read_columns(path, ["report"])["report"].to_pylist():
+        if isinstance(name, str):
+            report = out / name
+            quality = report.with_name(report.name.removesuffix(REPORT_SUFFIX) + QUALITY_SUFFIX)
+            if (entry := entry_of(report, quality)) is not None:
+                yield entry

@@ -16,15 +16,7 @@ from accelcal_cli.core.identity import identity
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.devices import table
-from accelcal_cli.devices.findings import (
-    DeviceGroup,
-    DeviceReview,
-    Finding,
-    HeldOut,
-    Verdict,
-    device_group,
-    findings,
-)
+from accelcal_cli.devices.findings import DeviceGroup, DeviceReview, HeldOut, Verdict, device_group, findings
 from accelcal_cli.devices.jumps import jumps
 from accelcal_cli.devices.trends import Referred, Rules, Trend, at_one_temperature, trends
 from accelcal_cli.output.study_words import of_device
@@ -74,7 +66,9 @@ def review(out: Path, rules: Rules, now_s: float) -> Review:
 def judged(records: table.Records, rules: Rules) -> Review:
     """Judge the devices of recordings."""
     usage = table.usages(records)
-    sure = _sure(records, usage, rules.certain_mg)
+    provisional = np.array([outcome == Outcome.PROVISIONAL for outcome in records.text["outcome"]], bool)
+    small = ~(records.number[table.HIGH] > rules.certain_mg)  # also where it is not known
+    sure = np.asarray(table.mask(usage, *table.OWN) & small & ~provisional)
     referred = at_one_temperature(records, table.mask(usage, *table.COUNTED), rules.reference_c)
     levels = trends(referred.records, usage, rules)
     known = _Known(records, referred, usage, sure)
@@ -91,8 +85,11 @@ def judged(records: table.Records, rules: Rules) -> Review:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Known:
-    """All recordings of a study, and the known facts about each; `sure` ones are certain enough to judge
-    their device by."""
+    """All recordings of a study, and the known facts about each.
+
+    Attributes:
+        sure: (n,) whether it has a calibration of its own that is certain enough to judge its device by.
+    """
 
     records: table.Records
     referred: Referred
@@ -100,44 +97,36 @@ class _Known:
     sure: table.Mask
 
 
-def _sure(records: table.Records, usage: list[table.Usage], limit_mg: float) -> table.Mask:
-    """Return which recordings have a calibration of their own that is certainly good, (n,)."""
-    provisional = [outcome == Outcome.PROVISIONAL for outcome in records.text["outcome"]]
-    small = ~(records.number[table.HIGH] > limit_mg)  # also where it is not known
-    return np.asarray(table.mask(usage, *table.OWN) & small & ~np.array(provisional, bool))
-
-
 def _reviewed(known: _Known, index: int, of_device: tuple[Trend, ...]) -> DeviceReview:
-    records, usage = known.records, known.usage
-    rows = records.rows(index)
-    single = [row for row in rows if usage[row] is not table.Usage.COPY]
-    own = [row for row in single if usage[row] in table.OWN]
+    records, rows = known.records, known.records.rows(index)
+    uses = {row: known.usage[row] for row in rows}
+
+    def used(*wanted: table.Usage) -> list[int]:
+        return [row for row, use in uses.items() if use in wanted]
+
+    single, own = used(*(use for use in table.Usage if use is not table.Usage.COPY)), used(*table.OWN)
     sure = [row for row in own if known.sure[row]]
-    dated = [row for row in single if np.isfinite(records.days[row])]
-    starts = records.text["start_time"]
+    starts = [records.text["start_time"][row] for row in single if np.isfinite(records.days[row])] or [None]
     lost = np.nan_to_num(records.number["lost_percent"][single])
+    highs = records.number[table.HIGH][own]
+    enough = records.number["orientations"][used(*table.NOT_CALIBRATED)] >= DEFAULT.min_postures
     return DeviceReview(
         key=records.devices[index],
         rows=rows,
-        firmware=tuple(sorted({name for row in rows if (name := records.text["device_firmware"][row])})),
-        counts=dict(Counter(usage[row] for row in rows)),
+        firmware=tuple(sorted({*filter(None, records.text["device_firmware"][rows.start : rows.stop])})),
+        counts=dict(Counter(uses.values())),
         sure=len(sure),
-        blamed=sum(usage[row] in table.NOT_CALIBRATED and _enough_recorded(records, row) for row in rows),
+        blamed=int(np.count_nonzero(enough)),
         damaged=int(np.count_nonzero(lost >= DAMAGED_FROM_PERCENT)),
-        begin=starts[dated[0]] if dated else None,
-        end=starts[dated[-1]] if dated else None,
+        begin=starts[0],
+        end=starts[-1],
         held_out=_held_out(records, sure or own),
-        least_high_mg=_least(records.number[table.HIGH][own]),
+        least_high_mg=float(np.nanmin(highs)) if np.isfinite(highs).any() else None,
         reference_c=_number(known.referred.temperature_c, index),
         worst_lost_percent=float(lost.max(initial=0.0)),
         trends=of_device,
-        jumps=jumps(known.referred.records, [row for row in own if usage[row] is table.Usage.USED]),
+        jumps=jumps(known.referred.records, used(table.Usage.USED)),
     )
-
-
-def _enough_recorded(records: table.Records, row: int) -> bool:
-    """Return True if a refused recording had the orientations that a calibration needs."""
-    return bool(records.number["orientations"][row] >= DEFAULT.min_postures)
 
 
 def _held_out(records: table.Records, rows: Sequence[int]) -> HeldOut | None:
@@ -151,24 +140,18 @@ def _held_out(records: table.Records, rows: Sequence[int]) -> HeldOut | None:
     return HeldOut(len(pairs), *(float(median(values)) for values in zip(*pairs, strict=True)))
 
 
-def _least(values: table.Floats) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(known.min()) if len(known) else None
-
-
 def as_json(review: Review, devices: tuple[DeviceReview, ...]) -> dict[str, Any]:
     """Return the review of some devices as JSON; null for unknown values."""
-    kinds = [
-        {"model": model or None, "format": name or None, **asdict(known)}
-        for (model, name), known in review.kinds.items()
-    ]
     return {
         **identity("devices"),
         "recordings": len(review.records) + review.records.nameless,
         "without_serial": review.records.nameless,
         "failed_without_serial": review.records.failed,
         "rules": asdict(review.rules),
-        "kinds": kinds,
+        "kinds": [
+            {"model": model or None, "format": name or None, **asdict(known)}
+            for (model, name), known in review.kinds.items()
+        ],
         "devices": [_device(review, device) for device in devices],
     }
 
@@ -180,7 +163,10 @@ def _device(review: Review, device: DeviceReview) -> dict[str, Any]:
         "format": device.key.format or None,
         "firmware": list(device.firmware),
         "verdict": str(device.verdict),
-        "reasons": [_finding(one) for one in device.findings],
+        "reasons": [
+            one.reason.as_json() | {"verdict": str(one.verdict), "text": of_device(one.reason)}
+            for one in device.findings
+        ],
         "recordings": device.recordings,
         "sure": device.sure,
         "uses": {str(use): number for use, number in sorted(device.counts.items())},
@@ -189,23 +175,17 @@ def _device(review: Review, device: DeviceReview) -> dict[str, Any]:
         "last": device.end,
         "held_out_mg": device.held_out_mg,
         "reference_c": device.reference_c,
-        "parameters": {trend.parameter.name: _trend(trend) for trend in device.trends},
+        "parameters": {
+            trend.parameter.name: {
+                "unit": trend.parameter.unit,
+                "value": trend.value,
+                "standard_error": trend.error,
+                "recordings": trend.number,
+                "drift": None if trend.drift is None else asdict(trend.drift),
+            }
+            for trend in device.trends
+        },
         "history": [row(review, device, position) for position in device.rows],
-    }
-
-
-def _finding(found: Finding) -> dict[str, Any]:
-    """Return the code with its values, the verdict that it supports, and its sentence."""
-    return found.reason.as_json() | {"verdict": str(found.verdict), "text": of_device(found.reason)}
-
-
-def _trend(trend: Trend) -> dict[str, Any]:
-    return {
-        "unit": trend.parameter.unit,
-        "value": trend.value,
-        "standard_error": trend.error,
-        "recordings": trend.number,
-        "drift": None if trend.drift is None else asdict(trend.drift),
     }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -91,14 +90,11 @@ class Parameter:
         return self.name.replace("_", " ")
 
 
-def _parameter(index: int, axes: str) -> Parameter:
-    kind = tuple(Kind)[index // 3]
-    ideal = 1.0 if kind is Kind.SCALE else 0.0
-    return Parameter(f"{kind}_{axes}", kind, COLUMNS[index], ideal, UNITS[kind], FACTORS[kind])
-
-
 AXES = ("x", "y", "z", "yx", "zx", "zy", "x", "y", "z", "x", "y", "z")
-PARAMETERS = tuple(_parameter(index, axes) for index, axes in enumerate(AXES))
+PARAMETERS = tuple(
+    Parameter(f"{kind}_{axes}", kind, column, float(kind is Kind.SCALE), UNITS[kind], FACTORS[kind])
+    for kind, axes, column in zip((kind for kind in Kind for _ in range(3)), AXES, COLUMNS, strict=True)
+)
 """The parameters, in the order of the core's PARAMETER_NAMES."""
 
 SCALES, OFFSETS, SLOPES = slice(0, 3), slice(6, 9), slice(9, 12)
@@ -187,8 +183,10 @@ def columns(path: Path) -> dict[str, Any]:
     _check_there(path)
     table = read_columns(path, WANTED)
     try:
-        text = {name: _texts(table[name]) for name in TEXT}
-        return text | {name: _floats(table[name]) for name in (*NUMBERS, *COLUMNS, *ERRORS)}
+        found: dict[str, Any] = {name: _values(table[name], "text", str) for name in TEXT}
+        for name in (*NUMBERS, *COLUMNS, *ERRORS):
+            found[name] = np.array(_values(table[name], "numbers", int, float), np.float64)
+        return found
     except ValueError as error:
         raise UnreadableError(f"cannot be read ({error})", path=path, hint="run the study again") from error
 
@@ -209,19 +207,12 @@ def _check_there(path: Path) -> None:
     raise UsageError(f"is not the output folder of a study: no {path.name}", path=folder, hint=hint)
 
 
-def _texts(column: pa.ChunkedArray) -> list[str | None]:
-    texts: list[Any] = column.to_pylist()
-    if not all(text is None or isinstance(text, str) for text in texts):
-        raise ValueError(f"a column of text is {column.type}")
-    return texts
-
-
-def _floats(column: pa.ChunkedArray) -> Floats:
-    """Return numbers, NaN for none, without pandas (a third of a second), which Arrow would load."""
-    numbers: list[Any] = column.to_pylist()
-    if not all(number is None or isinstance(number, int | float) for number in numbers):
-        raise ValueError(f"a column of numbers is {column.type}")
-    return np.array(numbers, np.float64)
+def _values(column: pa.ChunkedArray, what: str, *kinds: type) -> list[Any]:
+    """Return the values of a column, without pandas (a third of a second), which Arrow would load."""
+    values: list[Any] = column.to_pylist()
+    if not all(value is None or isinstance(value, kinds) for value in values):
+        raise ValueError(f"a column of {what} is {column.type}")
+    return values
 
 
 def records(table: dict[str, Any], latest_day: float) -> Records:
@@ -250,12 +241,8 @@ def records(table: dict[str, Any], latest_day: float) -> Records:
 
 def _keys(table: dict[str, Any]) -> dict[int, DeviceKey]:
     """Return the device of each row that names one."""
-    rows = zip(table["device_serial"], table["device_model"], table["format"], strict=True)
-    return {
-        row: DeviceKey(serial, model or "", name or "")
-        for row, (serial, model, name) in enumerate(rows)
-        if serial
-    }
+    rows = enumerate(zip(table["device_serial"], table["device_model"], table["format"], strict=True))
+    return {row: DeviceKey(serial, model or "", name or "") for row, (serial, model, name) in rows if serial}
 
 
 def _parameters(table: dict[str, Any], order: list[int]) -> tuple[Floats, Floats]:
@@ -335,10 +322,10 @@ class _Evidence:
     records: Records
     file: list[str]
     values: list[bytes]
-    fitted: list[bool]
-    scaled: list[bool]
-    weighed: list[bool]
-    dated: list[bool]
+    fitted: Mask
+    scaled: Mask
+    weighed: Mask
+    dated: Mask
 
 
 def usages(records: Records) -> list[Usage]:
@@ -348,18 +335,14 @@ def usages(records: Records) -> list[Usage]:
         records,
         [name or str(row) for row, name in enumerate(records.text["sha256"])],
         [row.tobytes() for row in records.values],
-        _by_row(known, any),
-        _by_row(known[:, SCALES], all),
-        _by_row(np.isfinite(records.errors), any),
-        np.isfinite(records.days).tolist(),
+        np.any(known, axis=1),
+        np.all(known[:, SCALES], axis=1),
+        np.any(np.isfinite(records.errors), axis=1),
+        np.isfinite(records.days),
     )
     return [
         use for device in range(len(records.devices)) for use in _of_device(evidence, records.rows(device))
     ]
-
-
-def _by_row(known: Mask, whether: Callable[[Iterable[bool]], bool]) -> list[bool]:
-    return [whether(row) for row in known.tolist()]
 
 
 def _of_device(evidence: _Evidence, rows: range) -> list[Usage]:
@@ -371,15 +354,11 @@ def _of_device(evidence: _Evidence, rows: range) -> list[Usage]:
         copy = evidence.file[row] in files
         files.add(evidence.file[row])
         usage.append(Usage.COPY if copy else _single(evidence, row, shared=sharing[evidence.values[row]] > 1))
-    return _of_one_family(evidence, rows, usage)
-
-
-def _of_one_family(evidence: _Evidence, rows: range, usage: list[Usage]) -> list[Usage]:
-    """Set aside those that fitted no scale, or those that did, whichever are fewer."""
+    # those that fitted no scale are set aside, or those that did, whichever are fewer
     scaled = [evidence.scaled[row] for row, use in zip(rows, usage, strict=True) if use in COUNTED]
     usual = 2 * sum(scaled) >= len(scaled)
     return [
-        Usage.OTHER_MODEL if use in COUNTED and evidence.scaled[row] is not usual else use
+        Usage.OTHER_MODEL if use in COUNTED and evidence.scaled[row] != usual else use
         for row, use in zip(rows, usage, strict=True)
     ]
 

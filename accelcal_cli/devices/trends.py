@@ -324,13 +324,12 @@ def trends(records: Records, usage: list[Usage], rules: Rules) -> list[tuple[Tre
     measured = Measured(values, errors, records.days, records.first)
     level = means(measured.where(mask(usage, *table.COUNTED)))
     drift = lines(measured.where(mask(usage, Usage.USED)), rules.least_days)
-    return [_of_device(*one) for one in zip(level, drift, strict=True)]
-
-
-def _of_device(level: list[Mean], drift: list[Line]) -> tuple[Trend, ...]:
-    tested = sum(not isnan(line.slope) for line in drift)
-    cells = zip(table.PARAMETERS, level, drift, strict=True)
-    return tuple(_trend(*cell, tested) for cell in cells if cell[1].number)
+    found = []
+    for device, fitted in zip(level, drift, strict=True):
+        tested = sum(not isnan(line.slope) for line in fitted)
+        cells = zip(table.PARAMETERS, device, fitted, strict=True)
+        found.append(tuple(_trend(*cell, tested) for cell in cells if cell[1].number))
+    return found
 
 
 def _trend(parameter: Parameter, mean: Mean, line: Line, tested: int) -> Trend:

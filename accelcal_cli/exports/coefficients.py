@@ -11,7 +11,6 @@ import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
-from functools import partial
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from accelcal_cli.core.calibration import Calibration
@@ -282,17 +281,9 @@ def temperature_note(one: ExportedReport, tool: str) -> str | None:
     return None
 
 
-LINES: dict[str, Callable[[ExportedReport], str]] = {"biobank": biobank, "omconvert": omconvert}
-"""Forms with one line for each report."""
-
-
-def lines(form: str, reports: Sequence[ExportedReport]) -> str:
-    """Return the text of a form with one line for each report."""
-    return "".join(LINES[form](one) + "\n" for one in reports)
-
-
 TABLES: dict[str, Callable[[Sequence[ExportedReport]], str]] = {
     "ggir": ggir,
-    **{form: partial(lines, form) for form in LINES},
+    "biobank": lambda reports: "".join(f"{biobank(one)}\n" for one in reports),
+    "omconvert": lambda reports: "".join(f"{omconvert(one)}\n" for one in reports),
 }
 """Text of each form for any number of reports."""

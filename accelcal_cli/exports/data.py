@@ -188,38 +188,6 @@ def _with_progress(portions: Iterator[SampleRows], shown: Callable[[int], None])
         shown(done)
 
 
-def csv(places: Sequence[Path], _output: Path, portions: Iterator[SampleRows], written: ExportedData) -> None:
-    """Write `time,x,y,z[,temperature]`: ISO 8601, with Z if it is UTC; g; degrees C.
-
-    For GGIR's `rmc.*` arguments, actipy, stepcount and biobank's accProcess (docs/exports.md).
-    """
-    names = ["time", *"xyz", *(["temperature"] if written.about.has_temperature else [])]
-    _text(places[0], names, portions, written, _iso)
-
-
-def _iso(rows: SampleRows, written: ExportedData) -> dict[str, pa.Array]:
-    times = pc.utf8_replace_slice(_clock_text(rows.time_us, "us"), 10, 11, "T")
-    if written.about.utc:
-        times = pc.binary_join_element_wise(times, "Z", "")
-    return {"time": times, **_axes(rows.xyz), **_celsius(rows)}
-
-
-def ggir(
-    places: Sequence[Path], _output: Path, portions: Iterator[SampleRows], written: ExportedData
-) -> None:
-    """Write `time,x,y,z[,temperature]` for GGIR: seconds since 1970, which R reads without a zone.
-
-    They are those of the device's clock where R has no name for its zone (`r_zone`).
-    """
-    names = ["time", *"xyz", *(["temperature"] if written.about.has_temperature else [])]
-    _text(places[0], names, portions, written, _unix)
-
-
-def _unix(rows: SampleRows, written: ExportedData) -> dict[str, pa.Array]:
-    ahead_us = written.about.clock_ahead_s * MICROSECONDS if r_zone(written.about) is None else 0
-    return {"time": pa.array((rows.time_us + ahead_us) / MICROSECONDS), **_axes(rows.xyz), **_celsius(rows)}
-
-
 def r_zone(about: CalibratedFile) -> str | None:
     """Return the name that R has for the zone of a recording in UTC; None for the device's clock."""
     zone = about.recording.get("timezone")
@@ -231,32 +199,60 @@ def r_zone(about: CalibratedFile) -> str | None:
     return None if rest or not -12 <= hours <= 14 else f"Etc/GMT{-hours:+d}" if hours else UTC
 
 
-def biobank(
-    places: Sequence[Path], _output: Path, portions: Iterator[SampleRows], written: ExportedData
-) -> None:
-    """Write `time,x,y,z` for accProcess, which takes times for those of the device's clock, and its zone."""
-    _text(places[0], ["time", *"xyz"], portions, written, _device_iso)
+def _iso(time_us: NDArray[np.int64], about: CalibratedFile) -> pa.Array:
+    """Return ISO 8601, with Z if it is UTC: for GGIR's `rmc.*` arguments, actipy, stepcount, accProcess."""
+    times = pc.utf8_replace_slice(_clock_text(time_us, "us"), 10, 11, "T")
+    return pc.binary_join_element_wise(times, "Z", "") if about.utc else times
 
 
-def _device_iso(rows: SampleRows, written: ExportedData) -> dict[str, pa.Array]:
-    return {"time": _clock_text(rows.time_us + _ahead_us(written), "us"), **_axes(rows.xyz)}
+def _unix(time_us: NDArray[np.int64], about: CalibratedFile) -> pa.Array:
+    """Return seconds since 1970 for GGIR, which R reads without a zone.
+
+    They are those of the device's clock where R has no name for its zone (`r_zone`).
+    """
+    ahead_us = about.clock_ahead_s * MICROSECONDS if r_zone(about) is None else 0
+    return pa.array((time_us + ahead_us) / MICROSECONDS)
 
 
-def _ahead_us(written: ExportedData) -> int:
+def _device_iso(time_us: NDArray[np.int64], about: CalibratedFile) -> pa.Array:
+    """Return times for accProcess, which takes them for those of the device's clock, and its zone."""
+    return _clock_text(time_us + _ahead_us(about), "us")
+
+
+def _device_ms(time_us: NDArray[np.int64], about: CalibratedFile) -> pa.Array:
+    """Return times of the device's clock to a ms, as MIMSunit reads mHealth."""
+    return _clock_text((time_us + _ahead_us(about) + 500) // 1000, "ms")
+
+
+def _ahead_us(about: CalibratedFile) -> int:
     """Return how far the device's clock is ahead of the times [us]."""
-    return written.about.clock_ahead_s * MICROSECONDS if written.about.utc else 0
+    return about.clock_ahead_s * MICROSECONDS if about.utc else 0
 
 
-def mhealth(
-    places: Sequence[Path], _output: Path, portions: Iterator[SampleRows], written: ExportedData
-) -> None:
-    """Write `HEADER_TIME_STAMP,X,Y,Z` of mHealth, as MIMSunit reads it: the device's clock to a ms, and g."""
-    _text(places[0], ["HEADER_TIME_STAMP", *"XYZ"], portions, written, _local)
+@dataclass(frozen=True, slots=True)
+class TextForm:
+    """A table of text: times, acceleration [g], and maybe temperature [degrees C] (docs/exports.md).
 
+    Attributes:
+        names: of the time and the axes.
+        times: makes the column of times.
+        warm: it has the temperature, where there is one.
+    """
 
-def _local(rows: SampleRows, written: ExportedData) -> dict[str, pa.Array]:
-    times = _clock_text((rows.time_us + _ahead_us(written) + 500) // 1000, "ms")
-    return {"HEADER_TIME_STAMP": times, **_axes(rows.xyz)}
+    names: tuple[str, ...]
+    times: Callable[[NDArray[np.int64], CalibratedFile], pa.Array]
+    warm: bool = False
+
+    def __call__(
+        self, places: Sequence[Path], _output: Path, portions: Iterator[SampleRows], written: ExportedData
+    ) -> None:
+        """Write the table."""
+        names = [*self.names, *(["temperature"] if self.warm and written.about.has_temperature else [])]
+        _text(places[0], names, portions, written, self._columns)
+
+    def _columns(self, rows: SampleRows, written: ExportedData) -> dict[str, pa.Array]:
+        times = {"time": self.times(rows.time_us, written.about)}
+        return times | _axes(rows.xyz) | (_celsius(rows) if self.warm else {})
 
 
 def bids(places: Sequence[Path], output: Path, portions: Iterator[SampleRows], written: ExportedData) -> None:
@@ -346,21 +342,14 @@ def _text(
         for rows in portions:
             written.count(rows)
             batch = pa.record_batch(table(rows, written))
-            if names is None:
-                batch = _with_missing_words(batch)
+            if names is None and rows.celsius is not None:
+                words = pc.fill_null(batch.column("temperature").cast(pa.string()), "n/a")
+                batch = batch.set_column(batch.schema.get_field_index("temperature"), "temperature", words)
             if writer is None:
                 writer = pa.csv.CSVWriter(file, batch.schema, write_options=options)
             writer.write_batch(batch)
         if writer is not None:
             writer.close()
-
-
-def _with_missing_words(batch: pa.RecordBatch) -> pa.RecordBatch:
-    """Return the batch with n/a for missing temperatures."""
-    columns = {name: batch.column(name) for name in batch.schema.names}
-    if "temperature" in columns:
-        columns["temperature"] = pc.fill_null(columns["temperature"].cast(pa.string()), "n/a")
-    return pa.record_batch(columns)
 
 
 def npz(places: Sequence[Path], _output: Path, portions: Iterator[SampleRows], written: ExportedData) -> None:
@@ -434,11 +423,11 @@ def _member(archive: zipfile.ZipFile, name: str, kind: str, shape: tuple[int, ..
 
 
 FORMS: dict[str, Callable[[Sequence[Path], Path, Iterator[SampleRows], ExportedData], None]] = {
-    "csv": csv,
-    "ggir": ggir,
-    "biobank": biobank,
+    "csv": TextForm(("time", *"xyz"), _iso, warm=True),
+    "ggir": TextForm(("time", *"xyz"), _unix, warm=True),
+    "biobank": TextForm(("time", *"xyz"), _device_iso),
     "npz": npz,
-    "mhealth": mhealth,
+    "mhealth": TextForm(("HEADER_TIME_STAMP", *"XYZ"), _device_ms),
     "bids": bids,
     "parquet": parquet,
 }

@@ -11,23 +11,24 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from math import isclose
 from pathlib import Path
 from threading import Event
 from typing import Any
 
-from accelcal_cli.core.errors import AccelcalError, OutputError, UsageError
+from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.local_time import UTC
 from accelcal_cli.core.parallel import parallel_map
 from accelcal_cli.core.version import __version__
 from accelcal_cli.exports import coefficients
 from accelcal_cli.exports.data import ExportedData, ExportOptions, export_data, r_zone
+from accelcal_cli.exports.forms import refuse_existing
 from accelcal_cli.exports.rows import CalibratedFile, described_file
 from accelcal_cli.exports.selection import Selected
-from accelcal_cli.output.files import exists, write_text
-from accelcal_cli.pipeline.jobs import PARQUET_SUFFIX, Progress
+from accelcal_cli.output.files import write_text
+from accelcal_cli.pipeline.jobs import PARQUET_SUFFIX
 from accelcal_cli.pipeline.outputs import make_folder
 
 SUFFIXES = {"npz": ".npz", "skdh": ".npz", "parquet": ".parquet"}
@@ -119,23 +120,20 @@ def plan(form: str, selected: Sequence[Selected], options: ExportOptions, *, for
         OutputError: a file is there already.
     """
     folder, planned = options.output, []
-    usable = [one.parquet for one in selected if one.skipped is None and one.parquet is not None]
-    names = dict(zip(usable, _names(usable), strict=True))
-    for one in selected:
-        if one.skipped is not None or one.parquet is None:
-            continue
+    suffix = SUFFIXES.get(form, ".csv.gz" if options.gzip else ".csv")
+    outputs = [folder / tool[form] for tool in (SCRIPTS, COEFFICIENTS) if form in tool]
+    usable = [(one, one.parquet) for one in selected if one.skipped is None and one.parquet is not None]
+    for (one, parquet), name in zip(usable, _names([path for _, path in usable]), strict=True):
         try:
-            about = described_file(one.parquet)
+            about = described_file(parquet)
         except AccelcalError as error:
             planned.append(Made(Planned(one, _NOTHING, folder), error=error))
             continue
         place = folder / group_of(one, about, options.resample_hz).folder if form == "ggir" else folder
-        suffix = SUFFIXES.get(form, ".csv.gz" if options.gzip else ".csv")
-        planned.append(Made(Planned(one, about, place / (names[one.parquet] + suffix))))
-    extra = [folder / name for name in (SCRIPTS.get(form), COEFFICIENTS.get(form)) if name]
-    for path in (*(made.planned.output for made in planned if made.error is None), *extra):
-        if exists(path) and not force:
-            raise OutputError("is there already", path=path, hint="use --force to replace it")
+        outputs.append(place / (name + suffix))
+        planned.append(Made(Planned(one, about, outputs[-1])))
+    if not force:
+        refuse_existing(outputs)
     return planned
 
 
@@ -166,18 +164,19 @@ def export_folder(
     """Write all that is planned, and yield what became of each, in order."""
     stopped = Event()
 
-    def stop_early(_stage: str, _total: int) -> Progress:
-        return lambda _done: _raise_if(stopped)
+    def go_on(_done: int) -> None:
+        if stopped.is_set():
+            raise _StoppedError
 
     def work(one: Made) -> Made:
         if one.error is not None:
             return one
         target = one.planned.output
-        own = ExportOptions(target, options.resample_hz, options.measured_only, options.smooth, options.gzip)
-        assert one.planned.recording.parquet is not None
+        own, source = replace(options, output=target), one.planned.recording.parquet
+        assert source is not None
         try:
             make_folder(target.parent)
-            found = export_data(WRITTEN_AS.get(form, form), one.planned.recording.parquet, own, stop_early)
+            found = export_data(WRITTEN_AS.get(form, form), source, own, lambda _stage, _total: go_on)
         except (AccelcalError, _StoppedError) as error:
             failed = error if isinstance(error, AccelcalError) else UsageError("was stopped", path=target)
             return Made(one.planned, error=failed)
@@ -188,11 +187,6 @@ def export_folder(
             yield from results
         finally:
             stopped.set()
-
-
-def _raise_if(stopped: Event) -> None:
-    if stopped.is_set():
-        raise _StoppedError
 
 
 def write_script(form: str, made: Sequence[Made], options: ExportOptions) -> Path | None:
@@ -207,30 +201,19 @@ def write_script(form: str, made: Sequence[Made], options: ExportOptions) -> Pat
         rate = options.resample_hz
         text = "\n".join(LINES[form](one.output.name, one.about, rate or one.about.rate_hz) for one in done)
     name = SCRIPTS[form]
-    filled = files("accelcal_cli.exports").joinpath("scripts", f"{name}.in").read_text("utf-8")
-    for place, value in (("@version@", __version__), ("@groups@", text), ("@lines@", text)):
-        filled = filled.replace(place, value)
+    form_of = files("accelcal_cli.exports").joinpath("scripts", f"{name}.in").read_text("utf-8")
     path = options.output / name
+    filled = form_of.replace("@version@", __version__).replace("@groups@", text).replace("@lines@", text)
     write_text(path, filled)
     return path
 
 
-def _accprocess(name: str, about: CalibratedFile, _rate_hz: float) -> str:
-    return f'process {shlex.quote(f"./{name}")} {r_zone(about) or UTC} "$@"'
-
-
-def _actipy(name: str, _about: CalibratedFile, rate_hz: float) -> str:
-    return f"    {json.dumps(name)}: {rate_hz:.10g},"
-
-
-def _skdh(name: str, about: CalibratedFile, _rate_hz: float) -> str:
-    return f"    {json.dumps(name)}: {r_zone(about) or (UTC if about.utc else None)!r},"
-
-
 LINES: dict[str, Callable[[str, CalibratedFile, float], str]] = {
-    "biobank": _accprocess,
-    "actipy": _actipy,
-    "skdh": _skdh,
+    "biobank": lambda name, about, _: f'process {shlex.quote(f"./{name}")} {r_zone(about) or UTC} "$@"',
+    "actipy": lambda name, _, rate_hz: f"    {json.dumps(name)}: {rate_hz:.10g},",
+    "skdh": lambda name, about, _: (
+        f"    {json.dumps(name)}: {r_zone(about) or (UTC if about.utc else None)!r},"
+    ),
 }
 """Line of a recording in each script."""
 

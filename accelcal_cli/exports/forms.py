@@ -59,5 +59,12 @@ def refuse_outputs(outputs: Iterable[Path], inputs: Sequence[Path], *, force: bo
     for path in outputs:
         refuse_nameless(path)
         refuse_overwriting((path,), inputs)
-        if exists(path) and not force:
+        if not force:
+            refuse_existing([path])
+
+
+def refuse_existing(outputs: Iterable[Path]) -> None:
+    """Raise OutputError for an output that is there already."""
+    for path in outputs:
+        if exists(path):
             raise OutputError("is there already", path=path, hint="use --force to replace it")

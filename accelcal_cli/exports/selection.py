@@ -86,20 +86,21 @@ def _of(path: Path, *, data: bool) -> Iterator[Selected]:
 def _of_folder(folder: Path, *, data: bool) -> Iterator[Selected]:
     """Yield a study's recordings: those of its table where there is one, or all whose reports lie there."""
     table = folder / TABLE
-    rows = read_columns(table, READ).to_pylist() if is_file(table) else None
-    known = None if rows is None else {row["report"]: row for row in rows}
-    excluded = _excluded(folder, rows or [])
+    is_study = is_file(table)
+    rows = read_columns(table, READ).to_pylist() if is_study else []
+    paths = {row["report"]: row["path"] for row in rows}
+    excluded = _excluded(folder, rows)
     for report in _reports_below(folder):
         name = printable(report.relative_to(folder))
-        if known is not None and name not in known:
-            continue
-        if known is not None and (why := excluded.get(known[name]["path"])) is not None:
-            yield Selected(report, report, skipped=why)
-            continue
-        one = of_report(report) if data else _unless_refused(of_report(report))
-        if (one.held or {}).get("recording", {}).get("format") not in NO_RECORDING:
-            yield one
-    for row in rows or ():
+        if paths.get(name) in excluded:
+            yield Selected(report, report, skipped=excluded[paths[name]])
+        elif name in paths or not is_study:
+            one = of_report(report)
+            if not data and one.held is not None and one.held["outcome"] != Outcome.REFUSED:
+                one = Selected(report, report, held=one.held)  # its calibrated file does not matter
+            if (one.held or {}).get("recording", {}).get("format") not in NO_RECORDING:
+                yield one
+    for row in rows:
         if not row["report"]:
             yield Selected(Path(row["path"]), skipped=f"failed ({row['message']})")
 
@@ -131,12 +132,6 @@ def _reports_below(folder: Path) -> list[Path]:
         why, hint = f"cannot be read ({error.strerror or error})", "check its permissions and its disk"
         raise UnreadableError(why, path=error.filename or folder, hint=hint) from error
     return sorted(found)
-
-
-def _unless_refused(one: Selected) -> Selected:
-    """Return a recording whose calibrated file does not matter."""
-    refused = one.held is None or one.held["outcome"] == Outcome.REFUSED
-    return one if refused else Selected(one.path, one.report, held=one.held)
 
 
 def of_report(report: Path, parquet: Path | None = None) -> Selected:

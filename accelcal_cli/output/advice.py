@@ -52,18 +52,22 @@ MILD = ("sides_unchecked", "not_converged", "rows_without_values", "unlikely_yea
 def completed(report: dict[str, Any], judgement: Judgement) -> dict[str, Any]:
     """Return a report with all its cautions, its advice and its message."""
     view = report_view(report)
-    of_file, given = _of_the_file(view), judgement.cautions  # which may be those of coefficients, too
+    health, given = view.file_health, judgement.cautions  # which may be those of coefficients, too
+    lost, filled = (health.lost_bytes, health.lost_percent), health.filled_samples
+    own = of_file(health.missing_bytes, *lost, filled, view.recording.samples)
     codes = [one.code for one in given]
     found = [
-        *of_file,
-        *(one for one in given if one not in of_file),
+        *own,
+        *(one for one in given if one not in own),
         *(one for one in _cautions(view) if one.code not in codes),
     ]
-    ways = _without_repeats([*judgement.advice, *_advice(view)])
+    ways: dict[str, Reason] = {}
+    for one in (*judgement.advice, *_advice(view)):
+        ways.setdefault(one.code, one)
     return report | {
         "message": words.message(view),
         "cautions": [one.as_json() for one in found],
-        "advice": [one.as_json() for one in ways],
+        "advice": [one.as_json() for one in ways.values()],
     }
 
 
@@ -74,20 +78,19 @@ def is_doubtful(report: ReportView) -> bool:
 
 
 def _cautions(report: ReportView) -> tuple[Reason, ...]:
-    sides = _sides(report) if report.calibration is not None and report.coverage.cells else []
+    made, known = report.calibration, report.known_orientations
+    sides = _sides(report) if made is not None and report.coverage.cells else []
+    unchecked = []
+    if known is not None and known.unchecked is not None and made is not None:
+        unchecked = [Reason("roll_alone_checks_poses" if known.rolls else "nothing_checks_poses")]
+    if made is not None and made.optimizer.converged is False:
+        unchecked.append(Reason.of("not_converged", iterations=made.optimizer.iterations))
     return (
         *of_device(report.recording.device),
-        *_unchecked_poses(report),
-        *_unconverged(report),
+        *unchecked,
         *doubts(*_interval(report), everywhere=report.calibration_error_mg is not None),
         *([Reason.of("sides_unchecked", sides=sides)] if sides else []),
     )
-
-
-def _of_the_file(report: ReportView) -> list[Reason]:
-    health = report.file_health
-    lost = (health.lost_bytes, health.lost_percent)
-    return of_file(health.missing_bytes, *lost, health.filled_samples, report.recording.samples)
 
 
 def of_file(
@@ -125,12 +128,6 @@ def of_rows(facts: Facts) -> list[Reason]:
     return [*found, Reason.of("clock_reset", sample=first.sample, **around, resets=len(facts.resets))]
 
 
-def _unconverged(report: ReportView) -> list[Reason]:
-    if report.calibration is None or report.calibration.optimizer.converged is not False:
-        return []
-    return [Reason.of("not_converged", iterations=report.calibration.optimizer.iterations)]
-
-
 def _interval(report: ReportView) -> tuple[float | None, float | None, float]:
     """Return the upper end of the error's 95 % interval, the error before, and the limit [mg]."""
     everywhere, holdout = report.calibration_error_mg, report.holdout
@@ -165,14 +162,6 @@ def doubts(
     return found
 
 
-def _unchecked_poses(report: ReportView) -> list[Reason]:
-    """Return the caution that nothing speaks for a calibration from known orientations."""
-    known = report.known_orientations
-    if known is None or known.unchecked is None or report.calibration is None:
-        return []
-    return [Reason("roll_alone_checks_poses" if known.rolls else "nothing_checks_poses")]
-
-
 def _advice(report: ReportView) -> tuple[Reason, ...]:
     """Return what else helps a refused recording; nothing for poses, or where a note explains its values."""
     explained = report.poses is not None or any(note.code in ODD_REST for note in report.notes)
@@ -194,11 +183,9 @@ def _advice(report: ReportView) -> tuple[Reason, ...]:
 def _orientations(report: ReportView) -> tuple[Reason, ...]:
     """Return which orientations are missing."""
     found, sides = [], _sides(report)
-    orientations, said = report.coverage.distinct_orientations, report.reason == "too_few_orientations"
-    few = orientations is not None and (
-        sides or orientations < report.setting("min_postures", MIN_ORIENTATIONS)
-    )
-    if few and not said:
+    orientations = report.coverage.distinct_orientations
+    few = sides or orientations < report.setting("min_postures", MIN_ORIENTATIONS)
+    if few and report.reason != "too_few_orientations":
         found.append(Reason.of("more_orientations", orientations=orientations))
     if sides:
         found.append(Reason.of("rest_on_sides", sides=sides))
@@ -209,12 +196,6 @@ def _sides(report: ReportView) -> list[str]:
     """Return directions of axes, such as `-z`, that no point comes near."""
     coverage = report.coverage
     return sides_not_up(coverage.axis_min_g, coverage.axis_max_g, report.setting("coverage_g", 0.3))
-
-
-def _without_repeats(reasons: list[Reason]) -> list[Reason]:
-    """Return reasons without those whose code has come before."""
-    first = {reason.code: reason for reason in reversed(reasons)}
-    return [reason for reason in reasons if first[reason.code] is reason]
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,22 +221,21 @@ def page_verdict(report: ReportView) -> PageVerdict:
     if report.outcome == Outcome.REFUSED:
         headline = "Refused: this recording could not be calibrated."
         return PageVerdict("bad", headline, reason, (meaning.to_do, *map(words.sentence, report.advice)))
-    doubtful = is_doubtful(report)
+    doubtful, details = is_doubtful(report), ""
+    if (
+        report.reason == "calibrated"
+        and report.calibration_error_mg is not None
+        and report.holdout is not None
+    ):
+        details = " ".join((held_out_sentence(report.holdout), *map(words.sentence, report.notes)))
     opening = f"{'Use with care' if doubtful else 'Good'}: {meaning.headline or meaning.result}"
     return PageVerdict(
         "care" if doubtful else "good",
         f"{opening}.",
-        _details(report) or reason,
+        details or reason,
         (meaning.to_do, *map(words.sentence, report.cautions)),
         (words.error_sentence(report), *_meaning_of_error(report)),
     )
-
-
-def _details(report: ReportView) -> str:
-    """Return what the box does not say of a calibrated recording: the held-out error, and the notes."""
-    if report.reason != "calibrated" or report.calibration_error_mg is None or report.holdout is None:
-        return ""
-    return " ".join((held_out_sentence(report.holdout), *map(words.sentence, report.notes)))
 
 
 def _meaning_of_error(report: ReportView) -> Iterator[str]:

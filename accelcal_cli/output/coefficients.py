@@ -21,7 +21,7 @@ from accelcal_cli.core.calibration import (
     Correction,
     TemperatureScale,
 )
-from accelcal_cli.core.declared import from_json
+from accelcal_cli.core.declared import as_json, from_json
 from accelcal_cli.core.errors import UnreadableError, printable
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import MODELS
@@ -29,10 +29,25 @@ from accelcal_cli.core.prior import LearntPrior, Prior, Source
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import LEARNT_PRIORS
+from accelcal_cli.output import sections
 from accelcal_cli.output.report_reading import Document, check_sections, damaged, read_document
-from accelcal_cli.output.sections import AppliedCoefficients
+from accelcal_cli.output.sections import (
+    EQUATION,
+    AppliedCoefficients,
+    Course,
+    FixedPoint,
+    GravitySection,
+    IntegerKnot,
+    Knot,
+    PoolMember,
+    PriorModel,
+    PriorNoise,
+    PriorSection,
+    Slopes,
+    matrix,
+    vector,
+)
 
-EQUATION = "a = K (v + o + s (T - Tref))"
 STRETCH = (0.5, 2.0)
 """Bounds of the gains of a sensor, far beyond those that measure about 1 g at rest (0.5 to 1.5 g)."""
 LARGEST_OFFSET_G = 1.0
@@ -57,62 +72,46 @@ COPIED = (
 
 def coefficients_json(calibration: Calibration) -> dict[str, Any]:
     """Return everything that is needed to apply a calibration."""
-    return {
-        "model": calibration.model,
-        "gain": calibration.gain().tolist(),
-        "offset_g": calibration.offset_g().tolist(),
-        "parameters": {name: to_float(value) for name, value in _integers(calibration, 9).items()},
-        "temperature": _temperature(calibration),
-        "course": _correction_json(calibration.correction),
-        "equation": EQUATION,
-        "fixed_point": _fixed_point(calibration),
-        "gravity": {
-            "local_g": float(calibration.gravity.local_g()),
-            "latitude": calibration.gravity.latitude,
-            "altitude": calibration.gravity.altitude_m,
-        },
-    }
+    scale, course, gravity = calibration.temperature, calibration.correction, calibration.gravity
+    reference_mc, span_c, slopes = None, None, None
+    if scale is not None:
+        reference_mc, span_c = scale.reference_mc, scale.span_c
+        slopes = Slopes(vector(calibration.slope_g_per_c()), calibration.reference_c())
+    section = sections.Coefficients(
+        model=calibration.model,
+        gain=matrix(calibration.gain()),
+        offset_g=vector(calibration.offset_g()),
+        parameters={name: to_float(value) for name, value in _integers(calibration, 9).items()},
+        temperature=slopes,
+        course=None if course is None else _course(course),
+        equation=EQUATION,
+        fixed_point=FixedPoint(FRACTION_BITS, _integers(calibration, 12), reference_mc, span_c),
+        gravity=GravitySection(float(gravity.local_g()), gravity.latitude, gravity.altitude_m),
+    )
+    return as_json(section)
 
 
-def _correction_json(correction: Correction | None) -> dict[str, Any] | None:
+def _course(correction: Correction) -> Course:
     """Return the correction of a sensor that changed, knot by knot."""
-    if correction is None:
-        return None
     knots = zip(correction.samples, correction.stretch, correction.shift, strict=True)
-    return {
-        "between": "lines" if correction.lines else "jumps",
-        "knots": [
-            {
-                "sample": sample,
-                "stretch": [to_float(value) for value in stretch],
-                "shift_g": [to_float(value) for value in shift],
-                "fixed_point": {"stretch": list(stretch), "shift": list(shift)},
-            }
+    return Course(
+        "lines" if correction.lines else "jumps",
+        tuple(
+            Knot(
+                sample,
+                vector(map(to_float, stretch)),
+                vector(map(to_float, shift)),
+                IntegerKnot(stretch, shift),
+            )
             for sample, stretch, shift in knots
-        ],
-    }
+        ),
+    )
 
 
 def _integers(calibration: Calibration, number: int) -> dict[str, int]:
     """Return the parameters by name; those above K's diagonal only where there are any."""
     named = dict(zip(PARAMETER_NAMES[:number], calibration.parameters, strict=False))
     return named | dict(zip(UPPER_NAMES, calibration.upper, strict=True)) if any(calibration.upper) else named
-
-
-def _temperature(calibration: Calibration) -> dict[str, Any] | None:
-    if calibration.temperature is None:
-        return None
-    return {"slope_g_per_c": calibration.slope_g_per_c().tolist(), "reference_c": calibration.reference_c()}
-
-
-def _fixed_point(calibration: Calibration) -> dict[str, Any]:
-    scale = calibration.temperature
-    return {
-        "fraction_bits": FRACTION_BITS,
-        "parameters": _integers(calibration, 12),
-        "temperature_reference_mc": None if scale is None else scale.reference_mc,
-        "temperature_span_c": None if scale is None else scale.span_c,
-    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +225,9 @@ def calibration_of(section: Mapping[str, Any]) -> Calibration:
         bits = fixed_point["fraction_bits"]
     except (KeyError, TypeError, AttributeError, OverflowError) as error:
         raise ValueError(f"calibration lacks what is needed ({error})") from error
-    _check_integers({**integers, **upper})
+    for name, value in (integers | upper).items():
+        if type(value) is not int or not -LIMIT < value < LIMIT:
+            raise ValueError(f"calibration.fixed_point.parameters.{name} is not a 32-bit integer")
     if bits != FRACTION_BITS:
         raise ValueError(f"calibration.fixed_point.fraction_bits is {bits!r}, not {FRACTION_BITS}")
     xy, xz, yz = upper.values()
@@ -274,12 +275,6 @@ def _scale(reference_mc: Any, span_c: Any) -> TemperatureScale | None:
     return TemperatureScale(reference_mc, float(span_c))
 
 
-def _check_integers(named: dict[str, Any]) -> None:
-    for name, value in named.items():
-        if type(value) is not int or not -LIMIT < value < LIMIT:
-            raise ValueError(f"calibration.fixed_point.parameters.{name} is not a 32-bit integer")
-
-
 def _check_model(calibration: Calibration) -> None:
     """Raise ValueError if a parameter that the model does not have is not at its ideal value."""
     if not isinstance(calibration.model, str) or calibration.model not in (*MODELS, FULL_GAIN):
@@ -316,6 +311,23 @@ def implausible(calibration: Calibration) -> str | None:
     return None
 
 
+def prior_json(learnt: LearntPrior) -> dict[str, Any]:
+    """Return the `prior` object of a report."""
+    prior = learnt.prior
+    model = None if learnt.model is None else printable(learnt.model)
+    section = PriorSection(
+        kind=learnt.kind,
+        centre=dict(zip(PARAMETER_NAMES, prior.centre, strict=True)),
+        width=dict(zip(PARAMETER_NAMES, prior.width, strict=True)),
+        freedom=prior.freedom,
+        noise=PriorNoise(prior.noise_g, prior.noise_spread, prior.noise_freedom),
+        reference_c=prior.reference_c,
+        model=PriorModel(model, learnt.devices, learnt.recordings, learnt.sha256),
+        device=tuple(PoolMember(printable(one.name), one.sha256) for one in learnt.own),
+    )
+    return as_json(section)
+
+
 def learnt_prior_of(document: Document, kind: str) -> LearntPrior | None:
     """Return the prior with which a report was made, if its settings name one that is learnt.
 
@@ -327,22 +339,22 @@ def learnt_prior_of(document: Document, kind: str) -> LearntPrior | None:
     if "prior" not in document.report:
         raise damaged(document, f"settings.prior is {kind!r}, but there is no prior")
     check_sections(document, ("prior",))
-    stated = document.report["prior"]
+    stated = from_json(PriorSection, document.report["prior"])
     centre, width = (
-        tuple(float(stated[name][key]) for key in PARAMETER_NAMES) for name in ("centre", "width")
+        tuple(float(values[key]) for key in PARAMETER_NAMES) for values in (stated.centre, stated.width)
     )
-    noise = [float(stated["noise"][name]) for name in ("g", "spread", "freedom")]
-    reference = stated["reference_c"]
+    noise = stated.noise
+    reference, freedom = stated.reference_c, float(stated.freedom)
     ideal = [value / ONE for value in IDENTITY]
     close = all(abs(value - one) < LARGEST_OFFSET_G for value, one in zip(centre, ideal, strict=True))
-    possible = [*width, float(stated["freedom"]), *noise]
-    if stated["kind"] != kind or not close or not all(LEAST <= value <= LARGEST for value in possible):
+    possible = [*width, freedom, noise.g, noise.spread, noise.freedom]
+    if stated.kind != kind or not close or not all(LEAST <= value <= LARGEST for value in possible):
         raise damaged(document, "it has a prior that no study learns")
     if reference is not None and not abs(reference) < LARGEST:
         raise damaged(document, "prior.reference_c cannot be")
-    noise_g, spread, freedom = noise
-    prior = Prior(centre, width, float(stated["freedom"]), noise_g, spread, freedom, reference)
-    model, own = stated["model"], tuple(Source(one["path"], one["sha256"]) for one in stated["device"])
-    return LearntPrior(
-        prior, kind, model["name"], model["devices"], model["recordings"], model["sha256"], own
+    prior = Prior(
+        centre, width, freedom, float(noise.g), float(noise.spread), float(noise.freedom), reference
     )
+    model = stated.model
+    own = tuple(Source(one.path, one.sha256) for one in stated.device)
+    return LearntPrior(prior, kind, model.name, model.devices, model.recordings, model.sha256, own)

@@ -15,12 +15,6 @@ The values are those of a reason in `study.json`, which may have been changed by
 """
 
 
-def _other_quantities(values: Mapping[str, Any]) -> str:
-    """Name the columns of a table of other quantities."""
-    columns = ", ".join(map(str, values["columns"]))
-    return f"It is a table of other quantities: {columns}."
-
-
 DECIDED = {"yes": "to use it", "with care": "to use it with care", "no": "not to use it"}
 
 
@@ -51,7 +45,9 @@ FILES: dict[str, FormOfValues] = {
     "database": "It is an SQLite database, from which the recording can be exported as text (CSV).",
     "still_windows": "It holds means of still windows, which accelcal fit takes.",
     "no_acceleration": "Nothing in it is acceleration.",
-    "other_quantities": _other_quantities,
+    "other_quantities": lambda values: (
+        f"It is a table of other quantities: {', '.join(map(str, values['columns']))}."
+    ),
     "no_numbers": "It is text without rows of three or more numbers.",
     "no_format": "Its content matches no format.",
     # results whose recording is gone

@@ -9,10 +9,10 @@ published stands there.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Any
 
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Device
@@ -25,19 +25,15 @@ class KnownFault:
     name: str
     model: str | None
     serial: str
-    firmware: tuple[str, ...]
-    shipped: tuple[str, str] | None
+    firmware: Sequence[str]
+    shipped: Sequence[str] | None
     fault: str
     source: str
 
     def concerns(self, device: Device) -> bool:
         """Return True if a device may have the fault, by its model, serial number and firmware."""
-        begins = (device.serial or "").startswith(self.serial)
-        return (
-            begins
-            and self.model in (None, device.model)
-            and (not self.firmware or device.firmware in self.firmware)
-        )
+        of_model = self.model in (None, device.model) and (device.serial or "").startswith(self.serial)
+        return of_model and (not self.firmware or device.firmware in self.firmware)
 
     def caution(self) -> Reason:
         """Return the caution of a recording that may have the fault."""
@@ -55,17 +51,4 @@ def of_device(device: Device) -> list[Reason]:
 def known_faults() -> tuple[KnownFault, ...]:
     """Return all published faults."""
     text = resources.files("accelcal_cli.output").joinpath("known_faults.json").read_text("utf-8")
-    return tuple(map(_fault, json.loads(text)))
-
-
-def _fault(held: dict[str, Any]) -> KnownFault:
-    shipped = held["shipped"]
-    return KnownFault(
-        name=held["name"],
-        model=held["model"],
-        serial=held["serial"],
-        firmware=tuple(held["firmware"]),
-        shipped=None if shipped is None else (shipped[0], shipped[1]),
-        fault=held["fault"],
-        source=held["source"],
-    )
+    return tuple(KnownFault(**one) for one in json.loads(text))

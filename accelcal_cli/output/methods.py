@@ -5,9 +5,9 @@ from __future__ import annotations
 from accelcal_cli.core.errors import counted
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.output.numbers import number, times_smaller
+from accelcal_cli.output.numbers import number
 from accelcal_cli.output.sections import CalibrationSection, HoldoutSection, KnownOrientations, ReportView
-from accelcal_cli.output.words import corrections_of
+from accelcal_cli.output.words import corrections_of, smaller_by
 
 SOFTWARE = """@software{{accelcal,
   title = {{accelcal: autocalibration of raw accelerometer recordings}},
@@ -99,14 +99,13 @@ def _windows(report: ReportView) -> str:
     """Say what the fit was made of, and whose idea that is."""
     used, seconds = report.fit.windows.used, report.setting("segment_seconds", 5.0)
     still = counted(used, "still window")
-    points = counted(report.coverage.cells, "point")
     if report.known_orientations is not None:
         return (
             f"from {still} of {seconds:g} s in {counted(report.known_orientations.orientations, 'position')}"
         )
     return (
         f"from the gravity measured in {still} ({_rule(report, seconds)}; after {VAN_HEES}), "
-        f"averaged by orientation to {points}"
+        f"averaged by orientation to {counted(report.coverage.cells, 'point')}"
     )
 
 
@@ -115,10 +114,8 @@ def _rule(report: ReportView, seconds: float) -> str:
     periods = f"periods of {seconds:g} s"
     if report.settings.get("stillness") != "both":
         return f"{periods} without movement"
-    spread, deviation = (
-        report.setting("stillness_threshold_g", 0.12),
-        report.setting("stillness_deviation_g", 0.013),
-    )
+    spread = report.setting("stillness_threshold_g", 0.12)
+    deviation = report.setting("stillness_deviation_g", 0.013)
     return (
         f"{periods} in which each axis varies by less than {spread:g} g, "
         f"with a standard deviation below {1000 * deviation:g} mg"
@@ -186,11 +183,9 @@ def _errors(report: ReportView, known: KnownOrientations | None) -> list[str]:
 
 def held_out_sentence(holdout: HoldoutSection) -> str:
     """Return the errors on data that were held out of the fit, in a sentence."""
-    factor = holdout.improvement_factor
-    smaller = "" if factor is None else times_smaller(factor.value, factor.ci95)
     method = holdout.method.replace("posture", "orientation")
     return (
         f"On data held out of the fit ({method}), the mean of ||a| − 1 g| is "
         f"{number(holdout.before_mg.mean)} mg before and {number(holdout.after_mg.mean)} mg after "
-        f"calibration{smaller}."
+        f"calibration{smaller_by(holdout)}."
     )

@@ -20,18 +20,10 @@ from accelcal_cli.core.identity import OLD_REGISTRY, REGISTRY, REPORT, identity,
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.coefficients import Coefficients, coefficients_in
 from accelcal_cli.output.files import json_text, parsed, write_text
-from accelcal_cli.output.report_reading import Document, document_bytes, load_report, section
+from accelcal_cli.output.report_reading import Document, document_bytes, load_report, report_schema, section
 from accelcal_cli.output.sections import ReportView, report_view
 
 GOOD = (Outcome.CALIBRATED, Outcome.REDUCED_MODEL, Outcome.ALREADY_GOOD)
-
-KEPT = (
-    "kind", "schema_version", "accelcal_version", "recording", "settings", "outcome", "reason", "values",
-    "message", "notes", "cautions", "advice", "calibration", "without_misalignment", "calibration_error_mg",
-    "rest_scatter_mg", "change", "misfits", "holdout", "fit", "coverage", "models_tried", "file_health",
-    "provenance",
-)  # fmt: skip
-"""Sections of a report that an entry keeps; of the file's health, what reports must have."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +83,7 @@ def entry_of(report_path: Path, quality_path: Path) -> RegistryEntry | None:
     changed = section(report, "change").get("kind", "none") != "none"
     if borrowed or changed or not device.get("serial") or not report.get("calibration_error_mg"):
         return None
-    kept = {name: report[name] for name in KEPT if name in report}
+    kept = {name: report[name] for name in report_schema()["required"] if name in report}
     kept["recording"] = {**report["recording"], "gaps": [], "notes": []}
     kept["file_health"] = {**report["file_health"], "problems": []}
     return RegistryEntry(kept, temperatures_c(quality_path), report_path)

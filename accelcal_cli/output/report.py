@@ -20,14 +20,13 @@ from accelcal_cli.core.declared import as_json, from_json
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.gyroscope import EQUATION, Gyroscope
 from accelcal_cli.core.identity import DRAWS, INTEGERS, REPORT, SAMPLES, identity
-from accelcal_cli.core.local_time import ZoneChange, zone_of_times
-from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, Arithmetic, Fit, PointSet, predicted_seconds
+from accelcal_cli.core.local_time import zone_of_times
+from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, PointSet, predicted_seconds
 from accelcal_cli.core.recording import Problem, Recording
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import EffectiveSettings
 from accelcal_cli.output import sections
 from accelcal_cli.output.advice import completed, of_rows
-from accelcal_cli.output.coefficients import EQUATION as DRAWS_EQUATION
 from accelcal_cli.output.coefficients import coefficients_json
 from accelcal_cli.output.files import json_text
 from accelcal_cli.output.sections import HealthSection, RecordingSection, WindowUse
@@ -48,7 +47,14 @@ def calibration_json(verdict: Judgement, optimizer: dict[str, Any]) -> dict[str,
     own = {
         **coefficients_json(calibration),
         "standard_errors": _standard_errors(calibration, verdict.standard_errors),
-        "optimizer": {**optimizer, **_effort(fit, optimizer["arithmetic"])},
+        "optimizer": {
+            **optimizer,
+            "iterations": fit.iterations,
+            "stop": fit.stop,
+            "converged": fit.converged,
+            "operations": asdict(fit.operations),
+            "predicted_seconds": predicted_seconds(fit.operations, optimizer["arithmetic"]),
+        },
     }
     return as_json(from_json(sections.CalibrationSection, own))
 
@@ -61,16 +67,6 @@ def _standard_errors(calibration: Calibration, errors: tuple[float, ...] | None)
     number = 9 if calibration.temperature is None else 12
     named = dict(zip(PARAMETER_NAMES[:number], scaled, strict=False))
     return named | dict(zip(UPPER_NAMES, scaled[12:], strict=False))
-
-
-def _effort(fit: Fit, arithmetic: Arithmetic) -> dict[str, Any]:
-    return {
-        "iterations": fit.iterations,
-        "stop": fit.stop,
-        "converged": fit.converged,
-        "operations": asdict(fit.operations),
-        "predicted_seconds": predicted_seconds(fit.operations, arithmetic),
-    }
 
 
 def holdout_section(holdout: results.Holdout | None) -> sections.HoldoutSection | None:
@@ -227,6 +223,10 @@ def losses(facts: Facts) -> dict[str, Any]:
 def clock_section(recording: Recording, facts: Facts, *, whole: bool = True) -> sections.ClockSection:
     """Return the section `file_health.clock`; what only a complete read shows is None if not `whole`."""
     jumps, change, rate = facts.jumps, facts.zone_change, facts.rate_hz
+    shift = None
+    if change is not None:
+        at, offsets = iso_time(change.at_us, change.before_s), (change.before_s, change.after_s)
+        shift = sections.ZoneChangeSection(at, *offsets, change.followed, change.note())
     return sections.ClockSection(
         rate_hz_nominal=recording.rate_hz,
         rate_hz_measured=rate,
@@ -234,14 +234,8 @@ def clock_section(recording: Recording, facts: Facts, *, whole: bool = True) -> 
         gaps=jumps.gaps if whole else None,
         gap_seconds=jumps.gap_us / 1e6 if whole else None,
         backward=jumps.back if whole else None,
-        dst_change=None if change is None else _zone_change(change),
+        dst_change=shift,
     )
-
-
-def _zone_change(change: ZoneChange) -> sections.ZoneChangeSection:
-    offsets = change.before_s, change.after_s
-    at = iso_time(change.at_us, change.before_s)
-    return sections.ZoneChangeSection(at, *offsets, change.followed, change.note())
 
 
 def notes_json(recording: Recording, facts: Facts) -> list[str]:
@@ -286,9 +280,18 @@ def build(data: ReportInput) -> dict[str, Any]:
     """Return the report without `provenance`: the same for the same input, settings and version."""
     facts = data.facts
     windows = replace(data.windows, raw_error_mg=facts.rest.error_mg)
+    health = HealthSection(
+        problems=tuple(map(problem_section, facts.problems)),
+        **asdict(facts.counts),
+        clipped_samples_after=data.clipped_after,
+        rate_hz_measured=facts.rate_hz,
+        **losses(facts),
+        clock=clock_section(data.recording, facts),
+        rest=rest_section(facts.rest),
+    )
     change = change_section(data.judgement.change, facts.utc_offset_s)
     judgement = replace(data.judgement, cautions=(*of_rows(facts), *data.judgement.cautions))
-    return completed(document(_recording(data), _health(data), windows, data, change) | data.taken, judgement)
+    return completed(document(_recording(data), health, windows, data, change) | data.taken, judgement)
 
 
 def document(
@@ -366,7 +369,10 @@ def _recording(data: ReportInput) -> RecordingSection:
         time_zone=zone_of_times(facts.utc_offset_s),
         samples=facts.samples,
         duration_s=duration_s(recording, facts),
-        gaps=tuple(_gap(gap, facts.utc_offset_s) for gap in facts.gaps),
+        gaps=tuple(
+            sections.Gap(gap.sample, iso_time(gap.start_us, facts.utc_offset_s), gap.seconds)
+            for gap in facts.gaps
+        ),
         gaps_omitted=facts.gaps_omitted,
         notes=notes_json(recording, facts),
         thermometer=recording.thermometer,
@@ -382,23 +388,6 @@ def file_name(path: Path) -> str:
 def duration_s(recording: Recording, facts: Facts) -> float:
     """Return the time from the first sample to one period after the last [s], without resets of the clock."""
     return facts.span_us / 1e6 + 1 / recording.rate_hz if facts.samples else 0.0
-
-
-def _gap(gap: results.Gap, offset_s: int | None) -> sections.Gap:
-    return sections.Gap(gap.sample, iso_time(gap.start_us, offset_s), gap.seconds)
-
-
-def _health(data: ReportInput) -> HealthSection:
-    facts = data.facts
-    return HealthSection(
-        problems=tuple(map(problem_section, facts.problems)),
-        **asdict(facts.counts),
-        clipped_samples_after=data.clipped_after,
-        rate_hz_measured=facts.rate_hz,
-        **losses(facts),
-        clock=clock_section(data.recording, facts),
-        rest=rest_section(facts.rest),
-    )
 
 
 def dumps(report: dict[str, Any], *, pretty: bool) -> str:
@@ -440,7 +429,7 @@ def draws_json(data: ReportInput, number: int) -> dict[str, Any]:
         "sha256": data.sha256,
         "asked_for": number,
         "calibration": calibration_json(verdict, data.optimizer),
-        "equation": DRAWS_EQUATION,
+        "equation": sections.EQUATION,
         "reference_c": drawn[0].reference_c() if drawn else None,
         "parameters": list(PARAMETER_NAMES),
         "draws": [

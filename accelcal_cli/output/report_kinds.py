@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.declared import as_json
+from accelcal_cli.core.declared import as_json, from_json
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.identity import REPORT, identity
 from accelcal_cli.core.reasons import Reason
@@ -22,7 +22,15 @@ from accelcal_cli.core.results import Holdout
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.advice import completed
 from accelcal_cli.output.report_reading import FAILURES, Document, report_schema
-from accelcal_cli.output.sections import HealthSection, OwnWindows, RecordingSection, WindowUse
+from accelcal_cli.output.sections import (
+    HealthSection,
+    LeftOutMember,
+    OwnWindows,
+    PoolMember,
+    PoolSection,
+    RecordingSection,
+    WindowUse,
+)
 
 FORMAT = "pool"
 TAKEN = (
@@ -84,9 +92,10 @@ class Member:
     path: Path
     sha256: str
 
-    def as_json(self) -> dict[str, Any]:
-        """Return an entry of `pool.recordings`."""
-        return {"path": printable(self.path), "sha256": self.sha256}
+    @property
+    def section(self) -> PoolMember:
+        """An entry of `pool.recordings`."""
+        return PoolMember(printable(self.path), self.sha256)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,34 +122,29 @@ class PoolInput(reports.JudgedInput):
 
 def build_pool(data: PoolInput) -> dict[str, Any]:
     """Return the report of a pool without `provenance`."""
-    report = reports.document(_pool_recording(data), HealthSection(), data.windows, data)
-    report = completed(report, data.judgement)
-    device = data.example.device
-    section = {
-        "serial": device.serial,
-        "recordings": [member.as_json() for member in data.members],
-        "left_out": [
-            {**member.as_json(), "reason": why.code, "values": dict(why.values)}
-            for member, why in data.left_out
-        ],
-    }
-    copies = {"copies": [copy.as_json() for copy in data.copies]} if data.copies else {}
-    return {**report, "pool": section | copies}
-
-
-def _pool_recording(data: PoolInput) -> RecordingSection:
-    example, members = data.example, data.members
-    return RecordingSection(
-        path=printable(f"pool of {len(members)} recordings of device {example.device.serial}"),
+    device, example, members = data.example.device, data.example, data.members
+    recording = RecordingSection(
+        path=printable(f"pool of {len(members)} recordings of device {device.serial}"),
         sha256=hashlib.sha256("".join(one.sha256 for one in members).encode()).hexdigest(),
         bytes=data.bytes,
         format=FORMAT,
-        device=replace(example.device, firmware=None),
+        device=replace(device, firmware=None),
         lsb_per_g=example.lsb_per_g,
         range_g=example.range_g,
         samples=data.samples,
         notes=list(data.notes),
     )
+    report = completed(reports.document(recording, HealthSection(), data.windows, data), data.judgement)
+    section = PoolSection(
+        serial=device.serial or "",
+        recordings=tuple(member.section for member in members),
+        left_out=tuple(
+            LeftOutMember(printable(member.path), member.sha256, why.code, why.values)
+            for member, why in data.left_out
+        ),
+        copies=tuple(copy.section for copy in data.copies) or None,
+    )
+    return {**report, "pool": as_json(section)}
 
 
 def of_member(pool: Document, report: Path, holdout: Holdout | None) -> dict[str, Any]:
@@ -153,10 +157,10 @@ def of_member(pool: Document, report: Path, holdout: Holdout | None) -> dict[str
     relative = Path(os.path.relpath(pool.path, report.parent)).as_posix()
     own = None
     if holdout is not None:
-        own = as_json(OwnWindows(holdout.points, holdout.postures, holdout.before, holdout.after))
-    pooled = pool.report["pool"]
-    section = {**pooled, "path": printable(relative), "sha256": pool.content_sha256, "own_windows": own}
-    return {**{name: pool.report.get(name) for name in TAKEN}, "pool": section}
+        own = OwnWindows(holdout.points, holdout.postures, holdout.before, holdout.after)
+    pooled = from_json(PoolSection, pool.report["pool"])
+    section = replace(pooled, path=printable(relative), sha256=pool.content_sha256, own_windows=own)
+    return {**{name: pool.report.get(name) for name in TAKEN}, "pool": as_json(section)}
 
 
 def failure_code(exit_code: int) -> str:

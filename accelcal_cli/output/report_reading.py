@@ -172,10 +172,7 @@ IF_HELD_OUT = {
 }
 HELD_OUT = [
     {"properties": {"holdout": {"type": "object"}}},
-    {
-        "properties": {"known_orientations": {"required": ["unchecked"]}},
-        "required": ["known_orientations"],
-    },
+    {"properties": {"known_orientations": {"required": ["unchecked"]}}, "required": ["known_orientations"]},
 ]
 CONDITIONS = [
     {

@@ -70,6 +70,12 @@ FIGURES = {
 }
 """Measures of activity that have an interval."""
 
+VERSIONS = {
+    "raw": "Raw values",
+    "calibrated": "Calibrated values",
+    "without_misalignment": "Values calibrated without misalignment",
+}
+
 
 @dataclass(frozen=True, slots=True)
 class Gap:
@@ -649,19 +655,19 @@ class Provenance:
     ] = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AppliedCoefficients:
     """`coefficients`."""
 
     path: Annotated[str, Key("File of the coefficients")]
     sha256: Annotated[str, Key("SHA-256 of that file", pattern=SHA256)]
+    without_provenance: Annotated[bool | None, Key("True if the hash leaves provenance out", absent=True)] = (
+        None
+    )
     recording_path: Annotated[str, Key("Recording that they were found from")]
     recording_sha256: Annotated[str, Key("SHA-256 of that recording", pattern=SHA256)]
     device: Annotated[Device, Key("Device of that recording")]
     accelcal_version: Annotated[str, Key("Version of accelcal that found them")]
-    without_provenance: Annotated[bool | None, Key("True if the hash leaves provenance out", absent=True)] = (
-        None
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -772,22 +778,11 @@ class ActivitySection:
 
 
 @dataclass(frozen=True, slots=True)
-class ActivityVersions:
-    """`effect.versions`."""
-
-    raw: Annotated[ActivitySection, Key("Raw values")]
-    calibrated: Annotated[ActivitySection, Key("Calibrated values")]
-    without_misalignment: Annotated[
-        ActivitySection | None, Key("Values calibrated without misalignment", absent=True)
-    ] = None
-
-
-@dataclass(frozen=True, slots=True)
 class Excess:
     """`effect.raw_bias.NAME`."""
 
-    value: Annotated[float, Key("By how much the raw value is too large")]
-    ci95: Annotated[Pair, Key("Its 95 % interval")]
+    value: Annotated[float, Key("By how much the raw value is too large", digits=4)]
+    ci95: Annotated[Pair, Key("Its 95 % interval", digits=4)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -798,8 +793,10 @@ class EffectSection:
     epochs: Annotated[int, Key("Number of epochs", least=0)]
     short_epochs: Annotated[int, Key("Epochs that are not complete", least=0)]
     left_out: Annotated[LeftOutSamples, Key("Samples that take no part")]
-    left_out_percent: Annotated[float, Key("The same in percent", least=0)]
-    versions: Annotated[ActivityVersions, Key("Measures by version of the values")]
+    left_out_percent: Annotated[float, Key("The same in percent", least=0, digits=4)]
+    versions: Annotated[
+        Mapping[str, ActivitySection], Key("Measures by version of the values", entries=VERSIONS, needed=2)
+    ]
     ci95: Annotated[
         Mapping[str, Pair] | None,
         Key(

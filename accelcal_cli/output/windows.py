@@ -84,11 +84,9 @@ class WindowTable:
         assert windows.start_us is not None
         mean_g = windows.sums / (windows.samples[:, np.newaxis] * self.lsb_per_g)
         spread_g = windows.spread / self.lsb_per_g
-        nothing = np.full(len(windows), np.nan)
-        heat = nothing
+        heat = after = np.full(len(windows), np.nan)
         if windows.temperature_sums is not None:
             heat = windows.temperature_sums / (windows.samples * 1000)
-        after = nothing
         if self.calibration is not None:
             after = _lengths(_calibrated(mean_g, windows, heat, self.calibration))
         return {
@@ -142,23 +140,22 @@ def write_windows(table: WindowTable, path: Path, metadata: dict[str, Any]) -> N
     """
     parts = table.parts(WRITTEN_AT_ONCE)
     if path.suffix.lower() == ".csv":
-        write_csv(path, COLUMNS, (row for part in parts for row in _rows(part)))
+        write_csv(path, COLUMNS, (row for part in parts for row in zip(*_cells(part), strict=True)))
     else:
         _write_parquet(parts, path, metadata)
 
 
-def _rows(table: WindowTable) -> Iterator[tuple[object, ...]]:
+def _cells(table: WindowTable) -> Iterator[Sequence[object]]:
+    """Yield the columns as cells of a text, None where there is nothing."""
     columns = table.columns()
-    return zip(*(_cells(table, columns, name) for name in COLUMNS), strict=True)
-
-
-def _cells(table: WindowTable, columns: dict[str, NDArray[Any]], name: str) -> Sequence[object]:
-    values = columns[name].tolist()
-    if name == TIME:
-        return [iso_time(value, table.utc_offset_s) for value in values]
-    if name in NUMBERS:
-        return [None if value < 0 else value for value in values]
-    return values if name in TEXT else [None if isnan(value) else value for value in values]
+    for name in COLUMNS:
+        values = columns[name].tolist()
+        if name == TIME:
+            yield [iso_time(value, table.utc_offset_s) for value in values]
+        elif name in NUMBERS:
+            yield [None if value < 0 else value for value in values]
+        else:
+            yield values if name in TEXT else [None if isnan(value) else value for value in values]
 
 
 def _write_parquet(parts: Iterator[WindowTable], path: Path, metadata: dict[str, Any]) -> None:

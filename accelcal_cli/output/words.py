@@ -439,6 +439,54 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
 """Sentences of the codes of reasons: formats of their values, or functions of them."""
 
 
+def _left_out(values: Values) -> str:
+    why = PHRASES["why"][1](values) if values.get("why") else "the held-out error is no lower with it."
+    return f" It leaves {values['left_out']} out: {why}" if values["left_out"] else ""
+
+
+def _unchecked_faces(values: Values) -> str:
+    faces, missing = values["unchecked"], values.get("missing")
+    named = f" (missing: {listed(missing)})" if missing else ""
+    return f" Nothing checks {listed(faces)}, without which there is no fit{named}." if faces else ""
+
+
+PHRASES: dict[str, tuple[str, Callable[[Values], Any]]] = {
+    "why": ("why", lambda values: begun_small(sentence(Reason(**values["why"])))),
+    "pool": ("pool", lambda values: sentence(Reason(**values["pool"]))),
+    "model_asked_for": (
+        "model",
+        lambda values: f"Model {values['model']}{', as asked for' if values.get('asked_for') else ''}",
+    ),
+    "of_what": (
+        "of",
+        lambda values: "Gravity measures" if values["of"] == "rest" else "The median of |a| is",
+    ),
+    "that": (
+        "sides",
+        lambda values: "that orientation" if len(values["sides"]) == 1 else "those orientations",
+    ),
+    "each": (
+        "sides",
+        lambda values: "that orientation" if len(values["sides"]) == 1 else "each of those orientations",
+    ),
+    "parameters": (
+        "parameters",
+        lambda values: [PARAMETERS.get(one, one).partition(" [")[0] for one in values["parameters"]],
+    ),
+    "left_out_because": ("left_out", _left_out),
+    "unusual_scale": (
+        "unusual",
+        lambda values: (
+            " The scale is far from 1: check the units and the axes of the gyroscope."
+            if values["unusual"]
+            else ""
+        ),
+    ),
+    "unchecked_faces": ("unchecked", _unchecked_faces),
+}
+"""Parts of sentences: the value without which there is no such part, and how it is made."""
+
+
 class _Words(Formatter):
     """Formats values for sentences: `n NOUN` counts, `list` joins, `mg` writes an error."""
 
@@ -476,37 +524,10 @@ def begun_small(text: str) -> str:
 
 def _phrases(values: Values) -> Values:
     """Return parts of sentences that depend on several values."""
-    smaller = times_smaller(values.get("factor"), values.get("factor_ci95"))
-    phrases: dict[str, Any] = {"unusual_scale": "", "times_smaller": smaller}
-    for name in ("why", "pool"):
-        if values.get(name) is not None:
-            phrases[name] = sentence(Reason(**values[name]))
-    if "why" in phrases:
-        phrases["why"] = begun_small(phrases["why"])
-    if "model" in values:
-        phrases["model_asked_for"] = (
-            f"Model {values['model']}{', as asked for' if values.get('asked_for') else ''}"
-        )
-    if "of" in values:
-        phrases["of_what"] = "Gravity measures" if values["of"] == "rest" else "The median of |a| is"
-    if "sides" in values:
-        phrases["that"] = "that orientation" if len(values["sides"]) == 1 else "those orientations"
-        phrases["each"] = ("" if len(values["sides"]) == 1 else "each of ") + phrases["that"]
-    if "parameters" in values:
-        phrases["parameters"] = [PARAMETERS.get(one, one).partition(" [")[0] for one in values["parameters"]]
-    left_out, why = values.get("left_out"), phrases.get("why", "the held-out error is no lower with it.")
-    phrases["left_out_because"] = f" It leaves {left_out} out: {why}" if left_out else ""
-    if values.get("unusual"):
-        phrases["unusual_scale"] = " The scale is far from 1: check the units and the axes of the gyroscope."
-    phrases["errors_here"] = _errors_here(values)
-    faces, missing = values.get("unchecked"), values.get("missing")
-    phrases["unchecked_faces"] = (
-        f" Nothing checks {listed(faces)}, without which there is no fit"
-        f"{f' (missing: {listed(missing)})' if missing else ''}."
-        if faces
-        else ""
-    )
-    return phrases
+    always = {"times_smaller": times_smaller(values.get("factor"), values.get("factor_ci95"))}
+    always |= {"errors_here": _errors_here(values), "left_out_because": "", "unusual_scale": ""}
+    found = {name: make(values) for name, (of, make) in PHRASES.items() if values.get(of) is not None}
+    return {**always, "unchecked_faces": "", **found}
 
 
 def _errors_here(values: Values) -> str:
@@ -542,15 +563,15 @@ def error_sentence(report: ReportView) -> str:
         held_out = "mg on held-out orientations, direction included"
         return f"Error {number(after)} {held_out} (raw data {number(before)} mg)."
     if holdout is not None:
-        before = holdout.before_mg.mean
-        after = holdout.after_mg.mean
+        before, after = holdout.before_mg.mean, holdout.after_mg.mean
         return (
             f"Error {number(after)} mg on held-out orientations (raw data {number(before)} mg)"
-            f"{_times_smaller(holdout)}."
+            f"{smaller_by(holdout)}."
         )
     return "Its error is not known."
 
 
-def _times_smaller(holdout: HoldoutSection) -> str:
+def smaller_by(holdout: HoldoutSection) -> str:
+    """Return how many times smaller a held-out error became, as the end of a sentence."""
     factor = holdout.improvement_factor
     return "" if factor is None else times_smaller(factor.value, factor.ci95)

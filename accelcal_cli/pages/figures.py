@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from math import ceil, floor, hypot, log10
 
 from markupsafe import Markup
@@ -163,40 +162,28 @@ def error_by_hour(data: TimeSeries, change: ChangeSection | None) -> Figure | No
     values = [min(max(one, LEAST_MG), LARGEST_MG) for column in columns for one in column if one is not None]
     if not values:
         return None
-    low, high = floor(log10(min(values))), ceil(log10(max(values)))
-    ends = (10.0**low, 10.0 ** max(high, low + 1))
+    ends = _powers_around(values)
     area = svg.plot((0, data.seconds), ends, 22, 250, powers=True)
     body = [_time_axes(area, data, svg.power_ticks(*ends), "error [mg]")]
     for when, table in data.errors.items():
         body.append(area.band(data.spans, table["mean"], table["p95"], f"{when}-band"))
         body.append(area.steps(data.spans, table["mean"], when))
     body.append(_legend(list(data.errors)))
-    at, changed_at = _changed(data, change)
-    if at is not None:
-        body.append(area.upright(at, "the sensor changed"))
-    sentences = []
-    for when, table in data.errors.items():
-        known = [one for one in table["mean"] if one is not None]
-        sentences.append(f"{WORDS[when]} the hourly mean is {_range(known)} mg")
+    changed_at, changed = "", None if change is None else change.at
+    if changed is not None:
+        changed_at = f" The sensor changed at {changed.partition('.')[0].replace('T', ' ')}."
+        if (at := data.since_start(changed)) is not None:
+            body.append(area.upright(at, "the sensor changed"))
+    sentences = [
+        f"{WORDS[when]} the hourly mean is {_range([one for one in table['mean'] if one is not None])} mg"
+        for when, table in data.errors.items()
+    ]
     title = "Error by the hour"
     text = (
         f"{_sentence(sentences)} Lines are means, areas reach up to the 95th percentile; "
         f"the scale is logarithmic.{changed_at}"
     )
     return Figure("error", title, svg.figure("error", title, text, 290, body), text)
-
-
-def _changed(data: TimeSeries, change: ChangeSection | None) -> tuple[float | None, str]:
-    """Return when the sensor changed, as seconds from the start, and a sentence."""
-    at = None if change is None else change.at
-    if at is None:
-        return None, ""
-    shown = at.partition(".")[0].replace("T", " ")
-    try:
-        seconds = (datetime.fromisoformat(at) - datetime.fromisoformat(data.times[0])).total_seconds()
-    except (ValueError, TypeError):
-        return None, f" The sensor changed at {shown}."
-    return (seconds if 0 <= seconds <= data.seconds else None), f" The sensor changed at {shown}."
 
 
 def residual_by_temperature(data: TimeSeries) -> Figure | None:
@@ -206,18 +193,15 @@ def residual_by_temperature(data: TimeSeries) -> Figure | None:
         return None
     when = "after" if "after" in data.points else "before"
     values = data.points[when]
-    low, high = (
-        _percentiles(values, data.points["windows"], (0.5, 99.5))
-        if sum(data.points["windows"])
-        else (0.0, 0.0)
-    )
-    reach = max(abs(low), abs(high), 0.05) * 1.1
+    windows = data.points["windows"]
+    ends = _percentiles(values, windows, (0.5, 99.5)) if sum(windows) else (0.0, 0.0)
+    reach = max(*map(abs, ends), 0.05) * 1.1
     cool, warm = min(heat) - 0.2, max(heat) + 0.2
     area = svg.plot((cool, warm), (-reach, reach), 22, 230)
     axes = area.axes(svg.ticks(cool, warm), svg.ticks(-reach, reach), "temperature [°C]", "|a| − 1 g [mg]")
     body = [axes, area.dots(zip(heat, values, strict=True))]
     title = f"Remaining error by temperature, {WORDS[when]}"
-    per_c = _slope(heat, values, data.points["windows"])
+    per_c = _slope(heat, values, windows)
     text = (
         "Each dot is the mean of one orientation at rest "
         f"({len(heat)} in all, {number(min(heat))} to {number(max(heat))} °C). "
@@ -290,37 +274,22 @@ def _gap_lane(data: TimeSeries, recording: RecordingSection, top: float) -> str:
     """Draw the gaps that the report lists."""
     ways, track = [], path(_box(data, (0, data.seconds), top + 2, 16), "lane-off")
     for gap in recording.gaps:
-        try:
-            begun = datetime.fromisoformat(gap.start_time or "") - datetime.fromisoformat(data.times[0])
-        except (ValueError, TypeError):
-            continue
-        seconds = begun.total_seconds()
-        if 0 <= seconds <= data.seconds and gap.seconds > 0:
+        if gap.seconds > 0 and (seconds := data.since_start(gap.start_time)) is not None:
             ways.append(_box(data, (seconds, seconds + gap.seconds), top + 2, 16))
     return track + path("".join(dict.fromkeys(ways)), "lane-bad")
 
 
-def _worn_sentence(worn: int, known: int) -> str:
-    if not known:
-        return "no hour has enough data to tell whether the device was worn"
-    which = f"all {known}" if worn == known else f"{worn} of the {known}"
-    return f"worn in {which} hours with enough data to tell"
-
-
 def _timeline_sentence(data: TimeSeries, recording: RecordingSection) -> str:
     """Put the timeline into a sentence."""
-    worn = Counter(data.worn)
-    known = worn[True] + worn[False]
-    rows = data.rows
-    still, moving = sum(rows["still"]), sum(rows["moving"])
-    share = (
-        f"{number(100 * still / (still + moving))} % of the windows were still"
-        if still + moving
-        else "there is no window"
-    )
-    sentences = [_worn_sentence(round(worn[True]), round(known)), share]
-    gaps = recording.all_gaps
-    gap_s = number(sum(rows["gap_s"]))
+    worn, known, rows = data.worn.count(True), len(data.worn) - data.worn.count(None), data.rows
+    sentences = ["no hour has enough data to tell whether the device was worn"]
+    if known:
+        which = f"all {known}" if worn == known else f"{worn} of the {known}"
+        sentences = [f"worn in {which} hours with enough data to tell"]
+    still, windows = sum(rows["still"]), sum(rows["still"]) + sum(rows["moving"])
+    share = f"{number(100 * still / windows)} % of the windows were still" if windows else ""
+    sentences.append(share or "there is no window")
+    gaps, gap_s = recording.all_gaps, number(sum(rows["gap_s"]))
     sentences.append(f"{counted(gaps, 'gap')} of {gap_s} s in all" if gaps else "no gaps")
     for name, word, _ in LANES:
         if total := sum(rows[name]):
@@ -335,10 +304,7 @@ def convergence(data: TimeSeries) -> Figure | None:
     values = [min(max(one, LEAST_MG / 100), LARGEST_MG) for one in data.convergence]
     if len(values) < 2:
         return None
-    ends = (
-        10.0 ** floor(log10(min(values))),
-        10.0 ** max(ceil(log10(max(values))), floor(log10(min(values))) + 1),
-    )
+    ends = _powers_around(values)
     area = svg.plot((0, len(values) - 1), ends, 22, 200, powers=True)
     whole = [(at, text) for at, text in svg.ticks(0, len(values) - 1) if float(at).is_integer()]
     axes = area.axes(whole, svg.power_ticks(*ends), "steps of the fit", "error [mg]")
@@ -363,7 +329,13 @@ def sphere(data: TimeSeries, report: ReportView) -> Figure | None:
         body.append(_least_certain(halves, report.calibration_error_mg.worst_direction_at))
     body.append(label(WIDTH / 2, 350, SHADES, "soft", "middle"))
     number_of = 2 * len(svg.all_cells())
-    missing = empty_subsets(report.coverage.subsets)
+    subsets = report.coverage.subsets
+    missing = [
+        f"{axis} near {near}"
+        for place, axis in enumerate("xyz")
+        for near, counts in zip(NEAR, subsets, strict=True)
+        if not counts[place]
+    ]
     named = f"Missing: {listed(missing)}." if missing else "It was still near −1, 0 and +1 g on each axis."
     title = "Orientations in which the device was still"
     text = f"The device was still in {len(filled)} of {number_of} equal areas of the sphere. {named}"
@@ -398,20 +370,12 @@ def _faces(halves: Sequence[svg.Hemisphere], subsets: Sequence[Sequence[int]]) -
         sign = "+" if half.side > 0 else "−"
         for axis, turn in (("x", (1, 0)), ("y", (0, 1))):
             for level, way in ((2, 1), (0, -1)):
-                x, y, _ = (way * turn[0], way * turn[1], 0)
-                at = half.place((x, y, 0))
+                at = half.place((way * turn[0], way * turn[1], 0))
                 number_of = subsets[level]["xyz".index(axis)]
                 parts.append(_face(at, half, f"{'+' if way > 0 else '−'}{axis}", number_of))
         points = subsets[2 if half.side > 0 else 0][2]
-        parts.append(
-            label(
-                half.x,
-                half.y - 160,
-                f"{sign}z half, {counted(points, 'point') if points else 'no point'} near {sign}z",
-                "strong" if points else "bad",
-                "middle",
-            )
-        )
+        text = f"{sign}z half, {counted(points, 'point') if points else 'no point'} near {sign}z"
+        parts.append(label(half.x, half.y - 160, text, "strong" if points else "bad", "middle"))
     return parts
 
 
@@ -425,9 +389,8 @@ def _face(at: tuple[float, float], half: svg.Hemisphere, name: str, points: int)
         return label(x + out, y + down, name, "strong", anchor)
     if not out:
         return label(x, y + down, f"{name} empty", "bad", anchor)
-    return label(x + out, y + down, name, "bad", anchor) + label(
-        x + out, y + down + 14, "empty", "bad", anchor
-    )
+    below = label(x + out, y + down + 14, "empty", "bad", anchor)
+    return label(x + out, y + down, name, "bad", anchor) + below
 
 
 def _least_certain(halves: Sequence[svg.Hemisphere], direction: Sequence[float]) -> str:
@@ -441,14 +404,10 @@ def _least_certain(halves: Sequence[svg.Hemisphere], direction: Sequence[float])
     return path(f"M{corner}l12 12m-12 0l12-12", "mark")
 
 
-def empty_subsets(subsets: Sequence[Sequence[int]]) -> list[str]:
-    """Name those of the nine subsets of F that have no point, such as `x near −1 g`."""
-    return [
-        f"{axis} near {NEAR[row]}"
-        for place, axis in enumerate("xyz")
-        for row in range(3)
-        if not subsets[row][place]
-    ]
+def _powers_around(values: Sequence[float]) -> tuple[float, float]:
+    """Return the two different powers of ten between which values lie."""
+    low, high = floor(log10(min(values))), ceil(log10(max(values)))
+    return 10.0**low, 10.0 ** max(high, low + 1)
 
 
 def _time_axes(area: svg.Plot, data: TimeSeries, y_ticks: list[svg.Tick], y_name: str) -> str:

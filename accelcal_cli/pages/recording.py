@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from accelcal_cli.core.errors import counted
@@ -23,7 +22,6 @@ from accelcal_cli.output.sections import (
     PoseSection,
     ReportView,
     Roll,
-    TrialSection,
     report_view,
 )
 from accelcal_cli.output.words import PARAMETERS, clause, corrections_of, sentence
@@ -186,7 +184,7 @@ def _activity(report: ReportView) -> PageTable | None:
     if effect is None:
         return None
     intervals, biases = effect.ci95 or {}, effect.raw_bias or {}
-    raw, calibrated = effect.versions.raw, effect.versions.calibrated
+    raw, calibrated = effect.versions["raw"], effect.versions["calibrated"]
     rows: Rows = []
     for name, text in ACTIVITY.items():
         interval, bias = intervals.get(name), biases.get(name)
@@ -205,16 +203,12 @@ def _models(report: ReportView) -> PageTable | None:
     for at, trial in enumerate(report.models_tried):
         prior = f"with the {trial.prior} prior" if trial.prior else ""
         chosen_with = f"chosen ({prior})" if prior else "chosen"
-        why = "; ".join(filter(None, (chosen_with if at == chosen else prior, _why(trial))))
+        reason = clause(Reason(trial.reason, trial.values)) if trial.reason else ""
+        why = "; ".join(filter(None, (chosen_with if at == chosen else prior, reason)))
         rows.append([trial.model, corrections_of(trial.model), number(trial.after_mg), why])
     head = ["Model", "Corrects", "Held-out error [mg]", "Remark"]
     caption = "Models compared, by error on held-out orientations"
     return PageTable(caption, head, rows, (0, 1, 3)) if rows else None
-
-
-def _why(trial: TrialSection) -> str:
-    """Return why a model was not taken, in words; empty if it could be."""
-    return clause(Reason(trial.reason, trial.values)) if trial.reason else ""
 
 
 def _misfits(report: ReportView) -> PageTable | None:
@@ -236,6 +230,7 @@ def _misfits(report: ReportView) -> PageTable | None:
 def _health(report: ReportView) -> PageTable:
     """Return the state of the file."""
     health, gaps = report.file_health, str(report.recording.all_gaps)
+    filled, samples = health.filled_samples, report.recording.samples
     lost, rate, clock = health.lost_percent, health.rate_hz_measured, health.clock
     gap_s, drift = (None, None) if clock is None else (clock.gap_seconds, clock.drift_s_per_day)
     facts = [
@@ -245,7 +240,10 @@ def _health(report: ReportView) -> PageTable:
             None if lost is None else f"{number(lost)} % ({counted(health.lost_bytes or 0, 'byte')})",
         ),
         ("Gaps", f"{gaps}, {number(gap_s)} s in all" if gap_s else gaps),
-        ("Filled samples", _share(health.filled_samples, report.recording.samples)),
+        (
+            "Filled samples",
+            f"{filled} ({number(100 * filled / samples)} %)" if filled and samples else str(filled),
+        ),
         ("Samples at the sensor's range", str(health.clipped_samples_before)),
         ("Measured rate", None if rate is None else f"{number(rate, 6)} Hz"),
         ("Drift of the clock", None if drift is None else f"{number(drift)} s per day"),
@@ -253,15 +251,9 @@ def _health(report: ReportView) -> PageTable:
     return PageTable("The file", ["", ""], [[name, value] for name, value in facts if value is not None])
 
 
-def _share(part: int, whole: int) -> str:
-    """Write a number of samples with its share of all."""
-    return f"{part} ({number(100 * part / whole)} %)" if part and whole else str(part)
-
-
 def _windows(report: ReportView) -> PageTable:
-    counts = report.fit.windows
-    numbers = {text: getattr(counts, name) for name, text in WINDOWS.items()}
-    rows = [[text, str(number)] for text, number in numbers.items() if number]
+    counts = {text: getattr(report.fit.windows, name) for name, text in WINDOWS.items()}
+    rows = [[text, str(count)] for text, count in counts.items() if count]
     return PageTable("Windows", ["", "Number"], rows)
 
 
@@ -298,20 +290,8 @@ def _origin(report: ReportView) -> list[tuple[str, str]]:
     return [(name, value) for name, value in facts if value]
 
 
-@dataclass(frozen=True, slots=True)
-class KnownOrientationsPart:
-    """The part of the page about known orientations.
-
-    Attributes:
-        caution: sentence that nothing was held out; None where something was.
-    """
-
-    caution: str | None
-    poses: PageTable
-    rolls: PageTable | None
-
-
-def _known_orientations(report: ReportView) -> KnownOrientationsPart | None:
+def _known_orientations(report: ReportView) -> dict[str, Any] | None:
+    """Return the tables of poses and rolls, and whether nothing was held out, in a sentence."""
     if report.known_orientations is None or report.poses is None:
         return None
     rolls: Rows = [
@@ -320,11 +300,11 @@ def _known_orientations(report: ReportView) -> KnownOrientationsPart | None:
     ]
     head = ["Axis", "Where", "Shows [mg] (SD)", "Calibrated [mg] (SD)"]
     caption = "Rolls about a level axis, on which gravity should be 0"
-    return KnownOrientationsPart(
-        " ".join(sentence(one) for one in report.cautions if one.code.endswith("checks_poses")) or None,
-        _poses(report.poses),
-        PageTable(caption, head, rolls, (0, 1)) if rolls else None,
-    )
+    return {
+        "caution": " ".join(sentence(one) for one in report.cautions if one.code.endswith("checks_poses")),
+        "poses": _poses(report.poses),
+        "rolls": PageTable(caption, head, rolls, (0, 1)) if rolls else None,
+    }
 
 
 def _poses(poses: tuple[PoseSection, ...]) -> PageTable:
@@ -352,27 +332,13 @@ def _level(level: Level | None) -> str:
     return "–" if level is None else f"{number(level.mean)} ({number(level.sd)})"
 
 
-@dataclass(frozen=True, slots=True)
-class GyroscopePart:
-    """The part of the page about the gyroscope.
-
-    Attributes:
-        verdict: a sentence; reason: the report's message.
-        coefficients: None if it was refused; errors: None if it never rested.
-    """
-
-    verdict: str
-    reason: str
-    coefficients: PageTable | None
-    errors: PageTable | None
-
-
-def _gyroscope(gyroscope: GyroscopeSection) -> GyroscopePart:
+def _gyroscope(gyroscope: GyroscopeSection) -> dict[str, Any]:
+    """Return the verdict, its reason, and the tables of coefficients and errors, where there are any."""
     verdict = "Calibrated: angular rates in the calibrated recording are corrected."
     if gyroscope.outcome == "refused":
         verdict = "Not calibrated: angular rates in the calibrated recording are as measured."
-    coefficients, errors = _gyroscope_coefficients(gyroscope), _gyroscope_errors(gyroscope)
-    return GyroscopePart(verdict, gyroscope.message, coefficients, errors)
+    tables = {"coefficients": _gyroscope_coefficients(gyroscope), "errors": _gyroscope_errors(gyroscope)}
+    return {"verdict": verdict, "reason": gyroscope.message, **tables}
 
 
 def _gyroscope_coefficients(gyroscope: GyroscopeSection) -> PageTable | None:
@@ -381,14 +347,10 @@ def _gyroscope_coefficients(gyroscope: GyroscopeSection) -> PageTable | None:
         return None
     unknown = ((None,) * 3,) * 3
     rows: Rows = [
-        [
-            f"s_{row}{column}",
-            f"scale of {row}" if row == column else f"{column} in {row}",
-            millionths(value),
-            millionths(error),
-        ]
+        [f"s_{row}{column}", words, millionths(value), millionths(error)]
         for row, values, of_row in zip("xyz", gyroscope.scale, errors.scale or unknown, strict=True)
         for column, value, error in zip("xyz", values, of_row, strict=True)
+        for words in (f"scale of {row}" if row == column else f"{column} in {row}",)
     ]
     for axis, value, error in zip("xyz", bias, errors.bias_dps or (None,) * 3, strict=True):
         rows.append([f"b{axis}", f"bias of {axis} [deg/s]", millionths(value), millionths(error)])
@@ -403,17 +365,11 @@ def _gyroscope_errors(gyroscope: GyroscopeSection) -> PageTable | None:
     holdout, rest = gyroscope.holdout_deg, gyroscope.rest
     rows: Rows = []
     if holdout is not None:
-        low, high = holdout.ci95
-        rows += [
-            [
-                f"Gravity after a turn, raw, median of {counted(gyroscope.pairs, 'turn')}",
-                f"{number(holdout.before)} degrees off",
-            ],
-            [
-                "The same on turns that took no part, calibrated",
-                f"{number(holdout.after)} degrees off (95 % interval {number(low)} to {number(high)})",
-            ],
-        ]
+        raw = f"Gravity after a turn, raw, median of {counted(gyroscope.pairs, 'turn')}"
+        rows.append([raw, f"{number(holdout.before)} degrees off"])
+        between = " to ".join(map(number, holdout.ci95))
+        after = f"{number(holdout.after)} degrees off (95 % interval {between})"
+        rows.append(["The same on turns that took no part, calibrated", after])
     if rest is not None:
         rows.append(["At rest, raw", f"{number(rest.raw_dps)} deg/s"])
         for rate, text in ((rest.constant_dps, "less a bias"), (rest.slope_dps, "less a bias with a slope")):

@@ -63,11 +63,8 @@ def rendered_fragment(**values: Any) -> str:
     rules = [line for line in css.splitlines() if line.startswith(("svg ", ".verdict"))]
     own = re.sub(r"(^|} |, )(svg |\.verdict)", r"\1.accelcal \2", "\n".join(rules), flags=re.MULTILINE)
     own += "\n.accelcal svg { max-width: 760px; }"
-    return (
-        _environment()
-        .get_template("fragment.html")
-        .render(colours=Markup(colours), style=Markup(own), **values)
-    )
+    page = _environment().get_template("fragment.html")
+    return page.render(colours=Markup(colours), style=Markup(own), **values)
 
 
 def shown(value: Any) -> Any:

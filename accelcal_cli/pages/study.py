@@ -91,10 +91,6 @@ class DeviceLine:
     offset: figures.Drift | None
     percent: figures.Drift | None
 
-    def as_printable(self) -> DeviceLine:
-        """Return the line with texts that can be shown."""
-        return replace(self, name=printable(self.name), reasons=tuple(map(printable, self.reasons)))
-
 
 @dataclass(frozen=True, slots=True)
 class StudyContent:
@@ -159,11 +155,8 @@ KINDS = (
 
 
 def page(study: StudyContent) -> str:
-    """Return the whole page as HTML.
-
-    The same content gives the same text.
-    """
-    devices = [line.as_printable() for line in study.devices]
+    """Return the whole page as HTML; the same content gives the same text."""
+    devices = _devices(study)
     limit_mg = _limit_mg(study.summary)
     entries = [_Entry(row, href, limit_mg) for row, href in zip(study.rows, study.pages, strict=True)]
     once = [entry for entry in entries if not entry.copy_of]
@@ -177,10 +170,7 @@ def page(study: StudyContent) -> str:
         notes=_notes(study.summary),
         outcomes=_outcomes(once),
         first=[(kind, len(members), members[:FIRST]) for kind, members in groups],
-        service=[line for line in devices if line.verdict in SERVICE][:FIRST],
-        to_service=sum(line.verdict in SERVICE for line in devices),
         groups=_listed(groups),
-        problems=sum(len(members) for _, members in groups),
         scatter=scatter,
         dots=scatter.dots([entry.outcome for entry in entries]),
         limit=scatter.limit(limit_mg),
@@ -190,12 +180,7 @@ def page(study: StudyContent) -> str:
         ),
         wear=by_wear([entry.wear for entry in once]),
         marked=_marked(scatter, entries, groups),
-        devices=devices,
-        troubled=[line for line in devices if line.verdict in TROUBLED],
-        verdicts=Counter(line.verdict for line in devices),
-        drifts=figures.drifts([(line.name, line.offset) for line in devices], study.drift_limit_mg),
-        drift_limit=f"{study.drift_limit_mg:g}",
-        nameless=counted(study.nameless, "recording") if study.nameless else None,
+        **devices,
         csv=study.csv,
         strips=strips([(entries[at].path, entries[at].href, hours) for at, hours in study.hours]),
         origin=[(name, printable(value)) for name, value in study.origin],
@@ -206,11 +191,30 @@ def page(study: StudyContent) -> str:
         data=embedded(
             {
                 "recordings": _recordings_table(entries, scatter),
-                "devices": _devices_table(devices),
+                "devices": _devices_table(devices["devices"]),
                 "decisions": decisions.rows(study.summary),
             }
         ),
     )
+
+
+def _devices(study: StudyContent) -> dict[str, Any]:
+    """Return what the page says of the devices."""
+    lines = [
+        replace(line, name=printable(line.name), reasons=tuple(map(printable, line.reasons)))
+        for line in study.devices
+    ]
+    service = [line for line in lines if line.verdict in SERVICE]
+    return {
+        "devices": lines,
+        "service": service[:FIRST],
+        "to_service": len(service),
+        "troubled": [line for line in lines if line.verdict in TROUBLED],
+        "verdicts": Counter(line.verdict for line in lines),
+        "drifts": figures.drifts([(line.name, line.offset) for line in lines], study.drift_limit_mg),
+        "drift_limit": f"{study.drift_limit_mg:g}",
+        "nameless": counted(study.nameless, "recording") if study.nameless else None,
+    }
 
 
 class _Entry:
@@ -231,9 +235,6 @@ class _Entry:
         self.copy_of: str | None = self.row["copy_of"]
         self.message: str = self.row["message"] or ""
         self.changed = self.row["change"] not in (None, "none")
-        self.problem = self._weightiest(limit_mg)
-
-    def _weightiest(self, limit_mg: float) -> ProblemKind | None:
         has = {
             "failed": self.row["outcome"] == "failed",
             "changed": self.changed,
@@ -243,7 +244,7 @@ class _Entry:
             "damaged": (self.row["lost_percent"] or 0.0) >= DAMAGED_FROM_PERCENT,
             "misfit": self.row["misfits"] not in (None, "none"),
         }
-        return next((kind for kind in KINDS if has[kind.key]), None)
+        self.problem = next((kind for kind in KINDS if has[kind.key]), None)
 
     def order(self) -> tuple[float, str]:
         """Return the place among recordings with the same problem, the worst first."""
@@ -261,16 +262,9 @@ class _Entry:
         return bool(self.row["decided_by"]) and self.row["use"] == "no"
 
     @property
-    def outcome_name(self) -> str:
-        """Outcome in words."""
-        return self.outcome.replace("_", " ")
-
-    @property
     def problem_name(self) -> str:
         """Name of the problem in the table, or that it is a copy; empty without one."""
-        if self.copy_of:
-            return COPY
-        return "" if self.problem is None else self.problem.short
+        return COPY if self.copy_of else self.problem.short if self.problem else ""
 
     @property
     def change_mg(self) -> float | None:
@@ -295,13 +289,9 @@ class _Entry:
     @property
     def errors(self) -> tuple[float, float] | None:
         """Error before and after [mg]: over the sphere, or where that is not known on held-out postures."""
-        for before, after in (
-            ("calibration_error_before_mg", "calibration_error_mg"),
-            ("before_mg", "after_mg"),
-        ):
-            if self.row[before] is not None and self.row[after] is not None:
-                return self.row[before], self.row[after]
-        return None
+        everywhere = self.row["calibration_error_before_mg"], self.row["calibration_error_mg"]
+        pairs = (everywhere, (self.row["before_mg"], self.row["after_mg"]))
+        return next((pair for pair in pairs if None not in pair), None)
 
     @property
     def finding(self) -> str:
@@ -434,38 +424,41 @@ def _marked(
     return [(entry, *place) for entry in first if (place := places[id(entry)]) is not None]
 
 
+def _spaced(names: Iterable[str]) -> list[str]:
+    return [name.replace("_", " ") for name in names]
+
+
 def _recordings_table(entries: Sequence[_Entry], scatter: figures.Scatter) -> dict[str, Any]:
     """Return the table of all recordings, column by column, as the script reads it."""
 
     def of(name: str) -> list[Any]:
         return [getattr(entry, name) for entry in entries]
 
-    def of_row(name: str) -> list[Any]:
-        return [entry.row[name] for entry in entries]
+    def of_row(name: str, absent: Any = None) -> list[Any]:
+        return [absent if entry.row[name] is None else entry.row[name] for entry in entries]
 
     pairs = [errors or (None, None) for errors in of("errors")]
-    outcomes = [outcome.replace("_", " ") for outcome in OUTCOMES]
     return {
         "what": "recording",
         "columns": [
             column("path", "recording", "text", 19, of("path")),
-            choice_column("outcome", 8, of("outcome_name"), outcomes),
-            choice_column("use", 7, [use or "" for use in of_row("use")], ["yes", "with care", "no", ""]),
+            choice_column("outcome", 8, _spaced(of("outcome")), _spaced(OUTCOMES)),
+            choice_column("use", 7, of_row("use", ""), ["yes", "with care", "no", ""]),
             choice_column("problem", 9, of("problem_name"), ["", *(kind.short for kind in KINDS), COPY]),
             number_column("before", "before, mg", 7.5, (pair[0] for pair in pairs), kind="mg"),
             number_column("after", "after, mg", 7, (pair[1] for pair in pairs), kind="mg"),
             choice_column("device", 9, of("device")),
-            minutes_column("start", "start", 10, of_row("start_time")),
+            column("start", "start", "minutes", 10, [_minutes(start) for start in of_row("start_time")]),
             number_column("hours", "hours", 5.5, of("hours")),
             number_column("worn", "worn, h", 6, of_row("wear_hours")),
-            choice_column("reason", 13, [reason or "" for reason in of_row("reason")]),
-            choice_column("model", 5.5, [model or "" for model in of_row("model")]),
+            choice_column("reason", 13, of_row("reason", "")),
+            choice_column("model", 5.5, of_row("model", "")),
             number_column("change", "change, mg", 8, of("change_mg"), kind="mg"),
             number_column("lost", "lost, %", 6, (percent or None for percent in of_row("lost_percent"))),
             message_column("message", "finding", 70, of("finding")),
         ],
         "pages": of("link"),
-        "results": [result or "" for result in of_row("result")],
+        "results": of_row("result", ""),
         "scatter": scatter.scale(),
     }
 
@@ -527,12 +520,8 @@ def number_column(
     return column(key, label, kind, width, shown)
 
 
-def minutes_column(key: str, label: str, width: float, starts: Sequence[str | None]) -> dict[str, Any]:
-    """Return a column of times by the clock that wrote them, in minutes since 1970."""
-    return column(key, label, "minutes", width, [_minutes(start) for start in starts])
-
-
 def _minutes(start: str | None) -> int | None:
+    """Return a time by the clock that wrote it, in minutes since 1970."""
     try:
         moment = datetime.fromisoformat((start or "")[:16])
     except ValueError:

@@ -98,9 +98,8 @@ def time_ticks(seconds: float, start: datetime | None) -> list[Tick]:
     if start is None:
         return [(at * step, f"{number(at * step / HOUR_S)} h") for at in range(floor(seconds / step) + 1)]
     midnight = start.replace(hour=0, minute=0, second=0, microsecond=0)
-    first = ceil((start - midnight).total_seconds() / step)
-    last = floor(((start - midnight).total_seconds() + seconds) / step)
     begun = (start - midnight).total_seconds()
+    first, last = ceil(begun / step), floor((begun + seconds) / step)
     return [(at * step - begun, _moment(midnight, at * step)) for at in range(first, last + 1)]
 
 
@@ -159,11 +158,7 @@ class Plot:
         return path("".join(way), kind)
 
     def band(
-        self,
-        spans: Sequence[Pair],
-        lows: Sequence[float | None],
-        highs: Sequence[float | None],
-        kind: str,
+        self, spans: Sequence[Pair], lows: Sequence[float | None], highs: Sequence[float | None], kind: str
     ) -> str:
         """Draw the area between two lines of steps."""
         way = ""
@@ -200,10 +195,8 @@ class Plot:
         """Draw a vertical line at a value of x, with a word next to it."""
         x = self.x(at)
         way = f"M{coordinate(x)} {coordinate(self.y.start)}V{coordinate(self.y.end)}"
-        left = x > (self.x.start + self.x.end) / 2
-        return path(way, "mark") + label(
-            x - 5 if left else x + 5, self.y.end + 12, text, "bad", "end" if left else "start"
-        )
+        shift, anchor = (-5, "end") if x > (self.x.start + self.x.end) / 2 else (5, "start")
+        return path(way, "mark") + label(x + shift, self.y.end + 12, text, "bad", anchor)
 
 
 def plot(x: Pair, y: Pair, top: float, bottom: float, *, powers: bool = False) -> Plot:
@@ -249,10 +242,7 @@ class Hemisphere:
         ring, flat = sqrt(max(0.0, 1 - abs(z))), hypot(x, y)
         if flat == 0:
             return self.x, self.y
-        return (
-            self.x + self.side * x / flat * ring * self.radius,
-            self.y - y / flat * ring * self.radius,
-        )
+        return self.x + self.side * x / flat * ring * self.radius, self.y - y / flat * ring * self.radius
 
     def cell(self, ring: int, sector: int) -> str:
         """Return the outline of a cell, by the numbers that `cell_of` gives."""

@@ -76,6 +76,14 @@ class TimeSeries:
     convergence: list[float]
     seconds: float
 
+    def since_start(self, time: str | None) -> float | None:
+        """Return the seconds from the first sample to a time; None if it is not known, or not within."""
+        try:
+            begun = datetime.fromisoformat(time or "") - datetime.fromisoformat(self.times[0])
+        except (ValueError, TypeError):
+            return None
+        return begun.total_seconds() if 0 <= begun.total_seconds() <= self.seconds else None
+
 
 def time_series(quality: Mapping[str, Any], report: ReportView) -> TimeSeries:
     """Read the quality file of a report; raises UnfitError if it is not of this result, or damaged."""
@@ -102,7 +110,7 @@ def time_series(quality: Mapping[str, Any], report: ReportView) -> TimeSeries:
         errors={name: _table(rows, f"{name}_mg", SIZE, length) for name in when},
         off={name: _table(rows, f"{name}_off_mg", OFF, length) for name in when},
         temperature=_column(rows, "temperature_c", length),
-        worn=_worn(rows, length),
+        worn=[one if isinstance(one, bool) else None for one in _listed(rows, "worn", length)],
         times=times,
         points=_points(points),
         convergence=_steps(quality),
@@ -117,11 +125,16 @@ def _object(quality: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     return value
 
 
-def _column(table: Mapping[str, Any], name: str, length: int) -> Column:
-    """Return a column of numbers and nulls."""
+def _listed(table: Mapping[str, Any], name: str, length: int) -> list[Any]:
     values = table.get(name)
     if not isinstance(values, list) or len(values) != length:
         raise UnfitError(f"is damaged ({name})")
+    return values
+
+
+def _column(table: Mapping[str, Any], name: str, length: int) -> Column:
+    """Return a column of numbers and nulls."""
+    values = _listed(table, name, length)
     known = [one for one in values if one is not None]
     if not set(map(type, known)) <= {int, float} or not all(-LARGEST < one < LARGEST for one in known):
         raise UnfitError(f"is damaged ({name})")
@@ -139,13 +152,6 @@ def _numbers(table: Mapping[str, Any], name: str, length: int) -> list[float]:
 def _table(rows: Mapping[str, Any], name: str, names: Sequence[str], length: int) -> dict[str, Column]:
     inner = _object(rows, name)
     return {one: _column(inner, one, length) for one in names}
-
-
-def _worn(rows: Mapping[str, Any], length: int) -> list[bool | None]:
-    values = rows.get("worn")
-    if not isinstance(values, list) or len(values) != length:
-        raise UnfitError("is damaged (worn)")
-    return [one if isinstance(one, bool) else None for one in values]
 
 
 def _rate(quality: Mapping[str, Any]) -> float:

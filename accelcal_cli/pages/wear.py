@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from accelcal_cli.core.statistics import mean
@@ -44,19 +44,23 @@ class WearFigure:
 
 def by_wear(recordings: Sequence[Wear]) -> WearFigure | None:
     """Return the figure; None with fewer than two recordings whose hours are known."""
-    known = [one for one in recordings if one.hours]
+    hours, known = [one.hours for one in recordings if one.hours], [one for one in recordings if one.hours]
     if len(known) < 2:
         return None
-    pairs = [(one.hours or 0.0, one.error_mg) for one in known]
-    x = LogAxis.of([hours for hours, _ in pairs], LEFT, WIDTH - RIGHT)
-    y = LogAxis.of([error for _, error in pairs if error is not None], HEIGHT - BOTTOM, TOP)
-    places = tuple(None if error is None else (x.at(hours), y.at(error)) for hours, error in pairs)
-    scatter = Scatter(x, y, places)
-    classes = sorted({_class(one) for one in known})
-    rows = [(kind, [_cell(one, own) for one in classes]) for kind, own in _kinds(known)]
-    return WearFigure(
-        scatter, scatter.dots([one.outcome for one in known]), [_name(one) for one in classes], rows
+    x = LogAxis.of(hours, LEFT, WIDTH - RIGHT)
+    y = LogAxis.of([one.error_mg for one in known if one.error_mg is not None], HEIGHT - BOTTOM, TOP)
+    places = zip(map(x.at, hours), known, strict=True)
+    scatter = Scatter(
+        x, y, tuple(None if one.error_mg is None else (at, y.at(one.error_mg)) for at, one in places)
     )
+    kinds: dict[str, list[Wear]] = {}
+    for one in known:
+        kinds.setdefault(one.kind, []).append(one)
+    shown = sorted(kinds.items(), key=lambda pair: (-len(pair[1]), pair[0]))[:MOST_KINDS]
+    shown += [("all", known)] if len(kinds) > 1 else []
+    classes = sorted(set(map(_class, known)))
+    rows = [(kind, [_cell(place, own) for place in classes]) for kind, own in shown]
+    return WearFigure(scatter, scatter.dots([one.outcome for one in known]), [*map(_name, classes)], rows)
 
 
 def _class(one: Wear) -> int:
@@ -72,17 +76,8 @@ def _name(place: int) -> str:
     return f"{low} h or more" if place == len(LENGTHS_H) else f"{low} to {LENGTHS_H[place]} h"
 
 
-def _kinds(known: Sequence[Wear]) -> Iterator[tuple[str, list[Wear]]]:
-    """Yield the recordings of each kind, the most frequent first, and of all kinds if there are several."""
-    kinds: dict[str, list[Wear]] = {}
-    for one in known:
-        kinds.setdefault(one.kind, []).append(one)
-    yield from sorted(kinds.items(), key=lambda pair: (-len(pair[1]), pair[0]))[:MOST_KINDS]
-    if len(kinds) > 1:
-        yield "all", list(known)
-
-
 def _cell(place: int, own: Sequence[Wear]) -> str:
+    """Return the share of usable recordings of a class, and their mean error; empty without any."""
     group = [one for one in own if _class(one) == place]
     if not group:
         return ""

@@ -151,12 +151,13 @@ def _hours(
     rows: Sequence[dict[str, Any]], reports: Sequence[Path | None]
 ) -> list[tuple[int, tuple[list[str], float]]]:
     """Return the states of the hours of the newest recordings that have NAME.quality.json."""
-    dated = [at for at, row in enumerate(rows) if reports[at] is not None and not row.get("copy_of")]
-    newest = sorted(dated, key=lambda at: (str(rows[at].get("start_time") or ""), at))[-MOST_STRIPS:]
+    dated = [
+        (str(row.get("start_time") or ""), at, report)
+        for at, (row, report) in enumerate(zip(rows, reports, strict=True))
+        if report is not None and not row.get("copy_of")
+    ]
     found = []
-    for at in newest:
-        report = reports[at]
-        assert report is not None
+    for _, at, report in sorted(dated)[-MOST_STRIPS:]:
         states = states_of(load_our_json(_of_same_stem(report, QUALITY_SUFFIX)) or {})
         if states is not None:
             found.append((at, states))

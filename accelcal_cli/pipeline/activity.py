@@ -16,7 +16,7 @@ Inactivity: the arm's angle changes by no more than 5 degrees from one 5 s to th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from math import atan2, degrees, hypot
 from typing import Any
@@ -26,8 +26,10 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.calibration import Axes, Calibration, Transform
 from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.declared import as_json
 from accelcal_cli.core.recording import Chunk, Recording, Validity
 from accelcal_cli.output.report import ReportInput
+from accelcal_cli.output.sections import ActivitySection, EffectSection, Excess, LeftOutSamples
 from accelcal_cli.pipeline.drawn_activity import DRAWS, FIGURES, MICRODEGREES, DrawnActivity, ends
 from accelcal_cli.pipeline.epochs import (
     MG,
@@ -323,18 +325,21 @@ class EffectMeter:
         """Return the report's `effect` object, after `finish`."""
         meter = self._meter
         found = {
-            one.name: {"model": one.model, **_rounded(asdict(activity))}
+            one.name: ActivitySection(one.model, **_rounded(asdict(activity)))
             for one, activity in zip(self.versions, meter.result(), strict=True)
         }
-        return {
-            "epoch_s": meter.epoch_s,
-            "epochs": meter.epochs,
-            "short_epochs": meter.short,
-            "left_out": dict(self._left_out),
-            "left_out_percent": round(100 * sum(self._left_out.values()) / max(1, self._rows), DIGITS),
-            "versions": found,
-            **_uncertainty(meter.intervals(), found),
-        }
+        intervals, bias = _uncertainty(meter.intervals(), found)
+        section = EffectSection(
+            epoch_s=meter.epoch_s,
+            epochs=meter.epochs,
+            short_epochs=meter.short,
+            left_out=LeftOutSamples(**self._left_out),
+            left_out_percent=100 * sum(self._left_out.values()) / max(1, self._rows),
+            versions=found,
+            ci95=intervals,
+            raw_bias=bias,
+        )
+        return as_json(section)
 
 
 def drawn_of(data: ReportInput) -> DrawnActivity:
@@ -344,20 +349,18 @@ def drawn_of(data: ReportInput) -> DrawnActivity:
 
 
 def _uncertainty(
-    intervals: dict[str, tuple[float, float]] | None, versions: dict[str, dict[str, Any]]
-) -> dict[str, Any]:
-    """Return the objects `ci95` and `raw_bias`: how uncertain figures are, and how far off raw ones."""
+    intervals: dict[str, tuple[float, float]] | None, versions: Mapping[str, ActivitySection]
+) -> tuple[dict[str, tuple[float, float]] | None, dict[str, Excess] | None]:
+    """Return `ci95` and `raw_bias`: how uncertain figures are, and how far off raw ones."""
     if intervals is None:
-        return {"ci95": None, "raw_bias": None}
-    ends_of = {name: [round(end, DIGITS) for end in pair] for name, pair in intervals.items()}
+        return None, None
+    ends_of = {name: (round(low, DIGITS), round(high, DIGITS)) for name, (low, high) in intervals.items()}
     bias = {}
     for name, (low, high) in ends_of.items():
-        raw = versions[RAW][name]
-        differs = (raw - versions[CALIBRATED][name], raw - high, raw - low)
-        value, *pair = (round(one, DIGITS) for one in differs)
-        bias[name] = {"value": value, "ci95": pair}
-    return {"ci95": ends_of, "raw_bias": bias}
+        raw, calibrated = (getattr(versions[version], name) for version in (RAW, CALIBRATED))
+        bias[name] = Excess(raw - calibrated, (raw - high, raw - low))
+    return ends_of, bias
 
 
-def _rounded(figures: dict[str, float | None]) -> dict[str, float | None]:
+def _rounded(figures: dict[str, Any]) -> dict[str, Any]:
     return {name: None if value is None else round(value, DIGITS) for name, value in figures.items()}

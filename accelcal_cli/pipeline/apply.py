@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.calibration import Calibration
+from accelcal_cli.core.declared import as_json
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.input_files import size_of
 from accelcal_cli.core.points import PointSet
@@ -34,6 +35,7 @@ from accelcal_cli.output.coefficients import (
 )
 from accelcal_cli.output.report import file_name
 from accelcal_cli.output.report_reading import Document, check_sections
+from accelcal_cli.output.sections import AppliedCoefficients
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.calibrate import (
     FirstPass,
@@ -411,15 +413,16 @@ def _warnings(holdout: Holdout | None, limit_mg: float) -> tuple[Reason, ...]:
 
 def _origin_json(donor: Coefficients) -> dict[str, Any]:
     origin = donor.origin
-    return {
-        "path": file_name(donor.document.path),
-        "sha256": donor.sha256,
-        **({"without_provenance": True} if donor.by_content else {}),
-        "recording_path": origin.path,
-        "recording_sha256": origin.sha256,
-        "device": asdict(origin.device),
-        "accelcal_version": origin.accelcal_version,
-    }
+    section = AppliedCoefficients(
+        path=file_name(donor.document.path),
+        sha256=donor.sha256,
+        without_provenance=True if donor.by_content else None,
+        recording_path=origin.path,
+        recording_sha256=origin.sha256,
+        device=origin.device,
+        accelcal_version=origin.accelcal_version,
+    )
+    return as_json(section)
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,7 @@ from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.refusal import advised, damage_verdict, strict_if_odd
 from accelcal_cli.judge.verdict import judge_calibrated
 from accelcal_cli.output import report as reports
+from accelcal_cli.output.coefficients import prior_json
 from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.output.quality import QualityInput, dumps_quality, quality_json
 from accelcal_cli.output.report import ReportInput, draws_json, gyroscope_json, integers_json
@@ -201,7 +202,7 @@ class OwnCalibration(Judge):
             judgement = self._with_notes(judgement, found)
         if isinstance(procedure, procedures.PaperProcedure):
             judgement = with_collection_time(judgement, procedure.collector, recording)
-        return Verdict(judgement, {} if learnt is None else {"prior": learnt.as_json()})
+        return Verdict(judgement, {} if learnt is None else {"prior": prior_json(learnt)})
 
     def _with_notes(self, judgement: Judgement, found: Survey) -> Judgement:
         """Return the judgement with notes on prior, windows and rule, and the caution of a change."""

@@ -10,11 +10,13 @@ import json
 import platform
 import re
 import sys
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from accelcal_cli.core.declared import as_json
 from accelcal_cli.core.door import is_there
 from accelcal_cli.core.errors import OutputError, printable
 from accelcal_cli.core.input_files import files_of, size_of
@@ -33,6 +35,7 @@ from accelcal_cli.output.report_reading import (
     section,
     sensor_of,
 )
+from accelcal_cli.output.sections import Provenance
 from accelcal_cli.output.windows import is_window_table
 from accelcal_cli.pipeline.jobs import (
     PARQUET_SUFFIX,
@@ -372,15 +375,16 @@ def remove(path: Path) -> None:
         raise OutputError(f"cannot be removed ({error.strerror or error})", path=path) from error
 
 
-def provenance(command: list[str]) -> dict[str, Any]:
-    """Return the `provenance` object of a report."""
-    return {
-        "command": [printable(word) for word in command],
-        "versions": dict(_versions()),
-        "time": datetime.now(UTC).isoformat(timespec="seconds"),
-        "host": platform.node(),
-        "platform": f"{sys.platform} {platform.machine()}",
-    }
+def provenance(command: Sequence[str], files: dict[str, str] | None = None) -> Provenance:
+    """Return the section `provenance` of a report."""
+    return Provenance(
+        command=[printable(word) for word in command],
+        versions=dict(_versions()),
+        time=datetime.now(UTC).isoformat(timespec="seconds"),
+        host=platform.node(),
+        platform=f"{sys.platform} {platform.machine()}",
+        files=files,
+    )
 
 
 @cache
@@ -401,11 +405,8 @@ def with_provenance(report: dict[str, Any], command: tuple[str, ...], **files: P
         files: what it was made of, by name, as typed in the working folder; the report itself has no folders.
     """
     where = {name: printable(path) for name, path in files.items() if path is not None}
-    seen_from = {"folder": printable(real(Path()))} if where else {}
-    return {
-        **report,
-        "provenance": provenance(list(command)) | ({"files": where | seen_from} if where else {}),
-    }
+    seen_from = where | {"folder": printable(real(Path()))} if where else None
+    return {**report, "provenance": as_json(provenance(command, seen_from))}
 
 
 def save_report(path: Path, report: dict[str, Any]) -> None:

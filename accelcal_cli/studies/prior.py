@@ -32,6 +32,7 @@ from accelcal_cli.judge.learning import (
     own_estimate,
     together,
 )
+from accelcal_cli.output.coefficients import prior_json
 from accelcal_cli.output.words import sentence
 from accelcal_cli.pipeline.calibrate import calibrate, calibrate_with
 from accelcal_cli.studies import summary
@@ -264,7 +265,7 @@ def tasks(study: Study, known: StudyState) -> list[PriorTask]:
         prior = learning.prior(name, study.prior)
         if prior is not None:
             state = known.recordings[name]
-            content = json.dumps(prior.as_json(), sort_keys=True)
+            content = json.dumps(prior_json(prior), sort_keys=True)
             inputs = (identity(row), _sha256(content)[:16])
             found.append(PriorTask(state.item, common, state.own, inputs, prior))
     return found

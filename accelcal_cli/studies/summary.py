@@ -241,7 +241,7 @@ def _effect(report: ReportView) -> dict[str, Any]:
     if report.effect is None:
         return {}
     versions, intervals = report.effect.versions, report.effect.ci95 or {}
-    figures = {column: getattr(getattr(versions, name), key) for (name, key), column in EFFECT.items()}
+    figures = {column: getattr(versions[name], key) for (name, key), column in EFFECT.items()}
     for key, columns in EFFECT_INTERVALS.items():
         figures |= dict(zip(columns, intervals.get(key, ()), strict=False))
     return figures

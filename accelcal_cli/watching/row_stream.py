@@ -83,19 +83,14 @@ class RowFile(Closing):
         except BrokenPipeError:
             raise
         except OSError as error:
-            self._cut_off()
+            if self._regular:  # a part of a piece is removed, and a file without a row
+                with contextlib.suppress(OSError):
+                    self._file.truncate(self._bytes)
+                    self._file.seek(self._bytes)
+                if not self._bytes:
+                    discard(self._path)
             raise output_error(error, self._path) from error
         self._bytes += len(piece)
-
-    def _cut_off(self) -> None:
-        """Remove a part of a piece, and a file without a row, as far as the disk allows."""
-        if not self._regular:
-            return
-        with contextlib.suppress(OSError):
-            self._file.truncate(self._bytes)
-            self._file.seek(self._bytes)
-        if not self._bytes:
-            discard(self._path)
 
     def close(self) -> None:
         """Bring what was written to the disk, and close the file; raises OutputError where that fails."""
@@ -109,9 +104,10 @@ class RowFile(Closing):
 
 def _columns(recording: Recording) -> Sequence[Column]:
     """Return the columns, by what is known before the rows come."""
+    start_us = recording.start_us
     facts = Facts(
         samples=0,
-        first_us=recording.start_us,
+        first_us=start_us,
         last_us=None,
         rate_hz=None,
         gaps=(),
@@ -120,8 +116,6 @@ def _columns(recording: Recording) -> Sequence[Column]:
         counts=SampleCounts(),
         has_temperature=recording.has_temperature,
         has_gyroscope=recording.gyro_dps_per_lsb is not None,
-        utc_offset_s=None
-        if recording.start_us is None
-        else utc_offset_s(recording.timezone, recording.start_us),
+        utc_offset_s=None if start_us is None else utc_offset_s(recording.timezone, start_us),
     )
     return recording_columns(recording, facts)

@@ -88,14 +88,6 @@ class ActiveCoefficients:
     calibration: Calibration
     worst_mg: float
 
-    @classmethod
-    def of(cls, judgement: Judgement, calibration: Calibration) -> ActiveCoefficients:
-        """Return a judgement's calibration, with its largest error as far as that is known."""
-        if judgement.sphere is not None:
-            return cls(calibration, judgement.sphere.worst_direction)
-        worst_mg = judgement.coverage.worst_direction_mg
-        return cls(calibration, float("inf") if worst_mg is None else worst_mg)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowsToCalibrate:
@@ -245,11 +237,13 @@ class LivePass:
         judgement = OwnCalibration(settings).verdict(None, found).judgement
         return with_collection_time(judgement, self._subsets, self.recording)
 
-    def place(self) -> Event:
-        """Return how far the pass has come, for an event."""
+    def event(self, name: str, taken: int) -> Event:
+        """Return an event, which says how far the pass has come."""
         facts = self._facts.result()
         dated = all(problem.code != "no_start_time" for problem in facts.problems)
         return {
+            "event": name,
+            "bytes": taken,
             "samples": self.samples,
             "hours": round(self.hours, 6),
             "time": iso_time(facts.last_us, facts.utc_offset_s) if dated else None,
@@ -318,7 +312,7 @@ class Watch:
             chunks = ended.take(self._waiting, last=True)
         self._add_rows(ended, chunks, result)
         judgement = ended.judged(self._settings)
-        result.events.append(self._event("ended", place, ended) | self._findings(judgement))
+        result.events.append(ended.event("ended", place) | self._findings(judgement))
         return result
 
     def _whole(self, data: bytes) -> tuple[LivePass, list[Chunk]]:
@@ -367,7 +361,10 @@ class Watch:
     def _step(self, data: bytes, result: StepResult) -> None:
         if self._pass is None:
             self._head += data
-            self._open(result)
+            if len(self._head) >= HEAD_BYTES:
+                self._begin(result)
+            elif not len(self._head) // STEP_BYTES % OPENING_STEPS:
+                self._look_ahead(result)
             return
         chunks = self._pass.take(data)
         self._taken += len(data)
@@ -375,13 +372,8 @@ class Watch:
         if self._pass.samples >= self._looked_at + LOOK_S * self._pass.recording.rate_hz:
             self._look(self._pass, self._taken, result)
 
-    def _open(self, result: StepResult) -> None:
-        """Begin the pass if the head has come; before that, look at all that has come now and then."""
-        if len(self._head) >= HEAD_BYTES:
-            self._begin(result)
-            return
-        if len(self._head) // STEP_BYTES % OPENING_STEPS:
-            return
+    def _look_ahead(self, result: StepResult) -> None:
+        """Look at all that has come, before the pass begins."""
         try:
             ended, _ = self._whole(self._head)
         except AccelcalError as error:  # what is missing may still come
@@ -419,7 +411,7 @@ class Watch:
         subsets, known = live.subsets(), live.method.procedure.orientations()
         if (points := sum(map(sum, subsets))) > self._subset_points:
             self._subset_points = points
-            event = self._event("progress", taken, live)
+            event = live.event("progress", taken)
             result.events.append(event | {"subsets": subsets, "orientations": known})
         hour = int(live.hours)
         grown = GROWTH * known >= (GROWTH + 1) * self._orientations and known > self._orientations
@@ -439,11 +431,13 @@ class Watch:
             self._check(active, ended, taken, result)
         if judgement.calibration is None or (active and active.calibration == judgement.calibration):
             return
-        new = ActiveCoefficients.of(judgement, judgement.calibration)
+        sphere, worst_mg = judgement.sphere, judgement.coverage.worst_direction_mg
+        worst_mg = worst_mg if sphere is None else sphere.worst_direction
+        new = ActiveCoefficients(judgement.calibration, float("inf") if worst_mg is None else worst_mg)
         if active is not None and not self._drifted and new.worst_mg > BETTER * active.worst_mg:
             return
         name = "fitted" if active is None else "refitted"
-        result.events.append(self._event(name, taken, ended) | self._findings(judgement))
+        result.events.append(ended.event(name, taken) | self._findings(judgement))
         if active is None:
             self._first_row = (self._pass or ended).samples
         self._active, self._drifted = new, False
@@ -461,10 +455,7 @@ class Watch:
         errors = {"in_force_mg": round(last.given_mg, 4), "new_mg": round(last.unseen_mg, 4)}
         change = change_reason(along.change, None, followed=False)
         text = {"message": None if change is None else sentence(change)}
-        result.events.append(self._event("drifted", taken, ended) | errors | text)
-
-    def _event(self, name: str, taken: int, live: LivePass) -> Event:
-        return {"event": name, "bytes": taken, **live.place()}
+        result.events.append(ended.event("drifted", taken) | errors | text)
 
     def _findings(self, judgement: Judgement) -> Event:
         """Return the parts of the report that a judgement fills."""

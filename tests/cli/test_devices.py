@@ -79,10 +79,7 @@ def test_json_and_csv_hold_the_table(tmp_path: Path, capsys: Capture) -> None:
 def test_one_device_in_full(tmp_path: Path, capsys: Capture) -> None:
     ran = run(capsys, "devices", write(tmp_path, MIXED), "--device", "17440")
     assert ran.code == 0
-    assert ran.lines[:2] == [
-        "17440 (AX3, cwa): service",
-        "  offset x drifts by +5.020 +- 0.016 mg a month",
-    ]
+    assert ran.lines[:2] == ["17440 (AX3, cwa): service", "  offset x drifts by +5.020 +- 0.016 mg a month"]
     (offset,) = [line.split() for line in ran.lines if line.startswith("offset x mg")]
     assert (offset[-1], offset[-2]) == ("yes", "8")
     assert sum(line.endswith(".cwa") for line in ran.lines) == 9
@@ -171,18 +168,10 @@ def test_one_serial_of_two_makers_is_two_devices(tmp_path: Path, capsys: Capture
     assert run(capsys, "devices", tmp_path, "--device", "7").out.count("): good") == 2
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["--json", "--csv"],
-        ["--rule", "drift_mg=0"],
-        ["--rule", "reference_c=nan"],
-        ["--rule", "drift_mg=x"],
-        ["--rule", "drift"],
-        ["--rule", "x=1"],
-        ["extra"],
-    ],
-)
+@pytest.mark.parametrize("words", [
+    ["--json", "--csv"], ["--rule", "drift_mg=0"], ["--rule", "reference_c=nan"], ["--rule", "drift_mg=x"],
+    ["--rule", "drift"], ["--rule", "x=1"], ["extra"],
+])  # fmt: skip
 def test_wrong_words(tmp_path: Path, capsys: Capture, words: list) -> None:
     ran = run(capsys, "devices", write(tmp_path, MIXED), *words)
     assert (ran.code, ran.out) == (2, "")

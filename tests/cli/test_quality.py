@@ -7,7 +7,6 @@ import subprocess
 import sys
 from dataclasses import fields, replace
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,14 @@ from jsonschema import Draft202012Validator
 
 from accelcal_cli.collect import cells
 from accelcal_cli.core.points import PointSet
-from accelcal_cli.output.quality import BlockErrors, PointErrors, QualityInput, dumps_quality, quality_json
+from accelcal_cli.output.quality import (
+    BlockErrors,
+    PointErrors,
+    QualityInput,
+    dumps_quality,
+    quality_json,
+    quality_schema,
+)
 from accelcal_cli.pipeline.calibrate import RecordingRun
 from tests.cli.run import Ran, assert_one_line, exit_code, run, verify
 from tests.cli.test_change import HOUR, HOURS, jumping, long_raw
@@ -39,8 +45,7 @@ Capture = pytest.CaptureFixture[str]
 
 @cache
 def validator() -> Draft202012Validator:
-    text = resources.files("accelcal_cli.output").joinpath("quality.schema.json").read_text("utf-8")
-    schema = json.loads(text)
+    schema = quality_schema()
     Draft202012Validator.check_schema(schema)
     return Draft202012Validator(schema)
 

@@ -29,26 +29,20 @@ def test_a_reworded_report_is_identical(tmp_path: Path, capsys: Capture) -> None
     assert (ran.code, found["differs"]) == (1, ["reason"])
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        (),
-        pytest.param(("--no-temperature",), marks=pytest.mark.nightly),
-        pytest.param(
-            ("--model", "6", "--segment-seconds", 4, "--stillness-threshold-g", 0.2),
-            marks=pytest.mark.nightly,
-        ),
-        pytest.param(("--optimizer", "gauss-newton"), marks=pytest.mark.nightly),
-        ("--profile", "paper", "--min-distance-g", 0.15),
-        ("--profile", "paper", "--max-subset-points", 4, "--stillness-axis", "z"),
-        pytest.param(("--stillness", "deviation"), marks=pytest.mark.nightly),
-        pytest.param(("--stillness", "adaptive"), marks=pytest.mark.nightly),
-        pytest.param(
-            ("--latitude", 52.5, "--altitude", 34, "--timezone", "Europe/Berlin"), marks=pytest.mark.nightly
-        ),
-        pytest.param(("--report-only", "--lsb-per-g", 250.0, "--no-temperature"), marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.parametrize("words", [
+    (),
+    pytest.param(("--no-temperature",), marks=pytest.mark.nightly),
+    pytest.param(("--model", "6", "--segment-seconds", 4, "--stillness-threshold-g", 0.2),
+                 marks=pytest.mark.nightly),
+    pytest.param(("--optimizer", "gauss-newton"), marks=pytest.mark.nightly),
+    ("--profile", "paper", "--min-distance-g", 0.15),
+    ("--profile", "paper", "--max-subset-points", 4, "--stillness-axis", "z"),
+    pytest.param(("--stillness", "deviation"), marks=pytest.mark.nightly),
+    pytest.param(("--stillness", "adaptive"), marks=pytest.mark.nightly),
+    pytest.param(("--latitude", 52.5, "--altitude", 34, "--timezone", "Europe/Berlin"),
+                 marks=pytest.mark.nightly),
+    pytest.param(("--report-only", "--lsb-per-g", 250.0, "--no-temperature"), marks=pytest.mark.nightly),
+])  # fmt: skip
 def test_a_report_with_any_settings_is_reproduced(
     tmp_path: Path, capsys: Capture, words: tuple[object, ...]
 ) -> None:

@@ -14,6 +14,9 @@ import pyarrow.parquet as pq
 
 from accelcal_cli.core.identity import STUDY, identity
 from accelcal_cli.core.recording import METADATA_KEY
+from accelcal_cli.devices.findings import DeviceReview
+from accelcal_cli.devices.review import review
+from accelcal_cli.devices.trends import Rules
 from accelcal_cli.studies.columns import ALL, NAMES
 
 BEGIN = datetime(2024, 3, 4, 12)
@@ -76,6 +79,12 @@ def write(out: Path, rows: list[dict[str, Any]]) -> Path:
         about = {METADATA_KEY: json.dumps(identity(STUDY))}
         pq.write_table(pa.table(arrays, names=list(NAMES), metadata=about), file)
     return out
+
+
+def reviewed(tmp_path: Path, rows: list[dict[str, Any]], **rules: float) -> dict[str, DeviceReview]:
+    """The devices of a study of these rows, by serial."""
+    found = review(write(tmp_path, rows), Rules(**rules), NOW_S)
+    return {one.key.serial: one for one in found.devices}
 
 
 def good_devices(devices: int = 6, recordings: int = 8, seed: int = 1) -> list[dict[str, Any]]:

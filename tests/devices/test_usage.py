@@ -28,16 +28,10 @@ def test_each_use(tmp_path: Path) -> None:
         fitted("A", 6, path="six", model="6", outcome="reduced_model"),
     ]  # fmt: skip
     assert found(tmp_path, rows) == {
-        "own": "used",
-        "no date": "undated",
-        "impossible date": "undated",
-        "refused": "refused",
-        "borrowed": "borrowed",
-        "good": "already good",
-        "no errors": "no errors",
-        "other model": "other model",
-        "six": "used",
-    }
+        "own": "used", "no date": "undated", "impossible date": "undated", "refused": "refused",
+        "borrowed": "borrowed", "good": "already good", "no errors": "no errors",
+        "other model": "other model", "six": "used",
+    }  # fmt: skip
 
 
 def test_the_same_file_counts_once(tmp_path: Path) -> None:

@@ -13,23 +13,16 @@ import numpy as np
 import pytest
 
 from accelcal_cli.devices.findings import DeviceReview
-from accelcal_cli.devices.review import review
-from accelcal_cli.devices.trends import Rules
 from accelcal_cli.output.study_words import of_device
 from tests.cli.run import run
-from tests.devices.made import FITTED, NOW_S, drifting, fitted, good_devices, refused, write
+from tests.devices.made import FITTED, drifting, fitted, good_devices, refused, reviewed, write
 
 ROOT = Path(__file__).parents[2]
 HIGH = "calibration_error_high_mg"
 
 
-def devices(tmp_path: Path, rows: list[dict[str, Any]], **rules: float) -> dict[str, DeviceReview]:
-    found = review(write(tmp_path, rows), Rules(**rules), NOW_S)
-    return {one.key.serial: one for one in found.devices}
-
-
 def verdicts(tmp_path: Path, rows: list[dict[str, Any]], **rules: float) -> dict[str, str]:
-    return {serial: str(one.verdict) for serial, one in devices(tmp_path, rows, **rules).items()}
+    return {serial: str(one.verdict) for serial, one in reviewed(tmp_path, rows, **rules).items()}
 
 
 def codes(device: DeviceReview) -> list[str]:
@@ -52,20 +45,20 @@ def sure(serial: str, day: float, offset_g: float = 0.0, **said: Any) -> dict[st
 
 def test_verdicts_14_a_device_of_one_short_recording_is_not_known_yet(tmp_path: Path) -> None:
     """Its held-out error is far above that of the others, but so is the recording's uncertainty."""
-    found = devices(tmp_path, [*good_devices(8), unsure("short", 0), unsure("both", 0), sure("both", 7)])
+    found = reviewed(tmp_path, [*good_devices(8), unsure("short", 0), unsure("both", 0), sure("both", 7)])
     assert (found["short"].verdict, codes(found["short"])) == ("unknown", ["device_not_known"])
     (finding,) = found["short"].findings
     assert finding.reason.values == {"recordings": 1, "refused": 0, "shared": 0, "least_high_mg": 19.0}
     assert of_device(finding.reason).startswith("not known yet: the best recording may be 19 mg off; ")
     assert (found["both"].verdict, found["both"].sure, found["both"].held_out_mg) == ("good", 1, 2.0)
-    loose = devices(tmp_path, [*good_devices(8), unsure("short", 0)], certain_mg=20.0)
+    loose = reviewed(tmp_path, [*good_devices(8), unsure("short", 0)], certain_mg=20.0)
     assert codes(loose["short"]) == ["device_held_out"]
 
 
 def test_verdicts_14_an_error_beyond_the_others_by_less_than_its_interval_is_none(tmp_path: Path) -> None:
     for low_mg, found in ((4.4, []), (4.8, ["device_held_out"])):
         row = sure("x", 0, after_mg=6.0, ci95_low_mg=low_mg, ci95_high_mg=7.5)
-        assert codes(devices(tmp_path, [*good_devices(8), row])["x"]) == found
+        assert codes(reviewed(tmp_path, [*good_devices(8), row])["x"]) == found
 
 
 def test_verdicts_14_a_provisional_recording_judges_no_device(tmp_path: Path) -> None:
@@ -86,7 +79,7 @@ def test_verdicts_14_two_sensors_under_one_serial(tmp_path: Path) -> None:
     """Recordings that jump by 31 mg from month to month, and differ by 36 mg on one day."""
     rows = [sure("two", 30.0 * number, 0.031 * (number >= 4)) for number in range(8)]
     rows.append(sure("two", 210.4, -0.005))
-    found = devices(tmp_path, [*good_devices(4), *rows])
+    found = reviewed(tmp_path, [*good_devices(4), *rows])
     assert next(iter(found)) == "two"
     assert (found["two"].verdict, codes(found["two"])) == ("two_sensors", ["two_sensors"])
     values = found["two"].findings[0].reason.values
@@ -98,7 +91,7 @@ def test_verdicts_14_two_sensors_under_one_serial(tmp_path: Path) -> None:
 def test_verdicts_14_sensors_in_turn_return_and_one_that_steps_does_not(tmp_path: Path) -> None:
     turns = [sure("turns", 30.0 * number, 0.03 * (number % 2)) for number in range(4)]
     steps = [sure("steps", 30.0 * number, 0.03 * (number > 1)) for number in range(4)]
-    found = devices(tmp_path, [*turns, *steps])
+    found = reviewed(tmp_path, [*turns, *steps])
     assert codes(found["turns"]) == ["two_sensors"]
     assert (found["steps"].verdict, codes(found["steps"])) == ("service", ["device_step"])
     assert of_device(found["steps"].findings[0].reason).startswith("offset x changes by +30.0 +- ")
@@ -110,26 +103,26 @@ def test_verdicts_14_near_in_time_is_two_days_or_an_overlap(
     tmp_path: Path, days: float, lasts_days: float, code: str
 ) -> None:
     rows = [sure("A", 0, duration_s=86_400.0 * lasts_days), sure("A", days, 0.03)]
-    assert codes(devices(tmp_path, rows)["A"]) == [code]
+    assert codes(reviewed(tmp_path, rows)["A"]) == [code]
 
 
 def test_verdicts_14_a_contradiction_exceeds_the_intervals(tmp_path: Path) -> None:
     """An uncertain recording contradicts nothing by 30 mg, and nothing is within 2 mg between occasions."""
     rows = [sure("A", 0, -0.01), unsure("A", 0.5), sure("B", 0), sure("B", 0.5, 0.012)]
-    assert {one.jumps for one in devices(tmp_path, rows).values()} == {()}
+    assert {one.jumps for one in reviewed(tmp_path, rows).values()} == {()}
     rows += [sure("B", 1.0, 0.03)]
-    assert codes(devices(tmp_path, rows)["B"]) == ["two_sensors"]
+    assert codes(reviewed(tmp_path, rows)["B"]) == ["two_sensors"]
 
 
 def test_verdicts_14_a_true_drift_is_found_as_before(tmp_path: Path) -> None:
     rows = [*drifting("D", 0.003), unsure("D", 10.0), unsure("D", 70.0)]
-    found = devices(tmp_path, [*good_devices(), *rows])
+    found = reviewed(tmp_path, [*good_devices(), *rows])
     assert (found["D"].verdict, codes(found["D"])) == ("service", ["device_drift"])
 
 
 def test_verdicts_14_a_fast_drift_is_a_drift_and_no_step(tmp_path: Path) -> None:
     """20 mg from month to month contradict a sensor that stays, but a line explains them."""
-    device = devices(tmp_path, [*good_devices(), *drifting("D", 0.02)])["D"]
+    device = reviewed(tmp_path, [*good_devices(), *drifting("D", 0.02)])["D"]
     assert device.jumps and codes(device) == ["device_drift"]
 
 

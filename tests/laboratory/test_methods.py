@@ -25,7 +25,8 @@ from accelcal_cli.pipeline.jobs import Request, no_progress, plan
 from tests.cli.run import run
 from tests.optimize.oracle import least_squares
 from tests.optimize.test_contract import norms_mg
-from tests.pages.reading import check_page, elements
+from tests.pages.html import parsed
+from tests.pages.reading import check_page
 from tests.recordings import directions, good_csv, still_counts, write_csv
 
 SAMPLES = Path(__file__).resolve().parent.parent.parent / "sample_data"
@@ -171,22 +172,22 @@ def test_51_4_the_page_has_the_tables_and_the_figures_of_the_paper(tmp_path: Pat
     names = [SAMPLES / name for name in RECORDINGS if name != "evening.csv.gz"]
     ran = run(capsys, *METHODS, *names, *only, "--html", page, "-q")
     assert ran.code == 0
-    root = elements(page.read_text("utf-8"))
+    root = parsed(page.read_text("utf-8"))
     check_page(root)
-    tables = [[cell.text for cell in table.within("td", "th", "caption")] for table in root.within("table")]
+    tables = [[cell.whole() for cell in table.all("td", "th", "caption")] for table in root.all("table")]
     assert [one[0] for one in tables[:2]] == [
         "Mean over recordings",
         "Table 3 of Farago, Maczak, Gingl 2024 (own recordings)",
     ]
     assert "820" in tables[1] and all(cell in ran.out for cell in tables[0][1:])
-    headings = [one.text for one in root.within("h3")]
+    headings = [one.whole() for one in root.all("h3")]
     assert headings == 2 * [
         "Detected rest",
         "Rests and fitted points in space",
         "Distance from 1 g before and after",
         *(f"Convergence of the {name}" for name in ("scale", "misalignment", "offset")),
     ]
-    assert "of the 18 points that were fitted" in root.text
+    assert "of the 18 points that were fitted" in root.whole()
 
 
 def test_51_4_a_page_of_somebody_else_is_not_replaced(tmp_path: Path, capsys: Capture) -> None:

@@ -17,103 +17,43 @@ from tests.device_recordings import donor
 from tests.schema import check_report
 
 ERROR = {
-    "mean": 1.2,
-    "ci95": [0.8, 2.0],
-    "worst_direction": 2.5,
-    "worst_direction_at": [0, 0, 1],
-    "before": 31,
-}
+    "mean": 1.2, "ci95": [0.8, 2.0], "worst_direction": 2.5, "worst_direction_at": [0, 0, 1], "before": 31,
+}  # fmt: skip
 SUMMARY = {"mean": 1.0, "median": 1.0, "p95": 2.0}
 HOLDOUT = {
-    "method": "5 folds",
-    "points": 60,
-    "postures": 40,
-    "before_mg": SUMMARY | {"mean": 30.0},
-    "after_mg": SUMMARY,
-    "improvement_percent": 3000.0,
-    "ci95_mg": [0.8, 1.2],
-}
+    "method": "5 folds", "points": 60, "postures": 40, "before_mg": SUMMARY | {"mean": 30.0},
+    "after_mg": SUMMARY, "improvement_percent": 3000.0, "ci95_mg": [0.8, 1.2],
+}  # fmt: skip
 COVERED = {
-    "subsets": [[2] * 3] * 3,
-    "axis_min_g": [-1.0] * 3,
-    "axis_max_g": [1.0] * 3,
-    "cells": 60,
-    "condition_number": 2.0,
-    "worst_direction_mg": 1.0,
-    "distinct_orientations": 40,
-    "saturated": [],
+    "subsets": [[2] * 3] * 3, "axis_min_g": [-1.0] * 3, "axis_max_g": [1.0] * 3, "cells": 60,
+    "condition_number": 2.0, "worst_direction_mg": 1.0, "distinct_orientations": 40, "saturated": [],
     "subsets_full_after_h": None,
-}
+}  # fmt: skip
 HEALTH = {
-    "problems": [],
-    "filled_samples": 0,
-    "clipped_samples_before": 0,
-    "clipped_samples_after": 0,
-    "rate_hz_measured": 25.0,
-    "lost_bytes": 0,
-    "lost_percent": 0.0,
-    "missing_bytes": 0,
-    "clock": None,
+    "problems": [], "filled_samples": 0, "clipped_samples_before": 0, "clipped_samples_after": 0,
+    "rate_hz_measured": 25.0, "lost_bytes": 0, "lost_percent": 0.0, "missing_bytes": 0, "clock": None,
     "rest": None,
-}
+}  # fmt: skip
 CALIBRATION = {
-    "model": "9",
-    "gain": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-    "offset_g": [0, 0, 0],
-    "parameters": {},
-    "temperature": None,
-    "equation": "",
-    "fixed_point": {
-        "fraction_bits": 29,
-        "parameters": {},
-        "temperature_reference_mc": None,
-        "temperature_span_c": None,
-    },
-    "optimizer": {
-        "name": "fixed32",
-        "arithmetic": "integer",
-        "settings": {},
-        "iterations": 7,
-        "stop": "minimum",
-        "converged": True,
-        "operations": {},
-        "predicted_seconds": None,
-    },
-    "gravity": {"local_g": 1.0, "latitude": None, "altitude": None},
-    "course": None,
-    "standard_errors": {},
-}
+    "model": "9", "gain": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "offset_g": [0, 0, 0], "parameters": {},
+    "temperature": None, "equation": "",
+    "fixed_point": {"fraction_bits": 29, "parameters": {}, "temperature_reference_mc": None,
+                    "temperature_span_c": None},
+    "optimizer": {"name": "fixed32", "arithmetic": "integer", "settings": {}, "iterations": 7,
+                  "stop": "minimum", "converged": True, "operations": {}, "predicted_seconds": None},
+    "gravity": {"local_g": 1.0, "latitude": None, "altitude": None}, "course": None, "standard_errors": {},
+}  # fmt: skip
 BASE = {
-    "accelcal_version": "1.0.0",
-    "recording": {"path": "a.bin", "sha256": "", "bytes": 1, "format": "raw"},
+    "accelcal_version": "1.0.0", "recording": {"path": "a.bin", "sha256": "", "bytes": 1, "format": "raw"},
     "settings": {"max_error_mg": 10.0, "min_postures": 9, "coverage_g": 0.3, "max_damage_percent": 50.0},
-    "outcome": "calibrated",
-    "message": "",
-    "calibration": CALIBRATION,
-    "holdout": HOLDOUT,
-    "fit": {
-        "points": 60,
-        "postures": 40,
-        "before_mg": 30.0,
-        "after_mg": 1.0,
-        "windows": {"complete": 100, "used": 100},
-    },
-    "kind": "report",
-    "schema_version": 4,
-    "without_misalignment": None,
-    "coverage": COVERED,
-    "models_tried": [],
-    "file_health": HEALTH,
-    "reason": "not_determined",
-    "values": {},
-    "notes": [],
-    "cautions": [],
-    "advice": [],
-    "calibration_error_mg": ERROR,
-    "rest_scatter_mg": 0.5,
-    "change": None,
+    "outcome": "calibrated", "message": "", "calibration": CALIBRATION, "holdout": HOLDOUT,
+    "fit": {"points": 60, "postures": 40, "before_mg": 30.0, "after_mg": 1.0,
+            "windows": {"complete": 100, "used": 100}},
+    "kind": "report", "schema_version": 4, "without_misalignment": None, "coverage": COVERED,
+    "models_tried": [], "file_health": HEALTH, "reason": "not_determined", "values": {}, "notes": [],
+    "cautions": [], "advice": [], "calibration_error_mg": ERROR, "rest_scatter_mg": 0.5, "change": None,
     "misfits": None,
-}
+}  # fmt: skip
 
 
 def of(**changed: Any) -> ReportView:
@@ -198,40 +138,31 @@ def test_poses_that_nothing_checks(rolls: tuple[int, ...], code: str) -> None:
 
 
 REST = {
-    "windows": 9,
-    "median_g": 9.81,
-    "p5_g": 9.8,
-    "p95_g": 9.82,
-    "axis_min_g": [-9.8] * 3,
+    "windows": 9, "median_g": 9.81, "p5_g": 9.8, "p95_g": 9.82, "axis_min_g": [-9.8] * 3,
     "axis_max_g": [9.8] * 3,
-}
+}  # fmt: skip
 FEW = COVERED | {"distinct_orientations": 5}
 ONE_SIDED = COVERED | {"axis_min_g": [-1.0, -1.0, -0.1]}
 NONE = COVERED | {"cells": 0, "distinct_orientations": 0, "axis_min_g": [0.0] * 3, "axis_max_g": [0.0] * 3}
 
 
-@pytest.mark.parametrize(
-    ("changed", "found"),
-    [
-        ({}, ["other_coefficients"]),
-        ({"coverage": FEW}, ["more_orientations", "other_coefficients"]),
-        ({"coverage": ONE_SIDED}, ["more_orientations", "rest_on_sides", "other_coefficients"]),
-        ({"coverage": NONE}, ["record_again", "other_coefficients"]),
-        ({"coverage": NONE, "reason": "constant_values"}, ["check_sensor", "other_coefficients"]),
-        ({"coverage": NONE, "notes": [{"code": "axes_alike", "values": {}}]}, []),
-        ({"file_health": HEALTH | {"rest": REST}}, ["check_unit"]),
-        ({"file_health": HEALTH | {"lost_percent": 50.1}}, ["other_coefficients"]),
-        ({"file_health": HEALTH | {"lost_percent": 50.1}, "reason": "damaged"}, []),
-        ({"settings": {"input": {"format": "points"}}, "coverage": FEW}, ["more_orientations"]),
-        ({"settings": {"input": {"format": "points"}}, "coverage": NONE}, []),
-        ({"settings": {"profile": "paper"}, "coverage": FEW}, []),
-        (
-            {"settings": {"profile": "paper"}, "coverage": FEW, "reason": "subsets_not_full"},
-            ["more_orientations", "other_coefficients"],
-        ),
-        ({"poses": [], "coverage": FEW}, []),
-    ],
-)
+@pytest.mark.parametrize(("changed", "found"), [
+    ({}, ["other_coefficients"]),
+    ({"coverage": FEW}, ["more_orientations", "other_coefficients"]),
+    ({"coverage": ONE_SIDED}, ["more_orientations", "rest_on_sides", "other_coefficients"]),
+    ({"coverage": NONE}, ["record_again", "other_coefficients"]),
+    ({"coverage": NONE, "reason": "constant_values"}, ["check_sensor", "other_coefficients"]),
+    ({"coverage": NONE, "notes": [{"code": "axes_alike", "values": {}}]}, []),
+    ({"file_health": HEALTH | {"rest": REST}}, ["check_unit"]),
+    ({"file_health": HEALTH | {"lost_percent": 50.1}}, ["other_coefficients"]),
+    ({"file_health": HEALTH | {"lost_percent": 50.1}, "reason": "damaged"}, []),
+    ({"settings": {"input": {"format": "points"}}, "coverage": FEW}, ["more_orientations"]),
+    ({"settings": {"input": {"format": "points"}}, "coverage": NONE}, []),
+    ({"settings": {"profile": "paper"}, "coverage": FEW}, []),
+    ({"settings": {"profile": "paper"}, "coverage": FEW, "reason": "subsets_not_full"},
+     ["more_orientations", "other_coefficients"]),
+    ({"poses": [], "coverage": FEW}, []),
+])  # fmt: skip
 def test_advice_by_what_a_refused_recording_lacks(changed: dict[str, Any], found: list[str]) -> None:
     assert codes(refused(**changed).advice) == found
 

@@ -20,16 +20,10 @@ def test_51_7_each_has_a_public_source() -> None:
         assert one.source.startswith("https://") and one.name and one.fault and (one.serial or one.model)
 
 
-@pytest.mark.parametrize(
-    ("serial", "firmware", "told"),
-    [
-        ("MOS2A01130013", "1.5.0", True),
-        ("MOS2A01130013", "1.9.2", False),
-        ("NEO1F07120358", "1.5.0", False),
-        (None, None, False),
-        ("MOS2A01130013", None, False),
-    ],
-)
+@pytest.mark.parametrize(("serial", "firmware", "told"), [
+    ("MOS2A01130013", "1.5.0", True), ("MOS2A01130013", "1.9.2", False), ("NEO1F07120358", "1.5.0", False),
+    (None, None, False), ("MOS2A01130013", None, False),
+])  # fmt: skip
 def test_51_7_only_devices_that_it_names(serial: str | None, firmware: str | None, told: bool) -> None:
     found = of_device(Device("wGT3XBT", serial, firmware))
     assert [one.values["name"] for one in found] == (["16CPAN03"] if told else [])

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
-from importlib import resources
 from typing import Any
 
 import pytest
 
 from accelcal_cli.core.results import Outcome
+from accelcal_cli.output.quality import quality_schema
 from accelcal_cli.output.report_reading import report_schema
 
 
 def schema(name: str) -> Any:
     """Return a schema of the package."""
-    if name == "report":
-        return report_schema()
-    return json.loads(
-        resources.files("accelcal_cli.output").joinpath("quality.schema.json").read_text("utf-8")
-    )
+    return report_schema() if name == "report" else quality_schema()
 
 
 def keys(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:

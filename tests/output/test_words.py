@@ -34,32 +34,18 @@ def test_an_error_has_two_digits(value: float, error: float, text: str) -> None:
     assert with_error(value, error) == text
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (None, "–"),
-        (0.0, "0"),
-        (-0.0, "0"),
-        (-0.01234, "−0.0123"),
-        (1.5, "1.5"),
-        (123456.7, "123457"),
-        (2.0, "2"),
-    ],
-)
+@pytest.mark.parametrize(("value", "text"), [
+    (None, "–"), (0.0, "0"), (-0.0, "0"), (-0.01234, "−0.0123"), (1.5, "1.5"), (123456.7, "123457"),
+    (2.0, "2"),
+])  # fmt: skip
 def test_a_number_on_a_page(value: float | None, text: str) -> None:
     assert number(value) == text
 
 
-@pytest.mark.parametrize(
-    ("value", "sentence", "cell"),
-    [
-        (None, "-", "-"),
-        (0.5, "0.5", "0.500"),
-        (123.4, "123", "123"),
-        (1234.5, "1234", "1234"),
-        (99.96, "100", "100"),
-    ],
-)
+@pytest.mark.parametrize(("value", "sentence", "cell"), [
+    (None, "-", "-"), (0.5, "0.5", "0.500"), (123.4, "123", "123"), (1234.5, "1234", "1234"),
+    (99.96, "100", "100"),
+])  # fmt: skip
 def test_a_number_at_the_terminal(value: float | None, sentence: str, cell: str) -> None:
     assert (mg(value), figure(value)) == (sentence, cell)
     assert formatted(value, ".1f") == ("-" if value is None else f"{value:.1f}")

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from itertools import pairwise
 
-VOID = {"meta", "br", "hr", "img", "input", "link", "path", "circle", "rect", "line"}
+VOID = {"meta", "br", "hr", "img", "input", "link"}
+SHAPES = {"path", "circle", "rect", "line"}
+"""Elements of SVG that may be closed where they begin."""
 URLS = {"href", "src", "srcset", "action", "formaction", "data", "poster", "xlink:href", "background", "ping"}
 
 
@@ -21,15 +23,16 @@ class Element:
     parent: Element | None
     text: str = ""
     children: list[Element] = field(default_factory=list)
+    texts: list[str] = field(default_factory=list)
 
-    def all(self, tag: str | None = None) -> list[Element]:
+    def all(self, *tags: str) -> list[Element]:
         """What lies in it, at any depth."""
         found = [one for child in self.children for one in (child, *child.all())]
-        return [one for one in found if tag is None or one.tag == tag]
+        return [one for one in found if not tags or one.tag in tags]
 
     def whole(self) -> str:
         """Its text and that of all that lies in it."""
-        return self.text + "".join(child.whole() for child in self.children)
+        return "".join(self.texts)
 
     def one(self, tag: str, **attributes: str) -> Element:
         """The only element of a tag with these attributes (`kind` for `class`, `name` for `id`)."""
@@ -54,8 +57,10 @@ class Strict(HTMLParser):
             self.here = made
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        assert tag in VOID, f"<{tag}/>"
+        assert tag in VOID | SHAPES, f"<{tag}/>"
+        here = self.here
         self.handle_starttag(tag, attrs)
+        self.here = here
 
     def handle_endtag(self, tag: str) -> None:
         assert self.here.tag == tag, f"</{tag}> closes <{self.here.tag}>"
@@ -64,6 +69,10 @@ class Strict(HTMLParser):
 
     def handle_data(self, data: str) -> None:
         self.here.text += data
+        here: Element | None = self.here
+        while here is not None:
+            here.texts.append(data)
+            here = here.parent
 
     def handle_comment(self, data: str) -> None:
         raise AssertionError(f"a comment: {data}")
@@ -98,24 +107,38 @@ def check(text: str) -> Element:
     assert text.startswith("<!doctype html>\n") and 'content="accelcal ' in text[:256]
     assert all(char.isprintable() or char == "\n" for char in text)
     root = parsed(text)
-    check_policy(root)
-    names = [one.attributes["id"] for one in root.all() if "id" in one.attributes]
-    assert len(names) == len(set(names))
-    for one in root.all():
-        assert "style" not in one.attributes and not any(name.startswith("on") for name in one.attributes)
-        for name in URLS & one.attributes.keys():
-            assert one.attributes[name].startswith("#") and one.attributes[name][1:] in names
-        for name in ("aria-labelledby", "aria-describedby"):
-            assert set(one.attributes.get(name, "").split()) <= set(names)
-    levels = [int(one.tag[1]) for one in root.all() if one.tag in ("h1", "h2", "h3", "h4")]
-    assert levels[0] == 1 and levels.count(1) == 1
-    assert all(later <= before + 1 for before, later in pairwise(levels))
+    check_tree(root)
     for one in root.all("svg"):
         first, second = (child for child in one.children[:2])
         assert (one.attributes["role"], first.tag, second.tag) == ("img", "title", "desc")
         assert one.attributes["aria-labelledby"].split() == [first.attributes["id"], second.attributes["id"]]
         assert first.text and second.text
     return root
+
+
+def check_tree(root: Element, *, linked: bool = False) -> None:
+    """What holds for every page: complete in itself, labelled, headings in order, ids unique.
+
+    Args:
+        linked: it has links to other pages beside it.
+    """
+    check_policy(root)
+    names = [one.attributes["id"] for one in root.all() if "id" in one.attributes]
+    assert len(names) == len(set(names))
+    assert not root.all("link", "iframe", "object", "embed", "base", "form")
+    for one in root.all():
+        assert "style" not in one.attributes and not any(name.startswith("on") for name in one.attributes)
+        for name in URLS & one.attributes.keys():
+            url = one.attributes[name]
+            if linked and not url.startswith("#"):
+                assert (url[0] == "." or "/" not in url) and ":" not in url.split("/")[0], url
+            else:
+                assert url.startswith("#") and url[1:] in names
+        for name in ("aria-labelledby", "aria-describedby"):
+            assert set(one.attributes.get(name, "").split()) <= set(names)
+    levels = [int(one.tag[1]) for one in root.all() if one.tag in ("h1", "h2", "h3", "h4")]
+    assert levels[0] == 1 and levels.count(1) == 1
+    assert all(later <= before + 1 for before, later in pairwise(levels))
 
 
 def check_policy(root: Element) -> None:

@@ -308,18 +308,13 @@ def test_the_table_has_all_hours(made: Files) -> None:
 
 
 HOSTILE = {
-    "markup": "<script>alert(1)</script>",
-    "an attribute": "\"'><img src=x onerror=alert(1)>",
-    "an end": "</title></style></svg></script><h1>",
-    "control characters": "a\0b\x1b[31m\r\n\x7f",
+    "markup": "<script>alert(1)</script>", "an attribute": "\"'><img src=x onerror=alert(1)>",
+    "an end": "</title></style></svg></script><h1>", "control characters": "a\0b\x1b[31m\r\n\x7f",
     "marks of direction": "\u202egpj.exe\u2066\u200f\u061c",
-    "blanks nobody sees": "\u200b\ufeff\u2028\u00a0",
-    "templates": "{{ 7 * 7 }}{% raw %}${7*7}",
-    "a formula": "=HYPERLINK(1)",
-    "entities": "&lt;b&gt;&#60;",
-    "half a character": "\ud800x",
+    "blanks nobody sees": "\u200b\ufeff\u2028\u00a0", "templates": "{{ 7 * 7 }}{% raw %}${7*7}",
+    "a formula": "=HYPERLINK(1)", "entities": "&lt;b&gt;&#60;", "half a character": "\ud800x",
     "a policy": "'; script-src *; \"",
-}
+}  # fmt: skip
 
 
 def everywhere(report: dict[str, Any], text: str) -> dict[str, Any]:
@@ -334,12 +329,8 @@ def everywhere(report: dict[str, Any], text: str) -> dict[str, Any]:
         {"code": text, "message": text, "byte_offset": None, "sample": 0, "count": 1}
     ]
     held["provenance"] = {
-        "command": [text],
-        "versions": {text: text},
-        "time": text,
-        "host": text,
-        "platform": text,
-    }
+        "command": [text], "versions": {text: text}, "time": text, "host": text, "platform": text,
+    }  # fmt: skip
     held["calibration"]["optimizer"] |= {"name": text}
     held["settings"] |= {"prior": text, "segment_seconds": text, "max_error_mg": text, "coverage_g": text}
     held["holdout"]["method"] = text

@@ -19,43 +19,37 @@ from accelcal_cli.pages.write import write_study_pages
 from tests.cli.run import Ran, assert_one_line, run
 from tests.devices.made import drifting, fitted, good_devices, write
 from tests.pages import made_study
-from tests.pages.reading import cell_texts, check_page, data_of, elements
+from tests.pages.html import Element, parsed
+from tests.pages.reading import cell_texts, check_page, data_of
 from tests.recordings import directions, still_counts, write_raw
 
 Capture = pytest.CaptureFixture[str]
 HOSTILE = (
-    "<script>alert(1)</script>.cwa",
-    "</script><img src=x onerror=alert(1)>.cwa",
-    "\"'><svg onload=alert(1)>.cwa",
-    "a\u202egnp.cwa",
-    "line\none\x00\x1b[31m.cwa",
-    "=HYPERLINK(1).cwa",
-    "javascript:alert(1).cwa",
-    "line\u2028separator\u2029.cwa",
-    "{{ 7 * 7 }}{% raw %}.cwa",
-    "<!--<script>.cwa",
-    "half\udc80byte.cwa",
-)
+    "<script>alert(1)</script>.cwa", "</script><img src=x onerror=alert(1)>.cwa",
+    "\"'><svg onload=alert(1)>.cwa", "a\u202egnp.cwa", "line\none\x00\x1b[31m.cwa", "=HYPERLINK(1).cwa",
+    "javascript:alert(1).cwa", "line\u2028separator\u2029.cwa", "{{ 7 * 7 }}{% raw %}.cwa",
+    "<!--<script>.cwa", "half\udc80byte.cwa",
+)  # fmt: skip
 SHAPELESS = re.compile("[\u0000-\u0009\u000b-\u001f\u007f-\u009f\u200b-\u200f\u2028-\u202e\u2066-\u2069]")
 
 
 def row(path: str, outcome: str = "calibrated", **more: Any) -> dict[str, Any]:
     """A row of a good recording."""
     good = {"message": "fine", "before_mg": 30.0, "after_mg": 2.0, "calibration_error_mg": 1.0}
-    good |= {
-        "calibration_error_before_mg": 40.0,
-        "calibration_error_high_mg": 2.0,
-        "lost_percent": 0.0,
-        "change": "none",
-        "misfits": "none",
-        "model": "9",
-    }
+    good |= {"calibration_error_before_mg": 40.0, "calibration_error_high_mg": 2.0, "lost_percent": 0.0}
+    good |= {"change": "none", "misfits": "none", "model": "9"}
     return dict.fromkeys(WANTED) | {"path": path, "outcome": outcome} | good | more
 
 
 def assert_refused(ran: Ran, code: int, *parts: str) -> None:
     assert ran.code == code
     assert_one_line(ran, *parts)
+
+
+def problems_of(root: Element) -> list[list[tuple[str, ...]]]:
+    """The cells of each list of problems."""
+    tables = [one for one in root.all("table") if one.attributes.get("class") == "problems"]
+    return [[tuple(cell.whole() for cell in line.all("td")) for line in one.all("tr")[1:]] for one in tables]
 
 
 def content(*rows: dict[str, Any], **more: Any) -> StudyContent:
@@ -85,18 +79,18 @@ def varied() -> str:
 
 
 def test_a_page_is_complete_labelled_and_closed(varied: str) -> None:
-    check_page(elements(varied))
+    check_page(parsed(varied))
 
 
 def test_an_empty_study_has_a_page() -> None:
-    root = elements(page(content()))
+    root = parsed(page(content()))
     check_page(root)
-    assert "no recording has a problem" in root.text
-    assert "No recording names its device." in root.text
+    assert "no recording has a problem" in root.whole()
+    assert "No recording names its device." in root.whole()
 
 
 def test_the_table_holds_every_row(varied: str) -> None:
-    table = data_of(elements(varied))["recordings"]
+    table = data_of(parsed(varied))["recordings"]
     rows = list(made_study.rows(500))
     assert cell_texts(table, "path") == [one["path"] for one in rows]
     assert cell_texts(table, "outcome") == [one["outcome"] for one in rows]
@@ -117,24 +111,15 @@ def test_the_table_holds_every_row(varied: str) -> None:
 def test_starts_are_minutes_by_the_clock_of_the_recording() -> None:
     starts = ("1970-01-02T00:01:30.000000", "1970-01-01T01:00:00+05:00", "no time", None)
     rows = [row("a", start_time=start) for start in starts]
-    table = data_of(elements(page(content(*rows))))["recordings"]
+    table = data_of(parsed(page(content(*rows))))["recordings"]
     assert cell_texts(table, "start") == [1441, 60, None, None]
 
 
 def test_each_recording_is_listed_under_its_weightiest_problem_the_worst_first() -> None:
     rows = [
         row("good"),
-        row(
-            "small step",
-            change="step",
-            change_mg=5.0,
-            change_at="2025-01-10T14:00:00.000000",
-        ),
-        row(
-            "large drift",
-            change="drift",
-            change_mg=20.0,
-        ),
+        row("small step", change="step", change_mg=5.0, change_at="2025-01-10T14:00:00.000000"),
+        row("large drift", change="drift", change_mg=20.0),
         row("lost", lost_percent=0.5),
         row("hardly lost", lost_percent=0.09),
         row("wide", calibration_error_high_mg=10.5, lost_percent=50.0),
@@ -142,13 +127,9 @@ def test_each_recording_is_listed_under_its_weightiest_problem_the_worst_first()
         row("no", "refused", message="too short; record longer"),
         row("site/bad.cwa", "failed", message="/data/site/bad.cwa, byte 3: is empty; copy it again"),
     ]
-    root = elements(page(content(*rows)))
-    tables = [one for one in root.within("table") if one.attributes.get("class") == "problems"]
-    listed = [
-        [tuple(cell.text for cell in line.within("td")) for line in one.within("tr")[1:]] for one in tables
-    ]
+    root = parsed(page(content(*rows)))
     during = "The sensor changed during the recording"
-    assert listed == [
+    assert problems_of(root) == [
         [("site/bad.cwa", "-", "/data/site/bad.cwa, byte 3: is empty; copy it again")],
         [("large drift", "-", f"{during}: its offsets drift, by up to 20.0 mg."),
          ("small step", "-", f"{during}: its offsets jump at 2025-01-10T14:00:00, by up to 5.0 mg.")],
@@ -170,23 +151,21 @@ def test_provisional_recordings_are_listed_with_their_errors_and_can_be_used() -
         row("narrow", "provisional", calibration_error_high_mg=9.0),
         row("wide", "provisional", **unsure),
     ]
-    root = elements(page(content(*rows)))
-    (listed,) = [one for one in root.within("table") if one.attributes.get("class") == "problems"]
-    assert [tuple(cell.text for cell in line.within("td")) for line in listed.within("tr")[1:]] == [
-        ("wide", "-", study_words.uncertain(17.3, 45.0)),
-        ("narrow", "-", study_words.uncertain(1.0, 9.0)),
+    root = parsed(page(content(*rows)))
+    assert problems_of(root) == [
+        [("wide", "-", study_words.uncertain(17.3, 45.0)), ("narrow", "-", study_words.uncertain(1.0, 9.0))]
     ]
     table = data_of(root)["recordings"]
     assert cell_texts(table, "outcome") == ["calibrated", "provisional", "provisional"]
     assert cell_texts(table, "problem") == ["", "uncertain", "uncertain"]
-    text = " ".join(root.text.split())
+    text = " ".join(root.whole().split())
     assert outcome_words("provisional").use in text and "3 (100.0 %)" in text
 
 
 def test_verdicts_14_copies_are_named_and_count_once() -> None:
     bad = row("b", "refused", reason="fit_diverges")
-    root = elements(page(content(row("a"), bad, bad | {"path": "b2", "copy_of": "b"}, row("c", copy_of="a"))))
-    text = " ".join(root.text.split())
+    root = parsed(page(content(row("a"), bad, bad | {"path": "b2", "copy_of": "b"}, row("c", copy_of="a"))))
+    text = " ".join(root.whole().split())
     assert "A study of 2 recordings" in text and "2 (and 2 copied from them)" in text
     assert "1 (50.0 %)" in text
     table = data_of(root)["recordings"]
@@ -195,8 +174,8 @@ def test_verdicts_14_copies_are_named_and_count_once() -> None:
         "a copy of b, which counts once",
         "a copy of a, which counts once",
     ]
-    (listed,) = [one for one in root.within("table") if one.attributes.get("class") == "problems"]
-    assert next(one.text for one in listed.within("td")) == "b" and len(listed.within("tr")) == 2
+    ((listed,),) = problems_of(root)
+    assert listed[0] == "b"
 
 
 def test_the_limit_of_the_settings_decides_what_is_uncertain() -> None:
@@ -216,38 +195,34 @@ def test_reasons_are_counted_by_their_codes_whatever_the_messages_say() -> None:
         row("b", "refused"),
         row("c", "failed", reason="bug"),
     ]
-    text = " ".join(elements(page(content(*rows))).text.split())
+    text = " ".join(parsed(page(content(*rows))).whole().split())
     for line in ("too few orientations4", "fit diverges1", "no reason is known1", "bug1"):
         assert line in text.replace(" 4", "4").replace(" 1", "1")
 
 
 def test_the_list_of_problems_has_an_end_and_says_so() -> None:
     rows = [row(f"{number:04}", "refused", message="too short") for number in range(1010)]
-    root = elements(page(content(*rows)))
-    (listed,) = [one for one in root.within("table") if one.attributes.get("class") == "problems"]
-    assert len(listed.within("tr")) == 1001
-    assert "10 more are not listed here" in root.text
+    root = parsed(page(content(*rows)))
+    (listed,) = problems_of(root)
+    assert len(listed) == 1000
+    assert "10 more are not listed here" in root.whole()
 
 
 def test_hostile_texts_are_shown_and_not_obeyed() -> None:
     rows = [row(name, device_serial=name, message=name, device_model=name, model=name) for name in HOSTILE]
     rows += [row(f"x/{name}", "refused", message=f"{name}; {name}") for name in HOSTILE]
     devices = [device(name, "service", 3.0, (name,)) for name in HOSTILE]
-    said = {
-        "mixed_times": HOSTILE[0],
-        "waiting": HOSTILE[1],
-        "pools": {HOSTILE[2]: {}},
-        "settings": HOSTILE[3],
-    }
+    said = {"mixed_times": HOSTILE[0], "waiting": HOSTILE[1]}
+    said |= {"pools": {HOSTILE[2]: {}}, "settings": HOSTILE[3]}
     text = page(content(*rows, devices=devices, summary=said))
     text.encode()
-    root = elements(text)
+    root = parsed(text)
     check_page(root)
-    assert [one.attributes.get("type") for one in root.within("script")] == ["application/json", None]
-    assert not root.within("img") and SHAPELESS.search(text) is None
-    assert "<script>alert(1)</script>.cwa" in root.text
-    assert r"a\u202egnp.cwa" in root.text
-    assert "{{ 7 * 7 }}" in root.text
+    assert [one.attributes.get("type") for one in root.all("script")] == ["application/json", None]
+    assert not root.all("img") and SHAPELESS.search(text) is None
+    assert "<script>alert(1)</script>.cwa" in root.whole()
+    assert r"a\u202egnp.cwa" in root.whole()
+    assert "{{ 7 * 7 }}" in root.whole()
     paths = cell_texts(data_of(root)["recordings"], "path")
     assert paths[:2] == [*HOSTILE[:2]] and paths[3] == r"a\u202egnp.cwa"
 
@@ -255,9 +230,9 @@ def test_hostile_texts_are_shown_and_not_obeyed() -> None:
 def test_addresses_stay_below_the_folder_whatever_the_names() -> None:
     names = [*HOSTILE, "//evil.example/x", "a b?c#d%41.cwa"]
     rows = [row(name) for name in names]
-    links = [one.attributes["href"] for one in elements(page(content(*rows))).within("a")]
+    links = [one.attributes["href"] for one in parsed(page(content(*rows))).all("a")]
     assert {link[0] for link in links if link and link != "study.csv"} <= {"#", "."}
-    table = data_of(elements(page(content(*rows))))["recordings"]
+    table = data_of(parsed(page(content(*rows))))["recordings"]
     assert "./a%20b%3Fc%23d%2541.cwa.html" in table["pages"]
     assert "./half%80byte.cwa.html" in table["pages"]
 
@@ -305,22 +280,22 @@ def test_drifts_are_drawn_the_fastest_first_with_their_limits() -> None:
 def test_the_devices_of_a_study_are_those_of_the_review(tmp_path: Path) -> None:
     out = write(tmp_path, [*good_devices(3), *drifting("07", 0.004)])
     assert write_study_pages(out).changed
-    root = elements((out / "study.html").read_text())
+    root = parsed((out / "study.html").read_text())
     check_page(root)
     table = data_of(root)["devices"]
     assert cell_texts(table, "device") == ["07", "00000", "00001", "00002"]
     assert cell_texts(table, "verdict") == ["service", "good", "good", "good"]
     assert cell_texts(table, "offset")[0] == pytest.approx(4.0, abs=0.1)
-    assert "07: offset x drifts by +" in root.text
+    assert "07: offset x drifts by +" in root.whole()
 
 
 def test_verdicts_14_a_device_of_two_sensors_is_shown_first(tmp_path: Path) -> None:
     two = [fitted("two", 0.1 * n, {"offset_x_g": 0.03 * (n % 2) + 1e-6 * n}) for n in range(2)]
     out = write(tmp_path, [*good_devices(3), *drifting("07", 0.004), *two])
     write_study_pages(out)
-    root = elements((out / "study.html").read_text())
+    root = parsed((out / "study.html").read_text())
     assert cell_texts(data_of(root)["devices"], "verdict")[:2] == ["two sensors", "service"]
-    assert "2 devices to service or to sort out" in root.text
+    assert "2 devices to service or to sort out" in root.whole()
 
 
 def small_study(out: Path, count: int = 6) -> Path:
@@ -369,7 +344,7 @@ def test_a_recording_called_study_does_not_take_the_place_of_the_page(tmp_path: 
     out = made_study.study(tmp_path, [one | {"path": "study.cwa", "report": "study.calibration.json"}])
     (out / "study.calibration.json").write_text(json.dumps(made_study.base_report()))
     write_study_pages(out)
-    assert data_of(elements((out / "study.html").read_text()))["recordings"]["pages"] == [
+    assert data_of(parsed((out / "study.html").read_text()))["recordings"]["pages"] == [
         "./study.recording.html"
     ]
     assert (out / "study.recording.html").is_file()
@@ -380,7 +355,7 @@ def test_a_report_with_a_name_that_cannot_be_shown_is_found(tmp_path: Path) -> N
     out = made_study.study(tmp_path, [one | {"path": r"a\nb.cwa", "report": r"a\nb.calibration.json"}])
     (out / "a\nb.calibration.json").write_text(json.dumps(made_study.base_report()))
     assert write_study_pages(out).made == 1
-    assert data_of(elements((out / "study.html").read_text()))["recordings"]["pages"] == ["./a%0Ab.html"]
+    assert data_of(parsed((out / "study.html").read_text()))["recordings"]["pages"] == ["./a%0Ab.html"]
 
 
 def test_a_damaged_report_costs_its_own_page_alone(tmp_path: Path, capsys: Capture) -> None:
@@ -416,15 +391,15 @@ def test_a_study_makes_its_pages_and_again_only_what_is_new(tmp_path: Path, caps
     done = run(capsys, *words)
     assert done.code == 0
     assert "study.html and 1 recording page" in done.err
-    root = elements((out / "study.html").read_text())
+    root = parsed((out / "study.html").read_text())
     check_page(root)
     (link,) = {
-        one.attributes["href"] for one in root.within("a") if ".html" in (one.attributes["href"] or "")
+        one.attributes["href"] for one in root.all("a") if ".html" in (one.attributes["href"] or "")
     } or {None}
     table = data_of(root)["recordings"]
     assert link == "./a%3Cb%3E%26.html"  # of its hours
     assert table["pages"] == [1] and cell_texts(table, "path") == ["a<b>&.raw"]
-    made_by = dict(zip(*([one.text for one in root.within(tag)] for tag in ("dt", "dd")), strict=True))
+    made_by = dict(zip(*([one.whole() for one in root.all(tag)] for tag in ("dt", "dd")), strict=True))
     assert made_by["Results in"] == "out" and f"-d {out}" in made_by["Command"]
     assert made_by["Newest result"].endswith(" UTC")
     assert (out / "a<b>&.html").is_file()
@@ -486,10 +461,10 @@ def test_51_3_hours_of_wear_have_a_figure_and_a_table_by_device_and_site() -> No
         row("hip_d.gt3x", wear_hours=200.0, device_model="Link", calibration_error_mg=0.5),
         row("hip_copy.gt3x", wear_hours=200.0, device_model="Link", copy_of="hip_d.gt3x"),
     ]
-    root = elements(page(content(*rows)))
+    root = parsed(page(content(*rows)))
     check_page(root)
-    (table,) = (one for one in root.within("table") if "by hours of wear" in one.text)
-    assert [[cell.text for cell in line.within("th", "td")] for line in table.within("tr")] == [
+    (table,) = (one for one in root.all("table") if "by hours of wear" in one.whole())
+    assert [[cell.whole() for cell in line.all("th", "td")] for line in table.all("tr")] == [
         ["Device", "1 to 3 h", "24 to 72 h", "168 h or more"],
         ["AX3, wrist", "50 % of 2, 4 mg", "100 % of 1, 1 mg", ""],
         ["Link, hip", "", "", "100 % of 1, 0.5 mg"],
@@ -512,15 +487,11 @@ def test_u50_decisions_are_on_the_page_and_hostile_ones_are_texts() -> None:
     nonsense: list[Any] = [None, "text", ["a.cwa", "no"], [*good[:5], 3], ["a.cwa", "delete", "", "", "", ""]]
     found = [{"message": f"{name} is odd"} for name in HOSTILE]
     held = {"file": HOSTILE[0], "rows": [good, *nonsense], "findings": [*found, "nonsense"]}
-    no = {
-        "use": "no",
-        "decided_by": "=who",
-        "why": "A person decided not to use it: <b>loose</b>.",
-        "result": "r1",
-    }
+    no = {"use": "no", "decided_by": "=who", "result": "r1"}
+    no |= {"why": "A person decided not to use it: <b>loose</b>."}
     rows = (row("a.cwa", **no), row("b.cwa", use="no"))
     text = page(content(*rows, summary={"decisions": held}))
-    root = elements(text)
+    root = parsed(text)
     check_page(root)
     assert data_of(root)["decisions"] == [good]
     assert data_of(root)["recordings"]["results"] == ["r1", ""]
@@ -528,4 +499,4 @@ def test_u50_decisions_are_on_the_page_and_hostile_ones_are_texts() -> None:
     assert not SHAPELESS.search(text)
     assert "<dt>Can be used</dt><dd>1 (50.0 %)</dd>" in text
     for odd in (None, 3, {"rows": 3, "findings": None}, {"rows": {"a": 1}}):
-        assert data_of(elements(page(content(*rows, summary={"decisions": odd}))))["decisions"] == []
+        assert data_of(parsed(page(content(*rows, summary={"decisions": odd}))))["decisions"] == []
