@@ -30,6 +30,7 @@ SHORTEST = 40
 SHORT = {
     "__main__.py": "`python -m accelcal_cli`",
     "cli/evaluate.py": "one file a command",
+    "cli/gravity.py": "one file a command",
     "formats/tables/writer.py": "names the two writers where all formats have theirs",
     "studies/preload.py": "imported for its imports, by the server that worker processes are forked from",
 }

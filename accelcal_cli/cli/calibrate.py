@@ -18,7 +18,7 @@ from accelcal_cli.cli.options import (
 )
 from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.core.settings import NO_PRIOR, PAPER, Settings
+from accelcal_cli.core.settings import NO_PRIOR, PAPER
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Result, plan
 from accelcal_cli.pipeline.options import chosen_settings
 from accelcal_cli.pipeline.windows import check_table_path
@@ -56,8 +56,10 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """
     from accelcal_cli.pipeline.registry import calibrate  # it takes longer to load than to show --help
 
-    if values["draws"] and _without_posterior(chosen_settings(values)):
-        raise UsageError("--draws needs a prior: without one no posterior is known", hint="omit --draws")
+    if values["draws"]:
+        settings = chosen_settings(values)
+        if settings.prior == NO_PRIOR and settings.profile != PAPER.profile:
+            raise UsageError("--draws needs a prior: without one no posterior is known", hint="omit --draws")
     jobs = plan(recordings_of(recordings, values), values["output_dir"], values["output"])
     if values["windows"] is not None:
         check_table_path(values["windows"], jobs)
@@ -74,7 +76,3 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         return result
 
     return run_jobs(jobs, work, values)
-
-
-def _without_posterior(settings: Settings) -> bool:
-    return settings.prior == NO_PRIOR and settings.profile != PAPER.profile

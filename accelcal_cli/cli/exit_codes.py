@@ -103,7 +103,12 @@ def of_failure(error: Exception) -> int:
     if isinstance(error, BrokenPipeError):
         _silence(sys.stdout)
         return SOME_FAILED
-    return _code_of_failed_write(error) if isinstance(error, OSError) else report_bug()
+    lost = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EIO, errno.EDQUOT)
+    if isinstance(error, OSError) and lost and error.filename is None:  # not one of the outputs
+        say(f"standard output cannot be written ({error.strerror})")
+        _silence(sys.stdout)
+        return OutputError.exit_code
+    return report_bug()
 
 
 class _LostOutput(io.StringIO):
@@ -130,15 +135,6 @@ def _open_standard_files() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")  # a terminal's encoding may lack characters
 
 
-def _code_of_failed_write(error: OSError) -> int:
-    """Return the exit code of a write that failed outside the outputs: on standard output, else a bug."""
-    if error.errno not in (errno.ENOSPC, errno.EIO, errno.EDQUOT) or error.filename is not None:
-        return report_bug()
-    say(f"standard output cannot be written ({error.strerror})")
-    _silence(sys.stdout)
-    return OutputError.exit_code
-
-
 def show(text: str) -> None:
     """Print lines of tab-separated fields, or of JSON, on standard output.
 
@@ -155,15 +151,10 @@ def show(text: str) -> None:
 
 
 def say(message: str) -> None:
-    """Print one line on stderr."""
-    _to_stderr(f"accelcal: {printable(message)}\n")
-
-
-def _to_stderr(text: str) -> None:
-    """Print text for people; if nobody can take it, the exit code still tells."""
+    """Print one line on stderr; if nobody can take it, the exit code still tells."""
     if sys.stderr is not None:
         try:
-            click.echo(text, nl=False, err=True)
+            click.echo(f"accelcal: {printable(message)}", err=True)
         except OSError:
             _silence(sys.stderr)
 

@@ -16,13 +16,7 @@ from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.door import is_folder
 from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
 from accelcal_cli.core.system import cpus
-from accelcal_cli.exports.forms import (
-    COEFFICIENTS,
-    FORMS,
-    check_form,
-    refuse_other_kind,
-    refuse_outputs,
-)
+from accelcal_cli.exports.forms import COEFFICIENTS, FORMS, check_form, refuse_other_kind, refuse_outputs
 from accelcal_cli.exports.rows import WIDEST
 from accelcal_cli.output.files import write_text
 from accelcal_cli.pipeline.jobs import PARQUET_SUFFIX, refuse_dash
@@ -103,6 +97,7 @@ def command(files: tuple[Path, ...], **values: Any) -> int:
 
 
 def _coefficients(files: tuple[Path, ...], values: dict[str, Any]) -> int:
+    from accelcal_cli.exports import coefficients
     from accelcal_cli.exports.selection import select
 
     form, output = values["form"], values["output"]
@@ -110,20 +105,14 @@ def _coefficients(files: tuple[Path, ...], values: dict[str, Any]) -> int:
         refuse_other_kind(path, form)
     if output is not None:
         refuse_outputs((output,), files, force=values["force"])
-    reports = select(files, data=False)
-    done, codes = _each(reports, _reading(form))
+    read = coefficients.as_json if form == "json" else coefficients.read_exported
+    done, codes = _each(select(files, data=False), read)
     text = _text(form, done, quiet=values["quiet"])
     if output is None:
         show(text.rstrip("\n")) if done else None
     elif done:
         write_text(output, text)
     return of_all(codes)
-
-
-def _reading(form: str) -> Callable[[Path], Any]:
-    from accelcal_cli.exports import coefficients
-
-    return coefficients.as_json if form == "json" else coefficients.read_exported
 
 
 def _each(reports: list[Selected], read: Callable[[Path], Any]) -> tuple[list[Any], list[int]]:
@@ -170,17 +159,13 @@ def _folder(files: tuple[Path, ...], values: dict[str, Any]) -> int:
         for one in folder.export_folder(form, planned, wanted, values["jobs"] or cpus()):
             made.append(one)
             shown(len(made))
-            _say_made(one, form, quiet=quiet)
+            if one.error is not None:
+                say(f"{one.error}; skipped")
+            elif one.written is not None:
+                show(printable(one.planned.output))
+                if not quiet:
+                    say(_about(one.planned.output, form, one.written))
     return _end_folder(form, selected, made, wanted, quiet=quiet)
-
-
-def _say_made(one: Made, form: str, *, quiet: bool) -> None:
-    if one.error is not None:
-        say(f"{one.error}; skipped")
-    elif one.written is not None:
-        show(printable(one.planned.output))
-        if not quiet:
-            say(_about(one.planned.output, form, one.written))
 
 
 def _end_folder(

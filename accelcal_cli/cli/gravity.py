@@ -30,12 +30,7 @@ def command(latitude: float, altitude_m: float, as_json: bool) -> None:
     metres = local_gravity(latitude, altitude_m)
     standard = float(Gravity(latitude, altitude_m).local_g())
     if as_json:
-        shown = {
-            "latitude": latitude,
-            "altitude": altitude_m,
-            "local_m_s2": round(metres, 6),
-            "local_g": standard,
-        }
-        exit_codes.show(json.dumps(shown))
+        place = {"latitude": latitude, "altitude": altitude_m}
+        exit_codes.show(json.dumps(place | {"local_m_s2": round(metres, 6), "local_g": standard}))
     else:
         exit_codes.show(f"{metres:.6f}\t{standard:.9f}")

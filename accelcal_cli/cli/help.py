@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
@@ -108,11 +109,6 @@ class NameValue(AnyType):
         ]
 
 
-def _flag(text: str) -> str:
-    """Return the option that would be typed for the name in `name=value`."""
-    return f"--{text.partition('=')[0].replace('_', '-')}"
-
-
 def _show_all(ctx: click.Context, _option: click.Parameter, asked: bool) -> None:
     if asked and not ctx.resilient_parsing:
         ctx.meta[ALL] = True
@@ -183,17 +179,23 @@ class Command(click.Command):
         for one in options:
             if (everything or not isinstance(one, Rare)) and (record := one.get_help_record(ctx)):
                 records.setdefault("help" if one is asks else one.name, []).append(record)
-        grouped = {name for names in GROUPS.values() for name in names}
+        grouped = {*chain.from_iterable(GROUPS.values())}
         own = tuple(name for name in records if name not in grouped)
         for title, names in {"Options": own, **GROUPS}.items():
             if rows := [record for name in names for record in records.get(name, ())]:
                 yield title, rows
+        if everything:
+            yield from self._given_by_name(options)
+
+    def _given_by_name(self, options: Sequence[click.Option]) -> Iterator[tuple[str, list[tuple[str, str]]]]:
+        """Yield the values of options such as `-R NAME=VALUE` that have no option of their own."""
         flags = {word for one in options for word in one.opts}
-        for one in options if everything else ():
+        for one in options:
             if isinstance(one.type, NameValue):
                 known = one.type.known().items()
-                rows = [(f"{name}={about.form}", about.help) for name, about in known]
-                yield f"{one.opts[0]} {one.type.name}", [row for row in rows if _flag(row[0]) not in flags]
+                rest = ((name, about) for name, about in known if f"--{name.replace('_', '-')}" not in flags)
+                rows = [(f"{name}={about.form}", about.help) for name, about in rest]
+                yield f"{one.opts[0]} {one.type.name}", rows
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the examples."""

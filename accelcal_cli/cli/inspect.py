@@ -141,28 +141,11 @@ def _one(path: Path, request: Request, values: dict[str, Any]) -> int:
 
 def text(inspection: Inspection, shown: dict[str, Any]) -> str:
     """Write an inspection for people."""
-    about = shown["recording"]
-    device = " ".join(value for value in about["device"].values() if value) or "unknown"
-    zone = " (device clock)" if about["timezone"] is None else f" ({about['timezone']})"
-    extras = ", ".join(name for name in ("temperature", "gyroscope") if about[name]) or "nothing"
     windows = f"{shown['read']['still_windows']} of {inspection.windows.complete}"
     scope = "all of it" if inspection.whole else f"{inspection.facts.samples} samples in pieces"
-    measured = _known(" (measured {:.3f})", inspection.facts.rate_hz)
-    reach, samples = _known(", range +-{:g} g", about["range_g"]), _known(", {} samples", about["samples"])
-    scale = f"{about['lsb_per_g']:.10g} counts per g"
-    if about["lsb_per_g"] >= FLOAT_LSB_PER_G:
-        scale = "decimal values, in steps of 2^-24 g"
-    hours = None if about["duration_s"] is None else f"{about['duration_s'] / 3600:.2f} h"
     problems = counted_once((one["code"], one["message"]) for one in shown["file_health"]["problems"])[:5]
     lines = [
-        about["path"],
-        f"  format       {about['format']}, {about['bytes']} bytes",
-        f"  device       {device}",
-        f"  rate         {about['sample_rate_hz']:g} Hz{measured}",
-        f"  scale        {scale}{reach}",
-        f"  start        {about['start_time'] or 'unknown'}{zone}",
-        f"  duration     {hours or 'unknown'}{samples}",
-        f"  also holds   {extras}",
+        *_recording(shown["recording"], inspection.facts.rate_hz),
         f"  read         {scope}: {windows} windows still",
         *_values(shown["values"]),
         f"  problems     {'; '.join(problems) or 'none found'}",
@@ -173,7 +156,28 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
         *(f"  caution      {sentence(Reason(**one))}" for one in shown["prediction"]["cautions"]),
         *(f"  what to do   {sentence(one)}" for one in inspection.prediction.advice),
     ]
-    return "\n".join(map(printable, lines + [f"  note         {note}" for note in about["notes"]]))
+    notes = [f"  note         {note}" for note in shown["recording"]["notes"]]
+    return "\n".join(map(printable, lines + notes))
+
+
+def _recording(about: dict[str, Any], rate_hz: float | None) -> list[str]:
+    """Write lines about a recording, by the object of its inspection and its measured rate."""
+    device = " ".join(value for value in about["device"].values() if value) or "unknown"
+    extras = ", ".join(name for name in ("temperature", "gyroscope") if about[name]) or "nothing"
+    scale = f"{about['lsb_per_g']:.10g} counts per g"
+    if about["lsb_per_g"] >= FLOAT_LSB_PER_G:
+        scale = "decimal values, in steps of 2^-24 g"
+    hours = None if about["duration_s"] is None else f"{about['duration_s'] / 3600:.2f} h"
+    return [
+        about["path"],
+        f"  format       {about['format']}, {about['bytes']} bytes",
+        f"  device       {device}",
+        f"  rate         {about['sample_rate_hz']:g} Hz{_known(' (measured {:.3f})', rate_hz)}",
+        f"  scale        {scale}{_known(', range +-{:g} g', about['range_g'])}",
+        f"  start        {about['start_time'] or 'unknown'} ({about['timezone'] or 'device clock'})",
+        f"  duration     {hours or 'unknown'}{_known(', {} samples', about['samples'])}",
+        f"  also holds   {extras}",
+    ]
 
 
 def _values(values: dict[str, Any] | None) -> list[str]:

@@ -13,12 +13,7 @@ from click.shell_completion import CompletionItem
 from accelcal_cli.cli.exit_codes import run_safely
 from accelcal_cli.cli.help import heading
 from accelcal_cli.core.errors import similar_words
-from accelcal_cli.core.system import (
-    collect_seldom,
-    hold_to_one_thread,
-    keep_freed_memory,
-    take_over_process,
-)
+from accelcal_cli.core.system import collect_seldom, hold_to_one_thread, keep_freed_memory, take_over_process
 from accelcal_cli.core.version import __version__
 
 

@@ -73,15 +73,10 @@ def show_result(
         row |= {"after_mg": holdout.after_mg.mean, "ci95_low_mg": low, "ci95_high_mg": high}
         row |= {"improvement_percent": holdout.improvement_percent} | factor_columns(holdout)
     row |= error_columns(report.calibration_error_mg if calibrated else None)
-    remarks = () if values.get("quiet", False) else _remarks(report)
+    refused = report.outcome == Outcome.REFUSED
+    start, told = ("What to do", report.advice) if refused else ("Caution", report.cautions)
+    remarks = () if values.get("quiet", False) else [f"{start}: {words.sentence(one)}" for one in told]
     show_row(row, source, written, values, remarks, up_to_date=up_to_date)
-
-
-def _remarks(report: ReportView) -> tuple[str, ...]:
-    """Return what to be aware of in a result, and what to do about a refusal."""
-    if report.outcome == Outcome.REFUSED:
-        return tuple(f"What to do: {words.sentence(one)}" for one in report.advice)
-    return tuple(f"Caution: {words.sentence(one)}" for one in report.cautions)
 
 
 def show_row(
@@ -249,13 +244,11 @@ Work = Callable[[Job, ProgressMaker, Path], Result]
 """Function that makes one recording's result; the path is where its bytes are."""
 
 
-def parquet_of(result: Result) -> Path | None:
-    """Return the Parquet file of a result, if it has one."""
-    return result.parquet
-
-
 def run_jobs(
-    jobs: list[Job], work: Work, values: dict[str, Any], written: Callable[[Result], Path | None] = parquet_of
+    jobs: list[Job],
+    work: Work,
+    values: dict[str, Any],
+    written: Callable[[Result], Path | None] = lambda result: result.parquet,
 ) -> int:
     """Do every job and print its result or why it failed; return the exit code of all.
 
@@ -341,40 +334,32 @@ def counted_once(problems: Iterable[tuple[str, str]]) -> list[str]:
         stem, mark, number = message.rpartition(": ")
         countable = mark and number.isdecimal()
         found.setdefault((code, stem if countable else message), []).append(number if countable else "")
-    return [_in_all(code, stem, numbers) for (code, stem), numbers in found.items()]
+    texts = []
+    for (code, stem), numbers in found.items():
+        total = f": {sum(map(int, filter(None, numbers)))}" if any(numbers) else ""
+        places = f", in {len(numbers)} places" if len(numbers) > 1 else ""
+        texts.append(f"{code}: {stem}{total}{places}")
+    return texts
 
 
-def _in_all(code: str, stem: str, numbers: list[str]) -> str:
-    total = f": {sum(map(int, filter(None, numbers)))}" if any(numbers) else ""
-    return f"{code}: {stem}{total}{f', in {len(numbers)} places' if len(numbers) > 1 else ''}"
-
-
-def _grave(report: ReportView) -> list[Reason]:
-    """Return what even a quiet run says against a result."""
-    return [one for one in report.cautions if one.code in ALWAYS_SAID]
-
-
-def _caution(result: Result, values: dict[str, Any]) -> str | None:
-    """Return what even a quiet run says against a result, unless it is said with the result itself."""
-    with_it = (_in_words(values) or values["verbose"]) and not (values["quiet"] or values["as_json"])
-    grave = _grave(result.view)
-    return None if with_it or not grave else f"caution: {' '.join(map(words.sentence, grave))}"
-
-
-def _why_refused(report: ReportView) -> str:
-    """Return why a recording was refused, with grave cautions and the first two pieces of advice."""
-    grave = _grave(report)
-    cut = any(one.code == "cut_short" for one in grave)  # whose sentence has that advice
-    ways = [one for one in report.advice if not (cut and one.code == "copy_again")]
-    return " ".join([report.message, *map(words.sentence, [*grave, *ways[:2]])])
+def _say_verdict(result: Result, values: dict[str, Any]) -> None:
+    """Say what even a quiet run says: why a recording was refused, or what speaks against its result."""
+    report = result.view
+    grave = [one for one in report.cautions if one.code in ALWAYS_SAID]
+    if result.outcome is Outcome.REFUSED:
+        cut = any(one.code == "cut_short" for one in grave)  # whose sentence has that advice
+        ways = [one for one in report.advice if not (cut and one.code == "copy_again")][:2]
+        why = " ".join([report.message, *map(words.sentence, [*grave, *ways])])
+        say_refused(why, result.job.source, values)
+        return
+    said = (_in_words(values) or values["verbose"]) and not (values["quiet"] or values["as_json"])
+    if grave and not said:  # with the result itself
+        exit_codes.say(f"{printable(result.job.source)}: caution: {' '.join(map(words.sentence, grave))}")
 
 
 def _comment(result: Result, values: dict[str, Any]) -> None:
     report, name = result.view, printable(result.job.source)
-    if result.outcome is Outcome.REFUSED:
-        say_refused(_why_refused(report), result.job.source, values)
-    elif (caution := _caution(result, values)) is not None:
-        exit_codes.say(f"{name}: {caution}")
+    _say_verdict(result, values)
     if values["quiet"]:
         return
     if result.up_to_date:

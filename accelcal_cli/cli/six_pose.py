@@ -15,7 +15,7 @@ from accelcal_cli.core.door import is_folder
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.input_files import is_no_part
 from accelcal_cli.core.settings import POSES, PoseSettings
-from accelcal_cli.pipeline.jobs import Request, Result, plan_report, real
+from accelcal_cli.pipeline.jobs import Request, plan_report, real
 from accelcal_cli.pipeline.options import read_options, with_values
 from accelcal_cli.six_pose.run import session_of, six_pose
 
@@ -72,7 +72,12 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         command=("accelcal", *sys.argv[1:]),
         parts=True,
     )
-    return run_jobs([job], lambda job, bars, source: six_pose(job, request, bars, source), values, report_of)
+    return run_jobs(
+        [job],
+        lambda job, bars, source: six_pose(job, request, bars, source),
+        values,
+        written=lambda result: result.job.report,  # a session has no Parquet file
+    )
 
 
 def _refuse_among(report: Path, session: Path) -> None:
@@ -80,8 +85,3 @@ def _refuse_among(report: Path, session: Path) -> None:
     if is_folder(session) and real(session) in real(report).parents and not is_no_part(report):
         hint = "give a name outside, or one that ends in .calibration.json"
         raise UsageError(f"{printable(report)} would be among the files of the session", hint=hint)
-
-
-def report_of(result: Result) -> Path:
-    """Return the report, which the result's line names: a session has no Parquet file."""
-    return result.job.report

@@ -16,14 +16,7 @@ import click
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.help import Command, Rare
-from accelcal_cli.cli.options import (
-    FILE,
-    OneOf,
-    Positive,
-    precision_option,
-    request_of,
-    study_options,
-)
+from accelcal_cli.cli.options import FILE, OneOf, Positive, precision_option, request_of, study_options
 from accelcal_cli.cli.output import say_refused, show_row
 from accelcal_cli.cli.report import study_pages
 from accelcal_cli.cli.run_log import LOG, run_log
@@ -171,11 +164,7 @@ class TerminalObserver:
     "--pool", cls=Rare, type=OneOf(["device"]),
     help="Calibrate the recordings of a device together.",
 )  # fmt: skip
-@click.option(
-    "--borrow",
-    is_flag=True,
-    help="Use coefficients of the same device where needed.",
-)
+@click.option("--borrow", is_flag=True, help="Use coefficients of the same device where needed.")
 @precision_option
 @study_options
 def command(folders: tuple[Path, ...], **values: Any) -> int:
@@ -249,12 +238,9 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
     refuse_dash(values["out"])
     if values["shard"] and values["collect"]:
         raise UsageError("--shard processes one part, --collect merges all parts", hint="give one of them")
-    if values["prune"] and values["shard"]:
-        raise UsageError("--prune is for the whole study", hint="give it to --collect, not to --shard")
-    if values["shard"] and values["decisions"]:
-        raise UsageError("--decisions is for the whole study", hint="give it to --collect, not to --shard")
-    if values["shard"] and values["html"]:
-        raise UsageError("--html is for the whole study", hint="give it to --collect, not to --shard")
+    for name in ("prune", "decisions", "html"):
+        if values["shard"] and values[name]:
+            raise UsageError(f"--{name} is for the whole study", hint="give it to --collect, not to --shard")
     study = Study(
         Where(folders, values["out"], values["include"], values["exclude"]),
         request,
@@ -311,20 +297,16 @@ def _preview(study: Study, values: dict[str, Any]) -> int:
             known = {name: value for name, value in more.items() if value is not None}
             exit_codes.show(json.dumps({"path": path, "state": state, **known}))
         elif not values["quiet"]:
-            shown = _with_why(state, again.get(item.name))
+            why = again.get(item.name)
+            shown = f"{state} ({why})" if why and state == "todo" else state
             exit_codes.show("\t".join([path, shown, *_stated(item), *filter(None, [item.refusal])]))
-    for name, why in left.items():
+    for name, one in left.items():
         if values["as_json"]:
-            about = {"path": printable(name), "state": "left_out", **why.as_json(), "message": sentence(why)}
+            about = {"path": printable(name), "state": "left_out", **one.as_json(), "message": sentence(one)}
             exit_codes.show(json.dumps(about))
         elif not values["quiet"]:
-            exit_codes.say(f"{printable(name)}: left out: {clause(why)}")
+            exit_codes.say(f"{printable(name)}: left out: {clause(one)}")
     return exit_codes.OK
-
-
-def _with_why(state: str, why: str | None) -> str:
-    """Return a state, for a recording that is calibrated again with the reason: `todo (made by 1.0.0)`."""
-    return f"{state} ({why})" if why and state == "todo" else state
 
 
 def _stated(item: Item) -> list[str]:

@@ -116,9 +116,8 @@ def _comment(report: Path, verified: Verified) -> None:
     """Say on stderr what was assumed, and how the Parquet file compares."""
     name = printable(report)
     if verified.missing:
-        exit_codes.say(
-            f"{name}: does not state {', '.join(verified.missing)}; this version's defaults were used"
-        )
+        missing = ", ".join(verified.missing)
+        exit_codes.say(f"{name}: does not state {missing}; this version's defaults were used")
     if verified.unknown:
         exit_codes.say(f"{name}: states {', '.join(verified.unknown)}, which this version does not know")
     if verified.parquet is not None:

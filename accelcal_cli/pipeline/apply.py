@@ -58,10 +58,8 @@ READING = ("unit", "columns", "sensor", "lsb_per_g", "zero", "layout_sha256")
 OF_THE_RECIPIENT = ("precision_mg", "max_damage_percent", "max_error_mg", "strict")
 """Settings that coefficients do not bring along: those of the recording that they are applied to."""
 
-VERDICT = ("outcome", "reason", "values", "message", "notes", "cautions")
 KNOWN = "known_orientations"
 ANY_DEVICE = "use --any-device to apply them anyway"
-SHOWN_HASH = 12
 UNSEEN = "coefficients of another recording: all points are held out"
 REREAD = "coefficients of the same file read otherwise: points may have been fitted"
 
@@ -131,7 +129,8 @@ class DonorCoefficients(Judge):
     def method(self, recording: Recording) -> Method:
         """Return the method; raises UnreadableError if the recording's own report is damaged."""
         if self.relation is Relation.OWN:
-            check_sections(self.donor.document, (*COPIED, KNOWN, *VERDICT))
+            verdict = ("outcome", "reason", "values", "message", "notes", "cautions")
+            check_sections(self.donor.document, (*COPIED, KNOWN, *verdict))
         return make_method(recording, self.settings)
 
     def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
@@ -140,13 +139,11 @@ class DonorCoefficients(Judge):
         origin = {"coefficients": _origin_json(self.donor)}
         if found.damage is not None:
             return Verdict(found.damage, origin)
-        judged = self._own_judgement if self.relation is Relation.OWN else self._borrowed_judgement
-        return Verdict(judged(found), self._donor_sections() | origin)
-
-    def _own_judgement(self, found: Survey) -> Judgement:
+        if self.relation is not Relation.OWN:
+            return Verdict(self._borrowed_judgement(found), self._donor_sections() | origin)
         report = self.donor.document.report
         notes, cautions = ([Reason(**one) for one in report.get(name, ())] for name in ("notes", "cautions"))
-        return Judgement(
+        own = Judgement(
             Outcome(report["outcome"]),
             Reason(report["reason"], report["values"]),
             found.coverage,
@@ -156,6 +153,7 @@ class DonorCoefficients(Judge):
             cautions=tuple(cautions),
             without_misalignment=self._simpler(None),
         )
+        return Verdict(own, self._donor_sections() | origin)
 
     def _borrowed_judgement(self, found: Survey) -> Judgement:
         settings, calibration = self.settings, self.calibration
@@ -188,12 +186,7 @@ class DonorCoefficients(Judge):
         if used != self.donor.calibration and errors is not None:
             errors = {name: errors[name] for name in errors if not name.startswith("s")}  # without slopes
         optimizer = {**section["optimizer"], "converged": section["optimizer"].get("converged")}
-        section = {
-            **section,
-            **coefficients_json(used),
-            "standard_errors": errors,
-            "optimizer": optimizer,
-        }
+        section = {**section, **coefficients_json(used), "standard_errors": errors, "optimizer": optimizer}
         return {"calibration": section, **{name: report.get(name) for name in copied}}
 
 
@@ -342,35 +335,25 @@ def keep_coefficients(path: Path, planned: Sequence[Job]) -> None:
 
 
 def judged_elsewhere(
-    donor: Coefficients,
-    calibration: Calibration,
-    found: Survey,
-    holdout: Holdout | None,
-    limit_mg: float,
+    donor: Coefficients, calibration: Calibration, found: Survey, holdout: Holdout | None, limit_mg: float
 ) -> Judgement:
-    """Judge a donor's coefficients by their errors on another recording's points."""
+    """Judge a donor's coefficients by their errors on another recording's points; say whose they are."""
+    origin, cautions = donor.origin, []
+    device = " ".join(word for word in (origin.device.model, origin.device.serial) if word) or "unknown"
+    whose = {"path": printable(origin.path), "sha256": origin.sha256[:12], "device": printable(device)}
+    if holdout is not None and holdout.after.mean > holdout.before.mean:
+        cautions.append(Reason("worse_here"))
+    if holdout is not None and holdout.after.mean >= limit_mg:
+        cautions.append(Reason.of("much_left", limit_mg=limit_mg))
     return Judgement(
         Outcome.BORROWED,
-        _origin_reason(donor, holdout),
+        Reason.of("borrowed", **whose, **errors_here(holdout)),
         found.coverage,
         (),
         calibration,
         notes=_differences(donor, calibration, found.recording),
-        cautions=_warnings(holdout, limit_mg),
+        cautions=tuple(cautions),
         holdout=holdout,
-    )
-
-
-def _origin_reason(donor: Coefficients, holdout: Holdout | None) -> Reason:
-    """Return whose the coefficients are, and their errors on the recording's own points."""
-    origin = donor.origin
-    device = " ".join(word for word in (origin.device.model, origin.device.serial) if word) or "unknown"
-    return Reason.of(
-        "borrowed",
-        path=printable(origin.path),
-        sha256=origin.sha256[:SHOWN_HASH],
-        device=printable(device),
-        **errors_here(holdout),
     )
 
 
@@ -398,17 +381,6 @@ def _differences(donor: Coefficients, calibration: Calibration, recording: Recor
     if donor.calibration.temperature is not None and calibration.temperature is None:
         notes.append(Reason.of("slopes_left_out", at_c=donor.calibration.reference_c()))
     return tuple(notes)
-
-
-def _warnings(holdout: Holdout | None, limit_mg: float) -> tuple[Reason, ...]:
-    if holdout is None:
-        return ()
-    warnings = []
-    if holdout.after.mean > holdout.before.mean:
-        warnings.append(Reason("worse_here"))
-    if holdout.after.mean >= limit_mg:
-        warnings.append(Reason.of("much_left", limit_mg=limit_mg))
-    return tuple(warnings)
 
 
 def _origin_json(donor: Coefficients) -> dict[str, Any]:
@@ -479,59 +451,41 @@ def borrow_in(
     reasons: list[Reason] = []
     for donor in donors:
         try:
-            recipient, judge = _other(run, donor)
+            recipient, judge = with_coefficients(run, donor)
+            if judge.relation is not Relation.OTHER:
+                raise UsageError("it is the same recording")
             found = recipient.result(judge)
             verdict = found.data.judgement
-            if verdict.outcome is Outcome.REFUSED or (tested and verdict.holdout is None):
-                return Borrowed(None, (_untested(verdict),))
-            why = None if verdict.holdout is None else _why_not(judge, verdict.holdout)
-            why = why or _why_own(own, judge)
+            if verdict.outcome is Outcome.REFUSED:
+                return Borrowed(None, (verdict.reason,))
+            if tested and verdict.holdout is None:
+                return Borrowed(None, (Reason.of("untested", needed=FEWEST_POSTURES),))
+            why = _why_not(judge, verdict.holdout, own)
         except UsageError as error:
             why = Reason.of("not_tried", message=printable(error.message))
         if why is None:
-            found = _relocatable(found, run.job, donor.document.path)
-            return Borrowed(recipient.write(found), tuple(reasons))
+            # the file is named by its path from the report, so that both may be moved together
+            path = Path(os.path.relpath(donor.document.path, run.job.report.parent)).as_posix()
+            named = found.data.taken["coefficients"] | {"path": printable(path)}
+            data = replace(found.data, taken=found.data.taken | {"coefficients": named})
+            return Borrowed(recipient.write(replace(found, data=data)), tuple(reasons))
         reasons.append(Reason.of("donor", path=printable(donor.origin.path), why=why))
     return Borrowed(None, tuple(reasons))
 
 
-def _other(run: RecordingRun, donor: Coefficients) -> tuple[RecordingRun, DonorCoefficients]:
-    """Return what `with_coefficients` does; raises UsageError also for the recording's own coefficients."""
-    recipient, judge = with_coefficients(run, donor)
-    if judge.relation is not Relation.OTHER:
-        raise UsageError("it is the same recording")
-    return recipient, judge
-
-
-def _untested(verdict: Judgement) -> Reason:
-    refused = verdict.outcome is Outcome.REFUSED
-    return verdict.reason if refused else Reason.of("untested", needed=FEWEST_POSTURES)
-
-
-def _why_not(judge: DonorCoefficients, holdout: Holdout) -> Reason | None:
-    before, after, limit_mg = holdout.before.mean, holdout.after.mean, judge.settings.max_error_mg
-    if after > before or (after == before and judge.donor.calibration.model != "0"):
-        return Reason.of("not_less", **errors_here(holdout))
-    return (
-        Reason.of("over_limit_here", **errors_here(holdout), limit_mg=limit_mg) if after >= limit_mg else None
-    )
-
-
-def _why_own(own: FirstPass | None, judge: DonorCoefficients) -> Reason | None:
-    """Return why the recording's own calibration is preferred, or None."""
-    if own is None or (holdout := own.data.judgement.holdout) is None:
-        return None
+def _why_not(judge: DonorCoefficients, holdout: Holdout | None, own: FirstPass | None) -> Reason | None:
+    """Return why raw values, or the recording's own calibration, are preferred to a donor's; else None."""
     settings = judge.settings
+    if holdout is not None:
+        before, after, limit_mg = holdout.before.mean, holdout.after.mean, settings.max_error_mg
+        if after > before or (after == before and judge.donor.calibration.model != "0"):
+            return Reason.of("not_less", **errors_here(holdout))
+        if after >= limit_mg:
+            return Reason.of("over_limit_here", **errors_here(holdout), limit_mg=limit_mg)
+    if own is None or (own_holdout := own.data.judgement.holdout) is None:
+        return None
     borrowed = held_out(own.points, judge.calibration, settings.gravity, settings.posture_degrees, UNSEEN)
-    if borrowed is None or not better(borrowed, holdout):
-        after_mg = None if borrowed is None else borrowed.after.mean
-        return Reason.of("own_is_no_worse", after_mg=after_mg, own_mg=holdout.after.mean)
-    return None
-
-
-def _relocatable(found: FirstPass, job: Job, coefficients: Path) -> FirstPass:
-    """Name the coefficient file by its path from the report, so that both may be moved together."""
-    used = found.data.taken["coefficients"]
-    path = printable(Path(os.path.relpath(coefficients, job.report.parent)).as_posix())
-    taken = {**found.data.taken, "coefficients": {**used, "path": path}}
-    return replace(found, data=replace(found.data, taken=taken))
+    if borrowed is not None and better(borrowed, own_holdout):
+        return None
+    after_mg = None if borrowed is None else borrowed.after.mean
+    return Reason.of("own_is_no_worse", after_mg=after_mg, own_mg=own_holdout.after.mean)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.subsets import PaperCollector
+from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.parallel import background_result
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.prior import LearntPrior
@@ -40,7 +41,7 @@ from accelcal_cli.judge.refusal import advised, damage_verdict, strict_if_odd
 from accelcal_cli.judge.verdict import judge_calibrated
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.coefficients import prior_json
-from accelcal_cli.output.files import replacing, write_text
+from accelcal_cli.output.files import metadata_of, replacing, write_text
 from accelcal_cli.output.quality import QualityInput, dumps_quality, quality_json
 from accelcal_cli.output.report import ReportInput, draws_json, gyroscope_json, integers_json
 from accelcal_cli.pipeline import export, jobs, outputs, procedures, survey
@@ -282,21 +283,6 @@ class FirstPass:
     timeline: Timeline | None
     log: WindowLog | None = None
 
-    @property
-    def other_rule_may_help(self) -> bool:
-        """True if profile `paper` found points near 1 g, and could not fit or judge them."""
-        procedure, verdict = self.method.procedure, self.data.judgement
-        paper = isinstance(procedure, procedures.PaperProcedure) and len(procedure.collector) > 0
-        return paper and verdict.outcome is Outcome.REFUSED
-
-    def advising(self, settings: Settings) -> FirstPass:
-        """Return the refusal with the advice to use the rule of stillness of other settings."""
-        verdict = self.data.judgement
-        helps = Reason.of("use_options", options=f"--profile paper {rule_options(settings)}")
-        return replace(
-            self, data=replace(self.data, judgement=replace(verdict, advice=(helps, *verdict.advice)))
-        )
-
     def quality(self) -> QualityInput | None:
         """Return the recording along time; None without blocks of time."""
         if self.timeline is None:
@@ -357,13 +343,19 @@ class RecordingRun:
             UnreadableError: the recording cannot be read on.
         """
         found = self._first_pass(judge, logged)
-        if not found.other_rule_may_help:
-            return found
-        for settings in other_rules(judge.settings):
+        procedure, verdict = found.method.procedure, found.data.judgement
+        near_1_g = isinstance(procedure, procedures.PaperProcedure) and len(procedure.collector) > 0
+        for settings in (
+            other_rules(judge.settings) if near_1_g and verdict.outcome is Outcome.REFUSED else ()
+        ):
             run = replace(self, request=replace(self.request, settings=settings))
             other = run._first_pass(replace(judge, settings=settings), logged)
             if other.data.judgement.calibration is not None:
-                return other if judge.settings.other_stillness else found.advising(settings)
+                if judge.settings.other_stillness:
+                    return other
+                helps = Reason.of("use_options", options=f"--profile paper {rule_options(settings)}")
+                verdict = replace(verdict, advice=(helps, *verdict.advice))
+                return replace(found, data=replace(found.data, judgement=verdict))
         return found
 
     def _first_pass(self, judge: Judge, logged: bool) -> FirstPass:
@@ -447,8 +439,9 @@ class RecordingRun:
         report = outputs.with_provenance(
             reports.build(data), self.request.command, recording=self.job.source, coefficients=donor
         )
-        if written is not None:
-            outputs.refuse_replaced(written, metadata)
+        if written is not None and metadata_of(written) != outputs.json_round_trip(metadata):
+            what, hint = "was replaced by another run while this one went on", "run it again alone"
+            raise OutputError(what, path=written, hint=hint)
         outputs.save_report(self.job.report, report)
         return Result(self.job, report, kept=kept)
 
@@ -462,10 +455,7 @@ class RecordingRun:
         schema = schema_of(columns, reports.parquet_metadata(data))
         shown = self.progress("writing", data.recording.total_bytes)
         chunks = self._chunks(effect)
-        with (
-            replacing(path) as temporary,
-            ParquetSink(temporary, path, columns, schema, threads) as sink,
-        ):
+        with replacing(path) as temporary, ParquetSink(temporary, path, columns, schema, threads) as sink:
             over = export.write_calibrated(data, chunks, sink, threads, shown)
             sink.close()
             jobs.check_unchanged(self.bytes_at, self.before)

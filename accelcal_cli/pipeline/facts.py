@@ -150,16 +150,13 @@ class FactsObserver(Observer):
             return None
         end_us = max((first_us + self._stretches.span_us, *(end for _, end in self._jumps_of_stamps())))
         changes = [*islice(zone_changes(zone, first_us, end_us), self._followed + 1)]
-        if len(changes) > self._followed:
-            return replace(changes[-1], followed=None if self._unseen(changes[-1]) else False)
-        return replace(changes[0], followed=True) if changes else None
-
-    def _unseen(self, change: ZoneChange) -> bool:
-        """Return True if no rows show whether the times follow a change."""
-        start_s = utc_offset_s(self.recording.timezone, self._stretches.first_us or 0) or 0
+        if len(changes) <= self._followed:
+            return replace(changes[0], followed=True) if changes else None
+        change, start_s = changes[-1], utc_offset_s(zone, first_us) or 0
         at_us = change.at_us + (start_s - change.before_s) * MICROSECONDS
-        omitted = self.recording.stamped and self.gaps_omitted > 0
-        return omitted or any(start < at_us <= end for start, end in self._jumps_of_stamps())
+        unseen = self.recording.stamped and self.gaps_omitted > 0
+        unseen |= any(start < at_us <= end for start, end in self._jumps_of_stamps())
+        return replace(change, followed=None if unseen else False)  # None: no rows show it
 
     def _jumps_of_stamps(self) -> list[tuple[int, int]]:
         """Return the spans [us] of jumps of a clock, which may have followed a change of the zone there.
@@ -196,33 +193,18 @@ class FactsObserver(Observer):
         before, after = self._stretches.add(chunk.clock, len(chunk), rows)
         if not first:
             self._run_start_us = self._stretches.first_us or 0
-        if len(rows):
-            self._note_breaks(first, rows, chunk.clock_jumps, before, after)
-
-    def _note_breaks(
-        self,
-        first: int,
-        rows: NDArray[np.int64],
-        clock_jumps: NDArray[np.int64],
-        before: NDArray[np.int64],
-        after: NDArray[np.int64],
-    ) -> None:
-        """Take in the breaks before these rows of a chunk; a step back that is jitter ends no run."""
-        # All at once: a damaged file may have a break before each row.
+        if not len(rows):
+            return
+        # All at once: a damaged file may have a break before each row. Jitter, a step back, ends no run.
         steps_us = after - before
-        jitter = np.isin(rows, clock_jumps) & (steps_us < 0) & (steps_us >= -self._jitter_us)
-        if not jitter.all():
-            self._end_runs(first + rows[~jitter], before[~jitter], after[~jitter])
+        jitter = np.isin(rows, chunk.clock_jumps) & (steps_us < 0) & (steps_us >= -self._jitter_us)
+        if len(ends := np.flatnonzero(~jitter)):
+            # Sums of times are of Python's integers, which do not overflow.
+            end, begun = first + int(rows[ends[-1]]), after[ends]
+            self._run_us += sum(before[ends].tolist()) - sum(begun[:-1].tolist()) - self._run_start_us
+            self._run_steps += end - self._run_first - len(ends)
+            self._run_start_us, self._run_first = int(begun[-1]), end
         self._note_gaps(first + rows, before, steps_us)
-
-    def _end_runs(
-        self, samples: NDArray[np.int64], before: NDArray[np.int64], after: NDArray[np.int64]
-    ) -> None:
-        # Sums of times are of Python's integers, which do not overflow.
-        first = int(samples[-1])
-        self._run_us += sum(before.tolist()) - sum(after[:-1].tolist()) - self._run_start_us
-        self._run_steps += first - self._run_first - len(samples)
-        self._run_start_us, self._run_first = int(after[-1]), first
 
     def _note_gaps(
         self, samples: NDArray[np.int64], before: NDArray[np.int64], steps_us: NDArray[np.int64]
@@ -263,7 +245,9 @@ class Timeline(Observer):
         end = chunk.first_sample + len(chunk)
         while end // self.block_samples >= MAX_BLOCKS:
             self._join_pairs()
-        self._note_damage(chunk.problems, end)
+        for problem in chunk.problems:
+            if lost := problem.lost_bytes + problem.missing_bytes:
+                self._sums[min(problem.sample, end) // self.block_samples, _LOST_BYTES] += lost
         if not len(chunk):
             return
         for block in range(chunk.first_sample // self.block_samples, 1 + (end - 1) // self.block_samples):
@@ -343,12 +327,6 @@ class Timeline(Observer):
         block = (rows[gaps] + chunk.first_sample) // self.block_samples
         np.add.at(self._sums[:, _GAP_S], block, steps_us[gaps] // MICROSECONDS)
         np.add.at(self._sums[:, _GAP_REST_US], block, steps_us[gaps] % MICROSECONDS)
-
-    def _note_damage(self, problems: tuple[Problem, ...], end: int) -> None:
-        for problem in problems:
-            if lost := problem.lost_bytes + problem.missing_bytes:
-                block = min(problem.sample, end) // self.block_samples
-                self._sums[block, _LOST_BYTES] += lost
 
     def _join_pairs(self) -> None:
         half = MAX_BLOCKS // 2

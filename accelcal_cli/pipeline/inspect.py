@@ -21,7 +21,7 @@ from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import DEFAULT, NO_PRIOR, Settings
 from accelcal_cli.judge.errors import coverage
-from accelcal_cli.judge.model_ladder import Fitting, postures
+from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.refusal import advised, damage_verdict, strict_if_odd
 from accelcal_cli.judge.verdict import judge_calibrated
 from accelcal_cli.output import report as reports
@@ -127,12 +127,6 @@ def inspection_settings(values: dict[str, Any], *, full: bool) -> Settings:
     return replace(wanted, optimizer=QUICK) if quick else wanted
 
 
-def quick_fitting(settings: Settings) -> Fitting:
-    """Return the fitting of the settings, with a prior that of the default optimizer."""
-    ladder = fitting(replace(settings, prior=NO_PRIOR))
-    return ladder if settings.prior == NO_PRIOR else replace(ladder, penalized=fitting(DEFAULT).penalized)
-
-
 def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
     """Read a recording's description and pieces spread over it; read all with `full`, or if it is small.
 
@@ -155,7 +149,10 @@ def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
     points = method.procedure.result()
     covered = coverage(points, postures(points, settings.posture_degrees))
     damage = damage_verdict(facts, settings.max_damage_percent, covered)
-    prediction, fitter = damage, quick_fitting(strict_if_odd(settings, facts, recording))
+    fitter = fitting(replace(strict_if_odd(settings, facts, recording), prior=NO_PRIOR))
+    if settings.prior != NO_PRIOR:  # by the default optimizer, where pieces are fitted by a quicker one
+        fitter = replace(fitter, penalized=fitting(DEFAULT).penalized)
+    prediction = damage
     if prediction is None and recording.calibrated is not None:
         prediction = judge_calibrated(points, fitter, recording.calibrated.sentence())
     if prediction is None:

@@ -362,12 +362,6 @@ class Request:
     replaces_gone: bool = False
     each: str | None = EACH
 
-    def for_sensor(self, sensor: str | None) -> Request:
-        """Return the request for one of a file's sensors where each is wanted, or for a file of one."""
-        each = self.options.sensor == EACH
-        options = replace(self.options, sensor=sensor) if each else self.options
-        return replace(self, options=options, each=sensor)
-
     def options_of(self, path: Path) -> ReadOptions:
         """Return how a recording is read, by options and files next to it; raises UsageError on conflict."""
         return with_stated(self.options, self.choices_of(path), path)

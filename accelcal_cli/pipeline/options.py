@@ -157,19 +157,31 @@ def _field_values(options: Mapping[str, Any], known: Mapping[str, tuple[type, st
     return values
 
 
+def _plain(name: str, value: Any) -> Any:
+    """Return the value of an option as JSON has it."""
+    match value:
+        case tuple() | list():  # names or numbers of columns
+            plain: Any = list(map(str, value))
+        case Path():
+            plain = str(value)
+        case date():  # with a time, as TOML has them
+            plain = value.isoformat()
+        case np.generic():
+            plain = value.item()
+        case _:
+            plain = value
+    return three_names(plain) or plain if name in COLUMNS and isinstance(plain, str | list) else plain
+
+
 def _checked(keyword: str, kind: type, name: str, value: Any) -> Any:
-    plain = list(map(str, value)) if isinstance(value, tuple | list) else value  # names or numbers of columns
-    plain = str(plain) if isinstance(plain, Path) else plain
-    plain = plain.isoformat() if isinstance(plain, date) else plain  # a date and time, as TOML has them
+    plain = _plain(name, value)
     if name == "stillness_axes":
         if value not in tuple("xyz"):
             raise UsageError(f"{keyword} cannot be {value!r}", hint="possible: x, y, z")
         plain = ["xyz".index(value)]
-    if name in COLUMNS and isinstance(plain, str | list):
-        plain = three_names(plain) or plain
     hint, declared = get_type_hints(kind)[name], setting_of(kind, name)
     try:
-        found = converted(plain.item() if isinstance(plain, np.generic) else plain, hint)
+        found = converted(plain, hint)
     except TypeError:
         raise TypeError(f"{keyword} cannot be {value!r}") from None
     above = None if declared.option is None else declared.option.above
@@ -191,17 +203,9 @@ def read_options(values: dict[str, Any]) -> ReadOptions:
     options.times.check()
     columns = (*(values["columns"] or ()), *(values["gyro_columns"] or ()))
     for text in (values["time_column"], values["sensor"], *columns):
-        if text is not None and not _utf8(text):
+        if text is not None and text.encode(errors="ignore").decode() != text:
             raise UsageError(f"{printable(text)!r} is not UTF-8", hint="give columns by number, or rename it")
     return options
-
-
-def _utf8(text: str) -> bool:
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 def chosen_settings(values: dict[str, Any], *, in_study: bool = False) -> Settings:
@@ -306,18 +310,13 @@ def fit_settings(values: dict[str, Any], chosen: Settings = DEFAULT, *, in_study
             f"--prior {prior} uses other recordings and is available in a study only",
             hint=f"use accelcal study FOLDER -d OUT --prior {prior}",
         )
-    recalibrate = _recalibrate(changed, values.get("recalibrate"))
     temperature = changed.temperature and not values["no_temperature"]
-    return replace(changed, temperature=temperature, prior=prior, recalibrate=recalibrate)
-
-
-def _recalibrate(chosen: Settings, wanted: str | None) -> str:
-    """Return whether to follow a sensor that changes; profile `paper` keeps no windows along time."""
-    if chosen.profile == DEFAULT.profile:
-        return chosen.recalibrate
-    if wanted not in (None, NEVER):
+    changed = replace(changed, temperature=temperature, prior=prior)
+    if changed.profile == DEFAULT.profile:
+        return changed
+    if (wanted := values.get("recalibrate")) not in (None, NEVER):
         raise UsageError(f"--recalibrate {wanted} does not go with --profile paper", hint="omit one of them")
-    return NEVER
+    return replace(changed, recalibrate=NEVER)  # profile `paper` keeps no windows along time
 
 
 def _prior(chosen: Settings, wanted: str | None) -> str:

@@ -37,15 +37,7 @@ from accelcal_cli.output.report_reading import (
 )
 from accelcal_cli.output.sections import Provenance
 from accelcal_cli.output.windows import is_window_table
-from accelcal_cli.pipeline.jobs import (
-    PARQUET_SUFFIX,
-    UNCALIBRATED_SUFFIX,
-    Job,
-    Request,
-    Result,
-    real,
-    sha256,
-)
+from accelcal_cli.pipeline.jobs import PARQUET_SUFFIX, UNCALIBRATED_SUFFIX, Job, Request, Result, real, sha256
 
 PACKAGES = ("numpy", "pyarrow", "h5py", "click")
 """Packages whose versions the provenance names."""
@@ -176,14 +168,6 @@ def _are_a_pair(report: dict[str, Any], metadata: dict[str, Any]) -> bool:
     return all(report[name] == metadata.get(name) for name in ("recording", "calibration"))
 
 
-def refuse_replaced(path: Path, metadata: dict[str, Any]) -> None:
-    """Raise OutputError if another run has put its own Parquet file in the place of ours."""
-    if metadata_of(path) != json_round_trip(metadata):
-        raise OutputError(
-            "was replaced by another run while this one went on", path=path, hint="run it again alone"
-        )
-
-
 def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:
     """Raise OutputError if a report stands for another recording, neither moved nor changed."""
     recorded = report["recording"]
@@ -241,7 +225,9 @@ def _refuse_replacing(job: Job, source: Path, report: dict[str, Any], request: R
 
     A result of the same command and the same part of the file gives way: it was asked for again.
     """
-    then, now = _made_by(report), _asked_by(request)
+    then, now = _made_by(report), CALIBRATE if request.coefficients is None else APPLY
+    if isinstance(request.settings, PoseSettings):
+        now = SIX_POSE
     parts = [name for name in PARTS if _part(report, name) != json_round_trip(getattr(request.options, name))]
     what = f"accelcal {then}" if then != now else " and ".join(_words(report, name) for name in parts)
     if report.get("calibration") is not None and what and _is_of(report, source):
@@ -269,12 +255,6 @@ def _made_by(report: dict[str, Any]) -> str:
         return SIX_POSE
     used = section(report, "coefficients")
     return APPLY if used and not used.get("without_provenance") else CALIBRATE
-
-
-def _asked_by(request: Request) -> str:
-    if isinstance(request.settings, PoseSettings):
-        return SIX_POSE
-    return CALIBRATE if request.coefficients is None else APPLY
 
 
 def applied_by_hand(job: Job, source: Path) -> Result | None:
@@ -334,41 +314,25 @@ def is_own_result(path: Path) -> bool:
 
 
 def remove_stale_parquet(path: Path, metadata: dict[str, Any]) -> None:
-    """Remove a Parquet file of ours that was not made by this calibration; leave foreign files.
-
-    Raises:
-        OutputError: it cannot be removed.
-    """
+    """Remove a Parquet file if it is ours and not of this calibration; raises OutputError if that fails."""
     if written_by_us(path) and metadata_of(path) != json_round_trip(metadata):
         remove(path)
 
 
 def remove_ours(path: Path) -> None:
-    """Remove a JSON file of ours that no longer holds; leave foreign files.
-
-    Raises:
-        OutputError: it cannot be removed.
-    """
+    """Remove a JSON file that no longer holds if it is ours; raises OutputError if that fails."""
     if load_our_json(path) is not None:
         remove(path)
 
 
 def remove_page(path: Path) -> None:
-    """Remove a page of ours whose report no longer holds; leave foreign files.
-
-    Raises:
-        OutputError: it cannot be removed.
-    """
+    """Remove a page whose report no longer holds if it is ours; raises OutputError if that fails."""
     if is_page(path):
         remove(path)
 
 
 def remove(path: Path) -> None:
-    """Remove an earlier result of ours that no longer holds.
-
-    Raises:
-        OutputError: it cannot be removed.
-    """
+    """Remove an earlier result of ours that no longer holds; raises OutputError if that fails."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
@@ -410,9 +374,5 @@ def with_provenance(report: dict[str, Any], command: tuple[str, ...], **files: P
 
 
 def save_report(path: Path, report: dict[str, Any]) -> None:
-    """Write a report; it appears complete or not at all.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write a report, which appears complete or not at all; raises OutputError if that fails."""
     write_text(path, dumps(report, pretty=True) + "\n")

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from itertools import product
 from operator import add
 from typing import Any
 
@@ -18,12 +19,11 @@ from accelcal_cli.core.formats import unused_note, without
 from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Recording
-from accelcal_cli.core.results import Holdout, Judgement, Outcome
+from accelcal_cli.core.results import Judgement, Outcome
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.model_ladder import held_out
 from accelcal_cli.judge.verdict import SEEN, worse
 from accelcal_cli.output.coefficients import calibration_of
-from accelcal_cli.output.report import ReportInput
 from accelcal_cli.output.report_kinds import TAKEN, Member, PoolInput, build_pool, of_member
 from accelcal_cli.output.report_reading import Document, check_sections
 from accelcal_cli.output.sections import PoolSection, WindowUse
@@ -82,8 +82,11 @@ def pool(
         UnreadableError: one cannot be read.
     """
     parts = [_part(member, request, progress) for member in members]
-    for part in parts[1:]:
-        _refuse_other(parts[0].recording, part.recording)
+    first = parts[0].recording
+    for part, name in product(parts[1:], ("lsb_per_g", "range_g")):
+        if getattr(part.recording, name) != getattr(first, name):
+            what = f"cannot be pooled with {first.path}: its {name} differs"
+            raise UsageError(what, path=part.recording.path)
     settings = request.recording_settings
     fitted = _fitted(parts, settings)
     left_out: dict[_Part, Reason] = {}
@@ -91,7 +94,10 @@ def pool(
         left_out |= misfits
         rest = [part for part in fitted.parts if part not in misfits]
         if len(rest) < FEWEST:
-            fitted = replace(fitted, verdict=_contradictory(fitted.verdict, misfits))
+            one = min(misfits, key=lambda part: str(part.member.path))
+            why = Reason.of("recordings_contradict", path=printable(one.member.path), why=misfits[one])
+            verdict = Judgement(Outcome.REFUSED, why, fitted.verdict.coverage, fitted.verdict.trials)
+            fitted = replace(fitted, verdict=verdict)
             break
         fitted = _fitted(rest, settings)
     return build_pool(replace(_input(fitted, left_out, request), copies=copies))
@@ -124,12 +130,6 @@ def _misfits(fitted: _Fitted, settings: Settings) -> dict[_Part, Reason]:
     return found
 
 
-def _contradictory(verdict: Judgement, misfits: Mapping[_Part, Reason]) -> Judgement:
-    part = min(misfits, key=lambda one: str(one.member.path))
-    why = Reason.of("recordings_contradict", path=printable(part.member.path), why=misfits[part])
-    return Judgement(Outcome.REFUSED, why, verdict.coverage, verdict.trials)
-
-
 def _input(fitted: _Fitted, left_out: Mapping[_Part, Reason], request: Request) -> PoolInput:
     parts, settings = fitted.parts, request.recording_settings
     unused = tuple(name for name in parts[0].unused if all(name in part.unused for part in parts))
@@ -160,12 +160,6 @@ def _part(member: Member, request: Request, progress: ProgressMaker) -> _Part:
         return _Part(member, recording, facts.samples, method.procedure.collector, counts, unused)
 
 
-def _refuse_other(first: Recording, other: Recording) -> None:
-    for name in ("lsb_per_g", "range_g"):
-        if getattr(first, name) != getattr(other, name):
-            raise UsageError(f"cannot be pooled with {first.path}: its {name} differs", path=other.path)
-
-
 def apply_pool(
     job: Job,
     request: Request,
@@ -188,8 +182,16 @@ def apply_pool(
     with open_run(job, request, progress, before=before) as run:
         prepare(job, force=request.force)
         found = run.result(PoolCoefficients(request.recording_settings, document))
-        why = _why_not(found.data, document)
-        return run.write(found) if why is None else why
+        judgement = found.data.judgement
+        if judgement.outcome is Outcome.REFUSED:
+            return judgement.reason
+        for member in from_json(PoolSection, document.report["pool"]).left_out:
+            if member.sha256 == found.data.sha256:
+                return Reason.of("left_out_of_pool", why=Reason(member.reason, member.values))
+        usual_mg = document.report["holdout"]["after_mg"]["median"]
+        limit_mg = found.data.settings.method.max_error_mg
+        why = None if judgement.holdout is None else worse(judgement.holdout, usual_mg, limit_mg)
+        return why or run.write(found)
 
 
 @dataclass(frozen=True)
@@ -209,29 +211,11 @@ class PoolCoefficients(Judge):
             return Verdict(found.damage)
         settings, calibration = self.settings, calibration_of(self.document.report["calibration"])
         holdout = held_out(found.points, calibration, settings.gravity, settings.posture_degrees, SEEN)
-        outcome, why = Outcome(self.document.report["outcome"]), _reason(self.document, holdout)
+        report = self.document.report
+        view = from_json(PoolSection, report["pool"])
+        about = {"recordings": len(view.recordings), "serial": printable(view.serial)}
+        its = Reason(report["reason"], report["values"])
+        why = Reason.of("pooled", **about, pool=its, **errors_here(holdout))
+        outcome = Outcome(report["outcome"])
         judgement = Judgement(outcome, why, found.coverage, (), calibration, holdout=holdout)
         return Verdict(judgement, of_member(self.document, run.job.report, holdout))
-
-
-def _reason(document: Document, holdout: Holdout | None) -> Reason:
-    report = document.report
-    view = from_json(PoolSection, report["pool"])
-    return Reason.of(
-        "pooled",
-        recordings=len(view.recordings),
-        serial=printable(view.serial),
-        pool=Reason(report["reason"], report["values"]),
-        **errors_here(holdout),
-    )
-
-
-def _why_not(data: ReportInput, document: Document) -> Reason | None:
-    judgement = data.judgement
-    if judgement.outcome is Outcome.REFUSED:
-        return judgement.reason
-    for member in from_json(PoolSection, document.report["pool"]).left_out:
-        if member.sha256 == data.sha256:
-            return Reason.of("left_out_of_pool", why=Reason(member.reason, member.values))
-    usual_mg, limit_mg = document.report["holdout"]["after_mg"]["median"], data.settings.method.max_error_mg
-    return None if judgement.holdout is None else worse(judgement.holdout, usual_mg, limit_mg)

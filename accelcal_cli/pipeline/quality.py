@@ -10,7 +10,7 @@ from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Change
 from accelcal_cli.judge.change import ChangeSearch, ComparedErrors, change_reason
-from accelcal_cli.judge.quality import Period, QualityCheck, check
+from accelcal_cli.judge.quality import check
 from accelcal_cli.pipeline.procedures import Procedure, TimedCellProcedure
 
 
@@ -64,7 +64,9 @@ def cautions_along_time(
     checked = check(along.compared, along.change, along.blocks, limit_mg)
     if checked.degraded:
         changed = change_reason(along.change, utc_offset_s, followed=False)
-        worse = _worse(checked)
+        # the first period in which the calibration does not hold, and those that follow on it
+        later = dropwhile(lambda one: not one.degraded, checked.periods)
+        worse = list(takewhile(lambda one: one.degraded, later))
         since = when(worse[0].first) if worse[0].first else None
         worst = max(worse, key=lambda one: one.given_mg - one.unseen_mg)
         errors = {"error_mg": worst.given_mg, "new_mg": worst.unseen_mg}
@@ -75,9 +77,3 @@ def cautions_along_time(
         errors = {"error_mg": late.given_mg, "before_mg": before.given_mg}
         return (Reason.of("error_rises", since=when(late.first), **errors),)
     return ()
-
-
-def _worse(checked: QualityCheck) -> list[Period]:
-    """Return the first period in which the calibration does not hold, and those that follow on it."""
-    later = dropwhile(lambda one: not one.degraded, checked.periods)
-    return list(takewhile(lambda one: one.degraded, later))

@@ -78,7 +78,8 @@ def converted(value: Any, hint: Any) -> Any:
     """
     origin = get_origin(hint)
     if origin in (Union, UnionType):
-        return _of_union(value, get_args(hint))
+        absent = value is None and NoneType in get_args(hint)
+        return None if absent else converted(value, *({*get_args(hint)} - {NoneType}))
     if origin is tuple:
         return _of_tuple(value, get_args(hint))
     if is_dataclass(hint):
@@ -99,13 +100,6 @@ def _record(value: Any, kind: Any) -> Any:
         return restored(kind, value).record
     except ValueError as error:
         raise TypeError from error
-
-
-def _of_union(value: Any, options: tuple[Any, ...]) -> Any:
-    if value is None and NoneType in options:
-        return None
-    (hint,) = (option for option in options if option is not NoneType)
-    return converted(value, hint)
 
 
 def _of_tuple(value: Any, parts: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -179,6 +173,9 @@ def _from_values(values: dict[str, Any]) -> ReportSettings:
     _check(settings.record)
     _check(options.record)
     missing, unknown = _unmatched(values, settings, options)
+    unused = read.get(UNUSED, [])
+    if not isinstance(unused, list) or not {*map(str, unused)} <= ReadOptions.__dataclass_fields__.keys():
+        raise ValueError(f"input.{UNUSED} cannot be {str(unused)[:80]!r}")
     return ReportSettings(
         settings=settings.record,
         options=options.record,
@@ -187,17 +184,9 @@ def _from_values(values: dict[str, Any]) -> ReportSettings:
         poses=_file(values, "poses"),
         missing=missing,
         unknown=unknown,
-        unused=_unused(read),
+        unused=tuple(unused),
         effect=_typed(values, "effect", bool, default=False),
     )
-
-
-def _unused(read: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the options that mean nothing for the recording."""
-    named = read.get(UNUSED, [])
-    if not isinstance(named, list) or not {*map(str, named)} <= ReadOptions.__dataclass_fields__.keys():
-        raise ValueError(f"input.{UNUSED} cannot be {str(named)[:80]!r}")
-    return tuple(named)
 
 
 def _settings(values: Mapping[str, Any]) -> Restored[Any]:

@@ -6,6 +6,7 @@ that a study writes: these are recognised by name and content.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import re
@@ -234,13 +235,14 @@ def _folder(where: Where, folder: Path, place: str, links: _Links, left: Left) -
     out = jobs.real(where.out)
     unlisted: list[OSError] = []
     for base, folders, names in files_below(folder, unlisted, follow=True):
+        at_out = jobs.real(base) == out
         folders[:] = _subfolders(base, folders, out, links)
-        if base != folder and jobs.real(base) == out:
+        if base != folder and at_out:
             folders.clear()
             continue
         for name in names:
             path = base / name
-            if _never(path) or (name == decisions.NAME and jobs.real(base) == out):
+            if _never(path) or (name == decisions.NAME and at_out):
                 continue
             below = path.relative_to(folder).as_posix()
             aside = bool(where.include) and not fits_pattern(below, where.include)
@@ -249,7 +251,9 @@ def _folder(where: Where, folder: Path, place: str, links: _Links, left: Left) -
             else:
                 yield replace(_item(where, path, place + below), aside=aside)
     for error in unlisted:
-        yield _unlisted(where, folder, place, error)
+        path = Path(str(error.filename))
+        item = _item(where, path, place + path.relative_to(folder).as_posix())
+        yield replace(item, refusal=f"the folder cannot be listed ({error.strerror})")
 
 
 def _subfolders(base: Path, names: list[str], out: Path, links: _Links) -> list[str]:
@@ -263,17 +267,12 @@ def _subfolders(base: Path, names: list[str], out: Path, links: _Links) -> list[
 def _never(path: Path) -> bool:
     """Return True for what is nobody's recording and is not named: hidden, an output, options, a layout."""
     name = path.name
-    if name.startswith(".") or name.endswith(OURS) or (path.suffix == ".html" and _is_our_page(path)):
+    if name.startswith(".") or name.endswith(OURS):
         return True
+    with contextlib.suppress(OutputError):
+        if path.suffix == ".html" and is_page(path):
+            return True
     return NAMES.fullmatch(name) is not None and (path.suffix not in SUMMARY or _is_study_file(path))
-
-
-def _is_our_page(path: Path) -> bool:
-    """Return True for a page that accelcal made; False where it cannot be read."""
-    try:
-        return is_page(path)
-    except OutputError:
-        return False
 
 
 def _why_by_name(path: Path, below: str, where: Where) -> Reason | None:
@@ -284,16 +283,10 @@ def _why_by_name(path: Path, below: str, where: Where) -> Reason | None:
         return Reason.of("excluded", by="--exclude")
     if (whole := belongs_to(path)) is not None:
         return Reason.of("belongs_to_another", name=whole.name)
-    return None if _plain(path) else Reason("not_a_file")
-
-
-def _plain(path: Path) -> bool:
-    """Return True for a file, and for a broken link, which is a recording that cannot be read."""
-    try:
-        found = look(path)
-    except OSError:
-        return True
-    return found is None or stat.S_ISREG(found.st_mode)
+    with contextlib.suppress(OSError):  # a broken link, too, is a recording that cannot be read
+        if (found := look(path)) is not None and not stat.S_ISREG(found.st_mode):
+            return Reason("not_a_file")
+    return None
 
 
 def _item(where: Where, path: Path, name: str) -> Item:
@@ -301,12 +294,6 @@ def _item(where: Where, path: Path, name: str) -> Item:
     beside = (named_layout(path), folder_layout(path), *(() if channels is None else (channels,)))
     stamps = tuple(map(jobs.file_stamp, (path, *beside)))
     return Item(name, job_at(path, (where.out / name).parent / jobs.stem(path)), stamps)
-
-
-def _unlisted(where: Where, folder: Path, place: str, error: OSError) -> Item:
-    path = Path(str(error.filename))
-    item = _item(where, path, place + path.relative_to(folder).as_posix())
-    return replace(item, refusal=f"the folder cannot be listed ({error.strerror})")
 
 
 def without_collisions(items: list[Item]) -> list[Item]:

@@ -55,26 +55,26 @@ def why_left_out(item: Item, options: ReadOptions, *, asked_for: bool) -> Reason
     scores = [one.sniff(probe) for one in wanted]
     if (best := max(scores)) > 0:
         return _why_not_this(wanted[scores.index(best)], best, probe, item, options)
-    devices = _suffixes(tuple(one for one in wanted if one.name != TABLES and not one.is_table))
-    return None if _suffix(item) in devices else _why_no_format(probe)
+    return _why_no_format(wanted, probe, item)
 
 
 def _why_not_this(form: Format, score: int, probe: Probe, item: Item, options: ReadOptions) -> Reason | None:
     """Return why a file of a format is not a recording; a damaged one may be, and must not be ignored."""
     try:
         refuse_others(form, score, probe)
-        if not form.is_table:
-            return None
-        form.open(item.source, without(options, form.unused(options))).close()
+        if form.is_table:
+            form.open(item.source, without(options, form.unused(options))).close()
     except NoRecordingError as error:
         return error.reason
     except AccelcalError:
-        return None
+        pass
     return None
 
 
-def _why_no_format(probe: Probe) -> Reason:
-    """Return what a file is that no format fits."""
+def _why_no_format(wanted: tuple[Format, ...], probe: Probe, item: Item) -> Reason | None:
+    """Return what a file is that no format fits; None if its suffix is that of a device's files."""
+    if _suffix(item) in _suffixes(tuple(one for one in wanted if one.name != TABLES and not one.is_table)):
+        return None
     try:
         refuse_other_files(probe)
     except NoRecordingError as error:

@@ -45,10 +45,7 @@ class Orphan:
 
 
 def orphans(
-    where: Where,
-    known: Collection[Path],
-    rows: Collection[Mapping[str, Any]],
-    wholes: Mapping[Path, Path],
+    where: Where, known: Collection[Path], rows: Collection[Mapping[str, Any]], wholes: Mapping[Path, Path]
 ) -> list[Orphan]:
     """Return the results whose recording is gone, by name.
 

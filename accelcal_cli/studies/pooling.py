@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -17,12 +17,12 @@ from accelcal_cli.output.report_kinds import FORMAT, Member
 from accelcal_cli.output.report_reading import load_report, read_document
 from accelcal_cli.output.words import sentence
 from accelcal_cli.pipeline.calibrate import calibrate
-from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, FileStamp, Job, Result, check_unchanged, file_stamp
+from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, FileStamp, Job, check_unchanged, file_stamp
 from accelcal_cli.pipeline.outputs import refuse_foreign_report, remove, save_report, with_provenance
 from accelcal_cli.pipeline.pool import apply_pool, pool
 from accelcal_cli.studies import summary
 from accelcal_cli.studies.borrowing import GOOD, Row, identity, pools
-from accelcal_cli.studies.records import FAILED, Entry, Item, ProgressCallback, RecordingState
+from accelcal_cli.studies.records import FAILED, Entry, Item, ProgressCallback
 from accelcal_cli.studies.rounds import Round, StudyState, common_of
 from accelcal_cli.studies.study import POOL, POOLED, Study
 from accelcal_cli.studies.task import Common, ReplacementTask, StageProgress, TaskResult, guarded, row_of
@@ -76,57 +76,37 @@ class PoolTask:
 
 def pool_tasks(study: Study, known: StudyState) -> list[PoolTask]:
     """Return a task for each pool (see `Round`)."""
-    return [pool_of(study, known, members) for members in members_of(known.recordings)]
-
-
-def members_of(standing: Mapping[str, RecordingState]) -> list[list[str]]:
-    """Return the names of the recordings of each pool, without copies."""
-    return pools(_own_rows(standing))
-
-
-def copies_of(standing: Mapping[str, RecordingState]) -> dict[str, str]:
-    """Return the names of copies, each with the name of the recording that counts."""
-    return summary.copies(_own_rows(standing))
-
-
-def _own_rows(standing: Mapping[str, RecordingState]) -> dict[str, Row]:
-    return {name: one.own.row for name, one in standing.items() if one.own.row and not one.own.failed}
+    return [pool_of(study, known, members) for members in pools(known.own_rows())]
 
 
 def pool_of(study: Study, known: StudyState, names: list[str]) -> PoolTask:
     """Return the task of a pool of these members."""
     states = [known.recordings[name] for name in names]
     rows: list[Row] = [one.own.row or {} for one in states]
-    report = study.out / f"{_name(rows[0])}{REPORT_SUFFIX}"
+    shared = [rows[0][name] for name in ("device_serial", "device_model", "lsb_per_g", "range_g")]
+    serial, digest = shared[0], hashlib.sha256(json.dumps(shared).encode()).hexdigest()[:8]
+    report = study.out / f"{PREFIX}{re.sub(r'[^A-Za-z0-9_-]', '_', serial)[:40]}-{digest}{REPORT_SUFFIX}"
     stands_for = Item(
         report.name.removesuffix(REPORT_SUFFIX),
         Job(report, report, report),
         ((sum(one.item.size for one in states), 0),),
         sensor=states[0].item.sensor,
     )
-    members = tuple(Member(one.item.source, line["sha256"]) for one, line in zip(states, rows, strict=True))
-    more = sorted(name for name, first in copies_of(known.recordings).items() if first in names)
-    again = tuple(
-        Member(one.item.source, (one.own.row or {})["sha256"])
-        for one in (known.recordings[name] for name in more)
-    )
+    more = sorted(name for name, first in summary.copies(known.own_rows()).items() if first in names)
+
+    def member(name: str) -> Member:
+        return Member(known.recordings[name].item.source, (known.recordings[name].own.row or {})["sha256"])
+
     return PoolTask(
         stands_for,
         common_of(study),
         tuple(names),
-        members,
+        tuple(map(member, names)),
         stamps=tuple(one.item.stamps[0] for one in states),
-        serial=rows[0]["device_serial"],
+        serial=serial,
         inputs=(*(identity(line) for line in rows), *more),
-        copies=again,
+        copies=tuple(map(member, more)),
     )
-
-
-def _name(line: Row) -> str:
-    """Return the stem of the pool's files, from what its members have in common."""
-    shared = [line[name] for name in ("device_serial", "device_model", "lsb_per_g", "range_g")]
-    digest = hashlib.sha256(json.dumps(shared).encode()).hexdigest()[:8]
-    return f"{PREFIX}{re.sub(r'[^A-Za-z0-9_-]', '_', line['device_serial'])[:40]}-{digest}"
 
 
 @guarded
@@ -171,8 +151,9 @@ class PooledTask(ReplacementTask):
 
 def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:
     """Return a task for each member of a pool that has coefficients (see `Round`)."""
-    tasks, common, again = [], common_of(study), copies_of(known.recordings)
-    for members in members_of(known.recordings):
+    tasks, common, rows = [], common_of(study), known.own_rows()
+    again = summary.copies(rows)
+    for members in pools(rows):
         one = pool_of(study, known, members)
         entry = known.pools.get(one.item.name)
         if entry is None or entry.row is None or entry.row["outcome"] not in GOOD:
@@ -193,20 +174,14 @@ def pooled(task: PooledTask, report_progress: ProgressCallback) -> TaskResult:
     result = apply_pool(item.job, request, read_document(task.report), progress, item.stamps[0])
     if isinstance(result, Reason):
         return task.result(calibrate(item.job, request, progress), task.kept(sentence(result)))
-    return task.result(result, row_of(item, task.common, result) | _instead(task, result))
-
-
-def _instead(task: PooledTask, result: Result) -> dict[str, Any]:
-    """Return the columns of the pool, and of its effect on the recording's own windows."""
-    pool_view = result.view.pool
-    assert pool_view is not None
-    columns = {"pool": task.report.name, "pool_recordings": len(pool_view.recordings)}
-    if (windows := pool_view.own_windows) is not None:
-        columns |= {
-            "windows_before_mg": windows.before_mg.mean,
-            "windows_after_mg": windows.after_mg.mean,
-        }
-    return columns | summary.own(task.own_row)
+    section = result.view.pool
+    assert section is not None
+    row = row_of(item, task.common, result) | summary.own(task.own_row)
+    row |= {"pool": task.report.name, "pool_recordings": len(section.recordings)}
+    if (windows := section.own_windows) is not None:
+        means = {"windows_before_mg": windows.before_mg.mean, "windows_after_mg": windows.after_mg.mean}
+        row |= means
+    return task.result(result, row)
 
 
 APPLY_POOLS = Round(POOLED, pooled, pooled_tasks)

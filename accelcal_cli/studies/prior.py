@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from math import hypot
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from accelcal_cli.core.errors import counted, printable
 from accelcal_cli.core.prior import POPULATION, LearntPrior, Prior, Source
@@ -38,7 +38,7 @@ from accelcal_cli.pipeline.calibrate import calibrate, calibrate_with
 from accelcal_cli.studies import summary
 from accelcal_cli.studies.borrowing import Row, identity
 from accelcal_cli.studies.columns import PARAMETERS
-from accelcal_cli.studies.records import ProgressCallback, RecordingState
+from accelcal_cli.studies.records import ProgressCallback
 from accelcal_cli.studies.rounds import Round, StudyState, common_of
 from accelcal_cli.studies.study import PRIOR, Study
 from accelcal_cli.studies.task import ReplacementTask, StageProgress, TaskResult, guarded, row_of
@@ -56,8 +56,7 @@ Model = tuple[Any, ...]
 """Model, counts per g and range, which recordings must share to be compared."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Good:
+class _Good(NamedTuple):
     """A recording from which others may learn."""
 
     name: str
@@ -106,7 +105,11 @@ class Learning:
     def prior(self, name: str, kind: str) -> LearntPrior | None:
         """Return the prior of a recording; None if too little is known, so that the population's stays."""
         row = self.rows[name]
-        study, known = self._of_model(row), self._devices.get(_model(row), {})
+        devices = self._other_devices(row)
+        used = tuple(one.name for device in devices for one in device)
+        if used and used not in self._known:
+            self._known[used] = _across(devices, _model(row)[0])
+        study, known = self._known.get(used), self._devices.get(_model(row), {})
         own = _others(known.get(row["device_serial"], ()), row) if kind == DEVICE_PRIOR else []
         return _of_device(own, row, study) if own else study
 
@@ -116,16 +119,8 @@ class Learning:
         for model in sorted(few, key=str):
             yield model[0], len(self._devices.get(model, ()))
 
-    def _of_model(self, row: Row) -> LearntPrior | None:
-        """Return the prior from other devices of the model, each of which counts once."""
-        devices = self._other_devices(row)
-        used = tuple(one.name for device in devices for one in device)
-        if used and used not in self._known:
-            self._known[used] = _across(devices, _model(row)[0])
-        return self._known.get(used)
-
     def _other_devices(self, row: Row) -> list[list[_Good]]:
-        """Return recordings of other devices of the model; empty if there are too few devices."""
+        """Return the recordings of each other device of the model; none if too few devices are known."""
         devices: list[list[_Good]] = []
         for serial, good in self._devices.get(_model(row), {}).items():
             others = _others(good, row)
@@ -250,15 +245,14 @@ class PriorTask(ReplacementTask):
     refusal: ClassVar[str] = "prior_not_learnt"
 
 
-def _learning(study: Study, standing: Mapping[str, RecordingState]) -> Learning:
-    rows = {name: one.own.row for name, one in standing.items() if one.own.row and not one.own.failed}
-    return Learning(rows, study.request.recording_settings.max_error_mg)
+def _learning(study: Study, known: StudyState) -> Learning:
+    return Learning(known.own_rows(), study.request.recording_settings.max_error_mg)
 
 
 def tasks(study: Study, known: StudyState) -> list[PriorTask]:
     """Return a task for each recording with points for which enough others are known (see `Round`)."""
     assert study.prior is not None
-    learning, common, found = _learning(study, known.recordings), common_of(study), []
+    learning, common, found = _learning(study, known), common_of(study), []
     for name, row in learning.rows.items():
         if row["outcome"] == Outcome.BORROWED or not row["cells"]:
             continue
@@ -275,7 +269,7 @@ def without_prior(study: Study, known: StudyState) -> Iterator[str]:
     """Yield a line for the user on each model for which no prior can be learnt."""
     if study.prior is None:
         return
-    for model, number in _learning(study, known.recordings).models_without():
+    for model, number in _learning(study, known).models_without():
         if not model:
             yield "recordings whose device model is unknown learn nothing from other devices"
         else:

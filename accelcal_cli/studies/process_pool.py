@@ -104,11 +104,8 @@ def sweep_folders() -> None:
 
 def _parent() -> str:
     usual = tempfile.gettempdir()
-    return next((path for path in (usual, *SHORT_FOLDERS) if _fits(path)), usual)
-
-
-def _fits(path: str) -> bool:
-    return len(os.fsencode(path)) <= LONGEST_PATH and os.access(path, os.W_OK | os.X_OK)
+    short = (path for path in (usual, *SHORT_FOLDERS) if len(os.fsencode(path)) <= LONGEST_PATH)
+    return next((path for path in short if os.access(path, os.W_OK | os.X_OK)), usual)
 
 
 @dataclass(slots=True)
@@ -190,17 +187,15 @@ class ProcessPool:
         for worker in [worker for worker in self._busy if worker.pipe in ready]:
             if (ended := self._receive(worker)) is not None:
                 yield ended
-        for worker in [worker for worker in self._busy if self._overdue(worker)]:
+        if self.timeout_s is None:
+            return
+        latest = time.monotonic() - self.timeout_s
+        for worker in [worker for worker in self._busy if worker.began < latest]:
             self._busy.remove(worker)
             _end([worker])
             sweep_folders()
-            assert self.timeout_s is not None
-            yield Finished(
-                worker.task, fault=f"took more than {self.timeout_s / 60:g} minutes and was stopped"
-            )
-
-    def _overdue(self, worker: _Worker) -> bool:
-        return self.timeout_s is not None and time.monotonic() - worker.began > self.timeout_s
+            fault = f"took more than {self.timeout_s / 60:g} minutes and was stopped"
+            yield Finished(worker.task, fault=fault)
 
     def _receive(self, worker: _Worker) -> Finished | None:
         try:
@@ -232,9 +227,8 @@ def _lost_worker(worker: _Worker) -> Finished:
     code = worker.process.exitcode
     worker.pipe.close()
     if code == SERVER_GONE:
-        return Finished(
-            worker.task, fault="its process ended, and so did the one that could say why", retry=True
-        )
+        fault = "its process ended, and so did the one that could say why"
+        return Finished(worker.task, fault=fault, retry=True)
     code = -signal.SIGTERM if code == TERMINATED else code
     if code is not None and code < 0:
         name = signal.Signals(-code).name
@@ -271,7 +265,8 @@ def _started(work: TaskFunction, preload: str) -> _Worker:
         with _STARTING, one_thread_each(), forkserver_folder():
             _keep_main_out()
             forked = has_fork_server() and _start_server(preload)
-            process = _process("forkserver" if forked else "spawn", theirs, work)
+            context: Any = multiprocessing.get_context("forkserver" if forked else "spawn")
+            process = context.Process(target=_serve, args=(theirs, work), name=NAME, daemon=True)
             process.start()
     except (OSError, EOFError):
         ours.close()
@@ -279,12 +274,6 @@ def _started(work: TaskFunction, preload: str) -> _Worker:
     finally:
         theirs.close()
     return _Worker(process, ours)
-
-
-def _process(method: str, pipe: PipeEnd, work: TaskFunction) -> BaseProcess:
-    context: Any = multiprocessing.get_context(method)
-    process: BaseProcess = context.Process(target=_serve, args=(pipe, work), name=NAME, daemon=True)
-    return process
 
 
 def _start_server(preload: str) -> bool:

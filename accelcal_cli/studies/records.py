@@ -12,7 +12,7 @@ import json
 import os
 import re
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import IO, Any
@@ -141,6 +141,13 @@ class Finished:
     lacking: bool = False
 
 
+KINDS: tuple[tuple[str, Any], ...]
+KINDS = (
+    *(("name", str), ("asked", str), ("round", str), ("again", bool), ("row", dict | None)),
+    ("why", dict | None),
+)
+"""Types of what is saved of an entry."""
+
 LINE = re.compile(rb"^[0-9a-f]{8} \{", re.MULTILINE)
 HALF_A_LINE = re.compile(rb"\s*[0-9a-f]{0,8} ?")
 LOOKED_AT = 1 << 20
@@ -179,43 +186,13 @@ class Ledger:
         """Return the entry of an unchanged file with these settings, best one whose outputs are there."""
         if item.stamps[0] is None:
             return None
-        entries = self._entries.get((item.name, name), ())
+        entries = self.entries(item.name, name)
         same = [one for one in entries if one.stamps == item.stamps and one.asked == asked]
         return next((one for one in same if self.in_place(one)), same[0] if same else None)
 
-    def as_it_was(self, item: Item, asked: str) -> Item:
-        """Return the item with the stamps of its last own result; unchanged if it has none."""
-        own = [one for one in self._entries.get((item.name, OWN), ()) if one.asked == asked and one.row]
-        return replace(item, stamps=own[-1].stamps) if own else item
-
-    def current(self, item: Item, asked: str, name: str = OWN) -> Entry | None:
-        """Return the entry of an unchanged file if its outputs are there."""
-        entry = self.known(item, asked, name)
-        return entry if entry is not None and self.in_place(entry) else None
-
-    def latest(self, name: str, asked: str, which: str) -> Entry | None:
-        """Return the latest entry of a round whose outputs are there, even if the file has changed."""
-        good = [one for one in self._entries.get((name, which), ()) if one.asked == asked and not one.failed]
-        return next((one for one in reversed(good) if self.in_place(one)), None)
-
-    def latest_of(self, name: str, asked: str, rounds: Iterable[str]) -> list[Entry]:
-        """Return the latest entry of each of these rounds, even if the file or its outputs have changed."""
-        last = [self._entries[name, which][-1] for which in rounds if (name, which) in self._entries]
-        return [one for one in last if one.asked == asked]
-
-    def with_other_options(self, item: Item, rounds: Iterable[str]) -> list[Entry]:
-        """Return the own result that a run with other options left, then the one that replaced it.
-
-        The list is empty if the outputs of its last entry are not there."""
-        own = [one for one in self._entries.get((item.name, OWN), ()) if one.row is not None][-1:]
-        later = [one for name in rounds for one in self._entries.get((item.name, name), ())[-1:]]
-        there = [one for one in later if own and one.asked == own[0].asked and self.in_place(one)]
-        last = (own + there)[-1:]
-        return own + there[-1:] if last and self.in_place(last[0]) else []
-
-    def latest_own(self, name: str) -> Entry | None:
-        """Return the latest own result of a recording, whatever its version and options were."""
-        return next(iter(self._entries.get((name, OWN), ())[-1:]), None)
+    def entries(self, name: str, which: str = OWN) -> Sequence[Entry]:
+        """Return a recording's entries of a round, the latest last, whatever changed since."""
+        return self._entries.get((name, which), ())
 
     def in_place(self, entry: Entry) -> bool:
         """Return True if an entry's outputs are there unchanged."""
@@ -297,24 +274,14 @@ def _parsed(line: bytes, texts: dict[str, str]) -> Entry | None:
         return None
     try:
         saved: dict[str, Any] = _shared(json.loads(text), texts)
-        named = all(isinstance(saved[name], str) for name in ("name", "asked", "round"))
-        if not (named and can_be_read(saved, LEDGER)):
-            return None
-        why = saved.get("why")
-        if not isinstance(saved["row"] or {}, dict) or not isinstance(saved["again"], bool):
-            return None
-        if why is not None and not (isinstance(why["code"], str) and isinstance(why["values"], dict)):
+        if not can_be_read(saved, LEDGER) or not all(isinstance(saved[name], kind) for name, kind in KINDS):
             return None
         return Entry(
-            name=saved["name"],
             stamps=tuple(None if one is None else (one[0], one[1]) for one in saved["stamps"]),
-            asked=saved["asked"],
-            row=saved["row"],
             outputs=tuple((name + "", (found[0], found[1])) for name, found in saved["outputs"]),
-            again=saved["again"],
-            round=saved["round"],
             inputs=tuple(saved["inputs"]),
-            why=None if why is None else {"code": why["code"], "values": why["values"]},
+            why=saved["why"] and {"code": saved["why"]["code"] + "", "values": {**saved["why"]["values"]}},
+            **{name: saved[name] for name, _ in KINDS[:5]},
         )
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
         return None

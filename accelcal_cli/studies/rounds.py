@@ -1,8 +1,7 @@
-"""The work of a study: a `Plan` of the own results, then a `RoundPlanner` of later rounds.
+"""The work of a study: a `Plan` of the own results, and of each later `Round`, whose tasks depend on them.
 
 All that decides whether an earlier result is valid is here and in the ledger (`records.py`). A worker looks
-once more at the report that is there (`pipeline/outputs.py`), for a study whose ledger is lost. A `Round`
-gives tasks to workers, and the results of earlier rounds decide which.
+once more at the report that is there (`pipeline/outputs.py`), for a study whose ledger is lost.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import compress
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -48,6 +47,11 @@ class StudyState:
 
     recordings: dict[str, RecordingState] = field(default_factory=dict)
     pools: dict[str, Entry] = field(default_factory=dict)
+
+    def own_rows(self) -> dict[str, dict[str, Any]]:
+        """Return the rows of the own results that have a report, by name."""
+        own = {name: one.own for name, one in self.recordings.items()}
+        return {name: entry.row for name, entry in own.items() if entry.row and not entry.failed}
 
     def take(self, one: Round, name: str, entry: Entry) -> None:
         """Set the latest result of a recording or of a pool."""
@@ -113,19 +117,24 @@ def ledger_of(study: Study) -> Ledger:
     return Ledger(own, [path for path in others if path not in {own, *siblings}], shard.owns, summary.fits)
 
 
+Lister = Callable[[Sequence[SensorsTask]], Iterable[tuple[Item, TaskResult]]]
+"""Has the sensors of files listed by workers."""
+
+
 @dataclass(slots=True)
 class Plan:
     """The recordings of a study by what is to be done with them, and other files that it found.
 
     Attributes:
         last: what `study.json` says of the last run.
+        changed: options whose values differ from those of the last run.
         done: recordings whose earlier result is valid, each with its entry.
         todo: recordings to work on.
         waiting: recordings that are not started.
         left_out: entries of files that are not recordings.
         late: names of the recordings that are left for a later run, done before or not.
-        changing: names of late recordings whose file has changed since the earlier result; it may be
-            incomplete.
+        untouched: names of recordings that must not be read, since they wait and have changed, and of all
+            that would be pooled with one.
         kept: results of earlier runs with other options, of recordings that this run does not name.
         why: why recordings are calibrated again, by name; before: rows of their earlier results.
         reports: reports of all recordings that were found, whatever is done with them.
@@ -137,38 +146,32 @@ class Plan:
         whole: files whose sensors are known, by the report of all of their rows.
     """
 
-    last: Mapping[str, Any] = field(default_factory=dict)
+    study: Study
+    ledger: Ledger
+    asked: str
+    last: Mapping[str, Any]
+    changed: list[str]
+    decisions: Decisions | None
+    notes: list[str]
     done: list[tuple[Item, Entry]] = field(default_factory=list)
     todo: list[Item] = field(default_factory=list)
     waiting: list[Item] = field(default_factory=list)
     left_out: list[Entry] = field(default_factory=list)
     late: set[str] = field(default_factory=set)
-    changing: set[str] = field(default_factory=set)
+    untouched: set[str] = field(default_factory=set)
     kept: list[Entry] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
     by_name: Left = field(default_factory=dict)
     reports: set[Path] = field(default_factory=set)
     why: dict[str, str] = field(default_factory=dict)
     before: dict[str, dict[str, Any]] = field(default_factory=dict)
-    decisions: Decisions | None = None
     sensors: list[Entry] = field(default_factory=list)
     unlisted: dict[str, Entry] = field(default_factory=dict)
     whole: dict[Path, Path] = field(default_factory=dict)
 
-    def ahead(self) -> int:
-        """Return the number of waiting recordings changed in the future, by this machine's clock."""
-        now = time.time()
-        return sum(item.changed_s > now for item in self.waiting)
-
-    def counts(self) -> str:
-        """Return how many recordings there are of each kind, for the log."""
-        left = len(self.left_out) + len(self.by_name)
-        return f"{len(self.todo)} to do, {len(self.done)} done, {len(self.waiting)} waiting, {left} left out"
-
-    def reasons(self, owns: Callable[[str], bool]) -> Left:
-        """Return why files are left out, by name, of those that a shard owns."""
+    def reasons(self) -> Left:
+        """Return why files are left out, by name, of those that the shard owns."""
         looked_at = {one.name: Reason(**one.why) for one in self.left_out if one.why}
-        by_name = {name: why for name, why in self.by_name.items() if owns(name)}
+        by_name = {name: why for name, why in self.by_name.items() if self.study.shard.owns(name)}
         return dict(sorted({**by_name, **looked_at}.items()))
 
     def merged(self, rows: Iterable[Mapping[str, Any]]) -> Merged | None:
@@ -182,9 +185,168 @@ class Plan:
         """Return all recordings."""
         return [*(item for item, _ in self.done), *self.todo, *self.waiting]
 
+    def wants(self, item: Item) -> bool:
+        """Return True for a file that no `study.toml` excludes; of others, remember that one does."""
+        excluded = any(one.excludes(item.source) for one in self.study.request.rules)
+        if excluded:
+            self.by_name[item.name] = Reason.of("excluded", by=STUDY_FILE)
+        return not excluded
 
-Lister = Callable[[Sequence[SensorsTask]], Iterable[tuple[Item, TaskResult]]]
-"""Has the sensors of files listed by workers."""
+    def split(self, items: Sequence[Item], lister: Lister) -> list[Item]:
+        """Return the items, in place of each file whose sensors are wanted those of its sensors.
+
+        A file that is left for later has the sensors that it had.
+        """
+        found, unlisted = {}, []
+        for item in items:
+            if item.refusal is not None or not wants_each(item, self.study.request):
+                continue
+            if (own := self.ledger.known(item, self.asked)) is not None and own.row is None:
+                continue  # it is not a recording
+            waits = item.aside or self.study.collect or _left_for_later(self.study, item)
+            if (entry := self._sensors_of(item, waits=waits)) is not None:
+                found[item.name] = entry
+            elif not waits:
+                unlisted.append(SensorsTask(item, common_of(self.study)))
+        found |= {item.name: result.entry for item, result in lister(unlisted)}
+        return [one for item in items for one in self._recordings_of(item, found.get(item.name))]
+
+    def _sensors_of(self, item: Item, *, waits: bool) -> Entry | None:
+        known = self.ledger.known(item, self.asked, SENSORS)
+        if known is None and waits:
+            last = next(reversed(self.ledger.entries(item.name, SENSORS)), None)
+            return last if last is not None and last.asked == self.asked else None
+        return known
+
+    def _recordings_of(self, item: Item, entry: Entry | None) -> list[Item]:
+        """Return the recordings of an item, by the entry of its sensors."""
+        if entry is None:
+            return [item]
+        if entry.failed:
+            self.unlisted[item.name] = entry
+            return [item]
+        self.sensors.append(entry)
+        if entry.stamps == item.stamps:
+            self.whole[item.job.report] = item.source
+        recordings = in_place_of(item, entry.inputs)
+        self.reports |= {one.job.report for one in recordings}
+        return recordings
+
+    def looked_at(self, item: Item) -> Item:
+        """Return an item; one left for later has the stamps of its last own result."""
+        if not (item.aside or _left_for_later(self.study, item)):
+            return item
+        self.late.add(item.name)
+        own = [one for one in self.ledger.entries(item.name) if one.asked == self.asked and one.row]
+        if not own or own[-1].stamps == item.stamps:
+            return item
+        self.untouched.add(item.name)
+        return replace(item, stamps=own[-1].stamps)
+
+    def recordings(self, items: Sequence[Item]) -> list[Item]:
+        """Return the items that are the study's recordings and may be begun."""
+        return [item for item in items if not item.aside and self.keeps(item)]
+
+    def keeps(self, item: Item) -> bool:
+        """Return True for a recording; of other files, remember that they are not recordings."""
+        if item.sensor is not None:
+            return True
+        entry, named = self.ledger.known(item, self.asked), bool(self.study.where.include)
+        if entry is not None and not entry.failed and (entry.row is not None or not named):
+            recording, why = entry.row is not None, entry.why
+        else:
+            choices = {one.field: one for one in item.choices}
+            options = with_stated(self.study.request.options, choices, item.source)
+            reason = None if item.refusal is not None else why_left_out(item, options, asked_for=named)
+            recording, why = reason is None, None if reason is None else reason.as_json()
+        if not recording and self.study.shard.owns(item.name):
+            self.left_out.append(Entry(item.name, item.stamps, self.asked, None, why=why))
+        return recording
+
+    def place(self, item: Item) -> None:
+        """Put a recording of the shard into the list where it belongs; keep why it is calibrated again."""
+        if not self.study.shard.owns(item.name):
+            return
+        if (fault := self.unlisted.get(item.name)) is not None:
+            self.done.append((item, fault))
+            return
+        entry = self._valid_entry(item)
+        begin = not self.study.collect and item.name not in self.late
+        redo = entry is not None and item.refusal is None and _is_redone(self.study, entry)
+        if entry is not None and not (redo and begin):
+            self.done.append((item, entry))
+            return
+        (self.todo if begin else self.waiting).append(item)
+        last = next(reversed(self.ledger.entries(item.name)), None)
+        if why := why_again(last, item, self.asked, self.changed):
+            self.why[item.name] = why
+            if why.startswith("made by") and last is not None and last.row is not None:
+                self.before[item.name] = last.row
+
+    def place_aside(self, item: Item) -> None:
+        """Let a recording of the shard that `--include` does not name keep the result that it has, if any."""
+        if not (item.aside and self.study.shard.owns(item.name)):
+            return
+        known = self.ledger.known(item, self.asked)
+        if known is not None and known.row is None:
+            self.left_out.append(known)
+        elif (entry := self._valid_entry(item)) is not None:
+            self.done.append((item, entry))
+        else:
+            self.kept += self.with_other_options(item)
+
+    def with_other_options(self, item: Item) -> list[Entry]:
+        """Return the own result that a run with other options left, then the one that replaced it.
+
+        The list is empty if the outputs of its last entry are not there."""
+        own = [one for one in self.ledger.entries(item.name) if one.row is not None][-1:]
+        later = [one for name in REPLACING for one in self.ledger.entries(item.name, name)[-1:]]
+        there = [one for one in later if own and one.asked == own[0].asked and self.ledger.in_place(one)]
+        last = (own + there)[-1:]
+        return own + there[-1:] if last and self.ledger.in_place(last[0]) else []
+
+    def _valid_entry(self, item: Item) -> Entry | None:
+        """Return the valid entry of the own result, even if a later round has replaced its outputs.
+
+        What a later round replaced can be undone if the file is unchanged.
+        """
+        if item.refusal is not None:
+            kind = UsageError if is_file(item.source) else UnreadableError
+            row = summary.failed(item, kind.exit_code, item.refusal)
+            return Entry(item.name, item.stamps, self.asked, row, again=True)
+        own, rounds = self.ledger.known(item, self.asked), self.study.replacing
+        if own is None:
+            return None
+        if rounds and item.name not in self.untouched:
+            rounds = REPLACING
+        later = (self.ledger.known(item, self.asked, name) for name in rounds)
+        held = chain((own,), (one for one in later if one is not None and not one.failed))
+        outputs = {self.study.out / name for name, _ in own.outputs}  # of a job that may have other names now
+        return own if any(map(self.ledger.in_place, held)) and outputs <= set(item.job.outputs) else None
+
+    def tasks_of(
+        self, one: Round, tasks: Sequence[RoundTask]
+    ) -> tuple[list[RoundTask], list[tuple[RoundTask, Entry]]]:
+        """Return the tasks of a later round to do, and those whose earlier entry is taken.
+
+        Recordings that must not be read keep what they have: they are never among the tasks to do.
+        """
+        todo, taken = [], []
+        for task in tasks:
+            if self.untouched.isdisjoint(task.names):
+                entry = self.ledger.known(task.item, self.asked, one.name)
+                if entry is None or _is_redone(self.study, entry) or not self.ledger.in_place(entry):
+                    todo.append(task)
+                elif task.is_current(entry):
+                    taken.append((task, entry))
+                else:
+                    todo.append(task)
+            else:
+                self.untouched |= set(task.names)
+                last = reversed(self.ledger.entries(task.item.name, one.name))
+                good = (entry for entry in last if entry.asked == self.asked and not entry.failed)
+                taken += [(task, entry) for entry in islice(filter(self.ledger.in_place, good), 1)]
+        return todo, taken
 
 
 def plan(study: Study, ledger: Ledger, lister: Lister = lambda _tasks: ()) -> Plan:
@@ -197,28 +359,26 @@ def plan(study: Study, ledger: Ledger, lister: Lister = lambda _tasks: ()) -> Pl
     """
     notes: list[str] = []
     last = said_last(study, notes)
-    planning = _Planning(study, ledger, study.asked(), Plan(last, notes=notes), options_changed(study, last))
-    planning.plan.decisions = _decisions(study)
-    by_name = planning.plan.by_name
-    listed, rules = files(study.where, planning.plan.notes, by_name), study.request.rules
-    planning.plan.notes += unfit_patterns(rules, listed)
-    planning.plan.reports |= {item.job.report for item in listed}
-    wanted = [item for item in listed if not any(one.excludes(item.source) for one in rules)]
-    by_name |= {item.name: Reason.of("excluded", by=STUDY_FILE) for item in set(listed) - set(wanted)}
-    concerned, others = _concerned(study, wanted)
-    items = planning.split([as_stated(item, study.request) for item in concerned], lister)
-    items = [planning.looked_at(item) for item in items]
-    recordings = without_collisions(planning.recordings(items))
+    found = Plan(study, ledger, study.asked(), last, options_changed(study, last), _decisions(study), notes)
+    listed = files(study.where, notes, found.by_name)
+    notes += unfit_patterns(study.request.rules, listed)
+    found.reports |= {item.job.report for item in listed}
+    wanted = [item for item in listed if found.wants(item)]
+    # a shard looks at its own files, and at those that share their outputs
+    owned = {item.job.report for item in wanted if study.shard.owns(item.name)}
+    concerned = [as_stated(item, study.request) for item in wanted if item.job.report in owned]
+    items = [found.looked_at(item) for item in found.split(concerned, lister)]
+    recordings = without_collisions(found.recordings(items))
     try:
         _require_use(study, recordings)
     except UsageError:  # which other shards' recordings may have
-        more = planning.recordings([planning.looked_at(as_stated(item, study.request)) for item in others])
-        _require_use(study, [*recordings, *more])
+        others = [as_stated(item, study.request) for item in wanted if item.job.report not in owned]
+        _require_use(study, [*recordings, *found.recordings([found.looked_at(item) for item in others])])
     for item in recordings:
-        planning.place(item)
+        found.place(item)
     for item in items:
-        planning.place_aside(item)
-    return planning.plan
+        found.place_aside(item)
+    return found
 
 
 def _decisions(study: Study) -> Decisions | None:
@@ -234,23 +394,11 @@ def _decisions(study: Study) -> Decisions | None:
         raise unreadable(error, path) from error
 
 
-def _concerned(study: Study, items: list[Item]) -> tuple[list[Item], list[Item]]:
-    """Return the items that a shard looks at, its own and those that share their outputs, and the others."""
-    if study.shard.whole:
-        return items, []
-    reports = {item.job.report for item in items if study.shard.owns(item.name)}
-    near = [item.job.report in reports for item in items]
-    return list(compress(items, near)), [item for item, one in zip(items, near, strict=True) if not one]
-
-
 def _require_use(study: Study, recordings: list[Item]) -> None:
     """Raise UsageError if there are no recordings, or none for which an option means anything."""
     if not recordings:
-        raise UsageError(
-            "no recording was found",
-            path=study.where.folders[0],
-            hint="give --format, or name files with --include",
-        )
+        hint = "give --format, or name files with --include"
+        raise UsageError("no recording was found", path=study.where.folders[0], hint=hint)
     refuse_unused([item.source for item in recordings], study.request.options)
 
 
@@ -261,8 +409,7 @@ def as_stated(item: Item, request: Request) -> Item:
         with_stated(request.options, choices, item.source)
     except (UsageError, UnreadableError) as error:
         if item.refusal is None and why_left_out(item, request.options, asked_for=False) is None:
-            why = str(error).removeprefix(f"{printable(item.source)}: ")
-            return replace(item, refusal=why)
+            return replace(item, refusal=str(error).removeprefix(f"{printable(item.source)}: "))
         return item
     if not choices:
         return item
@@ -273,183 +420,9 @@ def unfit_patterns(rules: Sequence[FolderRules], items: Sequence[Item]) -> list[
     """Return a note for each pattern of `study.toml` that fits no file."""
     fitting = {(one.path, pattern) for one in rules for item in items for pattern in one.fitting(item.source)}
     every = dict.fromkeys((one.path, pattern) for one in rules for pattern in one.patterns)
-    unfit = [one for one in every if one not in fitting]
-    return [f'no file fits "{pattern}" of {path}' for path, pattern in unfit]
-
-
-@dataclass(frozen=True, slots=True)
-class _Planning:
-    """Fills a plan."""
-
-    study: Study
-    ledger: Ledger
-    asked: str
-    plan: Plan
-    changed: list[str]
-
-    def split(self, items: Sequence[Item], lister: Lister) -> list[Item]:
-        """Return the items, in place of each file whose sensors are wanted those of its sensors.
-
-        A file that is left for later has the sensors that it had.
-        """
-        asked, found, unlisted = self.asked, {}, []
-        for item in items:
-            if item.refusal is not None or not wants_each(item, self.study.request):
-                continue
-            own = self.ledger.known(item, asked)
-            if own is not None and own.row is None:  # not a recording
-                continue
-            waits = item.aside or self.study.collect or _left_for_later(self.study, item)
-            known = self.ledger.known(item, asked, SENSORS)
-            last = self.ledger.latest_of(item.name, asked, (SENSORS,)) if waits else []
-            if known is not None or last:
-                found[item.name] = known or last[-1]
-            elif not waits:
-                unlisted.append(SensorsTask(item, common_of(self.study)))
-        for item, result in lister(unlisted):
-            found[item.name] = result.entry
-        return [one for item in items for one in self._in_place_of(item, found.get(item.name))]
-
-    def _in_place_of(self, item: Item, entry: Entry | None) -> list[Item]:
-        """Return the recordings of an item, by the entry of its sensors."""
-        if entry is None:
-            return [item]
-        if entry.failed:
-            self.plan.unlisted[item.name] = entry
-            return [item]
-        self.plan.sensors.append(entry)
-        if entry.stamps == item.stamps:
-            self.plan.whole[item.job.report] = item.source
-        recordings = in_place_of(item, entry.inputs)
-        self.plan.reports |= {one.job.report for one in recordings}
-        return recordings
-
-    def looked_at(self, now: Item) -> Item:
-        """Return an item; one left for later has the stamps of its last result."""
-        if not (now.aside or _left_for_later(self.study, now)):
-            return now
-        item = self.ledger.as_it_was(now, self.asked)
-        self.plan.late.add(now.name)
-        if item.stamps != now.stamps:
-            self.plan.changing.add(now.name)
-        return item
-
-    def recordings(self, items: Sequence[Item]) -> list[Item]:
-        """Return the items that are the study's recordings and may be begun."""
-        return [item for item in items if not item.aside and self.keeps(item)]
-
-    def keeps(self, item: Item) -> bool:
-        """Return True for a recording; of other files, remember that they are not recordings."""
-        if item.sensor is not None:
-            return True
-        entry, named = self.ledger.known(item, self.asked), bool(self.study.where.include)
-        request = self.study.request
-        if entry is not None and not entry.failed and (entry.row is not None or not named):
-            recording, why = entry.row is not None, entry.why
-        else:
-            options = with_stated(request.options, {one.field: one for one in item.choices}, item.source)
-            reason = None if item.refusal is not None else why_left_out(item, options, asked_for=named)
-            recording, why = reason is None, None if reason is None else reason.as_json()
-        if not recording and self.study.shard.owns(item.name):
-            self.plan.left_out.append(Entry(item.name, item.stamps, self.asked, None, why=why))
-        return recording
-
-    def place(self, item: Item) -> None:
-        """Put a recording of the shard into the list where it belongs."""
-        if not self.study.shard.owns(item.name):
-            return
-        if (fault := self.plan.unlisted.get(item.name)) is not None:
-            self.plan.done.append((item, fault))
-            return
-        study, entry = self.study, self._valid_entry(item)
-        begin = not study.collect and item.name not in self.plan.late
-        redo = entry is not None and item.refusal is None and _is_redone(study, entry)
-        if entry is not None and not (redo and begin):
-            self.plan.done.append((item, entry))
-        else:
-            (self.plan.todo if begin else self.plan.waiting).append(item)
-            self._say_why(item)
-
-    def _say_why(self, item: Item) -> None:
-        """Keep why a recording is calibrated again, and what it had before."""
-        last = self.ledger.latest_own(item.name)
-        if why := why_again(last, item, self.asked, self.changed):
-            self.plan.why[item.name] = why
-            if why.startswith("made by") and last is not None and last.row is not None:
-                self.plan.before[item.name] = last.row
-
-    def place_aside(self, item: Item) -> None:
-        """Let a recording of the shard that `--include` does not name keep the result that it has, if any."""
-        if not (item.aside and self.study.shard.owns(item.name)):
-            return
-        known = self.ledger.known(item, self.asked)
-        if known is not None and known.row is None:
-            self.plan.left_out.append(known)
-        elif (entry := self._valid_entry(item)) is not None:
-            self.plan.done.append((item, entry))
-        else:
-            self.plan.kept += self.ledger.with_other_options(item, REPLACING)
-
-    def _valid_entry(self, item: Item) -> Entry | None:
-        """Return the valid entry of the own result, even if a later round has replaced its outputs."""
-        if item.refusal is None:
-            own = self.ledger.known(item, self.asked)
-            if own is None or not (self.ledger.in_place(own) or self._replaced(item)):
-                return None
-            outputs = {self.study.out / name for name, _ in own.outputs}
-            return own if outputs <= set(item.job.outputs) else None  # else they would get other names now
-        kind = UsageError if is_file(item.source) else UnreadableError
-        row = summary.failed(item, kind.exit_code, item.refusal)
-        return Entry(item.name, item.stamps, self.asked, row, again=True)
-
-    def _replaced(self, item: Item) -> bool:
-        """Return True for outputs of a later round, which can be undone if the file is unchanged."""
-        rounds = self.study.replacing
-        if rounds and item.name not in self.plan.changing:
-            rounds = REPLACING
-        later = [self.ledger.current(item, self.asked, name) for name in rounds]
-        return any(entry is not None and not entry.failed for entry in later)
-
-
-@dataclass(slots=True)
-class RoundPlanner:
-    """Decides what is done in a round, and what is taken from an earlier run.
-
-    Attributes:
-        untouched: names of recordings that must not be read, since they wait and have changed, and of all
-            that would be pooled with one.
-    """
-
-    study: Study
-    ledger: Ledger
-    untouched: set[str] = field(default_factory=set)
-
-    def of(
-        self, one: Round, tasks: Sequence[RoundTask]
-    ) -> tuple[list[RoundTask], list[tuple[RoundTask, Entry]]]:
-        """Return the tasks to do, and those whose earlier entry is taken.
-
-        Recordings that must not be read keep what they have: they are never among the tasks to do.
-        """
-        todo, taken = [], []
-        latest, asked = self.ledger.latest, self.study.asked()
-        for task in tasks:
-            waits = not self.untouched.isdisjoint(task.names)
-            if waits:
-                self.untouched |= set(task.names)
-            entry = latest(task.item.name, asked, one.name) if waits else self._valid_entry(one, task)
-            if entry is not None:
-                taken.append((task, entry))
-            elif not waits:
-                todo.append(task)
-        return todo, taken
-
-    def _valid_entry(self, one: Round, task: RoundTask) -> Entry | None:
-        """Return the earlier entry of a task if it is what the task would give now."""
-        study, entry = self.study, self.ledger.current(task.item, self.study.asked(), one.name)
-        if entry is None or _is_redone(study, entry):
-            return None
-        return entry if task.is_current(entry) else None
+    return [
+        f'no file fits "{pattern}" of {path}' for path, pattern in every if (path, pattern) not in fitting
+    ]
 
 
 def overlooked(study: Study) -> int:

@@ -30,7 +30,7 @@ from accelcal_cli.studies.discovery import SUMMARY, Left, as_if_alone, places, r
 from accelcal_cli.studies.executors import done_by, done_here, must_stay, work_for
 from accelcal_cli.studies.lock import Lease
 from accelcal_cli.studies.orphans import Orphan, orphans, prune, refuse_too_many
-from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools
+from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, remove_pools
 from accelcal_cli.studies.prior import LEARNING, without_prior
 from accelcal_cli.studies.process_pool import ProcessPool, sweep_folders
 from accelcal_cli.studies.records import (
@@ -48,7 +48,6 @@ from accelcal_cli.studies.records import (
 from accelcal_cli.studies.rounds import (
     Plan,
     Round,
-    RoundPlanner,
     RoundTask,
     StudyState,
     common_of,
@@ -113,79 +112,11 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         study.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot be made ({error.strerror or error})", path=study.out) from error
-    base = study.shard.basename
-    with (
-        lock.locked(study.lock, lambda: _other_locks(study)) as lease,
-        closing(ledger_of(study)) as ledger,
-    ):
-        planned = plan(study, ledger, functools.partial(_sensors, study, observer, lease, ledger))
-        sources = [item.source for item in planned.items()]
-        refuse_foreign(study.out, base, sources, force=study.request.force)
-        if study.collect and planned.waiting and not planned.done:
-            text = f"no results of {counted(len(planned.waiting), 'recording')} were found for these options"
-            raise UsageError(text, hint="run the parts first, or give --collect the options used for them")
-        for text in (*planned.notes, *said_before(planned.why)):
-            observer.note(printable(text))
-        _refuse_pruning(study, planned, _orphans(study, planned, ()) if study.prune else [])
-        LOG.info("planned: %s", planned.counts())
-        _tidy(study, planned)
-        study_run = StudyRun(study, ledger, observer, planned, lease)
-        study_run.run()
-        result = _summary(study, planned, study_run)
-        made = {name: one.last.row or {} for name, one in study_run.known.recordings.items()}
-        if (change := said_after(planned.before, made)) is not None:
-            observer.note(printable(change))
-        for text in () if result.decisions is None else result.decisions.lines():
-            observer.note(text)
-        result = _told_of_orphans(study, planned, result, observer)
-        lease.confirm()
-        summary.write(result, study.out, base)
-        lease.confirm()
-        ledger.tidy(
-            [
-                *(*study_run.entries(), *planned.sensors, *planned.left_out, *planned.kept),
-                *_waiting(study, planned, ledger),
-            ]
-        )
-        if study.shard.whole and not (planned.waiting or study.where.include):
-            remove_pools(study.out, keep=study_run.known.pools)
-    return result
-
-
-def _sensors(
-    study: Study, observer: StudyObserver, lease: Lease, ledger: Ledger, tasks: Sequence[SensorsTask]
-) -> Iterator[tuple[Item, TaskResult]]:
-    """Have the sensors of files listed, and keep them."""
-    for item, result in results(study, listed, tasks, observer):
-        if not result.entry.failed:
-            lease.confirm()
-            ledger.add(result.entry)
-        yield item, result
-
-
-def _orphans(study: Study, planned: Plan, rows: Sequence[Mapping[str, Any]]) -> list[Orphan]:
-    return orphans(study.where, planned.reports, rows, planned.whole) if study.shard.whole else []
-
-
-def _told_of_orphans(study: Study, planned: Plan, result: Summary, observer: StudyObserver) -> Summary:
-    """Name results whose recording is gone, and remove them if that is asked for."""
-    left = _orphans(study, planned, result.rows)
-    if study.prune:
-        _refuse_pruning(study, planned, left)
-        prune(left)
-    for one in left:
-        observer.note(orphaned(one, "removed" if study.prune else STAYS))
-    return replace(result, orphans=() if study.prune else [one.as_json() for one in left])
-
-
-def _refuse_pruning(study: Study, planned: Plan, left: Sequence[Orphan]) -> None:
-    stay = {*(item.name for item in planned.items()), *(entry.name for entry in planned.kept)}
-    refuse_too_many(left, len(stay), force=study.request.force)
-
-
-def orphaned(one: Orphan, what: str) -> str:
-    """Return the line about a result whose recording is gone, and what becomes of it."""
-    return f"{printable(one.name)} {what}: {clause(one.reason)}"
+    with lock.locked(study.lock, lambda: _other_locks(study)) as lease, closing(ledger_of(study)) as ledger:
+        study_run = StudyRun(study, ledger, observer, lease)
+        study_run.begin()
+        study_run.carry_out()
+        return study_run.finish()
 
 
 def unlock(study: Study) -> lock.Lock | None:
@@ -200,19 +131,6 @@ def unlock(study: Study) -> lock.Lock | None:
     return found
 
 
-def _tidy(study: Study, planned: Plan) -> None:
-    """Remove temporary files of runs that were killed, on this machine or another."""
-    sweep_folders()
-    outputs = [path for item in (*planned.todo, *planned.waiting) for path in item.job.outputs]
-    sweep_left([*outputs, *map(study.lock.with_suffix, (".lock", ".ledger", *SUMMARY))])
-
-
-def _waiting(study: Study, planned: Plan, ledger: Ledger) -> list[Entry]:
-    """Return the entries of waiting recordings, on which a run with other options may build."""
-    rounds = (OWN, *REPLACING)
-    return [entry for item in planned.waiting for entry in ledger.latest_of(item.name, study.asked(), rounds)]
-
-
 def _other_locks(study: Study) -> tuple[Path, ...]:
     """Return the locks that exclude this run: the whole study and its shards exclude each other."""
     if study.shard.whole:
@@ -221,67 +139,133 @@ def _other_locks(study: Study) -> tuple[Path, ...]:
     return (study.out / "study.lock",)
 
 
-def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
-    states, pools = study_run.known.recordings, study_run.known.pools
-    rows, decisions = study_run.table(planned.kept)
-    return Summary(
-        rows=rows,
-        decisions=decisions,
-        settings=_settings(study),
-        waiting=len(planned.waiting),
-        ahead=planned.ahead(),
-        left_out=len(planned.left_out),
-        files_left_out=planned.reasons(study.shard.owns),
-        kept=len({entry.name for entry in planned.kept}),
-        up_to_date=sum(states[name].item.refusal is None for name in set(states) - study_run.worked),
-        pools={name: pools[name].row or {} for name in sorted(pools)},
-        before=planned.last,
-    )
+def _orphans(plan: Plan, rows: Sequence[Mapping[str, Any]]) -> list[Orphan]:
+    study = plan.study
+    return orphans(study.where, plan.reports, rows, plan.whole) if study.shard.whole else []
 
 
-def _settings(study: Study) -> dict[str, Any]:
-    """Return all settings that decide the results."""
-    own, rules = study.settings(), study.request.rules
-    several = len({one.folder for one in rules}) > 1
-    stated = {(f"{one.folder.name}/" if several else "") + one.path.name: one.as_json() for one in rules}
-    later = {"prior": study.prior or own["prior"], "pool": study.pool, "borrow": study.borrow}
-    return {**own, **later, **({"stated": stated} if stated else {})}
+def _say_orphans(left: Sequence[Orphan], what: str, note: Callable[[str], None]) -> None:
+    for one in left:
+        note(f"{printable(one.name)} {what}: {clause(one.reason)}")
+
+
+def _refuse_pruning(plan: Plan, left: Sequence[Orphan]) -> None:
+    stay = {*(item.name for item in plan.items()), *(entry.name for entry in plan.kept)}
+    if plan.study.prune:
+        refuse_too_many(left, len(stay), force=plan.study.request.force)
 
 
 class StudyRun:
     """A study while it is carried out.
 
     Attributes:
-        planned: the plan at its beginning.
         lease: the lock that allows it to write in OUT, confirmed before each write that two runs must not do.
+        plan: the plan at its beginning.
+        known: what is known of the recordings by now.
         worked: names of the recordings that were given to a worker.
     """
 
-    def __init__(
-        self, study: Study, ledger: Ledger, observer: StudyObserver, planned: Plan, lease: Lease
-    ) -> None:
+    def __init__(self, study: Study, ledger: Ledger, observer: StudyObserver, lease: Lease) -> None:
         self.study = study
         self.lease = lease
         self.known = StudyState()
-        self.worked = {*planned.unlisted}
-        self.planned = planned
-        self._table = _InterimTable(self, ledger)
         self._ledger = ledger
         self._observer = observer
         self._rounds = rounds(study)
-        self._planner = RoundPlanner(study, ledger)
         self._pending: dict[str, TaskResult] = {}
+        self._table_due = time.monotonic() + TABLE_S
+        self.plan = plan(study, ledger, self._list_sensors)
+        self.worked = {*self.plan.unlisted}
 
-    def run(self) -> None:
+    def _list_sensors(self, tasks: Sequence[SensorsTask]) -> Iterator[tuple[Item, TaskResult]]:
+        """Have the sensors of files listed, and keep them."""
+        for item, result in results(self.study, listed, tasks, self._observer):
+            if not result.entry.failed:
+                self._remember(result.entry)
+            yield item, result
+
+    def begin(self) -> None:
+        """Refuse what must not be done, say what there is to do, and remove what killed runs left."""
+        study, plan = self.study, self.plan
+        sources = [item.source for item in plan.items()]
+        refuse_foreign(study.out, study.shard.basename, sources, force=study.request.force)
+        if study.collect and plan.waiting and not plan.done:
+            text = f"no results of {counted(len(plan.waiting), 'recording')} were found for these options"
+            raise UsageError(text, hint="run the parts first, or give --collect the options used for them")
+        for text in (*plan.notes, *said_before(plan.why)):
+            self._observer.note(printable(text))
+        if study.prune:
+            _refuse_pruning(plan, _orphans(plan, ()))
+        counts = [len(plan.todo), len(plan.done), len(plan.waiting), len(plan.left_out) + len(plan.by_name)]
+        LOG.info("planned: %d to do, %d done, %d waiting, %d left out", *counts)
+        sweep_folders()  # of runs that were killed, on this machine or another
+        outputs = [path for item in (*plan.todo, *plan.waiting) for path in item.job.outputs]
+        sweep_left([*outputs, *map(study.lock.with_suffix, (".lock", ".ledger", *SUMMARY))])
+
+    def carry_out(self) -> None:
         """Carry out all rounds; if they fail, the table has what is done so far."""
         try:
-            self._run(self.planned)
+            self._carry_out()
         except BaseException:
-            self._table.write()
+            self._write_table()
             self._observer.stopped(len(self.known.recordings))
             raise
 
-    def table(self, kept: Sequence[Entry]) -> tuple[list[Mapping[str, Any]], Merged | None]:
+    def finish(self) -> Summary:
+        """Say what became of earlier results, remove what does not hold any more, and write the summary."""
+        study, plan = self.study, self.plan
+        rows, decisions = self._rows(plan.kept)
+        made = {name: one.last.row or {} for name, one in self.known.recordings.items()}
+        if (change := said_after(plan.before, made)) is not None:
+            self._observer.note(printable(change))
+        for text in () if decisions is None else decisions.lines():
+            self._observer.note(text)
+        left = _orphans(plan, rows)
+        _refuse_pruning(plan, left)
+        if study.prune:
+            prune(left)
+        _say_orphans(left, "removed" if study.prune else STAYS, self._observer.note)
+        result = self._summary(rows, decisions, [] if study.prune else left)
+        self.lease.confirm()
+        summary.write(result, study.out, study.shard.basename)
+        self.lease.confirm()
+        self._ledger.tidy(self._entries())
+        if study.shard.whole and not (plan.waiting or study.where.include):
+            remove_pools(study.out, keep=self.known.pools)
+        return result
+
+    def _summary(
+        self, rows: list[Mapping[str, Any]], decisions: Merged | None, left: Sequence[Orphan]
+    ) -> Summary:
+        plan, states, pools, now = self.plan, self.known.recordings, self.known.pools, time.time()
+        return Summary(
+            rows=rows,
+            decisions=decisions,
+            settings=_settings(self.study),
+            waiting=len(plan.waiting),
+            ahead=sum(item.changed_s > now for item in plan.waiting),
+            left_out=len(plan.left_out),
+            files_left_out=plan.reasons(),
+            kept=len({entry.name for entry in plan.kept}),
+            orphans=[one.as_json() for one in left],
+            up_to_date=sum(states[name].item.refusal is None for name in set(states) - self.worked),
+            pools={name: pools[name].row or {} for name in sorted(pools)},
+            before=plan.last,
+        )
+
+    def _entries(self) -> Iterator[Entry]:
+        """Yield the entries to keep; those of waiting recordings may serve a run with other options."""
+        for state in self.known.recordings.values():
+            yield state.own
+            if state.last is not state.own:
+                yield state.last
+        yield from (*self.known.pools.values(), *self.plan.sensors, *self.plan.left_out, *self.plan.kept)
+        for item in self.plan.waiting:
+            for name in (OWN, *REPLACING):
+                last = self._ledger.entries(item.name, name)[-1:]
+                yield from (entry for entry in last if entry.asked == self.plan.asked)
+
+    def _rows(self, kept: Sequence[Entry]) -> tuple[list[Mapping[str, Any]], Merged | None]:
         """Return the rows of the table by name, and what people decided about them; None if nobody did.
 
         Those of `kept` stand where there is no newer result. Rows of copies name the recording that counts,
@@ -292,7 +276,7 @@ class StudyRun:
         rows = {name: row for name, row in sorted(last.items()) if row is not None}
         more: dict[str, dict[str, Any]]
         more = {name: {"copy_of": printable(one)} for name, one in summary.copies(rows).items()}
-        decided = self.planned.merged(rows.values())
+        decided = self.plan.merged(rows.values())
         changes = {} if decided is None else decided.changes
         for name, row in rows.items():
             if (change := changes.get(row["path"])) is not None:
@@ -300,16 +284,41 @@ class StudyRun:
         # a row of a hundred columns is not copied for some of them
         return [ChainMap(more[name], row) if name in more else row for name, row in rows.items()], decided
 
-    def _run(self, planned: Plan) -> None:
-        self._planner.untouched |= planned.changing
-        for item, entry in planned.done:
-            self._own(item, TaskResult(entry, up_to_date=self._was_reported(item, entry)))
+    def _write_table_if_due(self) -> None:
+        """Update `study.csv` while the study runs, if the last update is long enough ago."""
+        began = time.monotonic()
+        if began >= self._table_due:
+            self._write_table()
+            now = time.monotonic()
+            self._table_due = now + max(TABLE_S, TABLE_TIMES * (now - began))
+
+    def _write_table(self) -> None:
+        """Update `study.csv`; a failure is reported at the end of the study only."""
+        rows, _ = self._rows(self._before)
+        with contextlib.suppress(OutputError, LockedError):
+            if rows:
+                self.lease.confirm()
+                summary.write_csv(rows, self.study.out, self.study.shard.basename)
+
+    @functools.cached_property
+    def _before(self) -> list[Entry]:
+        """Earlier results of the recordings that are not done yet."""
+        left = (*self.plan.todo, *self.plan.waiting)
+        return [*self.plan.kept, *(entry for item in left for entry in self.plan.with_other_options(item))]
+
+    def _carry_out(self) -> None:
+        plan = self.plan
+        for item, entry in plan.done:
+            known, refused = self._ledger.known(item, entry.asked), item.name in plan.unlisted
+            # an earlier run reported the same, but a refusal by place or name may be new
+            reported = not (refused or item.refusal) or (known is not None and known.row == entry.row)
+            self._own(item, TaskResult(entry, up_to_date=reported))
         self.lease.confirm()
-        for item in planned.todo:
+        for item in plan.todo:
             if item.job != (alone := as_if_alone(item)):
                 withdraw(alone, item.sensor)
-        self._calibrate(planned.todo)
-        for name, first in copies_of(self.known.recordings).items():
+        self._calibrate(plan.todo)
+        for name, first in summary.copies(self.known.own_rows()).items():
             self._observer.note(printable(f"{name}: {copied(first)}"))
         for text in without_prior(self.study, self.known):
             self._observer.note(text)
@@ -323,17 +332,6 @@ class StudyRun:
             for name in sorted(self._pending):
                 self._report(self.known.recordings[name].item, self._pending[name])
 
-    def _was_reported(self, item: Item, entry: Entry) -> bool:
-        """Return True if an earlier run reported the same; a refusal by place or name may be new."""
-        known, refused = self._ledger.known(item, entry.asked), item.name in self.planned.unlisted
-        return not (refused or item.refusal) or (known is not None and known.row == entry.row)
-
-    def entries(self) -> list[Entry]:
-        """Return the entries of all results."""
-        states = self.known.recordings.values()
-        later = [one.last for one in states if one.last is not one.own]
-        return [*(one.own for one in states), *later, *self.known.pools.values()]
-
     def _calibrate(self, items: Sequence[Item]) -> None:
         common = common_of(self.study, len(items))
         tasks = [CalibrationTask(item, common) for item in items]
@@ -341,7 +339,7 @@ class StudyRun:
             self.worked.add(item.name)
             self._remember(result.entry)
             self._own(item, result)
-            self._table.write_if_due()
+            self._write_table_if_due()
 
     def _remember(self, entry: Entry) -> None:
         self.lease.confirm()
@@ -366,20 +364,20 @@ class StudyRun:
 
         This is done once all replacements are known, and before other recordings' reports are read.
         """
-        left_alone = concerned | self._planner.untouched
+        left_alone = concerned | self.plan.untouched
         others = [one for name, one in sorted(self.known.recordings.items()) if name not in left_alone]
         own = [one for one in others if one.last is one.own]
         self._calibrate([one.item for one in own if not self._ledger.in_place(one.own)])
 
     def _later(self, one: Round, tasks: Sequence[RoundTask]) -> None:
-        todo, taken = self._planner.of(one, tasks)
+        todo, taken = self.plan.tasks_of(one, tasks)
         for task, entry in taken:
             self._take(one, task.item, TaskResult(entry, up_to_date=True))
         for item, result in results(self.study, one.work, todo, self._observer):
             self._remember(result.entry)
             self._take(one, item, result)
             self.worked |= set() if one.of_pools else {item.name}
-            self._table.write_if_due()
+            self._write_table_if_due()
 
     def _take(self, one: Round, item: Item, result: TaskResult) -> None:
         self.known.take(one, item.name, result.entry)
@@ -387,44 +385,17 @@ class StudyRun:
             self._pending[item.name] = result
 
 
-class _InterimTable:
-    """`study.csv` while a study runs, with earlier results of the recordings that are not done yet."""
-
-    def __init__(self, study_run: StudyRun, ledger: Ledger) -> None:
-        self._run, self._ledger = study_run, ledger
-        self._due = time.monotonic() + TABLE_S
-
-    def write_if_due(self) -> None:
-        """Update the table if the last update is long enough ago."""
-        began = time.monotonic()
-        if began >= self._due:
-            self.write()
-            now = time.monotonic()
-            self._due = now + max(TABLE_S, TABLE_TIMES * (now - began))
-
-    def write(self) -> None:
-        """Update the table; a failure is reported at the end of the study only."""
-        study, (rows, _) = self._run.study, self._run.table(self._before)
-        with contextlib.suppress(OutputError, LockedError):
-            if rows:
-                self._run.lease.confirm()
-                summary.write_csv(rows, study.out, study.shard.basename)
-
-    @functools.cached_property
-    def _before(self) -> list[Entry]:
-        planned = self._run.planned
-        left = (*planned.todo, *planned.waiting)
-        return [
-            *planned.kept,
-            *(entry for item in left for entry in self._ledger.with_other_options(item, REPLACING)),
-        ]
+def _settings(study: Study) -> dict[str, Any]:
+    """Return all settings that decide the results."""
+    own, rules = study.settings(), study.request.rules
+    several = len({one.folder for one in rules}) > 1
+    stated = {(f"{one.folder.name}/" if several else "") + one.path.name: one.as_json() for one in rules}
+    later = {"prior": study.prior or own["prior"], "pool": study.pool, "borrow": study.borrow}
+    return {**own, **later, **({"stated": stated} if stated else {})}
 
 
 def results(
-    study: Study,
-    work: TaskFunction,
-    tasks: Sequence[Any],
-    observer: StudyObserver | None = None,
+    study: Study, work: TaskFunction, tasks: Sequence[Any], observer: StudyObserver | None = None
 ) -> Iterator[tuple[Item, TaskResult]]:
     """Have tasks done, the largest first, so that the last to end is a small one."""
     if not tasks:
@@ -510,24 +481,19 @@ def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str],
     existing = next(path for path in (study.out, *study.out.absolute().parents) if is_there(path))
     if not is_folder(existing):
         raise OutputError("cannot be made: a file is in its place", path=existing)
-    ledger = ledger_of(study)
-    planned = plan(study, ledger, lambda tasks: results(study, listed, tasks))
+    planned = plan(study, ledger_of(study), lambda tasks: results(study, listed, tasks))
     for text in planned.notes:
         note(printable(text))
     known = StudyState({item.name: RecordingState(item, entry, entry) for item, entry in planned.done})
     states = dict.fromkeys(planned.todo, "todo") | dict.fromkeys(planned.waiting, "waiting")
-    planner = RoundPlanner(study, ledger, planned.changing)
     for one in rounds(study):
-        todo, taken = planner.of(one, one.tasks(study, known))
+        todo, taken = planned.tasks_of(one, one.tasks(study, known))
         states |= {known.recordings[name].item: "todo" for task in todo for name in task.names}
         for task, entry in taken:
             known.take(one, task.item.name, entry)
-    rows = [one.last.row or {} for one in known.recordings.values()]
-    left = _orphans(study, planned, rows)
-    for orphan in left:
-        note(orphaned(orphan, "would be removed" if study.prune else STAYS))
-    if study.prune:
-        _refuse_pruning(study, planned, left)
-    named = [one for one in known.recordings.values() if not one.item.aside]
-    of_now = {one.item: (one.last.row or {})["outcome"] for one in named} | states
-    return of_now, planned.reasons(study.shard.owns), planned.why
+    rows = {one.item: one.last.row or {} for one in known.recordings.values()}
+    left = _orphans(planned, list(rows.values()))
+    _say_orphans(left, "would be removed" if study.prune else STAYS, note)
+    _refuse_pruning(planned, left)
+    of_now = {item: row["outcome"] for item, row in rows.items() if not item.aside} | states
+    return of_now, planned.reasons(), planned.why

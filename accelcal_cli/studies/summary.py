@@ -29,12 +29,7 @@ from accelcal_cli.output.decisions import Merged
 from accelcal_cli.output.files import json_text, replacing, write_text
 from accelcal_cli.output.report_kinds import failure_code
 from accelcal_cli.output.report_reading import sensor_of
-from accelcal_cli.output.sections import (
-    CalibrationSection,
-    CoverageSection,
-    ReportView,
-    report_view,
-)
+from accelcal_cli.output.sections import CalibrationSection, CoverageSection, ReportView, report_view
 from accelcal_cli.output.words import sentence
 from accelcal_cli.studies.columns import (
     ALL,
@@ -48,6 +43,7 @@ from accelcal_cli.studies.columns import (
     read_by_people,
 )
 from accelcal_cli.studies.records import FAILED, Entry, Item
+from accelcal_cli.studies.study import POOL
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -94,17 +90,13 @@ KINDS = {"text": (str, type(None)), "whole": (int, type(None)), "number": (int, 
 def fits(entry: Entry) -> bool:
     """Return True if the row of an entry is one that a study writes; a ledger may have been changed."""
     row = entry.row or {}
-    if entry.round == POOL_ROUND:
+    if entry.round == POOL:
         return all(isinstance(row.get(name), str) for name in ("outcome", "message"))
-    if row.get("outcome") not in OUTCOMES or type(row.get("exit_code")) is not int:
+    if row.get("outcome") not in (*Outcome, FAILED) or type(row.get("exit_code")) is not int:
         return False
     if row.get("accelcal_version") == __version__ and len(row.keys() & set(NAMES)) < len(NAMES):
         return False
     return all(type(row.get(column.name)) in KINDS[column.kind] for column in ALL)
-
-
-POOL_ROUND = "pool"
-OUTCOMES = frozenset((*Outcome, FAILED))
 
 
 def failed(item: Item, code: int, message: str) -> dict[str, Any]:
@@ -129,8 +121,10 @@ def of_report(
         wear_hours: hours in which it was worn; None if that is not known.
     """
     view = report_view(report)
-    identity = {"path": printable(item.name), "exit_code": code, "wear_hours": wear_hours} | _use(view)
-    verdict = {
+    row: dict[str, Any] = dict.fromkeys(NAMES) | {
+        "path": printable(item.name),
+        "exit_code": code,
+        "wear_hours": wear_hours,
         "outcome": str(view.outcome),
         "reason": view.reason or None,
         "cautions": " ".join(one.code for one in view.cautions) or None,
@@ -139,9 +133,13 @@ def of_report(
         "prior": view.settings.get("prior"),
         "sensor": sensor_of(report),
     }
-    figures = _recording(view) | _errors(view) | _coverage(view.coverage) | _calibration(view.calibration)
-    judged = _change(view) | _misfits(view) | _gyroscope(view) | _effect(view)
-    return with_result(dict.fromkeys(NAMES) | identity | verdict | figures | judged | outputs)
+    row |= _use(view) | _recording(view) | _errors(view) | _coverage(view.coverage)
+    row |= _calibration(view.calibration) | _gyroscope(view) | _effect(view)
+    if (change := view.change) is not None and change.unchecked is None:
+        row |= {"change": change.kind, "change_at": change.at, "change_mg": change.size_mg}
+    if view.misfits is not None:
+        row["misfits"] = ", ".join(one.kind for one in view.misfits if one.found) or "none"
+    return with_result(row | outputs)
 
 
 DECIDED_ON = (
@@ -197,30 +195,12 @@ def _errors(report: ReportView) -> dict[str, Any]:
     if holdout is None:
         return {}
     low, high = holdout.ci95_mg
-    before = {
-        "before_mg": holdout.before_mg.mean,
-        "orientations": holdout.postures,
-        "points": holdout.points,
-    }
+    before = {"before_mg": holdout.before_mg.mean, "orientations": holdout.postures, "points": holdout.points}
     if report.calibration is None:
         return before
     after = {"after_mg": holdout.after_mg.mean, "ci95_low_mg": low, "ci95_high_mg": high}
     ratio = {"improvement_percent": holdout.improvement_percent} | factor_columns(holdout)
     return before | after | ratio | error_columns(report.calibration_error_mg)
-
-
-def _change(report: ReportView) -> dict[str, Any]:
-    change = report.change
-    if change is None or change.unchecked is not None:
-        return {}
-    return {"change": change.kind, "change_at": change.at, "change_mg": change.size_mg}
-
-
-def _misfits(report: ReportView) -> dict[str, Any]:
-    """Return the kinds of misfit that were found."""
-    if report.misfits is None:
-        return {}
-    return {"misfits": ", ".join(one.kind for one in report.misfits if one.found) or "none"}
 
 
 def _gyroscope(report: ReportView) -> dict[str, Any]:
@@ -259,26 +239,16 @@ def _coverage(coverage: CoverageSection) -> dict[str, Any]:
 def _calibration(calibration: CalibrationSection | None) -> dict[str, Any]:
     if calibration is None:
         return {}
-    temperature = calibration.temperature
-    slopes = {} if temperature is None else dict(zip(PARAMETERS[9:], temperature.slope_g_per_c, strict=True))
-    gain = [value for row in calibration.gain for value in row]
-    return {
-        "model": calibration.model,
-        **dict(zip(GAIN, gain, strict=True)),
-        **dict(zip(PARAMETERS[6:9], calibration.offset_g, strict=True)),
-        **slopes,
-        "reference_c": None if temperature is None else temperature.reference_c,
-        **_standard_errors(calibration),
-    }
-
-
-def _standard_errors(calibration: CalibrationSection) -> dict[str, float]:
-    """Return the standard errors of the parameters that the model leaves free."""
-    errors = calibration.standard_errors or {}
-    model = MODELS.get(calibration.model)
-    free = range(len(PARAMETERS)) if model is None else model.free
-    named = {f"se_{PARAMETERS[index]}": errors.get(PARAMETER_NAMES[index]) for index in free}
-    return {name: value for name, value in named.items() if value is not None}
+    row: dict[str, Any] = {"model": calibration.model}
+    row |= dict(zip(GAIN, (value for line in calibration.gain for value in line), strict=True))
+    row |= dict(zip(PARAMETERS[6:9], calibration.offset_g, strict=True))
+    if (temperature := calibration.temperature) is not None:
+        row |= dict(zip(PARAMETERS[9:], temperature.slope_g_per_c, strict=True))
+        row["reference_c"] = temperature.reference_c
+    errors, model = calibration.standard_errors or {}, MODELS.get(calibration.model)
+    for index in range(len(PARAMETERS)) if model is None else model.free:
+        row[f"se_{PARAMETERS[index]}"] = errors.get(PARAMETER_NAMES[index])
+    return row
 
 
 TOGETHER = 1 << 14

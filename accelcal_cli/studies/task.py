@@ -21,6 +21,7 @@ from accelcal_cli.core.errors import (
     missing_resource,
     printable,
 )
+from accelcal_cli.core.formats import EACH
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.quality import wear_hours
 from accelcal_cli.output.report_reading import load_our_json
@@ -56,7 +57,10 @@ class Common:
 
     def request_for(self, item: Item) -> Request:
         """Return the request for a recording, which may be one of the sensors of its file."""
-        return self.request.for_sensor(item.sensor)
+        options = self.request.options
+        if options.sensor == EACH:  # a file of one sensor has none to choose
+            options = replace(options, sensor=item.sensor)
+        return replace(self.request, options=options, each=item.sensor)
 
 
 class Task(Protocol):
@@ -163,11 +167,8 @@ def calibrated(task: CalibrationTask, report_progress: ProgressCallback) -> Task
 def row_of(item: Item, common: Common, result: Result) -> dict[str, Any]:
     """Return a result's row in the summary."""
     code = REFUSED if result.outcome is Outcome.REFUSED else 0
-    names = {
-        "parquet": None if result.parquet is None else _under(common, result.parquet),
-        "report": _under(common, result.job.report),
-    }
-    shown = {kind: None if name is None else printable(name) for kind, name in names.items()}
+    paths = {"parquet": result.parquet, "report": result.job.report}
+    shown = {kind: None if path is None else printable(_under(common, path)) for kind, path in paths.items()}
     quality = load_our_json(result.job.quality)
     return summary.of_report(item, code, result.report, shown, wear_hours(quality or {}))
 

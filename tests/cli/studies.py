@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import io
 import json
+import zlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-import pytest
 
-from tests.cli.run import Ran, exit_code, run
+from tests.cli.run import Ran, run, without_capture
 from tests.recordings import directions, still_counts, write_raw
 
 NAMES = ("north/a.raw", "north/b.raw", "south/deep/c.raw")
@@ -44,22 +45,31 @@ def results(out: Path) -> dict[str, object]:
     return found
 
 
-def study(capsys: pytest.CaptureFixture[str], folder: Path, *words: object) -> Ran:
-    """Run on a folder, with the outputs in `out` beside it."""
-    return run(capsys, "study", folder, "-d", folder.parent / "out", "-j", 2, *words)
+def study(*given: Any, code: int | None = None) -> Ran:
+    """Run on a folder, given before more words, with the outputs in `out` beside it."""
+    folder, *words = without_capture(given)
+    return run("study", folder, "-d", folder.parent / "out", "-j", 2, *words, code=code)
 
 
 def run_in(folder: Path, *words: object) -> Ran:
     """Run in this process with a current folder; its workers are forked from the server of earlier runs."""
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = exit_code(*words)
-    return Ran(code, out.getvalue(), err.getvalue())
+    with contextlib.chdir(folder):
+        return run(*words)
 
 
 def study_in(here: Path, *words: object, folder: str = "in", out: str = "out", jobs: int = 2) -> Ran:
     """A study of a folder below `here`, whose outputs lie there, too; named from there."""
     return run_in(here, "study", folder, "-d", out, "-j", jobs, *words)
+
+
+def change_ledger(out: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    """Change each entry of a study's ledger; its checksum is right again."""
+    texts = []
+    for line in (out / "study.ledger").read_bytes().splitlines():
+        change(entry := json.loads(line.partition(b" ")[2]))
+        texts.append(json.dumps(entry).encode())
+    lines = [f"{zlib.crc32(text):08x} ".encode() + text + b"\n" for text in texts]
+    (out / "study.ledger").write_bytes(b"".join(lines))
 
 
 def rows(out: Path, name: str = "study") -> list[dict[str, str]]:

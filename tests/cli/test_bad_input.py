@@ -17,20 +17,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.cli.run import Ran, assert_one_line, command, little_room, run, run_process
+from tests.cli.run import Ran, assert_one_line, command, files, little_room, nightly, run, run_process
 from tests.recordings import RATE_HZ, directions, good_csv, still_counts, write_csv
 
-Capture = pytest.CaptureFixture[str]
 Begun = Callable[[Path, Path], subprocess.Popen[bytes]]
 
 
-def files(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.iterdir())
-
-
-def refuse(capsys: Capture, path: Path, code: int, *parts: str, options: tuple[object, ...] = ()) -> Ran:
+def refuse(path: Path, code: int, *parts: str, options: tuple[object, ...] = ()) -> Ran:
     before = files(path.parent)
-    ran = run(capsys, "calibrate", path, *options)
+    ran = run("calibrate", path, *options)
     assert ran.code == code, ran
     assert_one_line(ran, str(path), *parts)
     left = [name for name in files(path.parent) if name not in before]
@@ -39,36 +34,36 @@ def refuse(capsys: Capture, path: Path, code: int, *parts: str, options: tuple[o
     return ran
 
 
-def test_a_missing_file(tmp_path: Path, capsys: Capture) -> None:
-    refuse(capsys, tmp_path / "absent.csv", 3, "file not found")
+def test_a_missing_file(tmp_path: Path) -> None:
+    refuse(tmp_path / "absent.csv", 3, "file not found")
 
 
-def test_an_empty_file(tmp_path: Path, capsys: Capture) -> None:
+def test_an_empty_file(tmp_path: Path) -> None:
     path = tmp_path / "empty.bin"
     path.touch()
-    refuse(capsys, path, 3, "is empty", "byte 0")
+    refuse(path, 3, "is empty", "byte 0")
 
 
-def test_a_folder(tmp_path: Path, capsys: Capture) -> None:
+def test_a_folder(tmp_path: Path) -> None:
     folder = tmp_path / "recordings"
     folder.mkdir()
-    refuse(capsys, folder, 3, "is a folder")
+    refuse(folder, 3, "is a folder")
 
 
 @pytest.mark.parametrize("suffix", ["bin", "cwa", "csv", "h5", "raw", "gt3x", "csv.gz", ""])
-def test_random_bytes_under_any_name(tmp_path: Path, capsys: Capture, suffix: str) -> None:
+def test_random_bytes_under_any_name(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"noise.{suffix}"
     path.write_bytes(np.random.RandomState(1).bytes(50_000))
-    refuse(capsys, path, 3)
+    refuse(path, 3)
 
 
-def test_t17_text_in_a_column_is_damage_unless_it_is_everywhere(tmp_path: Path, capsys: Capture) -> None:
+def test_t17_text_in_a_column_is_damage_unless_it_is_everywhere(tmp_path: Path) -> None:
     path = good_csv(tmp_path)
     lines = path.read_text().splitlines()
-    good = run(capsys, "calibrate", path, "--report-only", "--json")
+    good = run("calibrate", path, "--report-only", "--json")
     lines[1000] = lines[1000].rsplit(",", 1)[0] + ",broken"
     path.write_text("\n".join(lines) + "\n")
-    ran = run(capsys, "calibrate", path, "--report-only", "--json", "--force")
+    ran = run("calibrate", path, "--report-only", "--json", "--force")
     assert (ran.code, good.code) == (0, 0)
     (problem,) = json.loads(ran.out)["file_health"]["problems"]
     assert (
@@ -78,51 +73,43 @@ def test_t17_text_in_a_column_is_damage_unless_it_is_everywhere(tmp_path: Path, 
         lines[index] = lines[index].rsplit(",", 1)[0] + ",broken"
     path.write_text("\n".join(lines) + "\n")
     path.with_suffix(".calibration.json").unlink()
-    refuse(capsys, path, 3, "line 1001", "broken")
+    refuse(path, 3, "line 1001", "broken")
 
 
-def test_some_missing_values_are_reported_and_the_rest_is_used(tmp_path: Path, capsys: Capture) -> None:
+def test_some_missing_values_are_reported_and_the_rest_is_used(tmp_path: Path) -> None:
     path = good_csv(tmp_path)
     lines = path.read_text().splitlines()
     for index in (1000, 1001, 5000):
         lines[index] = lines[index].rsplit(",", 1)[0] + ",NaN"
     path.write_text("\n".join(lines) + "\n")
-    ran = run(capsys, "calibrate", path, "--model", 6)
-    assert ran.code == 0
-    assert "missing_value" in ran.err
+    assert "missing_value" in run("calibrate", path, "--model", 6, code=0).err
 
 
-def test_nothing_but_nan(tmp_path: Path, capsys: Capture) -> None:
+def test_nothing_but_nan(tmp_path: Path) -> None:
     path = tmp_path / "nan.csv"
     path.write_text("time,x,y,z\n" + "".join(f"{i / 25},nan,nan,nan\n" for i in range(1000)))
-    refuse(capsys, path, 3)
+    refuse(path, 3)
 
 
-def test_constant_data(tmp_path: Path, capsys: Capture) -> None:
+def test_constant_data(tmp_path: Path) -> None:
     path = write_csv(tmp_path / "constant.csv", np.tile(np.array([[0, 0, 256]], np.int16), (5000, 1)))
-    refuse(capsys, path, 4, "one constant value")
+    refuse(path, 4, "one constant value")
 
 
-def test_a_wrong_unit_is_named_as_the_likely_reason(tmp_path: Path, capsys: Capture) -> None:
-    refuse(capsys, good_csv(tmp_path), 4, "--unit", options=("--unit", "mg"))
-
-
-def test_no_still_window(tmp_path: Path, capsys: Capture) -> None:
+def test_no_still_window(tmp_path: Path) -> None:
     time_s = np.arange(10_000) / RATE_HZ
     shaken = np.stack([np.sin(time_s * f) for f in (3.0, 4.0, 5.0)], axis=1)
     path = write_csv(tmp_path / "shaken.csv", (256 * shaken).astype(np.int16))
-    refuse(capsys, path, 4, "no still window")
+    refuse(path, 4, "no still window")
 
 
-def test_an_output_folder_that_cannot_be_made(tmp_path: Path, capsys: Capture) -> None:
+def test_an_output_folder_that_cannot_be_made(tmp_path: Path) -> None:
     path = good_csv(tmp_path)
     (tmp_path / "file").touch()
-    ran = run(capsys, "calibrate", path, "-d", tmp_path / "file" / "out")
-    assert ran.code == 5
-    assert_one_line(ran, "out", "cannot be made")
+    assert_one_line(run("calibrate", path, "-d", tmp_path / "file" / "out"), "out", "cannot be made", code=5)
 
 
-def test_unknown_names(tmp_path: Path, capsys: Capture) -> None:
+def test_unknown_names(tmp_path: Path) -> None:
     path = good_csv(tmp_path)
     for words in (
         ("--format", "x"),
@@ -131,21 +118,13 @@ def test_unknown_names(tmp_path: Path, capsys: Capture) -> None:
         ("--model", "7"),
         ("--nope",),
     ):
-        ran = run(capsys, "calibrate", path, *words)
-        assert ran.code == 2, ran
-        assert "Traceback" not in ran.err
+        assert "Traceback" not in run("calibrate", path, *words, code=2).err
     assert files(tmp_path) == ["good.csv"]
 
 
 @pytest.mark.parametrize(
     "words",
     [
-        ("--rate", "nan"),
-        ("--rate", "inf"),
-        ("--lsb-per-g", "inf"),
-        ("--segment-seconds", "nan"),
-        ("--segment-seconds", "1e308"),
-        ("--stillness-threshold-g", "nan"),
         ("--timezone", "+25:00"),
         ("--timezone", "posixrules"),
         ("--profile", "paper", "--model", "3"),
@@ -156,47 +135,34 @@ def test_unknown_names(tmp_path: Path, capsys: Capture) -> None:
         ("--profile", "paper", "--min-subset-points", "3", "--max-subset-points", "2"),
         ("--stillness-axis", "y"),
         ("--profile", "paper", "--stillness", "both", "--stillness-axis", "y"),
-        ("--profile", "paper", "--stillness-axis", "w"),
     ],
 )
-def test_impossible_numbers_and_zones(tmp_path: Path, capsys: Capture, words: tuple[str, ...]) -> None:
-    ran = run(capsys, "calibrate", good_csv(tmp_path), *words)
-    assert ran.code == 2, ran
+def test_impossible_numbers_and_zones(tmp_path: Path, words: tuple[str, ...]) -> None:
+    run("calibrate", good_csv(tmp_path), *words, code=2)
     assert files(tmp_path) == ["good.csv"]
 
 
-@pytest.mark.parametrize("step", [13, pytest.param(1, marks=pytest.mark.nightly)])
-def test_one_flipped_bit_in_a_gzip_file_is_never_taken_for_data(
-    tmp_path: Path, capsys: Capture, step: int
-) -> None:
+@pytest.mark.parametrize("step", [13, nightly(1)])
+def test_one_flipped_bit_in_a_gzip_file_is_never_taken_for_data(tmp_path: Path, step: int) -> None:
     packed = bytearray(gzip.compress(good_csv(tmp_path).read_bytes()))
     path = tmp_path / "flipped.csv.gz"
     for at in range(len(packed) // 3, len(packed) // 3 + 40, step):
         path.write_bytes(packed[:at] + bytes([packed[at] ^ 4]) + packed[at + 1 :])
-        refuse(capsys, path, 3)
+        refuse(path, 3)
 
 
-def test_a_gzip_file_cut_short_gives_its_rows_and_says_so(tmp_path: Path, capsys: Capture) -> None:
+def test_a_gzip_file_cut_short_gives_its_rows_and_says_so(tmp_path: Path) -> None:
     packed = gzip.compress(good_csv(tmp_path).read_bytes())
     path = tmp_path / "cut.csv.gz"
     path.write_bytes(packed[: len(packed) * 3 // 4])
-    ran = run(capsys, "calibrate", path, "--model", 6)
-    assert ran.code == 0, ran
-    assert "truncated" in ran.err
-    whole = run(capsys, "calibrate", tmp_path / "good.csv", "--model", 6)
-    assert whole.code == 0
+    assert "truncated" in run("calibrate", path, "--model", 6, code=0).err
+    run("calibrate", tmp_path / "good.csv", "--model", 6, code=0)
     part, full = (pd.read_parquet(tmp_path / f"{name}.calibrated.parquet") for name in ("cut", "good"))
     assert 0 < len(part) < len(full)
     assert (part["time"] == full["time"].iloc[: len(part)]).all()
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param("l" * 240 + ".csv", marks=pytest.mark.nightly),
-        os.fsdecode(b"bad\xff\tand\nline.csv"),
-    ],
-)
+@pytest.mark.parametrize("name", [nightly("l" * 240 + ".csv"), os.fsdecode(b"bad\xff\tand\nline.csv")])
 def test_strange_names(tmp_path: Path, name: str) -> None:
     path = good_csv(tmp_path, name)
     ran = run_process("calibrate", path, "--report-only", "--model", 6)
@@ -205,36 +171,19 @@ def test_strange_names(tmp_path: Path, name: str) -> None:
     assert len(ran.lines[0].split("\t")) == 10 if ran.lines else "too long" in ran.err
 
 
-def test_a_loop_of_links_stops_only_itself(tmp_path: Path, capsys: Capture) -> None:
+def test_a_loop_of_links_stops_only_itself(tmp_path: Path) -> None:
     loop = tmp_path / "loop.csv"
     loop.symlink_to(loop)
-    ran = run(capsys, "calibrate", loop, good_csv(tmp_path), "--model", 6)
-    assert ran.code == 1
-    assert len(ran.lines) == 1
-    assert run(capsys, "calibrate", loop).code == 3
+    assert len(run("calibrate", loop, good_csv(tmp_path), "--model", 6, code=1).lines) == 1
+    assert run("calibrate", loop).code == 3
 
 
-def test_another_recordings_result_is_kept(tmp_path: Path, capsys: Capture) -> None:
-    (tmp_path / "a").mkdir()
-    (tmp_path / "b").mkdir()
-    one = good_csv(tmp_path / "a")
-    two = write_csv(tmp_path / "b" / "good.csv", still_counts(directions(60), seed=9))
-    out = tmp_path / "out"
-    assert run(capsys, "calibrate", one, "-d", out, "--model", 6).code == 0
-    before = (out / "good.calibrated.parquet").read_bytes()
-    ran = run(capsys, "calibrate", two, "-d", out, "--model", 6)
-    assert ran.code == 5
-    assert_one_line(ran, str(one), "another recording", "-d")
-    assert (out / "good.calibrated.parquet").read_bytes() == before
-    assert run(capsys, "calibrate", two, "-d", out, "--force", "--model", 6).code == 0
-
-
-def test_a_failed_rerun_keeps_the_earlier_result(tmp_path: Path, capsys: Capture) -> None:
+def test_a_failed_rerun_keeps_the_earlier_result(tmp_path: Path) -> None:
     path, out = good_csv(tmp_path), tmp_path / "out"
-    assert run(capsys, "calibrate", path, "-d", out).code == 0
+    assert run("calibrate", path, "-d", out).code == 0
     before = {name: (out / name).read_bytes() for name in files(out)}
     with little_room(100_000):
-        assert run(capsys, "calibrate", path, "-d", out, "--force").code == 5
+        assert run("calibrate", path, "-d", out, "--force").code == 5
     assert {name: (out / name).read_bytes() for name in files(out)} == before
 
 
@@ -281,45 +230,40 @@ def write_and_pause(sink, portions, fill):
 ParquetSink.write = write_and_pause
 main()
 """
-in_the_middle = pytest.mark.parametrize(
-    ("begun", "poses"), [(paused, 60), pytest.param(running, 600, marks=pytest.mark.nightly)]
-)
+in_the_middle = pytest.mark.parametrize(("begun", "poses"), [(paused, 60), nightly(running, 600)])
 
 
 @in_the_middle
-def test_temporaries_of_a_killed_run_are_cleared_by_the_next(
-    tmp_path: Path, capsys: Capture, begun: Begun, poses: int
-) -> None:
+def test_temporaries_of_a_killed_run_go_with_the_next(tmp_path: Path, begun: Begun, poses: int) -> None:
     path, out = write_csv(tmp_path / "long.csv", still_counts(directions(poses))), tmp_path / "out"
     process = begun(path, out)
     process.kill()
     process.communicate()
     assert any(name.endswith(".tmp") for name in files(out))
-    assert run(capsys, "calibrate", path, "-d", out, "--model", 6).code == 0
+    assert run("calibrate", path, "-d", out, "--model", 6).code == 0
     assert files(out) == ["long.calibrated.parquet", "long.calibration.json", "long.quality.json"]
 
 
-def test_closed_streams_do_not_stop_the_work(tmp_path: Path) -> None:
+def test_a_closed_standard_error_does_not_stop_the_work(tmp_path: Path) -> None:
     path = good_csv(tmp_path)
-    for redirect, code in (("2>&-", 0), (">&-", 5)):
-        shell = " ".join(shlex.quote(word) for word in command("calibrate", path, "--force", "--model", 6))
-        done = subprocess.run(f"{shell} {redirect}", shell=True, capture_output=True, check=False)
-        assert done.returncode == code, (redirect, done)
-        assert (tmp_path / "good.calibration.json").exists()
+    shell = " ".join(shlex.quote(word) for word in command("calibrate", path, "--model", 6))
+    done = subprocess.run(f"{shell} 2>&-", shell=True, capture_output=True, check=False)
+    assert done.returncode == 0, done
+    assert (tmp_path / "good.calibration.json").exists()
 
 
-def test_a_full_disk(tmp_path: Path, capsys: Capture) -> None:
+def test_a_full_disk(tmp_path: Path) -> None:
     path = good_csv(tmp_path)
     out = tmp_path / "out"
     with little_room(100_000):
-        ran = run(capsys, "calibrate", path, "-d", out)
+        ran = run("calibrate", path, "-d", out)
     assert ran.code == 5
     assert_one_line(ran, "good.calibrated.parquet", "cannot be written")
     assert files(out) == []
 
 
 @in_the_middle
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("number", [signal.SIGINT, nightly(signal.SIGTERM)])
 def test_interruption_leaves_nothing_behind(tmp_path: Path, number: int, begun: Begun, poses: int) -> None:
     path, out = write_csv(tmp_path / "long.csv", still_counts(directions(poses))), tmp_path / "out"
     process = begun(path, out)
@@ -345,15 +289,13 @@ def test_a_closed_pipe_is_quiet(tmp_path: Path) -> None:
     assert b"Exception" not in err
 
 
-def test_a_pipe_is_called_one_and_never_waited_for(tmp_path: Path, capsys: Capture) -> None:
+def test_a_pipe_is_called_one_and_never_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "a.csv")
     for path in (tmp_path / "a.csv", Path("/dev/null")):
-        ran = run(capsys, "inspect", path)
-        assert ran.code == 3
-        assert_one_line(ran, "is a pipe or a device", "write it to a file first")
+        assert_one_line(run("inspect", path), "is a pipe or a device", "write it to a file first", code=3)
 
 
-def test_a_window_of_one_sample_is_wrong_usage(tmp_path: Path, capsys: Capture) -> None:
+def test_a_window_of_one_sample_is_wrong_usage(tmp_path: Path) -> None:
     """It is constant whatever the device did, so it was called a sensor that was off."""
-    ran = run(capsys, "calibrate", good_csv(tmp_path), "--segment-seconds", "0.001")
+    ran = run("calibrate", good_csv(tmp_path), "--segment-seconds", "0.001")
     assert (ran.code, "--segment-seconds 0.001 is less than two samples at" in ran.err) == (2, True)

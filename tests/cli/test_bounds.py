@@ -33,6 +33,7 @@ BOUNDS: list[tuple[set[str], str, float, float]] = [
     ({*FITTING, "six-pose", "fit", "gravity", "evaluate methods"}, "--latitude", -90, 90),
     ({*FITTING, "six-pose", "fit", "gravity", "evaluate methods"}, "--altitude", -500, 9000),
     ({*FITTING, "six-pose", "apply"}, "--max-damage", 0, 100),
+    ({*FITTING, "fit", "apply", "watch"}, "--max-error", TINY, 1e6),
 ]
 CHOICES: list[tuple[set[str], str, tuple[str, ...]]] = [
     (WINDOWS, "--profile", ("default", "paper")),

@@ -12,10 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from accelcal_cli.cli.main import cli
-from tests.cli.run import assert_one_line, run, told
+from tests.cli.run import assert_one_line, nightly, run, told
 from tests.recordings import GAIN, LSB_PER_G, OFFSET_G, directions, write_raw
 
-Capture = pytest.CaptureFixture[str]
 RATE_HZ, HOURS, HOUR = 0.5, 24, 1800
 STEP_G = np.array([0.012, -0.010, 0.012])
 
@@ -45,8 +44,8 @@ def drifting(path: Path) -> Path:
     return long_raw(path, np.linspace(0, 1.5, HOURS * HOUR)[:, None])
 
 
-def calibrated(capsys: Capture, path: Path, *words: object) -> dict[str, Any]:
-    report: dict[str, Any] = json.loads(run(capsys, "calibrate", path, "--json", "--force", *words).out)
+def calibrated(path: Path, *words: object) -> dict[str, Any]:
+    report: dict[str, Any] = json.loads(run("calibrate", path, "--json", "--force", *words).out)
     return report
 
 
@@ -80,8 +79,8 @@ def test_a_step_in_the_offsets_is_told_and_followed(jumped: Path) -> None:
     assert report["calibration_error_mg"]["mean"] < 1.5
 
 
-def test_never_only_tells(tmp_path: Path, capsys: Capture) -> None:
-    report = calibrated(capsys, jumping(tmp_path / "jumps.raw"), "--recalibrate", "never")
+def test_never_only_tells(tmp_path: Path) -> None:
+    report = calibrated(jumping(tmp_path / "jumps.raw"), "--recalibrate", "never")
     assert report["change"]["kind"] == "step" and report["calibration"]["course"] is None
     (change,) = [one["values"] for one in report["cautions"] if one["code"] == "sensor_changed"]
     assert change["followed"] is False and change["constant_mg"] > 2 * change["changing_mg"]
@@ -89,8 +88,8 @@ def test_never_only_tells(tmp_path: Path, capsys: Capture) -> None:
     assert still_errors_mg(tmp_path / "jumps.calibrated.parquet").mean() > 3
 
 
-def test_a_drift_is_followed_on_a_line(tmp_path: Path, capsys: Capture) -> None:
-    report = calibrated(capsys, drifting(tmp_path / "drifts.raw"))
+def test_a_drift_is_followed_on_a_line(tmp_path: Path) -> None:
+    report = calibrated(drifting(tmp_path / "drifts.raw"))
     assert (report["change"]["kind"], report["change"]["at"]) == ("drift", None)
     assert report["change"]["offset_mg"] == pytest.approx((18, -15, 18), abs=1)
     course = report["calibration"]["course"]
@@ -98,64 +97,52 @@ def test_a_drift_is_followed_on_a_line(tmp_path: Path, capsys: Capture) -> None:
     assert still_errors_mg(tmp_path / "drifts.calibrated.parquet").mean() < 0.7
 
 
-@pytest.mark.parametrize("made", [jumping, pytest.param(drifting, marks=pytest.mark.nightly)])
-def test_the_length_of_chunks_makes_no_difference(tmp_path: Path, capsys: Capture, made: Any) -> None:
+@pytest.mark.parametrize("made", [jumping, nightly(drifting)])
+def test_the_length_of_chunks_makes_no_difference(tmp_path: Path, made: Any) -> None:
     path = made(tmp_path / "a.raw")
-    first = calibrated(capsys, path)
+    first = calibrated(path)
     table = pq.read_table(tmp_path / "a.calibrated.parquet")
-    again = calibrated(capsys, path, "--chunk-samples", "499")
+    again = calibrated(path, "--chunk-samples", "499")
     for section in (
-        "calibration",
-        "change",
-        "reason",
-        "values",
-        "cautions",
-        "holdout",
-        "calibration_error_mg",
-    ):
+        "calibration", "change", "reason", "values", "cautions", "holdout", "calibration_error_mg",
+    ):  # fmt: skip
         assert again[section] == first[section], section
     assert pq.read_table(tmp_path / "a.calibrated.parquet").equals(table)
 
 
-def test_a_sensor_that_stays_as_it_is_is_said_to(tmp_path: Path, capsys: Capture) -> None:
-    report = calibrated(capsys, long_raw(tmp_path / "same.raw"), "--report-only")
+def test_a_sensor_that_stays_as_it_is_is_said_to(tmp_path: Path) -> None:
+    report = calibrated(long_raw(tmp_path / "same.raw"), "--report-only")
     assert report["change"]["kind"] == "none" and "changes" not in report["message"]
     assert report["calibration"]["course"] is None
     assert report["change"]["holdout"]["stretches"] == 24
     assert report["change"]["holdout"]["constant_mg"] < 1.5
 
 
-def test_its_own_coefficients_give_the_same_values_again(
-    jumped: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_its_own_coefficients_give_the_same_values_again(jumped: Path, tmp_path: Path) -> None:
     path, report = jumped / "jumps.raw", jumped / "jumps.calibration.json"
-    assert run(capsys, "verify", report, path, "--values").code == 0
-    assert run(capsys, "apply", "--coefficients", report, path, "-d", tmp_path).code == 0
+    assert run("verify", report, path, "--values").code == 0
+    assert run("apply", "--coefficients", report, path, "-d", tmp_path).code == 0
     tables = [pq.read_table(folder / "jumps.calibrated.parquet") for folder in (jumped, tmp_path)]
     assert tables[0].equals(tables[1])
 
 
-def test_what_is_fitted_without_misalignment_follows_too_but_no_other_tool_can(
-    jumped: Path, capsys: Capture
-) -> None:
+def test_what_is_fitted_without_misalignment_follows_too_but_no_other_tool_can(jumped: Path) -> None:
     path = jumped / "jumps.calibration.json"
     report = json.loads(path.read_text())
     simpler = report["without_misalignment"]
     assert simpler["calibration"]["course"] == report["calibration"]["course"] is not None
     assert simpler["holdout"]["before_mg"] == report["holdout"]["before_mg"]
     assert simpler["holdout"]["after_mg"]["mean"] > report["holdout"]["after_mg"]["mean"]
-    ran = run(capsys, "export", path, "--to", "ggir")
-    assert ran.code == 2
-    assert_one_line(ran, "follows a sensor that changed while it recorded", "--recalibrate never")
-    shown = json.loads(run(capsys, "export", path, "--to", "json").out)
+    ran = run("export", path, "--to", "ggir")
+    assert_one_line(ran, "follows a sensor that changed while it recorded", "--recalibrate never", code=2)
+    shown = json.loads(run("export", path, "--to", "json").out)
     assert shown["without_misalignment"] == simpler
 
 
-def test_another_recording_does_not_get_them(jumped: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_another_recording_does_not_get_them(jumped: Path, tmp_path: Path) -> None:
     other, report = long_raw(tmp_path / "other.raw"), jumped / "jumps.calibration.json"
-    ran = run(capsys, "apply", "--coefficients", report, other, "-d", tmp_path / "out", "--any-device")
-    assert ran.code == 2
-    assert_one_line(ran, "follow a sensor that changed", "--recalibrate never")
+    ran = run("apply", "--coefficients", report, other, "-d", tmp_path / "out", "--any-device")
+    assert_one_line(ran, "follow a sensor that changed", "--recalibrate never", code=2)
 
 
 def test_windows_are_put_right_too(jumped: Path) -> None:
@@ -169,7 +156,7 @@ def knot(sample: int, stretch: float = 1 << 29, shift: float = 0) -> dict[str, A
     return {"sample": sample, "fixed_point": {"stretch": [stretch] * 3, "shift": [shift] * 3}}
 
 
-def test_a_damaged_course_is_refused(jumped: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_damaged_course_is_refused(jumped: Path, tmp_path: Path) -> None:
     path, report = jumped / "jumps.raw", tmp_path / "jumps.calibration.json"
     held = json.loads((jumped / report.name).read_text())
     whole = held["calibration"]["course"]["knots"][0]
@@ -186,26 +173,24 @@ def test_a_damaged_course_is_refused(jumped: Path, tmp_path: Path, capsys: Captu
     ):
         course = held["calibration"]["course"] | change
         report.write_text(json.dumps(held | {"calibration": held["calibration"] | {"course": course}}))
-        ran = run(capsys, "apply", "--coefficients", report, path, "-d", tmp_path / "out")
-        assert ran.code == 3, change
-        assert_one_line(ran, "is a damaged report: calibration.course")
+        ran = run("apply", "--coefficients", report, path, "-d", tmp_path / "out")
+        assert_one_line(ran, "is a damaged report: calibration.course", code=3)
 
 
-def test_profile_paper_does_not_follow(tmp_path: Path, capsys: Capture) -> None:
+def test_profile_paper_does_not_follow(tmp_path: Path) -> None:
     path = jumping(tmp_path / "jumps.raw")
-    ran = run(capsys, "calibrate", path, "--profile", "paper", "--recalibrate", "auto")
-    assert ran.code == 2
-    assert_one_line(ran, "does not go with --profile paper")
-    report = calibrated(capsys, path, "--profile", "paper", "--report-only")
+    ran = run("calibrate", path, "--profile", "paper", "--recalibrate", "auto")
+    assert_one_line(ran, "does not go with --profile paper", code=2)
+    report = calibrated(path, "--profile", "paper", "--report-only")
     assert report["change"] is None and report["settings"]["recalibrate"] == "never"
 
 
-def test_the_table_of_a_study_has_it(tmp_path: Path, capsys: Capture) -> None:
+def test_the_table_of_a_study_has_it(tmp_path: Path) -> None:
     folder = tmp_path / "in"
     folder.mkdir()
     jumping(folder / "jumps.raw")
     long_raw(folder / "same.raw")
-    run(capsys, "study", folder, "-d", tmp_path / "out", "--report-only", "-j", "1")
+    run("study", folder, "-d", tmp_path / "out", "--report-only", "-j", "1")
     rows = list(csv.DictReader((tmp_path / "out" / "study.csv").read_text().splitlines()))
     assert [(row["path"], row["change"], row["change_at"]) for row in rows] == [
         ("jumps.raw", "step", "2024-03-04T14:00:00.000000"),

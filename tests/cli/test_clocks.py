@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.cli.run import codes, exit_code, told
+from tests.cli.run import codes, exit_code, nightly, told
 from tests.recordings import RATE_HZ, directions, still_counts, write_csv
 
 PERIOD_US = round(1e6 / RATE_HZ)
@@ -37,33 +37,36 @@ def with_clock(path: Path, stretches: list[int]) -> int:
 
 def check_all_commands(folder: Path, stretches: list[int]) -> dict:
     """Calibrate, and read what was written by every command that takes it; return the report."""
-    path, out = folder / "a.csv", folder / "out"
+    path, data = folder / "a.csv", folder / "out/a.calibrated.parquet"
     rows = with_clock(path, stretches)
-    assert exit_code("calibrate", path, "--html", "-d", out, "-q") == 0
-    report, data = out / "a.calibration.json", out / "a.calibrated.parquet"
+    assert exit_code("calibrate", path, "--html", "-d", folder / "out", "-q") == 0
+    found = read_by_all(folder, path)
+    for words in (
+        ("export", data, "--to", "parquet", "--resample", 20, "-o", folder / "data.parquet"),
+        ("inspect", path),
+        ("calibrate", path, "--effect", "--report-only", "-d", folder / "effect"),
+    ):
+        assert exit_code(*words) == 0, words
+    assert found["recording"]["samples"] == rows
+    return found
+
+
+def read_by_all(folder: Path, path: Path) -> dict:
+    """The report of a recording that has been calibrated, once commands have read it and the data."""
+    report, data = folder / "out/a.calibration.json", folder / "out/a.calibrated.parquet"
     for words in (
         ("verify", report, path),
         ("report", report),
         ("apply", "--coefficients", report, path, "-d", folder / "applied"),
         ("export", report, "--to", "ggir", "-o", folder / "ggir.csv"),
         ("export", data, "--to", "csv", "-o", folder / "data.csv"),
-        ("export", data, "--to", "parquet", "--resample", 20, "-o", folder / "data.parquet"),
-        ("inspect", path),
-        ("calibrate", path, "--effect", "--report-only", "-d", folder / "effect"),
     ):
         assert exit_code(*words) == 0, words
-    found = json.loads(report.read_text())
-    assert found["recording"]["samples"] == rows
-    return found
+    return json.loads(report.read_text())
 
 
 @pytest.mark.parametrize(
-    ("then", "resets"),
-    [
-        ("2000-01-01", 1),
-        pytest.param("2010-01-01", 1, marks=pytest.mark.nightly),
-        pytest.param("2079-06-06", 1, marks=pytest.mark.nightly),
-    ],
+    ("then", "resets"), [("2000-01-01", 1), nightly("2010-01-01", 1), nightly("2079-06-06", 1)]
 )
 def test_t3_a_clock_that_was_reset_is_a_stretch_of_its_own(tmp_path: Path, then: str, resets: int) -> None:
     report = check_all_commands(tmp_path, [STARTS["2024-03-04"], STARTS[then]])

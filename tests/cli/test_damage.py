@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from pathlib import Path
 
 import pytest
 
-from tests.cli.run import assert_one_line, codes, run, told, verify
+from tests.cli.run import assert_one_line, codes, files, report_of, run, told, verify
 from tests.formats import make_flash
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
-from tests.schema import check_report
 from tests.studies.mixture import simulated
-
-Capture = pytest.CaptureFixture[str]
 
 
 def dump(path: Path, spoiled: int) -> Path:
@@ -25,22 +21,10 @@ def dump(path: Path, spoiled: int) -> Path:
     return path
 
 
-def report_of(path: Path) -> dict:
-    report = json.loads(path.read_text())
-    check_report(report)
-    return report
-
-
-def test_more_than_the_limit_is_refused_with_a_report(tmp_path: Path, capsys: Capture) -> None:
+def test_more_than_the_limit_is_refused_with_a_report(tmp_path: Path) -> None:
     path = dump(tmp_path / "a.bin", 6)
-    ran = run(capsys, "calibrate", path, "-q")
-    assert ran.code == 4
-    assert_one_line(ran, "lost to damage", "50 %", "-R max_damage")
-    assert sorted(item.name for item in tmp_path.iterdir()) == [
-        "a.bin",
-        "a.calibration.json",
-        "a.quality.json",
-    ]
+    assert_one_line(run("calibrate", path, "-q"), "lost to damage", "50 %", "-R max_damage", code=4)
+    assert files(tmp_path) == ["a.bin", "a.calibration.json", "a.quality.json"]
     report = report_of(tmp_path / "a.calibration.json")
     health = report["file_health"]
     lost = sum(1 for index in range(563) if index // 57 % 10 < 6)
@@ -52,49 +36,44 @@ def test_more_than_the_limit_is_refused_with_a_report(tmp_path: Path, capsys: Ca
 
 
 @pytest.mark.nightly
-def test_the_limit_can_be_raised_and_lowered(tmp_path: Path, capsys: Capture) -> None:
+def test_the_limit_can_be_raised_and_lowered(tmp_path: Path) -> None:
     path = dump(tmp_path / "a.bin", 6)
-    assert run(capsys, "calibrate", path, "-R", "max_damage=70").code == 0
-    ran, found = verify(capsys, tmp_path / "a.calibration.json", path)
+    assert run("calibrate", path, "-R", "max_damage=70").code == 0
+    ran, found = verify(tmp_path / "a.calibration.json", path)
     assert (ran.code, found["result"]) == (0, "identical")
     whole = dump(tmp_path / "b.bin", 1)
-    assert run(capsys, "calibrate", whole, "-R", "max_damage=5").code == 4
+    assert run("calibrate", whole, "-R", "max_damage=5").code == 4
     assert report_of(tmp_path / "b.calibration.json")["calibration"] is None
-    assert run(capsys, "calibrate", whole).code == 0
-    assert run(capsys, "calibrate", whole, "-R", "max_damage=101").code == 2
+    assert run("calibrate", whole).code == 0
+    assert run("calibrate", whole, "-R", "max_damage=101").code == 2
 
 
-def test_a_refusal_is_reproduced_by_verify(tmp_path: Path, capsys: Capture) -> None:
+def test_a_refusal_is_reproduced_by_verify(tmp_path: Path) -> None:
     path = dump(tmp_path / "a.bin", 6)
-    run(capsys, "calibrate", path)
-    ran, found = verify(capsys, tmp_path / "a.calibration.json", path)
+    run("calibrate", path)
+    ran, found = verify(tmp_path / "a.calibration.json", path)
     assert (ran.code, found["result"]) == (0, "identical")
 
 
-def test_apply_refuses_too(tmp_path: Path, capsys: Capture) -> None:
+def test_apply_refuses_too(tmp_path: Path) -> None:
     good, bad = dump(tmp_path / "good.bin", 0), dump(tmp_path / "bad.bin", 6)
-    assert run(capsys, "calibrate", good).code == 0
+    assert run("calibrate", good).code == 0
     words = ("apply", "--coefficients", tmp_path / "good.calibration.json", bad)
-    ran = run(capsys, *words, "-q")
-    assert ran.code == 4
-    assert_one_line(ran, "lost to damage")
+    assert_one_line(run(*words, "-q"), "lost to damage", code=4)
     report = report_of(tmp_path / "bad.calibration.json")
     assert (report["calibration"], report["coefficients"]["recording_path"]) == (None, good.name)
     assert not (tmp_path / "bad.calibrated.parquet").exists()
-    assert run(capsys, *words, "-R", "max_damage=99").code == 0
+    assert run(*words, "-R", "max_damage=99").code == 0
 
 
-def test_inspect_predicts_it(tmp_path: Path, capsys: Capture) -> None:
-    ran = run(capsys, "inspect", dump(tmp_path / "a.bin", 6))
-    assert ran.code == 0
+def test_inspect_predicts_it(tmp_path: Path) -> None:
+    ran = run("inspect", dump(tmp_path / "a.bin", 6), code=0)
     assert "prediction   refused" in ran.out
     assert "-R max_damage" in ran.out
 
 
 @pytest.mark.parametrize("kind", ["gt3x", "geneactiv", "raw"])
-def test_a_stump_is_told_to_be_copied_again_and_a_short_recording_is_not(
-    tmp_path: Path, capsys: Capture, kind: str
-) -> None:
+def test_a_stump_is_told_to_be_copied_again_and_a_short_recording_is_not(tmp_path: Path, kind: str) -> None:
     """What is left of it holds too few postures, as the whole of a short one does."""
     whole = simulated(tmp_path / "whole", kind, 1, 0.02)
     stump = whole.with_name(f"stump{''.join(whole.suffixes)}")
@@ -102,17 +81,17 @@ def test_a_stump_is_told_to_be_copied_again_and_a_short_recording_is_not(
     if kind == "raw":
         stump.with_name("stump.layout.toml").write_text(whole.with_name("whole.layout.toml").read_text())
     for path, cut in ((whole, False), (stump, True)):
-        ran = run(capsys, "calibrate", path, "--report-only", "--strict")
+        ran = run("calibrate", path, "--report-only", "--strict")
         report = report_of(path.with_name(f"{path.name.partition('.')[0]}.calibration.json"))
         advice = codes(report["advice"])
         assert (ran.code, "more_orientations" in advice, "copy_again" in advice) == (4, True, cut)
         said = told(report, "cut_short" if cut else advice[0])  # which says to copy it again, too
         assert said in ran.err and (advice[0] == "copy_again") == cut
         if kind == "gt3x":
-            assert ("The file is cut short" in run(capsys, "inspect", path).out) == cut
+            assert ("The file is cut short" in run("inspect", path).out) == cut
 
 
-def test_gaps_that_run_past_the_year_9999_are_reported(tmp_path: Path, capsys: Capture) -> None:
+def test_gaps_that_run_past_the_year_9999_are_reported(tmp_path: Path) -> None:
     """28 rows a page at 0.001 Hz, 999 pages missing between each two: 324 days."""
     pages = [struct.pack("<I", 1000 * k) + struct.pack("<84h", *[0, 0, 256] * 28) for k in range(3)]
     (tmp_path / "a.raw").write_bytes(b"".join(pages))
@@ -120,6 +99,6 @@ def test_gaps_that_run_past_the_year_9999_are_reported(tmp_path: Path, capsys: C
     keys = ["rate_hz = 0.001", "lsb_per_g = 256", "page_bytes = 172", "page_header_bytes = 4"]
     start, page = 'start_time = "9999-12-31T20:00:00"', '[page]\nsequence = { offset = 0, type = "uint32" }'
     (tmp_path / "a.layout.toml").write_text("\n".join(["[dump]", *keys, start, "[fields]", *axes, page]))
-    assert run(capsys, "calibrate", tmp_path / "a.raw", "-q").code == 4
+    assert run("calibrate", tmp_path / "a.raw", "-q").code == 4
     gaps = report_of(tmp_path / "a.calibration.json")["recording"]["gaps"]
     assert [gap["start_time"][:6] for gap in gaps] == ["+10000", "+10000"]

@@ -12,19 +12,18 @@ import pandas as pd
 import pytest
 
 import accelcal
-from tests.cli.run import assert_one_line, exit_code, run, verify
+from tests.cli.run import assert_one_line, exit_code, nightly, run, verify
 from tests.recordings import RATE_HZ, directions, good_raw, still_counts, write_csv
 
-Capture = pytest.CaptureFixture[str]
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 UNCERTAIN = ("enmo_mg", "mad_mg", "mvpa_min", "pim_mg_s", "zcm", "angle_deg")
 MEASURED = ("enmo_mg", "mad_mg", "mvpa_min", "pim_mg_s", "zcm", "inactive_min")
 
 
-def effect_of(capsys: Capture, *words: object, command: str = "calibrate") -> dict[str, Any]:
+def effect_of(*words: object, command: str = "calibrate") -> dict[str, Any]:
     """What the command puts into the report, which is written elsewhere."""
     with TemporaryDirectory() as folder:
-        ran = run(capsys, command, *words, "--effect", "--report-only", "--json", "-q", "-d", folder)
+        ran = run(command, *words, "--effect", "--report-only", "--json", "-q", "-d", folder)
     assert ran.code == 0, ran.err
     found: dict[str, Any] = json.loads(ran.out)["effect"]
     return found
@@ -50,7 +49,7 @@ def test_calibrated_data_show_what_the_true_parameters_would(day: Path) -> None:
     assert made["calibrated"]["enmo_differs_mg"] < 0.05
 
 
-def test_they_are_the_measures_of_the_parquet_file(day: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_they_are_the_measures_of_the_parquet_file(day: Path, tmp_path: Path) -> None:
     """ENMO and MAD as the cookbook has them, of the file that `calibrate` writes."""
     assert exit_code("calibrate", day, "-d", tmp_path, "-q") == 0
     table = pd.read_parquet(tmp_path / "day.calibrated.parquet")
@@ -68,78 +67,75 @@ def test_they_are_the_measures_of_the_parquet_file(day: Path, tmp_path: Path, ca
     assert made["mvpa_min"] == (enmo[kept] >= 100).sum()
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["good.raw", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("night.h5", "evening.csv.gz"))],
-)
-def test_the_length_of_the_chunks_makes_no_difference(name: str, capsys: Capture, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["good.raw", *(nightly(name) for name in ("night.h5", "evening.csv.gz"))])
+def test_the_length_of_the_chunks_makes_no_difference(name: str, tmp_path: Path) -> None:
     path = good_raw(tmp_path) if name == "good.raw" else SAMPLES / name
-    assert effect_of(capsys, path, "--chunk-samples", 1009) == effect_of(capsys, path)
+    assert effect_of(path, "--chunk-samples", 1009) == effect_of(path)
 
 
-def test_samples_that_are_no_measurements_are_left_out(tmp_path: Path, capsys: Capture) -> None:
+def test_samples_that_are_no_measurements_are_left_out(tmp_path: Path) -> None:
     """Rows at the sensor's range are counted, and their epoch is short of them."""
     path = good_raw(tmp_path)
     counts = np.fromfile(path, "<i2").reshape(-1, 3)
     counts[250:300, 0] = 2047
     counts.tofile(path)
-    found = effect_of(capsys, path)
+    found = effect_of(path)
     assert found["left_out"] == {"filled": 0, "clipped": 50, "recovered": 0}
     assert found["short_epochs"] == 1
     assert found["epochs"] == len(counts) / (5 * RATE_HZ) - 1
 
 
-def test_coefficients_of_a_report_give_what_they_gave_there(tmp_path: Path, capsys: Capture) -> None:
+def test_coefficients_of_a_report_give_what_they_gave_there(tmp_path: Path) -> None:
     path = good_raw(tmp_path)
     assert exit_code("calibrate", path, "--report-only", "-q") == 0
     report = tmp_path / "good.calibration.json"
-    given = effect_of(capsys, path, "--coefficients", report, command="apply")
+    given = effect_of(path, "--coefficients", report, command="apply")
     assert given == accelcal.effect(path, coefficients=report)["effect"]
-    own = effect_of(capsys, path)
+    own = effect_of(path)
     for name in ("ci95", "raw_bias"):
         assert given.pop(name) is None and own.pop(name) is not None
     assert given == own
     other = good_raw(tmp_path, "other.raw")
     words = (other, "--coefficients", report)
-    made = effect_of(capsys, *words, "--any-device", command="apply")
+    made = effect_of(*words, "--any-device", command="apply")
     assert list(made["versions"]) == ["raw", "without_misalignment", "calibrated"]
-    assert run(capsys, "apply", *words, "--any-device", "--effect", "-q").code == 0
+    assert run("apply", *words, "--any-device", "--effect", "-q").code == 0
     assert json.loads((tmp_path / "other.calibration.json").read_text())["effect"] == made
-    assert verify(capsys, tmp_path / "other.calibration.json", other)[0].code == 0
+    assert verify(tmp_path / "other.calibration.json", other)[0].code == 0
 
 
-def test_a_refused_recording_has_its_raw_values_only(tmp_path: Path, capsys: Capture) -> None:
+def test_a_refused_recording_has_its_raw_values_only(tmp_path: Path) -> None:
     path = write_csv(tmp_path / "short.csv", np.tile(np.int16([0, 0, 256]), (2000, 1)))
     found = accelcal.effect(path)
     assert found["outcome"] == "refused" and list(found["effect"]["versions"]) == ["raw"]
     assert found["effect"]["versions"]["raw"]["enmo_mg"] == 0.0
-    ran = run(capsys, "calibrate", path, "--effect", "--json")
+    ran = run("calibrate", path, "--effect", "--json")
     assert ran.code == 4 and json.loads(ran.out).get("effect") is None
 
 
-def test_calibrate_puts_it_into_the_report(tmp_path: Path, capsys: Capture) -> None:
+def test_calibrate_puts_it_into_the_report(tmp_path: Path) -> None:
     path = good_raw(tmp_path)
     report = tmp_path / "good.calibration.json"
     for words in ((), ("--report-only",)):
         assert exit_code("calibrate", path, "--effect", "-q", *words) == 0
         made = json.loads(report.read_text())
-        assert made["effect"] == effect_of(capsys, path) and made["settings"]["effect"] is True
-        assert verify(capsys, report, path)[0].code == 0
-        assert "up to date" in run(capsys, "calibrate", path, "--effect", *words).err
+        assert made["effect"] == effect_of(path) and made["settings"]["effect"] is True
+        assert verify(report, path)[0].code == 0
+        assert "up to date" in run("calibrate", path, "--effect", *words).err
     assert exit_code("calibrate", path, "-q") == 0
     assert "effect" not in json.loads(report.read_text())
 
 
-def test_a_study_has_it_in_its_table(tmp_path: Path, capsys: Capture) -> None:
+def test_a_study_has_it_in_its_table(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     path = good_raw(tmp_path / "in")
     assert exit_code("study", tmp_path / "in", "-d", tmp_path / "out", "--effect", "-q", "--jobs", 1) == 0
     row = pd.read_parquet(tmp_path / "out" / "study.parquet").iloc[0]
-    made = effect_of(capsys, path)["versions"]
+    made = effect_of(path)["versions"]
     assert row["enmo_raw_mg"] == made["raw"]["enmo_mg"] and row["enmo_mg"] == made["calibrated"]["enmo_mg"]
     assert row["enmo_differs_mg"] == made["raw"]["enmo_differs_mg"]
     assert row["inactive_min"] == made["calibrated"]["inactive_min"]
-    intervals = effect_of(capsys, path)["ci95"]
+    intervals = effect_of(path)["ci95"]
     assert [row["enmo_low_mg"], row["enmo_high_mg"]] == intervals["enmo_mg"]
     assert [row["mvpa_low_min"], row["mvpa_high_min"]] == intervals["mvpa_min"]
 
@@ -151,7 +147,7 @@ def by_rows(counts: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("headerless", [False, True])
-def test_verdicts_11_zeros_take_no_part_in_means(headerless: bool, tmp_path: Path, capsys: Capture) -> None:
+def test_verdicts_11_zeros_take_no_part_in_means(headerless: bool, tmp_path: Path) -> None:
     """Half of the time the device slept, and its export holds zeros; epochs hold either."""
     counts = still_counts(directions(60)).astype(np.int64)
     counts += (
@@ -166,8 +162,8 @@ def test_verdicts_11_zeros_take_no_part_in_means(headerless: bool, tmp_path: Pat
         rows = [line.split(",", 1)[1] for line in path.read_text().splitlines()[1:]]
         path.write_text("\n".join(rows) + "\n")
     words = ("--rate", RATE_HZ) if headerless else ()
-    found = effect_of(capsys, path, *words)
-    assert found == effect_of(capsys, path, *words, "--chunk-samples", 7)
+    found = effect_of(path, *words)
+    assert found == effect_of(path, *words, "--chunk-samples", 7)
     assert found["left_out"] == {"filled": 45_000, "clipped": 0, "recovered": 0}
     assert found["left_out_percent"] == 50.0
     assert found["versions"]["raw"]["enmo_mg"] == pytest.approx(by_rows(counts), abs=1e-3)
@@ -188,7 +184,7 @@ def test_51_1_every_measure_has_an_interval_with_the_truth_in_it(day: Path) -> N
     assert 0 < intervals["enmo_mg"][1] - intervals["enmo_mg"][0] < 1
 
 
-def test_51_1_intervals_are_those_of_the_drawn_coefficients(tmp_path: Path, capsys: Capture) -> None:
+def test_51_1_intervals_are_those_of_the_drawn_coefficients(tmp_path: Path) -> None:
     """By the rows of NAME.draws.json in double precision, without any code of the package."""
     path = good_raw(tmp_path)
     assert exit_code("calibrate", path, "--draws", 39, "--report-only", "-q") == 0
@@ -201,20 +197,20 @@ def test_51_1_intervals_are_those_of_the_drawn_coefficients(tmp_path: Path, caps
         enmo.append(1000 * np.maximum(np.sqrt((a**2).sum(axis=1)) - 1, 0).mean())
         x, y, z = a.reshape(-1, round(5 * RATE_HZ), 3).mean(axis=1).T
         angle.append(np.degrees(np.arctan2(z, np.hypot(x, y))).mean())
-    found = effect_of(capsys, path)
+    found = effect_of(path)
     own = found["versions"]["calibrated"]
     for name, values in (("enmo_mg", enmo), ("angle_deg", angle)):
         ends = [min(*values, own[name]), max(*values, own[name])]
         assert found["ci95"][name] == pytest.approx(ends, abs=2e-3), name
 
 
-def test_51_1_draws_are_the_same_again_and_begin_alike(tmp_path: Path, capsys: Capture) -> None:
+def test_51_1_draws_are_the_same_again_and_begin_alike(tmp_path: Path) -> None:
     path, other = good_raw(tmp_path), good_raw(tmp_path, "other.raw")
     other.write_bytes(path.read_bytes()[: -6 * round(RATE_HZ)])
     held = tmp_path / "good.draws.json"
     assert exit_code("calibrate", path, "--draws", 200, "-q") == 0
     many, first = json.loads(held.read_text()), held.read_bytes()
-    assert "up to date" in run(capsys, "calibrate", path, "--draws", 200).err
+    assert "up to date" in run("calibrate", path, "--draws", 200).err
     assert exit_code("calibrate", path, "--draws", 200, "--force", "-q", "--chunk-samples", 999) == 0
     assert held.read_bytes() == first
     assert exit_code("calibrate", path, "--draws", 20, "-q") == 0
@@ -229,12 +225,10 @@ def test_51_1_draws_are_the_same_again_and_begin_alike(tmp_path: Path, capsys: C
     assert json.loads((tmp_path / "other.draws.json").read_text())["draws"] != few["draws"]
     assert exit_code("calibrate", path, "-q", "--force") == 0
     assert not held.exists()
-    ran = run(capsys, "calibrate", path, "--draws", 20, "--prior", "none")
-    assert ran.code == 2
-    assert_one_line(ran, "--draws", "prior")
+    assert_one_line(run("calibrate", path, "--draws", 20, "--prior", "none"), "--draws", "prior", code=2)
 
 
-def test_51_1_the_page_has_measures_with_their_intervals(tmp_path: Path, capsys: Capture) -> None:
+def test_51_1_the_page_has_measures_with_their_intervals(tmp_path: Path) -> None:
     path = good_raw(tmp_path)
     assert exit_code("calibrate", path, "--html", "-q") == 0
     page = tmp_path / "good.html"

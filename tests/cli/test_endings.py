@@ -17,10 +17,9 @@ from accelcal_cli.core.errors import OutputError
 from accelcal_cli.pipeline import calibrate
 from accelcal_cli.segment.segmenter import Segmenter
 from accelcal_cli.studies import task
-from tests.cli.run import assert_one_line, command, little_room, run
+from tests.cli.run import assert_one_line, captured, command, little_room, run, safely
 from tests.recordings import directions, still_counts, write_raw
 
-Capture = pytest.CaptureFixture[str]
 ROOT = Path(__file__).resolve().parent.parent.parent
 
 AT_AN_IMPORT = """
@@ -113,19 +112,15 @@ def interrupted_and_failing(*_words: object) -> None:
         raise OutputError("a temporary file cannot be removed")
 
 
-@pytest.mark.parametrize(
-    "command",
-    [("calibrate",), ("inspect",), ("evaluate", "stillness")],
-    ids=" ".join,
-)
+@pytest.mark.parametrize("command", [("calibrate",), ("inspect",), ("evaluate", "stillness")], ids=" ".join)
 def test_a_recording_that_fails_as_a_signal_ends_it_is_the_last(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
 ) -> None:
     """The others are not begun."""
     paths = [write_raw(tmp_path / f"{name}.raw", still_counts(directions(2))) for name in "ab"]
     before = sorted(tmp_path.iterdir())
     monkeypatch.setattr(Segmenter, "feed", interrupted_and_failing)
-    ran = run(capsys, *command, *paths)
+    ran = run(*command, *paths)
     assert (ran.code, ran.out) == (130, "")
     assert ran.err == "accelcal: interrupted; no incomplete output was left behind\n"
     assert sorted(tmp_path.iterdir()) == before
@@ -147,22 +142,19 @@ def test_a_worker_that_is_terminated_ends_whatever_fails_meanwhile(error: Except
     assert ended.value.code == 143
 
 
-def test_a_bug_without_room_for_its_trace(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exit_codes, "watch_signals", lambda: None)
+def test_a_bug_without_room_for_its_trace(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", None)
     with little_room(0):
-        assert exit_codes.run_safely(lambda: 1 / 0) == 70
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1
-    assert "ZeroDivisionError" in err
-    assert f'File "{__file__}", line' in err
+        ran = captured(lambda: safely(lambda: 1 / 0))
+    assert (ran.code, ran.err.count("\n")) == (70, 1)
+    assert "ZeroDivisionError" in ran.err and f'File "{__file__}", line' in ran.err
 
 
-def test_standard_input_without_room_for_it(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_standard_input_without_room_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", None)
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"x")))
     with little_room(0):
-        ran = run(capsys, "inspect", "-")
+        ran = run("inspect", "-")
     assert ran.code == 5
     assert_one_line(ran, "standard input cannot be stored", "TMPDIR")
 
@@ -176,17 +168,15 @@ def test_standard_input_without_room_for_it(capsys: Capture, monkeypatch: pytest
         (Exception("Failed to launch worker thread: x"), "no more threads could be started"),
     ],
 )
-def test_too_little_memory_is_no_bug(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
+def test_no_memory_is_no_bug(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
 ) -> None:
     def fails(*_words: object, **_named: object) -> None:
         raise error
 
     path = write_raw(tmp_path / "a.raw", still_counts(directions(2)))
     monkeypatch.setattr(calibrate.RecordingRun, "result", fails)
-    ran = run(capsys, "calibrate", path)
-    assert ran.code == 71
-    assert_one_line(ran, str(path), told)
+    assert_one_line(run("calibrate", path), str(path), told, code=71)
     assert task.NO_MEMORY == exit_codes.NO_MEMORY
 
 

@@ -40,15 +40,6 @@ def test_every_command_has_two_examples_that_it_takes(names: tuple[str, ...]) ->
         found.make_context(names[-1], words[len(names) :])
 
 
-@pytest.mark.parametrize("names", NAMES, ids=" ".join)
-def test_help_names_what_its_reader_has(capsys: pytest.CaptureFixture[str], names: tuple[str, ...]) -> None:
-    text = run(capsys, *names, "--help").out
-    assert "Examples:" in text and "--help" in text
-    for word in ("STEM", "docs/", ".md", "postures", "sphere", "1000000"):
-        assert word not in text, word
-    assert max(map(len, text.splitlines())) <= 100
-
-
 def test_every_option_that_commands_share_is_in_one_group() -> None:
     grouped = [name for names in GROUPS.values() for name in names]
     assert len(set(grouped)) == len(grouped)
@@ -57,11 +48,15 @@ def test_every_option_that_commands_share_is_in_one_group() -> None:
 
 
 @pytest.mark.parametrize("names", NAMES, ids=" ".join)
-def test_help_is_one_screen_and_help_all_has_every_option(
-    capsys: pytest.CaptureFixture[str], names: tuple[str, ...]
-) -> None:
-    common, everything = (run(capsys, *names, words).out for words in ("--help", "--help-all"))
-    assert len(common.splitlines()) <= 60
+def test_help_is_one_screen_and_help_all_has_every_option(names: tuple[str, ...]) -> None:
+    """And it names what its reader has: no words of ours, no document that is elsewhere."""
+    common, everything = (run(*names, words).out for words in ("--help", "--help-all"))
+    assert common.startswith(f"Usage: accelcal {' '.join(names)}") and "Examples:" in common
+    for word in ("STEM", "docs/", ".md", "postures", "sphere", "1000000"):
+        assert word not in common, word
+    assert max(map(len, common.splitlines())) <= 100 and len(common.splitlines()) <= 60
+    assert not re.search(r"^Options:\n(  .*\n)*  (-h, )?--help ", common, re.MULTILINE), "it is in a group"
+    assert f"accelcal {names[0]}" in (Path(__file__).parents[2] / "README.md").read_text()
     for one in command(names).params:
         if isinstance(one, click.Option):
             assert re.search(rf"^  (-\w, )?{one.opts[-1]}\b", everything, re.MULTILINE), one.opts
@@ -94,10 +89,8 @@ def test_the_surface_is_small() -> None:
         (("evaluate", "segments", "a", "--gain-percent", 2), "--gain-percent is now --errors gain_percent=2"),
     ],
 )
-def test_an_option_that_is_given_by_name_now_is_answered_so(
-    capsys: pytest.CaptureFixture[str], words: tuple[object, ...], form: str
-) -> None:
-    assert_one_line(run(capsys, *words), form)
+def test_an_option_that_is_given_by_name_now_is_answered_so(words: tuple[object, ...], form: str) -> None:
+    assert_one_line(run(*words), form)
 
 
 @pytest.mark.parametrize(
@@ -112,10 +105,8 @@ def test_an_option_that_is_given_by_name_now_is_answered_so(
         (("-R", "zero=1", "-R", "zero=2"), "zero is given twice, with different values"),
     ],
 )
-def test_values_by_name_are_checked(
-    capsys: pytest.CaptureFixture[str], words: tuple[object, ...], message: str
-) -> None:
-    assert_one_line(run(capsys, "calibrate", "a.csv", *words), message)
+def test_values_by_name_are_checked(words: tuple[object, ...], message: str) -> None:
+    assert_one_line(run("calibrate", "a.csv", *words), message)
 
 
 OWN: dict[str, set[str]] = {
@@ -137,14 +128,6 @@ def test_options_stand_in_a_group_but_those_that_a_command_is_about(names: tuple
     assert options - grouped == OWN.get(names[0], set())
 
 
-@pytest.mark.parametrize("names", NAMES, ids=" ".join)
-def test_the_option_of_the_help_itself_is_in_a_group(
-    capsys: pytest.CaptureFixture[str], names: tuple[str, ...]
-) -> None:
-    text = run(capsys, *names, "--help").out
-    assert not re.search(r"^Options:\n(  .*\n)*  (-h, )?--help ", text, re.MULTILINE)
-
-
 def test_priors_that_a_study_learns_are_offered_in_a_study_alone() -> None:
     for names in NAMES:
         for one in command(names).params:
@@ -157,15 +140,12 @@ def test_sections_hold_every_command_once() -> None:
     assert sorted(name for names in SECTIONS.values() for name in names) == sorted(COMMANDS)
 
 
-def test_without_arguments_one_screen_says_what_to_type_first(capsys: pytest.CaptureFixture[str]) -> None:
-    ran = run(capsys)
-    assert ran.code == 2
+def test_without_arguments_one_screen_says_what_to_type_first() -> None:
+    ran = run(code=2)
     assert "accelcal calibrate recording" in ran.out and ran.out.count("\n") <= 20
 
 
-def test_headings_are_bold_unless_no_colour_is_wanted(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_headings_are_bold_unless_no_colour_is_set(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     context = click.Context(command(("gravity",)), info_name="gravity", color=True)
     monkeypatch.delenv("NO_COLOR", raising=False)
     assert "\x1b[1m" in context.get_help()

@@ -22,11 +22,10 @@ import click
 import pytest
 
 from accelcal_cli.cli.main import cli
-from tests.cli.run import Ran, command, run, run_process
+from tests.cli.run import Ran, command, nightly, run, run_process
 from tests.recordings import directions, still_counts, write_raw
 from tests.six_pose.made import session, write_csv
 
-Capture = pytest.CaptureFixture[str]
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="such names are not allowed elsewhere")
 
 BODY = "<img src=x onerror=alert(1)>\"'&\x1b[31m\n\t\u202e\u2066$(id)`id`;%s{}|*\udce9\x7f\x85\u2028"
@@ -190,13 +189,13 @@ def test_no_command_is_left_out() -> None:
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.nightly] * (name in NIGHTLY)) for name in COMMANDS]
 )
-def test_every_command(tmp_path: Path, capsys: Capture, calibrated: dict[str, Path], name: str) -> None:
+def test_every_command(tmp_path: Path, calibrated: dict[str, Path], name: str) -> None:
     words, codes, lines = COMMANDS[name]
     out = tmp_path / f"@{BODY}"
     out.mkdir()
     places = {key: str(path) for key, path in calibrated.items()}
     places |= {"layout": str(layout_of(calibrated["recording"])), "out": str(out), "body": BODY}
-    ran = run(capsys, *name.split(), *(word.format(**places) for word in words))
+    ran = run(*name.split(), *(word.format(**places) for word in words))
     assert_harmless(ran, *codes, lines=lines)
     if name.endswith("--json") or name == "export --to json":
         for line in ran.lines:
@@ -209,63 +208,59 @@ def test_every_command(tmp_path: Path, capsys: Capture, calibrated: dict[str, Pa
         assert_page(made, 0)
 
 
-def test_a_session_of_files(tmp_path: Path, capsys: Capture) -> None:
+def test_a_session_of_files(tmp_path: Path) -> None:
     folder = tmp_path / f"={BODY}"
     folder.mkdir()
     for number, lead in enumerate("=+-@\tx"):
         face = ("+x", "-x", "+y", "-y", "+z", "-z")[number]
         write_csv(folder / f"{lead}{BODY}.csv", session([face], seed=number + 1))
     first = write_csv(folder / f"#{BODY}.csv", session(["+x"]))
-    assert_harmless(run(capsys, "six-pose", "-d", tmp_path, "--", folder), 0, lines=1)
+    assert_harmless(run("six-pose", "-d", tmp_path, "--", folder), 0, lines=1)
     (made,) = tmp_path.glob("*.calibration.json")
     for one in json.loads(made.read_text("utf-8"))["known_orientations"]["files"]:
         assert_text(one["name"], "")
-    assert_harmless(run(capsys, "report", "-d", tmp_path / "page", "--", made), 0, lines=1)
+    assert_harmless(run("report", "-d", tmp_path / "page", "--", made), 0, lines=1)
     (page,) = (tmp_path / "page").glob("*.html")
     assert_page(page, 0)
     first.write_bytes(b"hello")
-    assert_harmless(run(capsys, "six-pose", "-d", tmp_path, "--", folder), 3, lines=0)
+    assert_harmless(run("six-pose", "-d", tmp_path, "--", folder), 3, lines=0)
     listed = tmp_path / f"@{BODY}.poses.csv"
     listed.write_text(f"file;ax;ay;az\n{SERIAL.replace(chr(10), ' ')};1;0;0\n")
     write_csv(first, session(["+x"]))
     words = ("--roll", f"z,{BODY}", "--poses", listed, "-d", tmp_path, "--", folder)
-    assert_harmless(run(capsys, "six-pose", *words), 2, lines=0)
+    assert_harmless(run("six-pose", *words), 2, lines=0)
 
 
 @pytest.mark.parametrize("tool", ["biobank", "omconvert"])
-def test_a_line_for_a_shell_is_one_command_with_one_file(
-    capsys: Capture, calibrated: dict[str, Path], tool: str
-) -> None:
-    ran = run(capsys, "export", calibrated["report"], "--to", tool)
+def test_a_line_for_a_shell_is_one_command_with_one_file(calibrated: dict[str, Path], tool: str) -> None:
+    ran = run("export", calibrated["report"], "--to", tool)
     words = shlex.split(ran.out)
     assert words[1].endswith(".raw") and "$(id)`id`;" in words[1] and words[2].startswith("-")
     assert sum(".raw" in word for word in words) == 1
 
 
 @pytest.mark.parametrize("tool", ["biobank", "omconvert"])
-def test_a_name_like_an_option_is_a_file(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, tool: str
-) -> None:
+def test_a_name_like_an_option_is_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tool: str) -> None:
     recording(tmp_path, "-")
     monkeypatch.chdir(tmp_path)
-    assert run(capsys, "calibrate", "--model", 6, "--report-only", "--", f"-{BODY}.raw").code == 0
-    ran = run(capsys, "export", "--to", tool, "--", f"-{BODY}.calibration.json")
+    assert run("calibrate", "--model", 6, "--report-only", "--", f"-{BODY}.raw").code == 0
+    ran = run("export", "--to", tool, "--", f"-{BODY}.calibration.json")
     word = shlex.split(ran.out)[1]
     assert word.startswith(f"{tmp_path}/-<img")
     told = json.loads(Path(f"-{BODY}.calibration.json").read_text())
     del told["provenance"]  # without which nobody knows where it was
     Path("bare.calibration.json").write_text(json.dumps(told))
-    ran = run(capsys, "export", "--to", tool, "bare.calibration.json")
+    ran = run("export", "--to", tool, "bare.calibration.json")
     assert shlex.split(ran.out)[1].startswith("./-<img")
 
 
-def test_a_study(tmp_path: Path, capsys: Capture) -> None:
+def test_a_study(tmp_path: Path) -> None:
     for number, lead in enumerate("=+-@\t"):
         recording(tmp_path / "in" / f"{lead}{BODY}", lead, number + 1)
     out = tmp_path / f"out{BODY}"
     words = ("study", tmp_path / "in", "-d", out, "-j", 2)
-    assert_harmless(run(capsys, *words, "--dry-run"), 0, lines=5)
-    assert_harmless(run(capsys, *words, "--report-only", "--html"), 0, lines=5)
+    assert_harmless(run(*words, "--dry-run"), 0, lines=5)
+    assert_harmless(run(*words, "--report-only", "--html"), 0, lines=5)
     table = assert_cells((out / "study.csv").read_text("utf-8"))
     assert len(table) == 5 and {row["outcome"] for row in table} == {"calibrated"}
     assert json.loads((out / "study.json").read_text("utf-8"))
@@ -275,10 +270,10 @@ def test_a_study(tmp_path: Path, capsys: Capture) -> None:
     for page in pages:
         assert_page(page, 0)
     for more in ((), ("--json",), ("--csv",), ("--device", SERIAL), ("--device", f"x{SERIAL}")):
-        shown = assert_harmless(run(capsys, "devices", out, *more), 0, 2)
+        shown = assert_harmless(run("devices", out, *more), 0, 2)
         if more == ("--csv",):
             assert len(assert_cells(shown.out)) == 5
-    assert_harmless(run(capsys, "report", out), 0, lines=0)
+    assert_harmless(run("report", out), 0, lines=0)
 
 
 def assert_page_of_study(out: Path) -> None:
@@ -321,21 +316,15 @@ def assert_page_of_study(out: Path) -> None:
     ],
     ids=" ".join,
 )
-def test_errors(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
-) -> None:
+def test_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.csv").write_text("x,y,z\n" + "0,0,1\n" * 100)
-    ran = run(capsys, *(word.format(x=BODY) for word in words))
+    ran = run(*(word.format(x=BODY) for word in words))
     assert_harmless(ran, 2, 3, 5, lines=0)
 
 
 @pytest.mark.parametrize(
-    ("encoding", "name"),
-    [
-        ("iso8859-7", b"\xd9\\xe9.raw"),
-        pytest.param("latin-1", b"\\u03a9\xe9.raw", marks=pytest.mark.nightly),
-    ],
+    ("encoding", "name"), [("iso8859-7", b"\xd9\\xe9.raw"), nightly("latin-1", b"\\u03a9\xe9.raw")]
 )
 def test_a_terminal_that_has_not_all_characters(tmp_path: Path, encoding: str, name: bytes) -> None:
     path = write_raw(tmp_path / "Ωé.raw", still_counts(directions(4)))
@@ -350,12 +339,12 @@ def test_a_terminal_that_has_not_all_characters(tmp_path: Path, encoding: str, n
 
 
 @pytest.mark.parametrize("number", [231, 236, 255])
-def test_a_name_as_long_as_names_can_be(tmp_path: Path, capsys: Capture, number: int) -> None:
+def test_a_name_as_long_as_names_can_be(tmp_path: Path, number: int) -> None:
     """The names of the outputs are longer: they are written, or it is said."""
     path = tmp_path / f"{'n' * (number - 4)}.raw"
     first = write_raw(tmp_path / "n.raw", still_counts(directions(60)))
     path.write_bytes(first.read_bytes())
-    ran = run(capsys, "calibrate", "--model", 6, path, "--html", "--layout", layout_of(first))
+    ran = run("calibrate", "--model", 6, path, "--html", "--layout", layout_of(first))
     assert ran.code in (0, 5) and "a bug" not in ran.err, ran.err
     assert ran.err.count("\n") == (ran.code != 0)
     assert [one for one in tmp_path.iterdir() if "parquet" in one.name] == [] or ran.code == 0

@@ -18,7 +18,6 @@ from tests.cli.run import run
 from tests.recordings import directions, still_counts, write_csv
 from tests.six_pose.made import six_faces
 
-Capture = pytest.CaptureFixture[str]
 Numbers = np.ndarray
 LATE_US = 130_000
 """Three periods and more at 25 Hz: a stamp so late comes after a gap, and the next one goes back."""
@@ -52,8 +51,8 @@ def restamped(path: Path, stamps: Callable[[Numbers], Numbers], period_us: int =
     return path
 
 
-def calibrated(capsys: Capture, path: Path, *words: object) -> dict[str, Any]:
-    ran = run(capsys, "calibrate", "--report-only", "--json", "-q", "--force", path, *words)
+def calibrated(path: Path, *words: object) -> dict[str, Any]:
+    ran = run("calibrate", "--report-only", "--json", "-q", "--force", path, *words)
     report: dict[str, Any] = json.loads(ran.out)
     return report
 
@@ -64,10 +63,10 @@ def calibrated(capsys: Capture, path: Path, *words: object) -> dict[str, Any]:
      (lossy, {"gaps": 179, "gap_seconds": 57.28, "backward": 0})],
 )  # fmt: skip
 def test_the_same_rows_give_the_same_calibration_however_their_stamps_jitter(
-    tmp_path: Path, capsys: Capture, stamps: Callable[[Numbers], Numbers], jumps: dict[str, float]
+    tmp_path: Path, stamps: Callable[[Numbers], Numbers], jumps: dict[str, float]
 ) -> None:
-    even = calibrated(capsys, recording(tmp_path, None, "even.csv"))
-    found = calibrated(capsys, recording(tmp_path, stamps))
+    even = calibrated(recording(tmp_path, None, "even.csv"))
+    found = calibrated(recording(tmp_path, stamps))
     for key in ("calibration", "fit", "calibration_error_mg", "coverage"):
         assert found[key] == even[key]
     assert found["recording"]["sample_rate_hz"] == 25.0
@@ -79,35 +78,33 @@ def test_the_same_rows_give_the_same_calibration_however_their_stamps_jitter(
     assert found["recording"]["notes"][-1].endswith("windows span them (--longest-gap)")
 
 
-def test_a_look_tells_of_it(tmp_path: Path, capsys: Capture) -> None:
-    ran = run(capsys, "inspect", recording(tmp_path, late))
+def test_a_look_tells_of_it(tmp_path: Path) -> None:
+    ran = run("inspect", recording(tmp_path, late))
     assert "its times jitter or skip a little: 360 short gaps and steps back in what was read; " in ran.out
 
 
-def test_windows_end_at_every_gap_if_that_is_asked_for(tmp_path: Path, capsys: Capture) -> None:
+def test_windows_end_at_every_gap_if_that_is_asked_for(tmp_path: Path) -> None:
     path = recording(tmp_path, lossy)
     for seconds in (0, 0.319):
-        found = calibrated(capsys, path, "--longest-gap", seconds)
+        found = calibrated(path, "--longest-gap", seconds)
         assert (found["outcome"], found["fit"]["windows"]["complete"]) == ("refused", 0)
         assert not any("jitter" in note for note in found["recording"]["notes"])
-    assert calibrated(capsys, path, "--longest-gap", 0.32)["outcome"] == "calibrated"
+    assert calibrated(path, "--longest-gap", 0.32)["outcome"] == "calibrated"
 
 
-def test_a_report_that_lacks_the_setting_is_verified_without_gaps(tmp_path: Path, capsys: Capture) -> None:
+def test_a_report_that_lacks_the_setting_is_verified_without_gaps(tmp_path: Path) -> None:
     path = recording(tmp_path, lossy)
-    calibrated(capsys, path, "--longest-gap", 0)
+    calibrated(path, "--longest-gap", 0)
     report = tmp_path / "a.calibration.json"
     held = json.loads(report.read_text())
     del held["settings"]["longest_gap_s"]
     held["accelcal_version"] = "0.1.0"
     report.write_text(json.dumps(held))
-    ran = run(capsys, "verify", "--json", report, path)
+    ran = run("verify", "--json", report, path)
     assert (ran.code, json.loads(ran.out)["settings_assumed"]) == (0, ["longest_gap_s"])
 
 
-def test_no_window_spans_two_pieces_of_a_look(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_window_spans_two_pieces_of_a_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inspect, "PREVIEW_SAMPLES", 1150)
     monkeypatch.setattr(inspect, "SMALL_BYTES", 0)
     border = looked_at(recording(tmp_path, lambda times_us: times_us))[1].first_sample
@@ -119,7 +116,7 @@ def test_no_window_spans_two_pieces_of_a_look(
     path = recording(tmp_path, late_there)
     pieces = looked_at(path)
     assert pieces[1].clock_jumps.tolist() == [0, 1]
-    ran = run(capsys, "inspect", "--json", path)
+    ran = run("inspect", "--json", path)
     windows = sum(len(piece) // 125 for piece in pieces)
     assert json.loads(ran.out)["read"]["windows"] == windows < 9000 // 125
 
@@ -130,10 +127,10 @@ def looked_at(path: Path) -> list[Chunk]:
         return list(reader.preview(inspect.PREVIEW_SAMPLES, inspect.PREVIEW_PIECES))
 
 
-def test_a_session_on_six_faces_goes_on_too(tmp_path: Path, capsys: Capture) -> None:
+def test_a_session_on_six_faces_goes_on_too(tmp_path: Path) -> None:
     path = six_faces(tmp_path)
-    even = json.loads(run(capsys, "six-pose", path, "--json").out)
-    found = json.loads(run(capsys, "six-pose", restamped(path, late, 20_000), "--json", "--force").out)
+    even = json.loads(run("six-pose", path, "--json").out)
+    found = json.loads(run("six-pose", restamped(path, late, 20_000), "--json", "--force").out)
     assert found["calibration"] == even["calibration"]
     assert found["fit"]["windows"] == even["fit"]["windows"]
     assert "jitter" in found["recording"]["notes"][-1]

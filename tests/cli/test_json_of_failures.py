@@ -15,8 +15,6 @@ from tests.cli.run import Ran, run
 from tests.recordings import directions, still_counts, write_raw
 from tests.schema import check_report
 
-Capture = pytest.CaptureFixture[str]
-
 
 @pytest.fixture
 def files(tmp_path: Path) -> list[Path]:
@@ -37,10 +35,8 @@ def failure() -> Draft202012Validator:
     return Draft202012Validator({"$ref": "#/$defs/failure", "$defs": schema["$defs"]})
 
 
-def test_u6_calibrate_prints_an_object_for_what_failed(
-    files: list[Path], tmp_path: Path, capsys: Capture
-) -> None:
-    ran = run(capsys, "calibrate", *files, "-d", tmp_path / "out", "--json", "--report-only")
+def test_u6_calibrate_prints_an_object_for_what_failed(files: list[Path], tmp_path: Path) -> None:
+    ran = run("calibrate", *files, "-d", tmp_path / "out", "--json", "--report-only")
     bad, good, gone = objects(ran)
     assert ran.code == 1 and len(ran.err.splitlines()) == 2
     check_report(good)
@@ -63,23 +59,21 @@ def test_u6_the_schema_of_a_failure_needs_the_keys_of_a_report_and_has_all_reaso
     assert set(failed["properties"]["reason"]["enum"]) == {*FAILURES.values(), "failed"}
 
 
-def test_u6_a_study_prints_an_object_for_what_failed(
-    files: list[Path], tmp_path: Path, capsys: Capture
-) -> None:
+def test_u6_a_study_prints_an_object_for_what_failed(files: list[Path], tmp_path: Path) -> None:
     words = ("study", tmp_path / "in", "-d", tmp_path / "out", "-j", 1, "--json", "--report-only")
-    found = {one["recording"]["path"]: one for one in objects(run(capsys, *words))}
+    found = {one["recording"]["path"]: one for one in objects(run(*words))}
     assert {name: one["outcome"] for name, one in found.items()} == {
         "bad.cwa": "failed", "good.raw": "calibrated",
     }  # fmt: skip
     failure().validate(found["bad.cwa"])
     assert found["bad.cwa"]["values"]["path"] == str(files[0])
-    assert objects(run(capsys, *words, "-q")) == [], "not new"
-    again = objects(run(capsys, *words, "-q", "--all-failures"))
+    assert objects(run(*words, "-q")) == [], "not new"
+    again = objects(run(*words, "-q", "--all-failures"))
     assert [one["outcome"] for one in again if one["outcome"] == "failed"] == ["failed"]
 
 
-def test_u6_inspect_prints_an_object_for_what_failed(files: list[Path], capsys: Capture) -> None:
-    ran = run(capsys, "inspect", *files, "--json")
+def test_u6_inspect_prints_an_object_for_what_failed(files: list[Path]) -> None:
+    ran = run("inspect", *files, "--json")
     bad, good, gone = objects(ran)
     assert ran.code == 1
     for found, path in ((bad, files[0]), (gone, files[2])):
@@ -91,23 +85,19 @@ def test_u6_inspect_prints_an_object_for_what_failed(files: list[Path], capsys: 
         assert f"{path}: {found['prediction']['message']}" in ran.err
 
 
-def test_u6_apply_prints_an_object_for_what_failed(
-    files: list[Path], tmp_path: Path, capsys: Capture
-) -> None:
-    run(capsys, "calibrate", files[1], "-d", tmp_path / "first", "--report-only", "-q")
+def test_u6_apply_prints_an_object_for_what_failed(files: list[Path], tmp_path: Path) -> None:
+    run("calibrate", files[1], "-d", tmp_path / "first", "--report-only", "-q")
     report = tmp_path / "first" / "good.calibration.json"
-    ran = run(capsys, "apply", "--coefficients", report, *files, "-d", tmp_path / "out", "--json")
+    ran = run("apply", "--coefficients", report, *files, "-d", tmp_path / "out", "--json")
     assert [one["outcome"] for one in objects(ran)] == ["failed", "calibrated", "failed"]
 
 
-def test_u6_a_bug_has_an_object_too(
-    files: list[Path], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_u6_so_has_a_bug(files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: Any) -> None:
         raise RuntimeError("on purpose")
 
     monkeypatch.setattr("accelcal_cli.pipeline.registry.calibrate", broken)
-    ran = run(capsys, "calibrate", files[1], "-d", tmp_path / "out", "--json")
+    ran = run("calibrate", files[1], "-d", tmp_path / "out", "--json")
     (found,) = objects(ran)
     failure().validate(found)
     assert (ran.code, found["reason"], found["message"]) == (70, "bug", "RuntimeError: on purpose")

@@ -14,13 +14,11 @@ from accelcal_cli.studies.borrowing import pools
 from accelcal_cli.studies.records import Item
 from accelcal_cli.studies.summary import copies
 from accelcal_cli.studies.task import CalibrationTask, Common, calibrated
-from tests.cli.run import assert_one_line, run
+from tests.cli.run import assert_one_line, report_of, run
 from tests.cli.studies import rows, study
 from tests.device_recordings import donor, rest, write_device
 from tests.formats import make_opal
 from tests.recordings import LSB_PER_G, directions, good_csv, good_raw, still_counts, write_csv, write_raw
-
-Capture = pytest.CaptureFixture[str]
 
 
 def held(folder: Path) -> dict[str, bytes]:
@@ -28,67 +26,55 @@ def held(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
-def report(path: Path) -> dict[str, Any]:
-    return json.loads(path.read_text())
-
-
-def test_a_refused_six_pose_leaves_a_good_calibration(tmp_path: Path, capsys: Capture) -> None:
+def test_a_refused_six_pose_leaves_a_good_calibration(tmp_path: Path) -> None:
     path = good_raw(tmp_path)
-    assert run(capsys, "calibrate", "--model", 6, path, "--integers").code == 0
+    assert run("calibrate", "--model", 6, path, "--integers").code == 0
     before = held(tmp_path)
-    ran = run(capsys, "six-pose", path, "--face-degrees", 30)
-    assert ran.code == 5
-    assert_one_line(ran, "good.calibration.json", "the result of accelcal calibrate", "-o", "--force")
+    ran = run("six-pose", path, "--face-degrees", 30)
+    assert_one_line(ran, "good.calibration.json", "the result of accelcal calibrate", "-o", "--force", code=5)
     assert held(tmp_path) == before
-    assert run(capsys, "six-pose", path, "--face-degrees", 30, "-d", tmp_path / "other").code == 4
+    assert run("six-pose", path, "--face-degrees", 30, "-d", tmp_path / "other").code == 4
     assert held(tmp_path) == before
 
 
-def test_calibrate_leaves_a_good_six_pose(tmp_path: Path, capsys: Capture) -> None:
-    (tmp_path / "six.calibration.json").write_text(json.dumps(_six_pose(tmp_path, capsys)))
+def test_calibrate_leaves_a_good_six_pose(tmp_path: Path) -> None:
+    (tmp_path / "six.calibration.json").write_text(json.dumps(_six_pose(tmp_path)))
     before = held(tmp_path)
-    ran = run(capsys, "calibrate", "--model", 6, tmp_path / "six.csv.gz")
-    assert ran.code == 5
-    assert_one_line(ran, "the result of accelcal six-pose")
+    ran = run("calibrate", "--model", 6, tmp_path / "six.csv.gz")
+    assert_one_line(ran, "the result of accelcal six-pose", code=5)
     assert held(tmp_path) == before
 
 
-def _six_pose(folder: Path, capsys: Capture) -> dict[str, Any]:
+def _six_pose(folder: Path) -> dict[str, Any]:
     sample = Path(__file__).resolve().parents[2] / "sample_data" / "six_faces.csv.gz"
     path = Path(shutil.copy(sample, folder / "six.csv.gz"))
-    assert run(capsys, "six-pose", path).code == 0
-    return report(folder / "six.calibration.json")
+    assert run("six-pose", path).code == 0
+    return report_of(folder / "six.calibration.json")
 
 
-def test_one_sensor_of_a_file_does_not_replace_another(tmp_path: Path, capsys: Capture) -> None:
+def test_one_sensor_of_a_file_does_not_replace_another(tmp_path: Path) -> None:
     made = make_opal.make(tmp_path, still_counts(directions(60)), 25.0, LSB_PER_G)
-    first = run(capsys, "calibrate", "--model", 6, made.path, "--sensor", "XI-000001", "--report-only")
-    assert first.code == 0
+    run("calibrate", "--model", 6, made.path, "--sensor", "XI-000001", "--report-only", code=0)
     before = held(tmp_path)
-    ran = run(capsys, "calibrate", "--model", 6, made.path, "--sensor", "XI-000002", "--report-only")
-    assert ran.code == 5
-    assert_one_line(ran, "made.calibration.json", "a run with --sensor XI-000001", "-d", "-o")
+    ran = run("calibrate", "--model", 6, made.path, "--sensor", "XI-000002", "--report-only")
+    assert_one_line(ran, "made.calibration.json", "a run with --sensor XI-000001", "-d", "-o", code=5)
     assert held(tmp_path) == before
     words = ("--sensor", "XI-000002", "--report-only", "-o", tmp_path / "left.parquet")
-    assert run(capsys, "calibrate", "--model", 6, made.path, *words).code == 0
-    assert report(tmp_path / "left.calibration.json")["recording"]["device"]["serial"] == "XI-000002"
+    assert run("calibrate", "--model", 6, made.path, *words).code == 0
+    assert report_of(tmp_path / "left.calibration.json")["recording"]["device"]["serial"] == "XI-000002"
 
 
-def test_columns_of_one_sensor_do_not_replace_those_of_another(tmp_path: Path, capsys: Capture) -> None:
+def test_columns_of_one_sensor_do_not_replace_those_of_another(tmp_path: Path) -> None:
     path = good_csv(tmp_path)
-    assert run(capsys, "calibrate", "--model", 6, path, "--report-only").code == 0
-    ran = run(capsys, "calibrate", "--model", 6, path, "--report-only", "--columns", "y,x,z")
-    assert ran.code == 5
-    assert_one_line(ran, "the result of a run without --columns for")
-    assert (
-        run(capsys, "calibrate", "--model", 6, path, "--report-only", "--columns", "y,x,z", "--force").code
-        == 0
-    )
+    assert run("calibrate", "--model", 6, path, "--report-only").code == 0
+    ran = run("calibrate", "--model", 6, path, "--report-only", "--columns", "y,x,z")
+    assert_one_line(ran, "the result of a run without --columns for", code=5)
+    assert run("calibrate", "--model", 6, path, "--report-only", "--columns", "y,x,z", "--force").code == 0
 
 
-def test_a_worker_keeps_what_apply_made(tmp_path: Path, capsys: Capture) -> None:
+def test_a_worker_keeps_what_apply_made(tmp_path: Path) -> None:
     coefficients, path, out = donor(tmp_path), tmp_path / "donor.raw", tmp_path / "out"
-    assert run(capsys, "apply", "--coefficients", coefficients, path, "-d", out).code == 0
+    assert run("apply", "--coefficients", coefficients, path, "-d", out).code == 0
     before, (job,) = held(out), plan([path], out, None)
     item = Item("donor.raw", job, (file_stamp(path), None, None))
     result = calibrated(CalibrationTask(item, Common(out, Request(), "asked")), lambda _part: None)
@@ -100,44 +86,40 @@ def test_a_worker_keeps_what_apply_made(tmp_path: Path, capsys: Capture) -> None
 
 
 @pytest.mark.nightly
-def test_a_study_keeps_what_apply_made(tmp_path: Path, capsys: Capture) -> None:
+def test_a_study_keeps_what_apply_made(tmp_path: Path) -> None:
     (tmp_path / "good").mkdir()
     coefficients = donor(tmp_path / "good")
     values, _ = rest(directions(12)[:4])
     (tmp_path / "in").mkdir()
     path = write_device(tmp_path / "in" / "few.raw", values)
     out = tmp_path / "out"
-    assert study(capsys, tmp_path / "in", "--strict").code == 4
-    assert run(capsys, "apply", "--coefficients", coefficients, path, "-d", out).code == 0
+    assert study(tmp_path / "in", "--strict").code == 4
+    assert run("apply", "--coefficients", coefficients, path, "-d", out).code == 0
     before = {name: data for name, data in held(out).items() if name.startswith("few.")}
     assert "few.calibrated.parquet" in before
     for _ in range(2):
-        assert study(capsys, tmp_path / "in", "--borrow", "--pool", "device", "--strict").code == 0
+        assert study(tmp_path / "in", "--borrow", "--pool", "device", "--strict").code == 0
         assert {name: data for name, data in held(out).items() if name.startswith("few.")} == before
         (row,) = rows(out)
         assert (row["outcome"], row["parquet"]) == ("borrowed", "few.calibrated.parquet")
         (out / "study.ledger").unlink()
-    assert study(capsys, tmp_path / "in", "--force", "--strict").code == 4
+    assert study(tmp_path / "in", "--force", "--strict").code == 4
     assert "few.calibrated.parquet" not in held(out)
 
 
-def test_calibrate_leaves_what_apply_made(tmp_path: Path, capsys: Capture) -> None:
+def test_calibrate_leaves_what_apply_made(tmp_path: Path) -> None:
     coefficients, path, out = donor(tmp_path), tmp_path / "donor.raw", tmp_path / "out"
-    assert run(capsys, "apply", "--coefficients", coefficients, path, "-d", out).code == 0
+    assert run("apply", "--coefficients", coefficients, path, "-d", out).code == 0
     before = held(out)
-    ran = run(capsys, "calibrate", "--model", 6, path, "-d", out)
-    assert ran.code == 5
-    assert_one_line(ran, "the result of accelcal apply")
+    assert_one_line(run("calibrate", "--model", 6, path, "-d", out), "the result of accelcal apply", code=5)
     assert held(out) == before
 
 
-def test_fit_leaves_the_report_of_a_recording(tmp_path: Path, capsys: Capture) -> None:
+def test_fit_leaves_the_report_of_a_recording(tmp_path: Path) -> None:
     coefficients = donor(tmp_path)
     before, points = held(tmp_path), tmp_path / "points.csv"
     points.write_text("\n".join(["x,y,z", *(",".join(map(str, one)) for one in directions(60))]) + "\n")
-    ran = run(capsys, "fit", points, "-o", coefficients)
-    assert ran.code == 5
-    assert_one_line(ran, "is the report of another recording")
+    assert_one_line(run("fit", points, "-o", coefficients), "is the report of another recording", code=5)
     assert held(tmp_path) == {**before, "points.csv": points.read_bytes()}
 
 
@@ -155,53 +137,47 @@ def test_fit_leaves_the_report_of_a_recording(tmp_path: Path, capsys: Capture) -
     ],
 )
 def test_a_name_is_that_of_what_is_written(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, command: str, name: str, part: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, name: str, part: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     path = write_raw(tmp_path / "a.raw", still_counts(directions(2)))
     words = (name,) if command == "simulate" else (path, "-o", name)
     before = held(tmp_path)
-    ran = run(capsys, command, *words)
-    assert ran.code == 2
-    assert_one_line(ran, part)
+    assert_one_line(run(command, *words), part, code=2)
     assert held(tmp_path) == before
 
 
-def test_a_folder_is_not_standard_output_either(tmp_path: Path, capsys: Capture) -> None:
+def test_a_folder_is_not_standard_output_either(tmp_path: Path) -> None:
     path = good_raw(tmp_path)
     for words in (("calibrate", path), ("six-pose", path), ("study", tmp_path)):
-        ran = run(capsys, *words, "-d", "-")
-        assert ran.code == 2
-        assert_one_line(ran, "standard output")
+        assert_one_line(run(*words, "-d", "-"), "standard output", code=2)
 
 
-def test_a_recording_and_its_own_export_are_both_calibrated(tmp_path: Path, capsys: Capture) -> None:
+def test_a_recording_and_its_own_export_are_both_calibrated(tmp_path: Path) -> None:
     """Whether the table lay there first, as here, or came later."""
     folder, out = tmp_path / "in", tmp_path / "out"
     folder.mkdir()
     write_csv(folder / "S01.csv", still_counts(directions(60)))
-    assert study(capsys, folder, "--integers").code == 0
+    assert study(folder, "--integers").code == 0
     write_raw(folder / "S01.raw", still_counts(directions(60)))
-    ran = study(capsys, folder, "--integers")
+    ran = study(folder, "--integers")
     assert (ran.code, ran.err.count("\n")) == (0, 1), ran.err
     kinds = (".calibrated.parquet", ".calibration.json", ".integers.json", ".quality.json")
     expected = {f"{stem}{kind}" for stem in ("S01", "S01.csv") for kind in kinds}
     assert {name for name in held(out) if not name.startswith("study.")} == expected
-    assert report(out / "S01.calibration.json")["recording"]["format"] == "raw"
-    assert report(out / "S01.csv.calibration.json")["recording"]["format"] == "csv"
+    assert report_of(out / "S01.calibration.json")["recording"]["format"] == "raw"
+    assert report_of(out / "S01.csv.calibration.json")["recording"]["format"] == "csv"
     table = {row["path"]: row["report"] for row in rows(out)}
     assert table == {"S01.csv": "S01.csv.calibration.json", "S01.raw": "S01.calibration.json"}
-    assert "2 unchanged" in study(capsys, folder, "--integers").err
+    assert "2 unchanged" in study(folder, "--integers").err
 
 
-def test_a_foreign_ledger_stays(tmp_path: Path, capsys: Capture) -> None:
+def test_a_foreign_ledger_stays(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     good_raw(tmp_path / "in")
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "study.ledger").write_text("2024-03-04 rent 900\n")
-    ran = study(capsys, tmp_path / "in")
-    assert ran.code == 5
-    assert_one_line(ran, "study.ledger", "not written by accelcal")
+    assert_one_line(study(tmp_path / "in"), "study.ledger", "not written by accelcal", code=5)
     assert held(tmp_path / "out") == {"study.ledger": b"2024-03-04 rent 900\n"}
 
 
@@ -223,22 +199,21 @@ def test_a_copy_is_known_by_device_and_content() -> None:
 
 
 @pytest.mark.nightly
-def test_copies_of_one_file_count_once_in_a_pool(tmp_path: Path, capsys: Capture) -> None:
+def test_copies_of_one_file_count_once_in_a_pool(tmp_path: Path) -> None:
     values, _ = rest(directions(24))
     half = len(values) // 2
     folder = tmp_path / "in"
     folder.mkdir()
     for name, part in (("one", values[:half]), ("two", values[half:])):
         write_device(folder / f"{name}.raw", part)
-    assert study(capsys, folder, "--pool", "device", "--report-only").code == 0
+    assert study(folder, "--pool", "device", "--report-only").code == 0
     (pool,) = (tmp_path / "out").glob("study.pool.*.json")
-    alone = report(pool)
+    alone = report_of(pool)
     write_device(folder / "two again.raw", values[half:])
-    ran = study(capsys, folder, "--pool", "device", "--report-only")
-    assert ran.code == 0
+    ran = study(folder, "--pool", "device", "--report-only", code=0)
     assert "two.raw: a copy of two again.raw, which counts once" in ran.err
     (pool,) = (tmp_path / "out").glob("study.pool.*.json")
-    made = report(pool)
+    made = report_of(pool)
     for section in ("calibration", "holdout", "fit", "coverage", "models_tried"):
         assert made[section] == alone[section]
     assert [len(made["pool"][name]) for name in ("recordings", "copies")] == [2, 1]
@@ -248,4 +223,4 @@ def test_copies_of_one_file_count_once_in_a_pool(tmp_path: Path, capsys: Capture
     assert {path: row["copy_of"] for path, row in table.items()} == {
         "one.raw": "", "two again.raw": "", "two.raw": "two again.raw",
     }  # fmt: skip
-    assert "3 unchanged" in study(capsys, folder, "--pool", "device", "--report-only").err
+    assert "3 unchanged" in study(folder, "--pool", "device", "--report-only").err

@@ -9,37 +9,35 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.run import Ran, command, run
+from tests.cli.run import Ran, command, nightly, run
 from tests.cli.studies import study
 from tests.recordings import directions, good_csv, still_counts, write_raw
 
-Capture = pytest.CaptureFixture[str]
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="not so elsewhere")
 
 
-def test_a_name_that_is_not_utf8(tmp_path: Path, capsys: Capture) -> None:
+def test_a_name_that_is_not_utf8(tmp_path: Path) -> None:
     name = os.fsdecode(b"caf\xe9.raw")
     (tmp_path / "in").mkdir()
     path = write_raw(tmp_path / "in" / name, still_counts(directions(60)))
-    ran = run(capsys, "calibrate", path, "-d", tmp_path / "alone")
-    assert ran.code == 0, ran.err
+    run("calibrate", path, "-d", tmp_path / "alone", code=0)
     report = tmp_path / "alone" / os.fsdecode(b"caf\xe9.calibration.json")
     assert report.with_name(os.fsdecode(b"caf\xe9.calibrated.parquet")).exists()
     layout = path.with_name(os.fsdecode(b"caf\xe9.layout.toml"))
-    assert run(capsys, "verify", report, path, "--values", "--layout", layout).code == 0
-    assert run(capsys, "apply", "--coefficients", report, path, "-d", tmp_path / "applied").code == 0
-    assert study(capsys, tmp_path / "in").code == 0
-    assert "1 unchanged" in study(capsys, tmp_path / "in").err
+    assert run("verify", report, path, "--values", "--layout", layout).code == 0
+    assert run("apply", "--coefficients", report, path, "-d", tmp_path / "applied").code == 0
+    assert study(tmp_path / "in").code == 0
+    assert "1 unchanged" in study(tmp_path / "in").err
 
 
 @pytest.mark.parametrize(
     ("words", "code"),
     [
-        pytest.param(("calibrate", "p.csv"), 3, marks=pytest.mark.nightly),
-        pytest.param(("calibrate", "{good}", "-d", "out"), 5, marks=pytest.mark.nightly),
-        pytest.param(("calibrate", "{good}", "-d", "{out}"), 0, marks=pytest.mark.nightly),
-        pytest.param(("study", ".", "-d", "out"), 5, marks=pytest.mark.nightly),
+        nightly(("calibrate", "p.csv"), 3),
+        nightly(("calibrate", "{good}", "-d", "out"), 5),
+        nightly(("calibrate", "{good}", "-d", "{out}"), 0),
+        nightly(("study", ".", "-d", "out"), 5),
         (("study", "{folder}", "-d", "{out}"), 5),
     ],
 )
@@ -82,10 +80,7 @@ def test_rows_do_not_go_to_a_closed_standard_output(tmp_path: Path) -> None:
 def test_a_closed_standard_output_is_told_and_the_outputs_stay(tmp_path: Path) -> None:
     good = good_csv(tmp_path)
     ran = closed("calibrate", good)
-    assert (ran.code, ran.err) == (
-        5,
-        "accelcal: standard output is closed: the output was lost\n",
-    )
+    assert (ran.code, ran.err) == (5, "accelcal: standard output is closed: the output was lost\n")
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "good.calibrated.parquet",
         "good.calibration.json",

@@ -14,16 +14,12 @@ from accelcal_cli.core.calibration import steps_per_g
 from tests.cli.run import run
 from tests.recordings import good_raw
 
-Capture = pytest.CaptureFixture[str]
-
 
 @pytest.mark.parametrize(
     ("precision_mg", "steps"),
     [(0.25, 4096), (1.0, 1024), (1000 / 1024, 1024), (0.97, 2048), (1000, 1), (0.001, 1 << 20), (None, None)],
 )
-def test_the_step_is_the_largest_power_of_two_within_the_precision(
-    precision_mg: float | None, steps: int | None
-) -> None:
+def test_the_step_is_the_largest_power_of_two_within(precision_mg: float | None, steps: int | None) -> None:
     assert steps_per_g(precision_mg) == steps
 
 
@@ -31,10 +27,10 @@ def values(folder: Path) -> np.ndarray:
     return pd.read_parquet(folder / "good.calibrated.parquet")[["x", "y", "z"]].to_numpy(np.float64)
 
 
-def test_values_are_those_of_full_precision_on_the_grid(tmp_path: Path, capsys: Capture) -> None:
+def test_values_are_those_of_full_precision_on_the_grid(tmp_path: Path) -> None:
     fine, coarse = tmp_path / "fine", tmp_path / "coarse"
-    assert run(capsys, "calibrate", good_raw(tmp_path), "-d", fine).code == 0
-    assert run(capsys, "calibrate", good_raw(tmp_path), "-d", coarse, "--precision", 0.25).code == 0
+    assert run("calibrate", good_raw(tmp_path), "-d", fine).code == 0
+    assert run("calibrate", good_raw(tmp_path), "-d", coarse, "--precision", 0.25).code == 0
     steps = values(coarse) * 4096
     assert (steps == np.rint(steps)).all()
     assert np.abs(values(coarse) - values(fine)).max() <= 0.5 / 4096 + 1e-7
@@ -45,18 +41,18 @@ def test_values_are_those_of_full_precision_on_the_grid(tmp_path: Path, capsys: 
     assert sizes[1] < 0.6 * sizes[0]
 
 
-def test_a_result_of_another_precision_is_made_again(tmp_path: Path, capsys: Capture) -> None:
+def test_a_result_of_another_precision_is_made_again(tmp_path: Path) -> None:
     words = ("calibrate", good_raw(tmp_path), "-d", tmp_path)
-    assert run(capsys, *words).code == 0
-    assert "up to date" not in run(capsys, *words, "--precision", 1).err
-    assert "up to date" in run(capsys, *words, "--precision", 1).err
-    assert run(capsys, *words, "--precision", 0).code == 2
+    assert run(*words).code == 0
+    assert "up to date" not in run(*words, "--precision", 1).err
+    assert "up to date" in run(*words, "--precision", 1).err
+    assert run(*words, "--precision", 0).code == 2
 
 
-def test_coefficients_are_applied_at_any_precision(tmp_path: Path, capsys: Capture) -> None:
-    assert run(capsys, "calibrate", good_raw(tmp_path), "-d", tmp_path, "--precision", 1).code == 0
+def test_coefficients_are_applied_at_any_precision(tmp_path: Path) -> None:
+    assert run("calibrate", good_raw(tmp_path), "-d", tmp_path, "--precision", 1).code == 0
     report, out = tmp_path / "good.calibration.json", tmp_path / "fine"
-    assert run(capsys, "apply", "--coefficients", report, good_raw(tmp_path), "-d", out).code == 0
+    assert run("apply", "--coefficients", report, good_raw(tmp_path), "-d", out).code == 0
     steps = values(out) * 1024
     assert (steps != np.rint(steps)).any()
 
@@ -73,7 +69,7 @@ def stored_as_numbers(folder: Path) -> list[str]:
     [((), ["x"]), (("--model", 6), ["x", "y", "z"]), (("--precision", 0.25), ["x", "y", "z"])],
 )
 def test_axes_of_one_count_or_on_a_grid_are_stored_as_numbers(
-    options: tuple[str | float, ...], names: list[str], tmp_path: Path, capsys: Capture
+    options: tuple[str | float, ...], names: list[str], tmp_path: Path
 ) -> None:
-    assert run(capsys, "calibrate", good_raw(tmp_path), "-d", tmp_path, *options).code == 0
+    assert run("calibrate", good_raw(tmp_path), "-d", tmp_path, *options).code == 0
     assert stored_as_numbers(tmp_path) == [*names, "validity"]

@@ -26,7 +26,7 @@ from accelcal_cli.output.quality import (
     quality_schema,
 )
 from accelcal_cli.pipeline.calibrate import RecordingRun
-from tests.cli.run import Ran, assert_one_line, exit_code, run, verify
+from tests.cli.run import Ran, assert_one_line, exit_code, nightly, run, verify
 from tests.cli.test_change import HOUR, HOURS, jumping, long_raw
 from tests.device_recordings import donor, week
 from tests.recordings import (
@@ -39,8 +39,6 @@ from tests.recordings import (
     still_counts,
     write_raw,
 )
-
-Capture = pytest.CaptureFixture[str]
 
 
 @cache
@@ -119,10 +117,10 @@ def test_errors_are_those_of_the_windows(day: Path) -> None:
     assert rows["windows"] == np.bincount(hour).tolist()
 
 
-def test_the_points_are_those_of_the_windows(tmp_path: Path, capsys: Capture) -> None:
+def test_the_points_are_those_of_the_windows(tmp_path: Path) -> None:
     """Against `--integers`, the table of all still windows, and the equation of the report."""
     path, table = week(tmp_path / "warm.raw", warm=True), tmp_path / "all.parquet"
-    assert run(capsys, "calibrate", path, "--integers", "--windows", table, "--report-only").code == 0
+    assert run("calibrate", path, "--integers", "--windows", table, "--report-only").code == 0
     found, fit = (
         document(tmp_path / "warm.quality.json"),
         json.loads((tmp_path / "warm.integers.json").read_text()),
@@ -168,36 +166,33 @@ def test_of_a_sensor_that_changed_the_errors_are_those_after_it_was_put_right(da
 
 
 @pytest.mark.parametrize(
-    ("name", "chunk"),
-    [("jumps", 499), *(pytest.param("day", chunk, marks=pytest.mark.nightly) for chunk in (1, 499, 9999))],
+    ("name", "chunk"), [("jumps", 499), *(nightly("day", chunk) for chunk in (1, 499, 9999))]
 )
-def test_the_length_of_chunks_makes_no_difference(
-    day: Path, tmp_path: Path, capsys: Capture, name: str, chunk: int
-) -> None:
+def test_the_length_of_chunks_makes_no_difference(day: Path, tmp_path: Path, name: str, chunk: int) -> None:
     words = ("--report-only", "-d", tmp_path, "--chunk-samples", chunk)
-    run(capsys, "calibrate", day / f"{name}.raw", *words)
+    run("calibrate", day / f"{name}.raw", *words)
     written = f"{name}.quality.json"
     assert (tmp_path / written).read_bytes() == (day / written).read_bytes()
 
 
-def test_a_refused_recording_has_errors_before_only(tmp_path: Path, capsys: Capture) -> None:
+def test_a_refused_recording_has_errors_before_only(tmp_path: Path) -> None:
     path = write_raw(tmp_path / "few.raw", still_counts(directions(1)))
-    assert run(capsys, "calibrate", path).code == 4
+    assert run("calibrate", path).code == 4
     found = document(tmp_path / "few.quality.json")
     assert (found["outcome"], found["model"], found["rows"]["after_mg"]) == ("refused", None, None)
     assert found["convergence"] is None and found["rows"]["after_off_mg"] is None
     assert found["points"]["after"] is None and len(found["points"]["before"]) == 1
     assert found["rows"]["before_mg"]["mean"][0] > 10
     write_raw(tmp_path / "none.raw", np.zeros((0, 3), np.int16))
-    run(capsys, "calibrate", tmp_path / "none.raw")
+    run("calibrate", tmp_path / "none.raw")
     if (tmp_path / "none.calibration.json").exists():
         assert document(tmp_path / "none.quality.json")["rows"]["start"] == []
 
 
-def test_coefficients_of_elsewhere_are_those_of_the_errors(tmp_path: Path, capsys: Capture) -> None:
+def test_coefficients_of_elsewhere_are_those_of_the_errors(tmp_path: Path) -> None:
     coefficients = donor(tmp_path)
     path = week(tmp_path / "other.raw", seed=3)
-    assert run(capsys, "apply", path, "--coefficients", coefficients).code == 0
+    assert run("apply", path, "--coefficients", coefficients).code == 0
     found = document(tmp_path / "other.quality.json")
     report = json.loads((tmp_path / "other.calibration.json").read_text())
     assert (found["outcome"], found["postures"]["folds"]) == ("borrowed", None)
@@ -208,43 +203,28 @@ def test_coefficients_of_elsewhere_are_those_of_the_errors(tmp_path: Path, capsy
 
 
 @pytest.mark.parametrize("words", [("calibrate", "--profile", "paper"), ("six-pose",)])
-def test_what_keeps_no_hours_removes_the_file_of_before(
-    tmp_path: Path, capsys: Capture, words: tuple[str, ...]
-) -> None:
+def test_what_keeps_no_hours_removes_the_file_of_before(tmp_path: Path, words: tuple[str, ...]) -> None:
     path = good_raw(tmp_path)
-    assert run(capsys, "calibrate", path, "--report-only").code == 0
+    assert run("calibrate", path, "--report-only").code == 0
     assert (tmp_path / "good.quality.json").exists()
-    ran = run(capsys, words[0], path, *words[1:], "--force")
+    ran = run(words[0], path, *words[1:], "--force")
     assert ran.code in (0, 3, 4)
     assert (tmp_path / "good.quality.json").exists() == (ran.code == 3)  # nothing was written then
 
 
-def test_a_foreign_file_is_not_overwritten(tmp_path: Path, capsys: Capture) -> None:
-    path, foreign = good_csv(tmp_path), tmp_path / "good.quality.json"
-    foreign.write_text('{"mine": 1}')
-    ran = run(capsys, "calibrate", path)
-    assert ran.code == 5
-    assert_one_line(ran, "good.quality.json", "not written by accelcal")
-    assert sorted(one.name for one in tmp_path.iterdir()) == ["good.csv", "good.quality.json"]
-    assert run(capsys, "calibrate", path, "--force").code == 0
-    assert document(foreign)["outcome"] == "calibrated"
-
-
-def test_a_missing_file_alone_is_not_made_again(tmp_path: Path, capsys: Capture) -> None:
+def test_a_missing_file_alone_is_not_made_again(tmp_path: Path) -> None:
     path = good_csv(tmp_path)
-    run(capsys, "calibrate", path)
+    run("calibrate", path)
     (tmp_path / "good.quality.json").unlink()
-    assert "up to date" in run(capsys, "calibrate", path).err
+    assert "up to date" in run("calibrate", path).err
     assert not (tmp_path / "good.quality.json").exists()
 
 
-def test_the_report_is_written_after_it(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_report_is_written_after_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where it cannot be written, there is no report."""
     path = good_csv(tmp_path)
     (tmp_path / "good.quality.json").mkdir()
-    ran = run(capsys, "calibrate", path, "--force")
+    ran = run("calibrate", path, "--force")
     assert ran.code == 5 and "Traceback" not in ran.err
     assert not (tmp_path / "good.calibration.json").exists()
 
@@ -303,18 +283,16 @@ def _largest(one: QualityInput) -> QualityInput:
 LATER = ("no_longer_fits", "error_rises")
 
 
-def checked(capsys: Capture, recording: Path, *words: object) -> tuple[Ran, list[dict[str, Any]]]:
+def checked(recording: Path, *words: object) -> tuple[Ran, list[dict[str, Any]]]:
     """What `apply --report-only` printed, and its cautions about errors along time."""
-    ran = run(capsys, "apply", recording, *words, "--report-only")
+    ran = run("apply", recording, *words, "--report-only")
     report = json.loads(recording.with_name(f"{recording.stem}.calibration.json").read_text())
     return ran, [one for one in report["cautions"] if one["code"] in (*LATER, "offsets_jump")]
 
 
-def test_coefficients_of_a_first_recording_hold_on_a_second(
-    day: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_coefficients_of_a_first_recording_hold_on_a_second(day: Path, tmp_path: Path) -> None:
     second = second_day(tmp_path / "second.raw")
-    ran, cautions = checked(capsys, second, "--coefficients", day / "day.calibration.json", "--any-device")
+    ran, cautions = checked(second, "--coefficients", day / "day.calibration.json", "--any-device")
     assert (ran.code, cautions) == (0, [])
     errors = document(tmp_path / "second.quality.json")["rows"]["after_mg"]["mean"]
     assert len(errors) == HOURS and max(errors) < 2
@@ -333,16 +311,11 @@ def second_day(path: Path, step_g: float = 0.0, at_hour: int = 0) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("at_hour", "since"),
-    [(15, "2024-03-04T15:00:00.000000"), pytest.param(0, None, marks=pytest.mark.nightly)],
-)
-def test_a_step_of_12_mg_is_told_with_its_hour(
-    day: Path, tmp_path: Path, capsys: Capture, at_hour: int, since: str | None
-) -> None:
+@pytest.mark.parametrize(("at_hour", "since"), [(15, "2024-03-04T15:00:00.000000"), nightly(0, None)])
+def test_a_step_is_told_with_its_hour(day: Path, tmp_path: Path, at_hour: int, since: str | None) -> None:
     second = second_day(tmp_path / "second.raw", 0.012, at_hour)
     words = ("--coefficients", day / "day.calibration.json", "--any-device")
-    ran, cautions = checked(capsys, second, *words, "-q")
+    ran, cautions = checked(second, *words, "-q")
     assert ran.code == 0
     why = cautions[0]
     assert (why["code"], why["values"]["since"], why["values"]["until"]) == ("no_longer_fits", since, None)
@@ -351,31 +324,29 @@ def test_a_step_of_12_mg_is_told_with_its_hour(
     assert when in ran.err, "a quiet run says it, too"
     rows = document(tmp_path / "second.quality.json")["rows"]["after_mg"]["mean"]
     assert min(rows[at_hour:]) > 4 and max(rows[:at_hour], default=0) < 2
-    told = verify(capsys, tmp_path / "second.calibration.json", second)[0]
+    told = verify(tmp_path / "second.calibration.json", second)[0]
     assert told.code == 0, told
 
 
-def test_a_step_back_is_told_too(day: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_step_back_is_told_too(day: Path, tmp_path: Path) -> None:
     """Coefficients that fit the end and not the beginning."""
     second_day(tmp_path / "later.raw", 0.012, 0)
-    assert run(capsys, "calibrate", tmp_path / "later.raw", "--report-only").code == 0
+    assert run("calibrate", tmp_path / "later.raw", "--report-only").code == 0
     second = second_day(tmp_path / "second.raw", 0.012, 9)
     ran, cautions = checked(
-        capsys, second, "--coefficients", tmp_path / "later.calibration.json", "--any-device", "-v"
+        second, "--coefficients", tmp_path / "later.calibration.json", "--any-device", "-v"
     )
     values = cautions[0]["values"]
     assert (ran.code, values["since"], values["until"]) == (0, None, "2024-03-04T09:00:00.000000")
     assert "From the beginning to 2024-03-04T09:00:00 their error is" in ran.err
 
 
-def test_hours_are_told_where_windows_are_not_kept_apart_by_them(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_hours_are_told_without_errors_of_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """More orientations and temperatures than are kept: errors are not known by hours, all the rest is."""
     monkeypatch.setattr(cells, "MAX_TIMED", 300)
     path = tmp_path / "day.cwa"
-    run(capsys, "simulate", path, "--format", "cwa", "--days", 1, "--rate", 12.5, "--seed", 3, "-q")
-    assert run(capsys, "calibrate", path, "--report-only", "--html", "-q").code == 0
+    run("simulate", path, "--format", "cwa", "--days", 1, "--rate", 12.5, "--seed", 3, "-q")
+    assert run("calibrate", path, "--report-only", "--html", "-q").code == 0
     report = json.loads((tmp_path / "day.calibration.json").read_text())
     assert report["change"]["unchecked"] == "too_many_cells"
     found = document(tmp_path / "day.quality.json")
@@ -385,34 +356,30 @@ def test_hours_are_told_where_windows_are_not_kept_apart_by_them(
     assert (tmp_path / "day.html").exists()
 
 
-def test_few_postures_cannot_tell(day: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_few_postures_cannot_tell(day: Path, tmp_path: Path) -> None:
     path = write_raw(tmp_path / "few.raw", still_counts(np.repeat(directions(4), 3, axis=0)))
     words = ("--coefficients", day / "day.calibration.json", "--any-device")
-    assert checked(capsys, path, *words)[1] == []
+    assert checked(path, *words)[1] == []
 
 
-def test_coefficients_that_are_far_off_need_no_long_recording(
-    day: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_coefficients_that_are_far_off_need_no_long_recording(day: Path, tmp_path: Path) -> None:
     path = write_raw(tmp_path / "other.raw", still_counts(-directions(20)) + np.int16(20))
     words = ("--coefficients", day / "day.calibration.json", "--any-device")
-    ran, _ = checked(capsys, path, *words, "-q")
+    ran, _ = checked(path, *words, "-q")
     assert ran.code == 0 and "mg or more" in ran.err
 
 
-def test_a_removed_command_names_its_new_form(capsys: Capture) -> None:
+def test_a_removed_command_names_its_new_form() -> None:
     for words, form in (
         (("quality", "a.cwa"), "accelcal apply --coefficients NAME.calibration.json RECORDING --report-only"),
         (("effect", "a.cwa", "--epoch", 60), "accelcal calibrate RECORDING --effect"),
     ):
-        ran = run(capsys, *words)
-        assert ran.code == 2
-        assert_one_line(ran, f"`{words[0]}` is now {form}")
+        assert_one_line(run(*words), f"`{words[0]}` is now {form}", code=2)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", [1, 2])
-def test_the_independent_generator(tmp_path: Path, capsys: Capture, real_data: Path, seed: int) -> None:
+def test_the_independent_generator(tmp_path: Path, real_data: Path, seed: int) -> None:
     """Two days of one sensor: with coefficients of other days, and with a step of 12 mg on the second one."""
     tool = real_data.parent / "tools" / "make_recording.py"
     step = ("--at-hour", "30", "--step-mg", "12", "-10", "12")
@@ -432,8 +399,8 @@ def test_the_independent_generator(tmp_path: Path, capsys: Capture, real_data: P
             str(tmp_path / name),
         ]
         subprocess.run([*command, *more], check=True, capture_output=True)
-    assert run(capsys, "calibrate", tmp_path / "first.cwa", "--report-only").code == 0
+    assert run("calibrate", tmp_path / "first.cwa", "--report-only").code == 0
     coefficients = tmp_path / "first.calibration.json"
-    assert checked(capsys, tmp_path / "second.cwa", "--coefficients", coefficients)[1] == []
-    _, cautions = checked(capsys, tmp_path / "steps.cwa", "--coefficients", coefficients)
+    assert checked(tmp_path / "second.cwa", "--coefficients", coefficients)[1] == []
+    _, cautions = checked(tmp_path / "steps.cwa", "--coefficients", coefficients)
     assert cautions[0]["values"]["since"] == "2024-03-05T06:00:00.000000"

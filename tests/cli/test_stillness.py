@@ -12,7 +12,6 @@ from tests.cli.run import assert_one_line, run
 from tests.recordings import RATE_HZ, SECONDS, good_csv, good_raw, worst_errors
 from tests.schema import check_report
 
-Capture = pytest.CaptureFixture[str]
 NUMBERS = {
     "both": (5.0, 0.12, 0.013, [0, 1, 2]),
     "range": (5.0, 0.12, None, [0]),
@@ -21,11 +20,11 @@ NUMBERS = {
 }
 
 
-def reported(capsys: Capture, folder: Path, *words: object) -> dict:
+def reported(folder: Path, *words: object) -> dict:
     path = folder / "good.raw"
     if not path.exists():
         good_raw(folder)
-    ran = run(capsys, "calibrate", path, "--report-only", "--json", "--force", *words)
+    ran = run("calibrate", path, "--report-only", "--json", "--force", *words)
     assert ran.code in (0, 4), ran
     report = json.loads(ran.out)
     check_report(report)
@@ -39,8 +38,8 @@ def numbers(report: dict) -> tuple:
 
 
 @pytest.mark.parametrize("rule", NUMBERS)
-def test_each_rule_calibrates_and_is_in_the_report(tmp_path: Path, capsys: Capture, rule: str) -> None:
-    report = reported(capsys, tmp_path, "--stillness", rule)
+def test_each_rule_calibrates_and_is_in_the_report(tmp_path: Path, rule: str) -> None:
+    report = reported(tmp_path, "--stillness", rule)
     assert report["outcome"] == "calibrated"
     gain, offset_g = worst_errors(report)
     assert gain < 2.5e-4
@@ -61,61 +60,54 @@ def test_every_rule_is_tested_here() -> None:
     assert set(NUMBERS) == set(STILLNESS)
 
 
-def test_the_default_is_both_and_of_profile_paper_range(tmp_path: Path, capsys: Capture) -> None:
-    assert reported(capsys, tmp_path) == reported(capsys, tmp_path, "--stillness", "both")
-    paper = reported(capsys, tmp_path, "--profile", "paper")
+def test_the_default_is_both_and_of_profile_paper_range(tmp_path: Path) -> None:
+    assert reported(tmp_path) == reported(tmp_path, "--stillness", "both")
+    paper = reported(tmp_path, "--profile", "paper")
     assert paper["settings"]["stillness"] == "range" and paper["settings"]["other_stillness"]
-    named = reported(capsys, tmp_path, "--profile", "paper", "--stillness", "range")
+    named = reported(tmp_path, "--profile", "paper", "--stillness", "range")
     assert named == {**paper, "settings": {**paper["settings"], "other_stillness": False}}
-    other = reported(capsys, tmp_path, "--profile", "paper", "--stillness", "deviation")
+    other = reported(tmp_path, "--profile", "paper", "--stillness", "deviation")
     assert (other["settings"]["profile"], numbers(other)) == ("paper", NUMBERS["deviation"])
 
 
-def test_adaptive_joins_each_rest_into_one_state(tmp_path: Path, capsys: Capture) -> None:
-    windows = reported(capsys, tmp_path, "--stillness", "adaptive")["fit"]["windows"]
+def test_adaptive_joins_each_rest_into_one_state(tmp_path: Path) -> None:
+    windows = reported(tmp_path, "--stillness", "adaptive")["fit"]["windows"]
     assert windows["complete"] == 60 * SECONDS * RATE_HZ // 100
     assert windows["used"] == 60
 
 
-def test_numbers_of_ones_own_replace_those_of_the_rule(tmp_path: Path, capsys: Capture) -> None:
+def test_numbers_of_ones_own_replace_those_of_the_rule(tmp_path: Path) -> None:
     for rule in ("both", "range"):
         words = ("--stillness", rule, "--segment-seconds", 3, "--stillness-threshold-g", 0.2)
-        assert numbers(reported(capsys, tmp_path, *words))[:2] == (3.0, 0.2)
-    assert numbers(reported(capsys, tmp_path, "--stillness", "deviation", "--segment-seconds", 5))[0] == 5.0
-    report = reported(capsys, tmp_path, "--stillness", "adaptive", "--segment-seconds", 2)
+        assert numbers(reported(tmp_path, *words))[:2] == (3.0, 0.2)
+    assert numbers(reported(tmp_path, "--stillness", "deviation", "--segment-seconds", 5))[0] == 5.0
+    report = reported(tmp_path, "--stillness", "adaptive", "--segment-seconds", 2)
     assert report["fit"]["windows"]["complete"] == 60 * SECONDS // 2
 
 
 @pytest.mark.parametrize("rule", ["deviation", "adaptive"])
-def test_a_threshold_that_means_nothing_to_the_rule_is_refused(
-    tmp_path: Path, capsys: Capture, rule: str
-) -> None:
+def test_a_threshold_that_means_nothing_to_the_rule_is_refused(tmp_path: Path, rule: str) -> None:
     words = ("--stillness", rule, "--stillness-threshold-g", 0.1)
-    ran = run(capsys, "calibrate", good_csv(tmp_path), *words)
-    assert ran.code == 2
-    assert_one_line(ran, f"--stillness {rule}", "both or range")
+    ran = run("calibrate", good_csv(tmp_path), *words)
+    assert_one_line(ran, f"--stillness {rule}", "both or range", code=2)
 
 
-def test_adaptive_windows_of_less_than_a_second_are_refused(tmp_path: Path, capsys: Capture) -> None:
+def test_adaptive_windows_of_less_than_a_second_are_refused(tmp_path: Path) -> None:
     words = ("--stillness", "adaptive", "--segment-seconds", 0.5)
     for command in ("calibrate", "inspect"):
-        ran = run(capsys, command, good_csv(tmp_path), *words)
-        assert ran.code == 2
-        assert_one_line(ran, "at least 1 s", "--segment-seconds")
+        assert_one_line(run(command, good_csv(tmp_path), *words), "at least 1 s", "--segment-seconds", code=2)
 
 
-def test_no_rest_near_the_quietest_is_said(tmp_path: Path, capsys: Capture) -> None:
+def test_no_rest_near_the_quietest_is_said(tmp_path: Path) -> None:
     path = tmp_path / "moving.csv"
     rows = "\n".join(f"{(i * 7919) % 200 / 100 - 1},{(i * 104729) % 200 / 100 - 1},1" for i in range(5000))
     path.write_text("x,y,z\n" + rows + "\n")
     words = ("--rate", 25, "--unit", "g", "--stillness", "adaptive", "--report-only")
-    ran = run(capsys, "calibrate", path, *words)
-    assert ran.code == 4
-    assert "another rule of --stillness" in ran.err
+    assert "another rule of --stillness" in run("calibrate", path, *words, code=4).err
 
 
-def test_inspect_counts_joined_windows_as_still(tmp_path: Path, capsys: Capture) -> None:
-    ran = run(capsys, "inspect", good_csv(tmp_path), "--stillness", "adaptive", "--full", "--json")
+def test_inspect_counts_joined_windows_as_still(tmp_path: Path) -> None:
+    ran = run("inspect", good_csv(tmp_path), "--stillness", "adaptive", "--full", "--json")
     read = json.loads(ran.out)["read"]
     assert read["windows"] == 450
     assert read["still_windows"] > 400

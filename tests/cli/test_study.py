@@ -12,7 +12,6 @@ from tests.cli.run import run
 from tests.cli.studies import NAMES, csv_rows, results, rows, study, study_folder
 from tests.recordings import directions, still_counts, write_raw
 
-Capture = pytest.CaptureFixture[str]
 SE_COLUMNS = {
     **{name: name for name in ("k_xx", "k_yy", "k_zz", "k_yx", "k_zx", "k_zy")},
     "ox": "offset_x_g", "oy": "offset_y_g", "oz": "offset_z_g",
@@ -20,11 +19,10 @@ SE_COLUMNS = {
 """Names in the report (first the column of K, then its row) and in the table (row, column)."""
 
 
-def test_the_folders_are_mirrored_and_summed_up(tmp_path: Path, capsys: Capture) -> None:
+def test_the_folders_are_mirrored_and_summed_up(tmp_path: Path) -> None:
     folder, out = study_folder(tmp_path / "in"), tmp_path / "out"
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
-    ran = study(capsys, folder)
-    assert ran.code == 0
+    ran = study(folder, code=0)
     assert {line.split("\t")[0] for line in ran.lines} == {str(folder / name) for name in NAMES}
     assert (
         ran.err
@@ -36,9 +34,9 @@ def test_the_folders_are_mirrored_and_summed_up(tmp_path: Path, capsys: Capture)
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 
-def test_a_row_says_what_the_report_says(tmp_path: Path, capsys: Capture) -> None:
+def test_a_row_says_what_the_report_says(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    ran = study(capsys, study_folder(tmp_path / "in", NAMES[:1]))
+    ran = study(study_folder(tmp_path / "in", NAMES[:1]))
     report = json.loads((out / "north/a.calibration.json").read_text())
     row = rows(out)[0]
     assert (row["path"], row["outcome"], row["exit_code"]) == ("north/a.raw", "calibrated", "0")
@@ -58,33 +56,32 @@ def test_a_row_says_what_the_report_says(tmp_path: Path, capsys: Capture) -> Non
     frame = pd.read_parquet(out / "study.parquet")
     assert list(frame.columns) == list(row)
     assert frame["after_mg"][0] == report["holdout"]["after_mg"]["mean"]
-    held = run(capsys, "calibrate", tmp_path / "in/north/a.raw", "-d", out / "north")
+    held = run("calibrate", tmp_path / "in/north/a.raw", "-d", out / "north")
     assert held.lines == ran.lines
     assert held.err.endswith("up to date\n")
 
 
-def test_names_that_a_spreadsheet_would_calculate(tmp_path: Path, capsys: Capture) -> None:
-    study(capsys, study_folder(tmp_path / "in", ("=cmd|' !A1.raw",)), "--report-only")
+def test_names_that_a_spreadsheet_would_calculate(tmp_path: Path) -> None:
+    study(study_folder(tmp_path / "in", ("=cmd|' !A1.raw",)), "--report-only")
     (row,) = csv_rows(tmp_path / "out")
     assert (row["path"], row["report"]) == ("'=cmd|' !A1.raw", "'=cmd|' !A1.calibration.json")
     assert pd.read_parquet(tmp_path / "out/study.parquet")["path"][0] == "=cmd|' !A1.raw"
 
 
-def test_what_was_not_fitted_has_no_standard_error(tmp_path: Path, capsys: Capture) -> None:
-    study(capsys, study_folder(tmp_path / "in", NAMES[:1]), "--model", "6", "--report-only")
+def test_what_was_not_fitted_has_no_standard_error(tmp_path: Path) -> None:
+    study(study_folder(tmp_path / "in", NAMES[:1]), "--model", "6", "--report-only")
     (row,) = rows(tmp_path / "out")
     known = [name for name in SE_COLUMNS.values() if row[f"se_{name}"]]
     assert known == ["k_xx", "k_yy", "k_zz", "offset_x_g", "offset_y_g", "offset_z_g"]
     assert row["k_yx"] == "0.0"
 
 
-def test_damaged_files_are_rows_and_stop_nothing(tmp_path: Path, capsys: Capture) -> None:
+def test_damaged_files_are_rows_and_stop_nothing(tmp_path: Path) -> None:
     folder = study_folder(tmp_path / "in", NAMES[:2])
     (folder / "zeros.cwa").write_bytes(bytes(4096))
     (folder / "empty.csv").write_bytes(b"")
     write_raw(folder / "short.raw", still_counts(directions(1)))
-    ran = study(capsys, folder)
-    assert ran.code == 1
+    ran = study(folder, code=1)
     assert "Traceback" not in ran.err
     found = {row["path"]: (row["outcome"], row["exit_code"]) for row in rows(tmp_path / "out")}
     assert found == {
@@ -97,7 +94,7 @@ def test_damaged_files_are_rows_and_stop_nothing(tmp_path: Path, capsys: Capture
     assert sum(line.split("\t")[1] == "failed" for line in ran.lines) == 2
     counts = json.loads((tmp_path / "out/study.json").read_text())
     assert counts["outcomes"] == {"calibrated": 2, "failed": 2, "refused": 1}
-    quiet = study(capsys, folder, "-q", "--all-failures")
+    quiet = study(folder, "-q", "--all-failures")
     assert (quiet.code, quiet.out) == (1, "")
     failed = [str(folder / name) for name in ("empty.csv", "short.raw", "zeros.cwa")]
     lines = [line.removeprefix("accelcal: ") for line in quiet.err.splitlines()]
@@ -108,35 +105,31 @@ def test_damaged_files_are_rows_and_stop_nothing(tmp_path: Path, capsys: Capture
 
 
 @pytest.mark.parametrize(("name", "content", "code"), [("a.cwa", bytes(4096), 3), ("a.gt3x", b"", 3)])
-def test_one_recording_gives_its_own_code(
-    tmp_path: Path, capsys: Capture, name: str, content: bytes, code: int
-) -> None:
+def test_one_recording_gives_its_own_code(tmp_path: Path, name: str, content: bytes, code: int) -> None:
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / name).write_bytes(content)
-    assert study(capsys, tmp_path / "in").code == code
+    assert study(tmp_path / "in").code == code
 
 
-def test_two_recordings_of_one_stem_are_refused_and_the_rest_is_done(tmp_path: Path, capsys: Capture) -> None:
+def test_two_recordings_of_one_stem_are_refused_and_the_rest_is_done(tmp_path: Path) -> None:
     folder, out = study_folder(tmp_path / "in"), tmp_path / "out"
     (folder / "north/a.cwa").write_bytes(bytes(4096))
     (folder / "north/b.txt").write_text("a note, no recording\n")
-    ran = study(capsys, folder, "-q")
-    assert ran.code == 1
-    assert "would share its outputs with a.cwa" in ran.err
+    assert "would share its outputs with a.cwa" in study(folder, "-q", code=1).err
     assert [row["exit_code"] for row in rows(out)] == ["2", "2", "0", "0"]
     assert not (out / "north/a.calibration.json").exists()
-    again = study(capsys, folder, "-q")
+    again = study(folder, "-q")
     assert (again.code, again.err) == (0, ""), "it is no news"
-    assert study(capsys, folder, "--exclude", "*.CWA").code == 0
+    assert study(folder, "--exclude", "*.CWA").code == 0
 
 
-def test_patterns_choose(tmp_path: Path, capsys: Capture) -> None:
+def test_patterns_choose(tmp_path: Path) -> None:
     folder = study_folder(tmp_path / "in")
     table = folder / "ages.csv"
     table.write_text("age\n31\n32\n")
 
     def listed(*words: object) -> list[str]:
-        lines = study(capsys, folder, "--dry-run", *words).lines
+        lines = study(folder, "--dry-run", *words).lines
         return [str(Path(line.split("\t")[0]).relative_to(folder)) for line in lines]
 
     assert listed() == list(NAMES)
@@ -146,48 +139,48 @@ def test_patterns_choose(tmp_path: Path, capsys: Capture) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_outputs_inside_the_study_are_not_taken_for_recordings(tmp_path: Path, capsys: Capture) -> None:
+def test_outputs_inside_the_study_are_not_taken_for_recordings(tmp_path: Path) -> None:
     folder = study_folder(tmp_path / "in", NAMES[:2])
     for out in (folder / "results", folder):
         for unchanged in (0, 2):
-            ran = run(capsys, "study", folder, "-d", out)
+            ran = run("study", folder, "-d", out)
             assert (ran.code, len(ran.lines)) == (0, 2)
             assert ("2 unchanged" in ran.err) == bool(unchanged)
 
 
-def test_several_folders_lie_side_by_side(tmp_path: Path, capsys: Capture) -> None:
+def test_several_folders_lie_side_by_side(tmp_path: Path) -> None:
     for name in ("one", "two"):
         study_folder(tmp_path / name, ("a.raw",))
-    assert run(capsys, "study", tmp_path / "one", tmp_path / "two", "-d", tmp_path / "out").code == 0
+    assert run("study", tmp_path / "one", tmp_path / "two", "-d", tmp_path / "out").code == 0
     assert [row["path"] for row in rows(tmp_path / "out")] == ["one/a.raw", "two/a.raw"]
     study_folder(tmp_path / "deep/one", ("a.raw",))
-    ran = run(capsys, "study", tmp_path / "one", tmp_path / "deep/one", "-d", tmp_path / "out")
+    ran = run("study", tmp_path / "one", tmp_path / "deep/one", "-d", tmp_path / "out")
     assert (ran.code, ran.out) == (2, "")
 
 
 @pytest.mark.parametrize("make", [False, True])
-def test_no_folder_and_no_recording_are_wrong_usage(tmp_path: Path, capsys: Capture, make: bool) -> None:
+def test_no_folder_and_no_recording_are_wrong_usage(tmp_path: Path, make: bool) -> None:
     if make:
         (tmp_path / "in").mkdir()
-    ran = study(capsys, tmp_path / "in")
+    ran = study(tmp_path / "in")
     assert (ran.code, ran.out, ran.err.count("\n")) == (2, "", 1)
     assert not list(tmp_path.glob("out/*"))
 
 
-def test_json_gives_the_reports(tmp_path: Path, capsys: Capture) -> None:
-    ran = study(capsys, study_folder(tmp_path / "in", NAMES[:2]), "--json", "-q")
+def test_json_gives_the_reports(tmp_path: Path) -> None:
+    ran = study(study_folder(tmp_path / "in", NAMES[:2]), "--json", "-q")
     reports = [json.loads(line) for line in ran.lines]
     assert {report["recording"]["path"] for report in reports} == {Path(name).name for name in NAMES[:2]}
     found = {report["provenance"]["files"]["recording"] for report in reports}
     assert found == {str(tmp_path / "in" / name) for name in NAMES[:2]}
 
 
-def test_verdicts_14_copies_are_said_and_count_once(tmp_path: Path, capsys: Capture) -> None:
+def test_verdicts_14_copies_are_said_and_count_once(tmp_path: Path) -> None:
     folder, out = study_folder(tmp_path / "in", NAMES[:2]), tmp_path / "out"
     (folder / "again.raw").write_bytes((folder / NAMES[1]).read_bytes())
     for suffix in ("layout.toml",):
         (folder / f"again.{suffix}").write_bytes((folder / f"{NAMES[1][:-4]}.{suffix}").read_bytes())
-    ran = study(capsys, folder)
+    ran = study(folder)
     assert "accelcal: north/b.raw: a copy of again.raw, which counts once" in ran.err
     assert "3 recordings: 2 calibrated, 1 copied from others. 1 other file skipped. Results: " in ran.err
     assert {row["path"]: row["copy_of"] for row in rows(out)} == {

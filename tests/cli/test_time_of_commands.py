@@ -14,12 +14,10 @@ import pytest
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats import all_encoders, open_recording
-from tests.cli.run import run
+from tests.cli.run import nightly, run
 from tests.cli.studies import rows, study_in
 from tests.device_recordings import donor, rest, week, write_device
 from tests.recordings import START, directions
-
-Capture = pytest.CaptureFixture[str]
 
 ZONE = "Europe/Berlin"
 LOCAL = datetime.fromisoformat(START)
@@ -35,11 +33,7 @@ CASES = pytest.mark.parametrize(
 
 STUDIES = pytest.mark.parametrize(
     ("start", "words", "zone"),
-    [
-        (START, GIVEN, "UTC"),
-        pytest.param(START, (), "unknown", marks=pytest.mark.nightly),
-        pytest.param(f"{START}Z", FORCED, "UTC", marks=pytest.mark.nightly),
-    ],
+    [(START, GIVEN, "UTC"), nightly(START, (), "unknown"), nightly(f"{START}Z", FORCED, "UTC")],
     ids=["--timezone", "no zone", "-R force_timezone"],
 )
 
@@ -63,18 +57,16 @@ def check_times(stem: Path, zone: str) -> None:
 
 
 @CASES
-def test_apply(tmp_path: Path, capsys: Capture, start: str, words: tuple[str, ...], zone: str) -> None:
+def test_apply(tmp_path: Path, start: str, words: tuple[str, ...], zone: str) -> None:
     path = few(tmp_path / "a.raw", start)
-    ran = run(capsys, "apply", "--coefficients", donor(tmp_path, warm=True), path, *words)
-    assert ran.code == 0, ran.err
+    run("apply", "--coefficients", donor(tmp_path, warm=True), path, *words, code=0)
     check_times(tmp_path / "a", zone)
-    assert run(capsys, "verify", tmp_path / "a.calibration.json", path, "--values").code == 0
+    assert run("verify", tmp_path / "a.calibration.json", path, "--values").code == 0
 
 
-def test_apply_refuses_a_zone_that_contradicts_the_file(tmp_path: Path, capsys: Capture) -> None:
+def test_apply_refuses_a_zone_that_contradicts_the_file(tmp_path: Path) -> None:
     path = few(tmp_path / "a.raw", f"{START}Z")
-    ran = run(capsys, "apply", "--coefficients", donor(tmp_path, warm=True), path, *GIVEN)
-    assert ran.code == 2
+    ran = run("apply", "--coefficients", donor(tmp_path, warm=True), path, *GIVEN, code=2)
     assert f"states its time zone, UTC, which is not {ZONE}" in ran.err
     assert not (tmp_path / "a.calibrated.parquet").exists()
 
@@ -116,21 +108,19 @@ def test_study_names_the_recordings_whose_zone_contradicts_the_users(tmp_path: P
     assert "time zone" not in told["none.raw"]
 
 
-def test_fit_has_no_times(tmp_path: Path, capsys: Capture) -> None:
+def test_fit_has_no_times(tmp_path: Path) -> None:
     points = tmp_path / "points.csv"
     lines = ["x,y,z", *(",".join(map(repr, row)) for row in (directions(60) * 1.01).tolist())]
     points.write_text("\n".join(lines) + "\n")
-    about = json.loads(run(capsys, "fit", points, "--json").out)["recording"]
+    about = json.loads(run("fit", points, "--json").out)["recording"]
     assert (about["start_time"], about["timezone"], about["time_zone"]) == (None, None, None)
-    assert run(capsys, "fit", points, *GIVEN).code == 2
+    assert run("fit", points, *GIVEN).code == 2
 
 
 @pytest.mark.parametrize("name", sorted(encoder.name for encoder in all_encoders()))
-def test_simulate_writes_a_start_that_reads_back_as_its_truth_says(
-    tmp_path: Path, capsys: Capture, name: str
-) -> None:
+def test_simulate_writes_a_start_that_reads_back_as_its_truth_says(tmp_path: Path, name: str) -> None:
     """In each format the same clock; where the format can say so, of no zone."""
-    ran = run(capsys, "simulate", tmp_path / "s", "--format", name, "--days", 0.002, "--rate", 50)
+    ran = run("simulate", tmp_path / "s", "--format", name, "--days", 0.002, "--rate", 50)
     path = Path(ran.out.split("\t")[0])
     with open_recording(path, ReadOptions()) as reader:
         about = reader.recording

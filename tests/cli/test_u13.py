@@ -12,8 +12,6 @@ from accelcal_cli.pipeline.options import StatedOption, named_as_stated
 from tests.cli.run import run
 from tests.recordings import LSB_PER_G, directions, good_raw, still_counts
 
-Capture = pytest.CaptureFixture[str]
-
 
 def zoned(path: Path) -> Path:
     """A table whose times are in UTC and say so."""
@@ -29,17 +27,17 @@ def zoned(path: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", ["study.toml", "tz.toml"])
-def test_u13_an_option_of_a_file_is_named_with_the_file(tmp_path: Path, capsys: Capture, name: str) -> None:
+def test_u13_an_option_of_a_file_is_named_with_the_file(tmp_path: Path, name: str) -> None:
     path = zoned(tmp_path / "in" / "tz.csv")
     zone = 'timezone = "Europe/Berlin"\n'
     (tmp_path / "in" / name).write_text(zone if name == "tz.toml" else f'["*"]\n{zone}')
-    study = run(capsys, "study", tmp_path / "in", "-d", tmp_path / "out", "-j", 1, "--report-only")
-    alone = run(capsys, "inspect", path, "--config", path.with_name(name)) if name == "study.toml" else study
+    study = run("study", tmp_path / "in", "-d", tmp_path / "out", "-j", 1, "--report-only")
+    alone = run("inspect", path, "--config", path.with_name(name)) if name == "study.toml" else study
     origin = name if name == "tz.toml" else 'study.toml, "*"'
     for ran in (study, alone):
         assert f"omit timezone ({origin}), which is for files that state no zone" in ran.err
         assert "omit --timezone" not in ran.err and "-R force_timezone" in ran.err
-    typed = run(capsys, "inspect", zoned(tmp_path / "other" / "tz.csv"), "--timezone", "Europe/Berlin")
+    typed = run("inspect", zoned(tmp_path / "other" / "tz.csv"), "--timezone", "Europe/Berlin")
     assert "omit --timezone" in typed.err
 
 
@@ -52,7 +50,7 @@ def test_u13_only_the_whole_name_of_an_option_is_one() -> None:
     )
 
 
-def test_u13_nothing_is_unchanged_in_a_first_run(tmp_path: Path, capsys: Capture) -> None:
+def test_u13_nothing_is_unchanged_in_a_first_run(tmp_path: Path) -> None:
     """Two recordings would share their outputs, and are refused before any work."""
     (tmp_path / "in").mkdir()
     good_raw(tmp_path / "in", "a.raw")
@@ -60,5 +58,5 @@ def test_u13_nothing_is_unchanged_in_a_first_run(tmp_path: Path, capsys: Capture
         shutil.copy(tmp_path / "in" / "a.raw", tmp_path / "in" / name)
         shutil.copy(tmp_path / "in" / "a.layout.toml", tmp_path / "in" / "b.layout.toml")
     words = ("study", tmp_path / "in", "-d", tmp_path / "out", "-j", 1, "--report-only")
-    assert "3 recordings: 1 calibrated, 2 failed. Results" in run(capsys, *words).err
-    assert "3 recordings (1 unchanged): 1 calibrated, 2 failed. Results" in run(capsys, *words).err
+    assert "3 recordings: 1 calibrated, 2 failed. Results" in run(*words).err
+    assert "3 recordings (1 unchanged): 1 calibrated, 2 failed. Results" in run(*words).err

@@ -17,7 +17,6 @@ import sys
 import tempfile
 import time
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,7 +24,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from tests.cli.studies import texts_of
+from tests.cli.studies import change_ledger, texts_of
 from tests.faults.checks import Contents, contents, differences
 from tests.faults.shim import NONE, Fault, Runner, Struck, running
 from tests.recordings import directions, still_counts, write_csv, write_raw
@@ -161,15 +160,13 @@ class Lab:
 
 def as_if_made_by_an_earlier_version(out: Path) -> None:
     """Ledger, summary and reports say that another version made them, with coefficients a bit off."""
-    lines = []
-    for line in (out / "study.ledger").read_bytes().splitlines():
-        entry = json.loads(line.partition(b" ")[2])
+
+    def change(entry: dict[str, Any]) -> None:
         if entry["row"]:
             entry["asked"] = "0" * 16
             entry["row"]["accelcal_version"] = "0.0.9"
-        text = json.dumps(entry).encode()
-        lines.append(f"{zlib.crc32(text):08x} ".encode() + text + b"\n")
-    (out / "study.ledger").write_bytes(b"".join(lines))
+
+    change_ledger(out, change)
     for path in (out / "study.json", *out.rglob(f"*{REPORT}")):
         about = json.loads(path.read_text())
         for part in (about, about.get("provenance", {})):

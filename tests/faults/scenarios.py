@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import re
 import shutil
 import tarfile
@@ -13,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.cli.run import exit_code
+from tests.cli.studies import run_in
 from tests.recordings import directions, good_raw, still_counts, write_csv, write_raw
 from tests.six_pose import made
 from tests.six_pose.made import UP
@@ -77,8 +75,7 @@ def _results(folder: Path) -> None:
 
 
 def _calibrated(folder: Path, *words: str) -> None:
-    with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()):
-        assert exit_code("calibrate", "in/good.raw", "-q", *words) == 0
+    assert run_in(folder, "calibrate", "in/good.raw", "-q", *words).code == 0
 
 
 def _archive(folder: Path) -> None:
@@ -110,8 +107,7 @@ def _several(folder: Path) -> None:
     """Results of three recordings."""
     _folder(folder)
     paths = sorted(path.relative_to(folder).as_posix() for path in folder.glob("in/*/*.raw"))
-    with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()):
-        assert exit_code("calibrate", *paths, "-q", "--report-only", "-d", "in") == 0
+    assert run_in(folder, "calibrate", *paths, "-q", "--report-only", "-d", "in").code == 0
 
 
 def _folder(folder: Path) -> None:
@@ -152,8 +148,7 @@ def _nights(folder: Path) -> None:
 
 
 def _study(folder: Path, *words: str, out: str = "out") -> None:
-    with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()):
-        assert exit_code("study", "in", "-d", out, "-j", "1", "-q", *words) == 0
+    assert run_in(folder, "study", "in", "-d", out, "-j", "1", "-q", *words).code == 0
 
 
 def _studied(folder: Path) -> None:
@@ -195,16 +190,8 @@ def _watch(name: str, make: Callable[[Path], object], rows: str, most: int) -> S
 
 
 CALIBRATE = (
-    "calibrate",
-    "in/good.raw",
-    "-d",
-    "out",
-    "--html",
-    "--integers",
-    "--windows",
-    "out/w.parquet",
-    "-q",
-)
+    "calibrate", "in/good.raw", "-d", "out", "--html", "--integers", "--windows", "out/w.parquet", "-q"
+)  # fmt: skip
 REPORT = "in/good.calibration.json"
 SESSION = (
     "six-pose", *(f"in/faces/{number}.csv" for number in range(6)),

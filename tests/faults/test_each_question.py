@@ -82,9 +82,7 @@ def _absent(fault: Fault) -> bool:
 
 
 @pytest.mark.parametrize("kind", ASKED)
-def test_h1_a_question_that_fails_in_a_study_costs_a_row_or_a_note(
-    quick_runner: Runner, tmp_path: Path, kind: str
-) -> None:
+def test_h1_a_fault_in_a_study_costs_a_row_or_a_note(quick_runner: Runner, tmp_path: Path, kind: str) -> None:
     """A question for each error, spread over all."""
     asking = Asking(tmp_path, quick_runner)
     step = asking.whole.calls[kind] // len(ERRORS)

@@ -31,9 +31,7 @@ SOME = {
 
 
 @pytest.mark.parametrize("name", SOME)
-def test_what_fails_costs_nothing_but_the_run(
-    request: pytest.FixtureRequest, tmp_path: Path, name: str
-) -> None:
+def test_what_fails_costs_the_run_alone(request: pytest.FixtureRequest, tmp_path: Path, name: str) -> None:
     scenario = next(one for one in SCENARIOS if one.name == name)
     stage, cells = _trial_folder(scenario, tmp_path, request), read()
     for fault in SOME[name]:
@@ -51,9 +49,7 @@ def test_reading_the_table_of_a_study_starts_no_thread(runner: Runner, tmp_path:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda one: one.name)
-def test_each_call_of_each_operation(
-    request: pytest.FixtureRequest, tmp_path: Path, scenario: Scenario
-) -> None:
+def test_each_call_of_each(request: pytest.FixtureRequest, tmp_path: Path, scenario: Scenario) -> None:
     """What the table says to be never called is not."""
     tried = Tried()
     tried.each(_trial_folder(scenario, tmp_path, request), None)

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.cli.run import Ran, assert_one_line
+from tests.cli.run import Ran, assert_one_line, nightly
 from tests.faults.shim import Runner
 from tests.recordings import directions, still_counts, write_csv
 
@@ -51,31 +51,19 @@ def size(small: int, large: int) -> list[object]:
     return [small, nightly(large)]
 
 
-def nightly(*values: object) -> object:
-    """A variant for `make nightly`."""
-    return pytest.param(*values, marks=pytest.mark.nightly)
-
-
 @pytest.mark.parametrize("blocks", size(8, 640))
 @pytest.mark.parametrize("suffix", [".csv.gz", nightly(".cwa.gz"), nightly(".gt3x.gz")])
-def test_zeros_without_end_are_no_recording(
-    limited: Limited, tmp_path: Path, blocks: int, suffix: str
-) -> None:
+def test_endless_zeros_are_no_recording(limited: Limited, tmp_path: Path, blocks: int, suffix: str) -> None:
     path = packed(tmp_path / f"zeros{suffix}", bytes(BLOCK), blocks)
-    ran = limited("calibrate", path, "-q")
-    assert ran.code == 3
-    assert_one_line(ran, str(path))
+    assert_one_line(limited("calibrate", path, "-q"), str(path), code=3)
 
 
 @pytest.mark.parametrize("blocks", size(2, 64))
-def test_zeros_that_a_layout_makes_a_recording_are_refused(
-    limited: Limited, tmp_path: Path, blocks: int
-) -> None:
+def test_zeros_with_a_layout_are_refused(limited: Limited, tmp_path: Path, blocks: int) -> None:
     path = packed(tmp_path / "zeros.raw.gz", bytes(BLOCK), blocks)
     (tmp_path / "zeros.layout.toml").write_text(LAYOUT)
     ran = limited("calibrate", path, "-q")
-    assert ran.code == 4
-    assert_one_line(ran, "refused", "cut short", "Copy it again")
+    assert_one_line(ran, "refused", "cut short", "Copy it again", code=4)
     assert ran.err.lower().count("again from the device") == 1
 
 
@@ -84,27 +72,21 @@ def test_zeros_that_a_layout_makes_a_recording_are_refused(
     ("head", "block"),
     [
         (HEAD + b"2024-03-04T00:00:00,0.1,0.2,", b"1"),
-        pytest.param(b"time,x,y,z", b",", marks=pytest.mark.nightly),
-        pytest.param(HEAD + b'"', b'"a\n"', marks=pytest.mark.nightly),
+        nightly(b"time,x,y,z", b","),
+        nightly(HEAD + b'"', b'"a\n"'),
     ],
     ids=["a cell", "columns", "quotes"],
 )
-def test_a_line_of_csv_without_end(
-    limited: Limited, tmp_path: Path, head: bytes, block: bytes, blocks: int
-) -> None:
+def test_an_endless_line(limited: Limited, tmp_path: Path, head: bytes, block: bytes, blocks: int) -> None:
     path = packed(tmp_path / "line.csv.gz", block * (BLOCK // len(block)), blocks, head)
-    ran = limited("calibrate", path, "-q")
-    assert ran.code == 3
-    assert_one_line(ran, str(path))
+    assert_one_line(limited("calibrate", path, "-q"), str(path), code=3)
 
 
 @pytest.mark.parametrize("blocks", size(8, 64))
 def test_a_line_without_end_after_good_ones(limited: Limited, tmp_path: Path, blocks: int) -> None:
     good = write_csv(tmp_path / "good.csv", still_counts(directions(3))).read_bytes()
     path = packed(tmp_path / "line.csv.gz", b"1" * BLOCK, blocks, good)
-    ran = limited("calibrate", path, "-q")
-    assert ran.code == 3
-    assert_one_line(ran, str(path), "a line has no end")
+    assert_one_line(limited("calibrate", path, "-q"), str(path), "a line has no end", code=3)
 
 
 @pytest.fixture
@@ -150,10 +132,7 @@ def endless(file: h5py.File, _pipe: Path) -> None:
 
 @pytest.mark.parametrize(
     "make",
-    [
-        *(external_link, endless),
-        *map(nightly, (one_chunk, external_values, virtual, claims_much, very_wide)),
-    ],
+    [*(external_link, endless), *map(nightly, (one_chunk, external_values, virtual, claims_much, very_wide))],
 )
 def test_hdf5_opens_no_other_file_and_takes_no_memory_for_claims(
     limited: Limited, tmp_path: Path, pipe: Path, make: Callable[[h5py.File, Path], None]
@@ -186,8 +165,7 @@ def test_json_that_is_deep_or_long(
     path.write_text(head + more * times + "1")
     write_csv(tmp_path / "x.csv", still_counts(directions(2)))
     ran = limited(*(word.format(path).replace("x.csv", f"{tmp_path}/x.csv") for word in words))
-    assert ran.code == 3
-    assert_one_line(ran, str(path))
+    assert_one_line(ran, str(path), code=3)
 
 
 @pytest.mark.parametrize(
@@ -203,9 +181,7 @@ def test_toml_that_is_deep_or_long(limited: Limited, tmp_path: Path, text: str) 
     (tmp_path / "a.raw").write_bytes(bytes(6000))
     layout = tmp_path / "a.layout.toml"
     layout.write_text(text)
-    ran = limited("calibrate", tmp_path / "a.raw", "-q")
-    assert ran.code == 2
-    assert_one_line(ran, str(layout))
+    assert_one_line(limited("calibrate", tmp_path / "a.raw", "-q"), str(layout), code=2)
 
 
 def tar_of_zeros(path: Path, kind: bytes, blocks: int) -> Path:
@@ -215,23 +191,17 @@ def tar_of_zeros(path: Path, kind: bytes, blocks: int) -> Path:
     return packed(path, bytes(BLOCK), blocks, header.tobuf())
 
 
-@pytest.mark.parametrize("blocks", [pytest.param(256, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("blocks", [nightly(256)])
 @pytest.mark.parametrize("kind", [tarfile.REGTYPE, tarfile.XHDTYPE], ids=["member", "header"])
-def test_archives_that_unpack_to_gigabytes(
-    limited: Limited, tmp_path: Path, kind: bytes, blocks: int
-) -> None:
+def test_archives_of_gigabytes(limited: Limited, tmp_path: Path, kind: bytes, blocks: int) -> None:
     path = tar_of_zeros(tmp_path / "a.tar.gz", kind, blocks)
-    ran = limited("calibrate", path, "-q")
-    assert ran.code == 3
-    assert_one_line(ran, str(path))
+    assert_one_line(limited("calibrate", path, "-q"), str(path), code=3)
     assert not [*(tmp_path / "tmp").iterdir()]
 
 
 @pytest.mark.parametrize("blocks", size(4, 128))
 @pytest.mark.parametrize("name", ["log.bin", nightly("info.txt")])
-def test_a_gt3x_file_that_unpacks_to_gigabytes(
-    limited: Limited, tmp_path: Path, name: str, blocks: int
-) -> None:
+def test_a_gt3x_file_of_gigabytes(limited: Limited, tmp_path: Path, name: str, blocks: int) -> None:
     path = tmp_path / "a.gt3x"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for member in {"log.bin", "info.txt"} - {name}:
@@ -239,9 +209,7 @@ def test_a_gt3x_file_that_unpacks_to_gigabytes(
         with archive.open(name, "w", force_zip64=True) as file:
             for _ in range(blocks):
                 file.write(bytes(BLOCK))
-    ran = limited("calibrate", path, "-q")
-    assert ran.code == 3
-    assert_one_line(ran, str(path))
+    assert_one_line(limited("calibrate", path, "-q"), str(path), code=3)
 
 
 def parts(folder: Path, number: int) -> Iterator[Path]:

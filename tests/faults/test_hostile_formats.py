@@ -18,6 +18,7 @@ import pytest
 
 from accelcal_cli.core.formats import Format
 from accelcal_cli.formats import all_formats
+from tests.cli.run import nightly
 from tests.faults.shim import Runner, Struck
 
 HEAD_BYTES, TAIL_BYTES = 2048, 512
@@ -71,12 +72,10 @@ def assert_harmless(struck: Struck, here: Path, shim: Path) -> None:
             assert "<b>" not in path.read_text(), ran
 
 
-@pytest.mark.parametrize("number", [1, pytest.param(200, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("number", [1, nightly(200)])
 @pytest.mark.parametrize("change", [sizes, texts], ids=lambda one: one.__name__)
 @pytest.mark.parametrize("item", all_formats(), ids=lambda item: item.name)
-def test_a_header_that_claims_much(
-    runner: Runner, tmp_path: Path, item: Format, change: Any, number: int
-) -> None:
+def test_a_header_of_claims(runner: Runner, tmp_path: Path, item: Format, change: Any, number: int) -> None:
     for name in ("in", "out", "tmp"):
         (tmp_path / name).mkdir()
     counts = np.random.RandomState(11).randint(-500, 500, (1200, 3)).astype(np.int16)

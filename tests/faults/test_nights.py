@@ -9,17 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.run import nightly
 from tests.faults.nights import Lab, Nights, year
 from tests.faults.shim import Runner
 
 
 @pytest.mark.parametrize(
-    ("nights", "recordings", "words"),
-    [
-        (12, 5, ()),
-        pytest.param(60, 12, ("--html",), marks=pytest.mark.nightly),
-        pytest.param(60, 60, (), marks=pytest.mark.nightly),
-    ],
+    ("nights", "recordings", "words"), [(12, 5, ()), nightly(60, 12, ("--html",)), nightly(60, 60, ())]
 )
 def test_each_night_ends_as_a_fresh_study_of_the_same_files(
     quick_runner: Runner, tmp_path: Path, nights: int, recordings: int, words: tuple[str, ...]

@@ -85,9 +85,7 @@ STEPS = [100_000, 100_000, 150_000, 150_001, 900_000, 0, -70_000, -(1 << 58), 1 
     st.lists(st.tuples(st.sampled_from(STEPS), st.booleans()), min_size=1, max_size=40),
     st.lists(st.integers(0, 40), max_size=5),
 )
-def test_breaks_in_any_number_are_those_of_the_definition(
-    rows: list[tuple[int, bool]], cuts: list[int]
-) -> None:
+def test_breaks_of_any_number_are_as_defined(rows: list[tuple[int, bool]], cuts: list[int]) -> None:
     times = np.array([step for step, _ in rows], object).cumsum()
     assume(max(map(abs, times)) < 1 << 62)
     breaks = [row for row, (_, broken) in enumerate(rows) if broken]

@@ -21,10 +21,8 @@ from accelcal_cli.core.gyroscope import Turns
 from accelcal_cli.judge.gyroscope import judge_gyroscope
 from accelcal_cli.pipeline.gyroscope import Turning
 from accelcal_cli.pipeline.survey import open_marked
-from tests.cli.run import exit_code, run
+from tests.cli.run import exit_code, nightly, run
 from tests.formats.make_hdf5 import write
-
-Capture = pytest.CaptureFixture[str]
 
 XSENS_ZERO, XSENS_PER_G = 32_768, 4000
 XSENS_PER_RAD = 4768
@@ -46,9 +44,8 @@ def xsens(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def calibrated(capsys: Capture, path: Path, *words: object) -> dict[str, Any]:
-    told = run(capsys, "calibrate", path, "--json", "-q", *words)
-    assert told.code == 0, told
+def calibrated(path: Path, *words: object) -> dict[str, Any]:
+    told = run("calibrate", path, "--json", "-q", *words, code=0)
     report: dict[str, Any] = json.loads(told.out)
     return report
 
@@ -61,7 +58,7 @@ def held(xsens: Path) -> dict[str, Any]:
     return report
 
 
-def test_a_real_sensor(xsens: Path, held: dict[str, Any], capsys: Capture) -> None:
+def test_a_real_sensor(xsens: Path, held: dict[str, Any]) -> None:
     found = held["gyroscope"]
     assert found["outcome"] == "calibrated", found["message"]
     assert 30 <= found["pairs"] <= 42
@@ -72,12 +69,11 @@ def test_a_real_sensor(xsens: Path, held: dict[str, Any], capsys: Capture) -> No
     assert found["holdout_deg"]["rms_after"] < 0.5
     with_columns = pq.read_table(xsens.with_name("xsens.calibrated.parquet"))
     assert json.loads(with_columns.schema.metadata[b"accelcal"])["gyroscope"] == found
-    told = run(capsys, "verify", xsens.with_name("xsens.calibration.json"), xsens, "--values")
-    assert told.code == 0, told
+    run("verify", xsens.with_name("xsens.calibration.json"), xsens, "--values", code=0)
 
 
 @pytest.mark.nightly
-def test_the_same_from_text(xsens: Path, held: dict[str, Any], tmp_path: Path, capsys: Capture) -> None:
+def test_the_same_from_text(xsens: Path, held: dict[str, Any], tmp_path: Path) -> None:
     """Counts as counts, to the bit; rad/s with six decimals, to what these leave."""
     words = ("--segment-seconds", 1, "--rate", 100, "--unit", "counts", "--lsb-per-g", XSENS_PER_G)
     with h5py.File(xsens) as file:
@@ -85,32 +81,29 @@ def test_the_same_from_text(xsens: Path, held: dict[str, Any], tmp_path: Path, c
     whole, decimal = tmp_path / "whole.csv", tmp_path / "decimal.csv"
     table = np.concatenate([accel, gyro], axis=1)
     np.savetxt(whole, table, "%d", ",", header="ax,ay,az,gx,gy,gz", comments="")
-    found = calibrated(capsys, whole, *words, "-R", f"lsb_per_dps={float(1 / step)!r}")
+    found = calibrated(whole, *words, "-R", f"lsb_per_dps={float(1 / step)!r}")
     assert (found["gyroscope"], found["calibration"]) == (held["gyroscope"], held["calibration"])
     table = np.concatenate([accel, gyro / XSENS_PER_RAD], axis=1)
     np.savetxt(decimal, table, ["%d"] * 3 + ["%.6f"] * 3, ",", header="ax,ay,az,gx,gy,gz", comments="")
-    found = calibrated(capsys, decimal, *words, "-R", "gyro_unit=rad/s")
+    found = calibrated(decimal, *words, "-R", "gyro_unit=rad/s")
     assert found["calibration"] == held["calibration"]
     assert found["gyroscope"]["pairs"] == held["gyroscope"]["pairs"]
     np.testing.assert_allclose(found["gyroscope"]["scale"], held["gyroscope"]["scale"], atol=2e-5)
     np.testing.assert_allclose(found["gyroscope"]["bias_dps"], held["gyroscope"]["bias_dps"], atol=1e-4)
-    told = run(capsys, "verify", tmp_path / "decimal.calibration.json", decimal, "--values")
-    assert told.code == 0, told
+    run("verify", tmp_path / "decimal.calibration.json", decimal, "--values", code=0)
 
 
-@pytest.mark.parametrize(
-    "name", ["mpu9150_imu0.log", pytest.param("mpu9150_imu1.log", marks=pytest.mark.nightly)]
-)
-def test_a_log_without_names_or_times(real_data: Path, name: str, tmp_path: Path, capsys: Capture) -> None:
+@pytest.mark.parametrize("name", ["mpu9150_imu0.log", nightly("mpu9150_imu1.log")])
+def test_a_log_without_names_or_times(real_data: Path, name: str, tmp_path: Path) -> None:
     path, read = real_data / "imu" / name, ("--columns", "0,1,2", "--unit", "m/s2", "--rate", 100)
     words = (*read, "--segment-seconds", 1, "--report-only", "-d", tmp_path)
-    assert "gyroscope" not in calibrated(capsys, path, *words)
+    assert "gyroscope" not in calibrated(path, *words)
     turning = ("-R", "gyro_columns=3,4,5", "-R")
-    found = calibrated(capsys, path, *words, *turning, "gyro_unit=rad/s")["gyroscope"]
+    found = calibrated(path, *words, *turning, "gyro_unit=rad/s")["gyroscope"]
     assert found["outcome"] == "calibrated", found["message"]
     assert found["holdout_deg"]["after"] < 0.6 * found["holdout_deg"]["before"] < 0.2
     assert np.abs(np.array(found["scale"]) - np.eye(3)).max() < 0.02
-    wrong = calibrated(capsys, path, *words, *turning, "gyro_unit=deg/s")["gyroscope"]
+    wrong = calibrated(path, *words, *turning, "gyro_unit=deg/s")["gyroscope"]
     assert (wrong["outcome"], wrong["scale"]) == ("refused", None)
     assert wrong["reason"] == "wrong_unit_of_rates"
     assert wrong["message"] == "The rates are about 57 times too small for the turns. Check their unit."
@@ -128,7 +121,7 @@ def test_parquet_holds_what_the_report_says(xsens: Path, held: dict[str, Any]) -
         assert table.schema.field(name).metadata[b"unit"] == b"deg/s"
 
 
-def test_a_refused_gyroscope_stays_raw(xsens: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_refused_gyroscope_stays_raw(xsens: Path, tmp_path: Path) -> None:
     """The movement of the first pose after the other, with the gyroscope of no turn at all."""
     still = tmp_path / "still.h5"
     still.write_bytes(xsens.read_bytes())
@@ -137,7 +130,7 @@ def test_a_refused_gyroscope_stays_raw(xsens: Path, tmp_path: Path, capsys: Capt
         del file["gyro"]
         noise = np.random.default_rng(1).integers(-9, 10, (len(file["accel"]), 3)).astype(np.int16)
         file.create_dataset("gyro", data=noise + np.int16(50)).attrs["dps_per_lsb"] = step
-    found = calibrated(capsys, still, "--segment-seconds", 1)["gyroscope"]
+    found = calibrated(still, "--segment-seconds", 1)["gyroscope"]
     assert (found["outcome"], found["scale"]) == ("refused", None)
     assert found["bias_dps"] == pytest.approx([50 * step] * 3, rel=0.01)
     table = pq.read_table(tmp_path / "still.calibrated.parquet")
@@ -153,18 +146,16 @@ def seen(path: Path, chunk_samples: int) -> Turns:
     return observer.result()
 
 
-def test_the_same_bits_for_any_chunk_size(
-    xsens: Path, held: dict[str, Any], tmp_path: Path, capsys: Capture
-) -> None:
+def test_the_same_bits_for_any_chunk_size(xsens: Path, held: dict[str, Any], tmp_path: Path) -> None:
     words = ("--segment-seconds", 1, "--report-only", "-d", tmp_path, "--chunk-samples", 997)
-    assert calibrated(capsys, xsens, *words)["gyroscope"] == held["gyroscope"]
+    assert calibrated(xsens, *words)["gyroscope"] == held["gyroscope"]
     one, other = seen(xsens, 777), seen(xsens, 1 << 18)
     for left, right in zip(one.turns, other.turns, strict=True):
         assert (left.before.sums, left.after.gyro_sums) == (right.before.sums, right.after.gyro_sums)
         np.testing.assert_array_equal(left.counts, right.counts)
 
 
-@pytest.mark.parametrize("scale", [1e-12, pytest.param(1.0, marks=pytest.mark.nightly), 1e9])
+@pytest.mark.parametrize("scale", [1e-12, nightly(1.0), 1e9])
 def test_any_scale_and_any_counts_are_taken(tmp_path: Path, scale: float) -> None:
     """Nothing overflows: rates of 0.002 deg/s are rest whatever the counts; no rows hold such of 1e9."""
     random = np.random.default_rng(1)
@@ -186,7 +177,7 @@ def test_any_scale_and_any_counts_are_taken(tmp_path: Path, scale: float) -> Non
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_known_truth(real_data: Path, tmp_path: Path, capsys: Capture, seed: int) -> None:
+def test_a_known_truth(real_data: Path, tmp_path: Path, seed: int) -> None:
     """Recordings of an independent generator: the scale within its errors, and the bias, from both files."""
     tool = real_data.parent / "tools" / "make_recording.py"
     words = ["--days", "1", "--gyro", "--seed", str(seed), "--truth", str(seed), "--out", str(tmp_path / "a")]
@@ -195,7 +186,7 @@ def test_a_known_truth(real_data: Path, tmp_path: Path, capsys: Capture, seed: i
     scale = np.linalg.inv(truth["gyro_A"])
     perfect = seen(tmp_path / "a_gyro.h5", 1 << 18)
     for name in ("a_gyro.h5", "a_ax6.cwa"):
-        found = calibrated(capsys, tmp_path / name, "--report-only", "--no-temperature")["gyroscope"]
+        found = calibrated(tmp_path / name, "--report-only", "--no-temperature")["gyroscope"]
         off = np.abs(np.array(found["scale"]) - scale)
         assert off.max() < 5e-3
         assert (off / np.array(found["standard_errors"]["scale"])).max() < 3

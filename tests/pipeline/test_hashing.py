@@ -39,9 +39,7 @@ def test_a_long_recording_is_hashed_by_a_thread_of_its_own(
     assert [name.split("_")[0] for name in names] == [by]
 
 
-def test_a_recording_that_cannot_be_hashed_has_no_report(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_hash_there_is_no_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recording, hashing = good_raw(tmp_path), jobs.sha256
     monkeypatch.setattr(calibrate, "HASHED_IN_BACKGROUND", 0)
     monkeypatch.setattr(jobs, "sha256", lambda path: hashing(path.with_name("gone")))

@@ -19,10 +19,9 @@ from accelcal_cli.judge.errors import apart_mg
 from accelcal_cli.output.coefficients import coefficients_json
 from accelcal_cli.output.registry import RegistryEntry, read_registry, write_registry
 from accelcal_cli.pipeline.registry import Wanted, candidates, walk_mg2_a_day
-from tests.cli.run import assert_one_line, exit_code, run, verify
+from tests.cli.run import assert_one_line, exit_code, nightly, run, verify
 from tests.recordings import good_raw
 
-Capture = pytest.CaptureFixture[str]
 BEGUN = datetime(2024, 1, 1)
 
 
@@ -110,12 +109,7 @@ def fleet(
 
 
 @pytest.mark.parametrize(
-    ("seed", "walk_mg", "devices"),
-    [
-        (1, 0.3, 4),
-        pytest.param(2, 0.3, 12, marks=pytest.mark.nightly),
-        pytest.param(3, 2.0, 12, marks=pytest.mark.nightly),
-    ],
+    ("seed", "walk_mg", "devices"), [(1, 0.3, 4), nightly(2, 0.3, 12), nightly(3, 2.0, 12)]
 )
 def test_51_2_the_registry_beats_the_nearest_in_time(
     template: dict[str, Any], seed: int, walk_mg: float, devices: int
@@ -160,9 +154,7 @@ def test_51_2_what_does_not_help_is_not_taken(template: dict[str, Any]) -> None:
     assert not candidates(entries, wanted("E", 2)) and not candidates(entries, Wanted(None, None, None, None))
 
 
-def test_51_2_registries_merge_in_any_order_to_the_same_file(
-    template: dict[str, Any], tmp_path: Path
-) -> None:
+def test_51_2_registries_merge_in_any_order_to_one_file(template: dict[str, Any], tmp_path: Path) -> None:
     found = calibration(np.array([1.05, 0.97, 1.01]), np.array([50.0, -40.0, 30.0]))
     for name, serials in (("a", "XY"), ("b", "YZ"), ("c", "XZ")):
         error = {"a": 1.0, "b": 2.0, "c": 0.5}[name]
@@ -193,62 +185,57 @@ def nights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_51_2_a_refused_recording_takes_the_best_of_its_device(nights: Path, capsys: Capture) -> None:
+def test_51_2_a_refused_recording_takes_the_best_of_its_device(nights: Path) -> None:
     out = nights / "c"
     words = ("calibrate", nights / "short.bin", "-d", out, "--force", "-q")
-    assert run(capsys, *words).code in (0, 4)
+    assert run(*words).code in (0, 4)
     own = json.loads((out / "short.calibration.json").read_text())
     assert own["outcome"] in ("refused", "provisional")
-    assert run(capsys, *words, "--registry", nights / "lab.json").code == 0
+    assert run(*words, "--registry", nights / "lab.json").code == 0
     report = json.loads((out / "short.calibration.json").read_text())
     good = json.loads((nights / "out" / "good.calibration.json").read_text())
     assert report["outcome"] == "borrowed" and report["calibration"]["gain"] == good["calibration"]["gain"]
     assert report["coefficients"]["recording_sha256"] == good["recording"]["sha256"]
-    assert verify(capsys, out / "short.calibration.json", nights / "short.bin")[0].code == 0
+    assert verify(out / "short.calibration.json", nights / "short.bin")[0].code == 0
 
 
-def test_51_2_apply_and_study_take_it_too(nights: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_51_2_apply_and_study_take_it_too(nights: Path, tmp_path: Path) -> None:
     lab = ("--registry", nights / "lab.json")
     assert exit_code("apply", nights / "short.bin", *lab, "-d", tmp_path, "-q") == 0
     assert json.loads((tmp_path / "short.calibration.json").read_text())["outcome"] == "borrowed"
     other = good_raw(tmp_path)
-    ran = run(capsys, "apply", other, *lab, "-d", tmp_path)
-    assert ran.code == 2
-    assert_one_line(ran, "good.raw", "registry", "accelcal devices")
-    assert run(capsys, "apply", other, "-d", tmp_path).code == 2
+    ran = run("apply", other, *lab, "-d", tmp_path)
+    assert_one_line(ran, "good.raw", "registry", "accelcal devices", code=2)
+    assert run("apply", other, "-d", tmp_path).code == 2
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "short.bin").write_bytes((nights / "short.bin").read_bytes())
     words = ("study", tmp_path / "in", "-d", tmp_path / "out", "-q", "--jobs", 1, "--report-only")
-    assert run(capsys, *words).code in (0, 1, 4)
-    assert run(capsys, *words, *lab).code == 0
+    assert run(*words).code in (0, 1, 4)
+    assert run(*words, *lab).code == 0
     table = (tmp_path / "out" / "study.csv").read_text()
     assert "borrowed" in table
 
 
-def test_a_known_device_without_a_calibration_that_helps_is_not_said_to_be_unknown(
-    nights: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_a_known_device_that_nothing_helps_is_not_said_to_be_unknown(nights: Path, tmp_path: Path) -> None:
     held = json.loads((nights / "lab.json").read_text())
     held["devices"]["SIM00001"][0]["report"]["calibration_error_mg"]["before"] = 0.01
     (tmp_path / "lab.json").write_text(json.dumps(held))
-    ran = run(capsys, "apply", nights / "short.bin", "--registry", tmp_path / "lab.json", "-d", tmp_path)
-    assert ran.code == 2
-    assert_one_line(ran, "of device SIM00001", "nothing that is surely better than raw data")
+    ran = run("apply", nights / "short.bin", "--registry", tmp_path / "lab.json", "-d", tmp_path)
+    assert_one_line(ran, "of device SIM00001", "nothing that is surely better than raw data", code=2)
 
 
-def test_51_2_files_that_are_not_registries_are_said(nights: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_51_2_files_that_are_not_registries_are_said(nights: Path, tmp_path: Path) -> None:
     mine = tmp_path / "mine.json"
     mine.write_text('{"a": 1}')
-    ran = run(capsys, "devices", nights / "out", "--registry", mine)
+    ran = run("devices", nights / "out", "--registry", mine)
     assert ran.code == 5 and mine.read_text() == '{"a": 1}'
-    ran = run(capsys, "calibrate", nights / "short.bin", "--registry", mine, "-d", tmp_path)
-    assert ran.code == 3
-    assert_one_line(ran, "mine.json", "accelcal devices OUT --registry")
+    ran = run("calibrate", nights / "short.bin", "--registry", mine, "-d", tmp_path)
+    assert_one_line(ran, "mine.json", "accelcal devices OUT --registry", code=3)
     damaged = json.loads((nights / "lab.json").read_text())
     damaged["devices"]["SIM00001"][0]["report"]["calibration"]["model"] = "x"
     mine.write_text(json.dumps(damaged))
-    ran = run(capsys, "calibrate", nights / "short.bin", "--registry", mine, "-d", tmp_path)
+    ran = run("calibrate", nights / "short.bin", "--registry", mine, "-d", tmp_path)
     assert ran.code == 3 and "mine.json: is a damaged report" in ran.err
     damaged["devices"]["SIM00001"][0].pop("report")
     mine.write_text(json.dumps(damaged))
-    assert run(capsys, "calibrate", nights / "short.bin", "--registry", mine, "-d", tmp_path).code == 3
+    assert run("calibrate", nights / "short.bin", "--registry", mine, "-d", tmp_path).code == 3

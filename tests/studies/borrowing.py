@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from accelcal_cli.pipeline.jobs import no_progress
 from accelcal_cli.pipeline.simulate import simulate
 from accelcal_cli.simulate import SimulatedSensor, SimulationPlan, draw_gain_and_offset
+from tests.cli.run import report_of
 
 RATE_HZ, LSB_PER_G = 12.0, 256.0
 DAY, TWENTY_MINUTES = 1.0, 20 / 1440
@@ -43,8 +43,7 @@ def record(
 
 
 def report(out: Path, name: str) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((out / f"{name}.calibration.json").read_text())
-    return found
+    return report_of(out / f"{name}.calibration.json")
 
 
 def own_errors_mg(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import shutil
 import signal
 import subprocess
 import time
@@ -123,6 +124,14 @@ def kill(process: subprocess.Popen[bytes]) -> None:
     process.kill()
     process.communicate()
     soon(lambda: not session(process.pid))
+
+
+def killed_after(here: Path, number: int, *words: object) -> None:
+    """Kill a study of `in` with nothing in `out` once its ledger has so many lines."""
+    shutil.rmtree(here / "out")
+    process = begun(Path("in"), Path("out"), *words, cwd=here)
+    soon(lambda: lines(here / "out") >= number)
+    kill(process)
 
 
 def session(leader: int) -> list[str]:

@@ -12,7 +12,6 @@ from tests.cli.run import Ran, run
 from tests.cli.studies import results, rows, run_in
 from tests.studies.borrowing import DAY, TWENTY_MINUTES, own_errors_mg, record, report
 
-Capture = pytest.CaptureFixture[str]
 AT = "2024-03-16T09:00:00"
 
 
@@ -51,13 +50,11 @@ def line(out: Path, name: str) -> dict[str, str]:
     return next(row for row in rows(out) if row["path"] == name)
 
 
-def study(capsys: Capture, folder: Path, out: Path, *words: object) -> Ran:
-    return run(capsys, "study", folder, "-d", out, "-j", 2, "--prior", "none", *words)
+def study(folder: Path, out: Path, *words: object) -> Ran:
+    return run("study", folder, "-d", out, "-j", 2, "--prior", "none", *words)
 
 
-def test_the_nearest_one_lends_and_the_error_is_that_of_the_recordings_own_windows(
-    folder: Path, out: Path
-) -> None:
+def test_the_nearest_one_lends_and_the_error_is_that_of_ones_own_windows(folder: Path, out: Path) -> None:
     found, lent = report(out, "short"), report(out, "good/near")
     assert found["outcome"] == "borrowed"
     assert found["calibration"] == lent["calibration"]
@@ -76,15 +73,13 @@ def test_the_nearest_one_lends_and_the_error_is_that_of_the_recordings_own_windo
     assert row["parquet"] == "short.calibrated.parquet" and (out / row["parquet"]).exists()
 
 
-def test_it_is_what_apply_makes_of_it_and_can_be_verified(
-    folder: Path, out: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_it_is_what_apply_makes_of_it_and_can_be_verified(folder: Path, out: Path, tmp_path: Path) -> None:
     lent = out / "good/near.calibration.json"
-    assert run(capsys, "apply", "--coefficients", lent, folder / "short.raw", "-d", tmp_path).code == 0
+    assert run("apply", "--coefficients", lent, folder / "short.raw", "-d", tmp_path).code == 0
     made, found = report(tmp_path, "short"), report(out, "short")
     apart = {name for name in found if made[name] != found[name]}
     assert apart == {"coefficients", "provenance"}
-    again = run(capsys, "verify", "--values", out / "short.calibration.json", folder / "short.raw")
+    again = run("verify", "--values", out / "short.calibration.json", folder / "short.raw")
     assert (again.code, again.lines[0].split("\t")[1]) == (0, "identical")
 
 
@@ -116,44 +111,37 @@ def test_coefficients_that_make_it_worse_are_refused_and_the_own_result_stays(
         assert [float(one) for one in told.groups()] == pytest.approx([before, after, postures], abs=0.06)
 
 
-def test_the_table_says_so_and_a_rerun_does_nothing(folder: Path, out: Path, capsys: Capture) -> None:
+def test_the_table_says_so_and_a_rerun_does_nothing(folder: Path, out: Path) -> None:
     counts = json.loads((out / "study.json").read_text())
     assert counts["outcomes"] == {"borrowed": 1, "calibrated": 3, "refused": 4}
     assert counts["settings"]["borrow"] is True
     held = {path: path.stat().st_mtime_ns for path in out.rglob("*.cal*")}
-    again = study(capsys, folder, out, "--borrow")
+    again = study(folder, out, "--borrow")
     assert "8 unchanged" in again.err
     assert len(again.lines) == 8
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*.cal*")} == held
-    states = {row.split("\t")[1] for row in study(capsys, folder, out, "--borrow", "--dry-run").lines}
+    states = {row.split("\t")[1] for row in study(folder, out, "--borrow", "--dry-run").lines}
     assert states == {"borrowed", "calibrated", "refused"}
 
 
-def test_without_borrowing_it_goes_back_and_forth(
-    folder: Path, out: Path, plain: Path, capsys: Capture
-) -> None:
+def test_without_borrowing_it_goes_back_and_forth(folder: Path, out: Path, plain: Path) -> None:
     held = results(out)
-    again = study(capsys, folder, out)
-    assert "7 unchanged" in again.err
+    assert "7 unchanged" in study(folder, out).err
     assert results(out) == results(plain)
-    again = study(capsys, folder, out, "--borrow")
-    assert "5 unchanged" in again.err
+    assert "5 unchanged" in study(folder, out, "--borrow").err
     assert results(out) == held
 
 
 @pytest.mark.nightly
-def test_shards_do_their_own_part_and_collected_they_borrow(
-    folder: Path, out: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_shards_do_their_own_part_and_collected_they_borrow(folder: Path, out: Path, tmp_path: Path) -> None:
     parts = tmp_path / "parts"
     for number in (2, 1):
-        done = study(capsys, folder, parts, "--shard", f"{number}/2", "--borrow")
-        assert "borrowed" not in done.out
-    assert "5 unchanged" in study(capsys, folder, parts, "--collect", "--borrow").err
+        assert "borrowed" not in study(folder, parts, "--shard", f"{number}/2", "--borrow").out
+    assert "5 unchanged" in study(folder, parts, "--collect", "--borrow").err
     whole = {name: held for name, held in results(parts).items() if "-of-" not in name}
     assert whole == results(out)
     for number in (1, 2):
         owned = len(rows(parts, f"study.{number}-of-2"))
         words = ("--shard", f"{number}/2", "--borrow")
-        assert f"{owned} unchanged" in study(capsys, folder, parts, *words).err
-    assert "8 unchanged" in study(capsys, folder, parts, "--collect", "--borrow").err
+        assert f"{owned} unchanged" in study(folder, parts, *words).err
+    assert "8 unchanged" in study(folder, parts, "--collect", "--borrow").err

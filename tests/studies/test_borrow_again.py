@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,7 @@ from tests.cli.run import Ran
 from tests.cli.studies import results, rows, study_in
 from tests.device_recordings import week
 from tests.studies.borrowing import report
-from tests.studies.processes import begun, kill, lines, soon
+from tests.studies.processes import killed_after
 
 LONG = {"a/far.raw": "2024-01-01", "a/near.raw": "2024-03-01", "b/late.raw": "2024-06-01"}
 SHORT = ("a/short1.raw", "a/short2.raw", "b/short3.raw")
@@ -34,11 +33,6 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write(base / "in/b/other.raw", "2024-03-05", poses=3, seed=22, serial="B2")
     assert study(base).code == 1
     return base
-
-
-@pytest.fixture
-def here(base: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(base, tmp_path / "study")
 
 
 def study(here: Path, *words: object, out: str = "out", borrow: bool = True) -> Ran:
@@ -131,10 +125,7 @@ def test_what_stands_in_the_way_leaves_the_own_result_and_is_tried_again(base: P
 @pytest.mark.parametrize("after", [1, 5, 8, 9, 10, 11])
 def test_killed_at_any_moment_a_rerun_ends_as_if_nothing_had_been(base: Path, here: Path, after: int) -> None:
     """After so many lines of the ledger: the own results are eight, the borrowed ones four."""
-    shutil.rmtree(here / "out")
-    process = begun(Path("in"), Path("out"), "--borrow", cwd=here)
-    soon(lambda: lines(here / "out") >= after)
-    kill(process)
+    killed_after(here, after, "--borrow")
     assert study(here).code == 1
     assert results(here / "out") == results(base / "out")
 

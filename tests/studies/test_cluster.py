@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.run import Ran, assert_one_line, command
+from tests.cli.run import Ran, assert_one_line, command, nightly
 from tests.cli.studies import results, study_folder
 from tests.recordings import directions, still_counts, write_raw
 from tests.studies.clusters import QUICK, cluster, endless, start_workers
@@ -89,7 +89,7 @@ def test_a_worker_that_is_killed_is_made_good_elsewhere(
     assert not list(out.rglob("*.tmp"))
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("number", [signal.SIGTERM, nightly(signal.SIGINT)])
 def test_interrupted_it_leaves_nothing_running_and_nothing_half_written(
     scheduler: Path, folder: Path, tmp_path: Path, number: int
 ) -> None:
@@ -108,9 +108,7 @@ def test_interrupted_it_leaves_nothing_running_and_nothing_half_written(
 
 
 @pytest.mark.nightly
-def test_the_next_run_ends_what_a_killed_study_left_running(
-    scheduler: Path, folder: Path, tmp_path: Path
-) -> None:
+def test_the_next_run_ends_what_a_killed_one_left(scheduler: Path, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with endless(scheduler) as work:
         process = begun(folder, "a", "-d", out, "--dask", scheduler)
@@ -159,9 +157,7 @@ def test_a_worker_may_come_later(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.nightly
-def test_without_the_scheduler_recordings_fail_and_the_next_run_tries_them_again(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_without_the_scheduler_recordings_fail_and_are_tried_again(folder: Path, tmp_path: Path) -> None:
     with contextlib.ExitStack() as stack:
         file = stack.enter_context(cluster(tmp_path, 0))
         process = begun(folder.parent, "in", "-d", tmp_path / "out", "--include", NAMES[0], "--dask", file)

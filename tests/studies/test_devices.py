@@ -10,16 +10,10 @@ from accelcal_cli.studies.summary import copies
 
 def row(outcome: str = "calibrated", after_mg: float | None = 1.0, **more: Any) -> dict[str, Any]:
     held = {
-        "outcome": outcome,
-        "after_mg": None if outcome == "refused" else after_mg,
-        "device_serial": "A1",
-        "device_model": None,
-        "start_time": "2024-03-04T00:00:00.000000",
-        "duration_s": 3600.0,
-        "lost_percent": 0.0,
-        "lsb_per_g": 256.0,
-        "range_g": 8.0,
-    }
+        "outcome": outcome, "after_mg": None if outcome == "refused" else after_mg, "device_serial": "A1",
+        "device_model": None, "start_time": "2024-03-04T00:00:00.000000", "duration_s": 3600.0,
+        "lost_percent": 0.0, "lsb_per_g": 256.0, "range_g": 8.0,
+    }  # fmt: skip
     return held | more
 
 
@@ -111,16 +105,10 @@ def test_pooled_recordings_stay_as_they_are_but_lend() -> None:
 
 def test_a_pool_agrees_in_device_counts_per_g_and_range() -> None:
     rows = {
-        "b": row("refused"),
-        "a": row(),
-        "model": row(device_model="AX3"),
-        "fine": row(lsb_per_g=2048.0),
-        "wide": row(range_g=16.0),
-        "other": row(device_serial="B2"),
-        "none": row(device_serial=None),
-        "damaged": row("refused", reason="damaged"),
-        "less": row("already_good", lost_percent=40.0),
-    }
+        "b": row("refused"), "a": row(), "model": row(device_model="AX3"), "fine": row(lsb_per_g=2048.0),
+        "wide": row(range_g=16.0), "other": row(device_serial="B2"), "none": row(device_serial=None),
+        "damaged": row("refused", reason="damaged"), "less": row("already_good", lost_percent=40.0),
+    }  # fmt: skip
     rows = {name: {**held, "sha256": name} for name, held in rows.items()}
     assert pools(rows) == [["a", "b", "less"]]
     finer = rows["fine"] | {"sha256": "finer"}

@@ -11,7 +11,6 @@ import pytest
 from tests.cli.run import run
 from tests.cli.studies import rows
 
-Capture = pytest.CaptureFixture[str]
 DOCUMENT = Path(__file__).parent.parent.parent / "docs/study.md"
 
 
@@ -26,15 +25,15 @@ def words(real_data: Path, tmp_path: Path) -> tuple[object, ...]:
     return ("study", *folders, "--config", tmp_path / "study.toml", "--report-only")
 
 
-def test_its_files_concern_all_recordings(words: tuple[object, ...], capsys: Capture) -> None:
-    ran = run(capsys, *words, "--dry-run")
+def test_its_files_concern_all_recordings(words: tuple[object, ...]) -> None:
+    ran = run(*words, "--dry-run")
     assert (ran.code, len(ran.lines)) == (0, 29)
     assert "no file fits" not in ran.err
 
 
 @pytest.mark.nightly
-def test_public_recordings_are_one_study(words: tuple[object, ...], tmp_path: Path, capsys: Capture) -> None:
-    ran = run(capsys, *words)
+def test_public_recordings_are_one_study(words: tuple[object, ...], tmp_path: Path) -> None:
+    ran = run(*words)
     found = rows(tmp_path / "out")
     assert Counter(row["outcome"] for row in found) == {"calibrated": 13, "provisional": 4, "refused": 12}
     assert "no file fits" not in ran.err

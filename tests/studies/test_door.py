@@ -19,22 +19,12 @@ from accelcal_cli.core.errors import UnreadableError
 from tests.cli.run import Ran, run
 from tests.recordings import directions, still_counts, write_raw
 
-Capture = pytest.CaptureFixture[str]
 PACKAGE = Path(accelcal_cli.__file__).parent
 ERRNOS = (errno.EACCES, errno.ENAMETOOLONG, errno.ELOOP, errno.EIO, errno.ESTALE)
 NOBODY = 65534
 ASKING = {
-    "is_file",
-    "exists",
-    "is_dir",
-    "is_symlink",
-    "is_fifo",
-    "lstat",
-    "samefile",
-    "resolve",
-    "rglob",
-    "glob",
-}
+    "is_file", "exists", "is_dir", "is_symlink", "is_fifo", "lstat", "samefile", "resolve", "rglob", "glob"
+}  # fmt: skip
 ELSEWHERE = {
     "core/door.py": "the door itself",
     "core/system.py": "/proc",
@@ -52,12 +42,9 @@ def test_h1_questions_to_the_file_system_go_through_the_door() -> None:
         name = path.relative_to(PACKAGE).as_posix()
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             called = node.func if isinstance(node, ast.Call) else None
-            if (
-                isinstance(called, ast.Attribute)
-                and called.attr in ASKING
-                and not name.startswith("laboratory")
-            ):
+            if isinstance(called, ast.Attribute) and called.attr in ASKING:
                 asking.add(name)
+    asking = {name for name in asking if not name.startswith("laboratory")}
     assert asking - set(ELSEWHERE) <= {"cli/evaluate.py"}
 
 
@@ -112,22 +99,20 @@ def faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Faults]:
     monkeypatch.undo()
 
 
-def preview(capsys: Capture, folder: Path, *words: object) -> Ran:
-    return run(capsys, "study", folder, "-d", folder.parent / "out", "--dry-run", "-j", 1, *words)
+def preview(folder: Path, *words: object) -> Ran:
+    return run("study", folder, "-d", folder.parent / "out", "--dry-run", "-j", 1, *words)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links")
 @pytest.mark.parametrize("number", ERRNOS, ids=errno.errorcode.get)
-def test_h1_a_fault_at_any_question_costs_a_row_or_a_note(
-    number: int, tmp_path: Path, capsys: Capture, faults: Faults
-) -> None:
+def test_h1_a_fault_anywhere_costs_a_row_or_a_note(number: int, tmp_path: Path, faults: Faults) -> None:
     folder = tmp_path / "in"
-    assert preview(capsys, folder).code == 0
-    whole, questions = preview(capsys, folder).out.splitlines(), len(faults.asked) // 2
+    assert preview(folder).code == 0
+    whole, questions = preview(folder).out.splitlines(), len(faults.asked) // 2
     assert questions > 40, whole
     for at in range(questions):
         faults.strike(at, number)
-        ran = preview(capsys, folder)
+        ran = preview(folder)
         assert len(faults.asked) > at
         kind, name = faults.asked[at]
         struck = Path(name)
@@ -143,7 +128,7 @@ def test_h1_a_fault_at_any_question_costs_a_row_or_a_note(
 
 
 @pytest.mark.skipif(not hasattr(os, "setuid") or os.getuid() != 0, reason="only root can become another user")
-def test_h1_a_folder_without_search_permission_costs_itself(open_folder: Path, capsys: Capture) -> None:
+def test_h1_a_folder_without_search_permission_costs_itself(open_folder: Path) -> None:
     """Mode 744 lists names and answers nothing more; root may do anything, so another user tries."""
     folder = small_study(open_folder)
     locked = folder / "locked"
@@ -153,13 +138,13 @@ def test_h1_a_folder_without_search_permission_costs_itself(open_folder: Path, c
         os.chown(path, NOBODY, NOBODY, follow_symlinks=False)
     locked.chmod(0o744)
     os.chown(locked, 0, 0)
-    assert preview(capsys, folder).code == 0  # which loads all modules: another user may not read them
+    assert preview(folder).code == 0  # which loads all modules: another user may not read them
     with (open_folder / "seen").open("w") as seen:
         if (child := os.fork()) == 0:  # nothing below returns
             os.setgroups([])
             os.setgid(NOBODY)
             os.setuid(NOBODY)
-            ran = preview(capsys, folder)
+            ran = preview(folder)
             seen.write(f"{ran.code}\n{ran.out}\n{ran.err}")
             seen.flush()
             os._exit(0)
@@ -180,25 +165,23 @@ def open_folder() -> Iterator[Path]:
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
 @pytest.mark.parametrize("name", ["unisens.xml", "a.toml", "layout.toml", "a.layout.toml", "b.csv", "x.h5"])
-def test_h4_a_pipe_that_is_found_is_not_waited_for(name: str, tmp_path: Path, capsys: Capture) -> None:
+def test_h4_a_pipe_that_is_found_is_not_waited_for(name: str, tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     write_raw(tmp_path / "in" / "a.raw", still_counts(directions(12)))
     (tmp_path / "in" / name).unlink(missing_ok=True)
     os.mkfifo(tmp_path / "in" / name)
-    ran = preview(capsys, tmp_path / "in", "--rate", 25, "--lsb-per-g", 256, "--include", "*.raw")
+    ran = preview(tmp_path / "in", "--rate", 25, "--lsb-per-g", 256, "--include", "*.raw")
     assert "a.raw" in ran.out and "bug" not in ran.err
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
 @pytest.mark.parametrize("name", ["in/study.toml", "out/study.ledger", "out/study.lock", "out/study.csv"])
-def test_h4_a_pipe_in_place_of_a_file_of_the_study_is_said(
-    name: str, tmp_path: Path, capsys: Capture
-) -> None:
+def test_h4_a_pipe_in_place_of_a_file_of_the_study_is_said(name: str, tmp_path: Path) -> None:
     small_study(tmp_path)
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).unlink(missing_ok=True)
     os.mkfifo(tmp_path / name)
-    ran = run(capsys, "study", tmp_path / "in", "-d", tmp_path / "out", "-j", 1)
+    ran = run("study", tmp_path / "in", "-d", tmp_path / "out", "-j", 1)
     assert ran.code in (2, 5) and Path(name).name in ran.err and ran.err.count("\n") == 1, ran.err
 
 

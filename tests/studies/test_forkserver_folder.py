@@ -6,8 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -41,18 +39,8 @@ if __name__ == "__main__":
 """
 
 
-@pytest.fixture
-def short(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder for temporary files whose path is short enough for a socket."""
-    with tempfile.TemporaryDirectory(prefix="study", dir="/tmp") as folder:
-        monkeypatch.setenv("TMPDIR", folder)
-        yield Path(folder)
-
-
 @pytest.mark.nightly
-def test_a_long_path_of_temporary_files_is_no_hindrance(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_long_path_of_temporary_files_is_fine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / ("long" * 30)
     folder.mkdir()
     monkeypatch.setenv("TMPDIR", str(folder))
@@ -61,7 +49,7 @@ def test_a_long_path_of_temporary_files_is_no_hindrance(
     assert list(folder.iterdir()) == []
 
 
-def test_the_next_run_removes_what_a_killed_one_left(tmp_path: Path, short: Path) -> None:
+def test_the_next_run_removes_what_a_killed_one_left(tmp_path: Path, temporaries: Path) -> None:
     script = (
         "from accelcal_cli.studies.process_pool import forkserver_folder\nwith forkserver_folder(): input()"
     )
@@ -70,13 +58,13 @@ def test_the_next_run_removes_what_a_killed_one_left(tmp_path: Path, short: Path
         subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, env=environment)
         for _ in range(2)
     )
-    soon(lambda: len(list(short.iterdir())) == 2)
+    soon(lambda: len(list(temporaries.iterdir())) == 2)
     killed.send_signal(signal.SIGKILL)
     killed.communicate()
     assert run_process("study", study_folder(tmp_path / "in", ("a.raw",)), "-d", tmp_path / "out").code == 0
-    assert [f"-{living.pid}-" in path.name for path in short.iterdir()] == [True]
+    assert [f"-{living.pid}-" in path.name for path in temporaries.iterdir()] == [True]
     living.communicate(b"\n")
-    assert list(short.iterdir()) == []
+    assert list(temporaries.iterdir()) == []
 
 
 @pytest.mark.nightly

@@ -10,76 +10,62 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.studies.records import Entry, Ledger
-from tests.cli.run import command, run
+from tests.cli.run import command, nightly, run
 from tests.cli.studies import results, run_in, study_folder
 from tests.recordings import directions, still_counts, write_raw
+from tests.studies.conftest import SIX
 from tests.studies.processes import begun, held, kill, lines, session, soon
 
 resource = pytest.importorskip("resource")
 pytestmark = pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
-NAMES = tuple(f"{site}/p{number}.raw" for site in ("a", "b") for number in range(3))
 MOMENTS = (
     "b/p0.calibrated.parquet", "a/p1.calibration.json", "b/p1.calibrated.parquet", "b/p2.calibration.json"
 )  # fmt: skip
 """Files that are never given their names in a study that is killed."""
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return study_folder(tmp_path_factory.mktemp("study") / "in", NAMES)
-
-
-@pytest.fixture(scope="module")
-def undisturbed(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
-    out = tmp_path_factory.mktemp("undisturbed")
-    assert run_in(folder, "study", folder, "-d", out, "-j", 1).code == 0
-    return results(out)
-
-
-@pytest.mark.parametrize(
-    "last", ["a/p0.calibration.json", *(pytest.param(name, marks=pytest.mark.nightly) for name in MOMENTS)]
-)
+@pytest.mark.parametrize("last", ["a/p0.calibration.json", *(nightly(name) for name in MOMENTS)])
 def test_killed_at_any_moment_a_rerun_ends_as_if_nothing_had_been(
-    folder: Path, undisturbed: dict[str, object], tmp_path: Path, last: str
+    six: Path, undisturbed: dict[str, object], tmp_path: Path, last: str
 ) -> None:
     out = tmp_path / "out"
     with held(tmp_path, last) as hold:
-        process = begun(folder, out, environment=hold.environment)
+        process = begun(six, out, environment=hold.environment)
         hold.process()
         soon(lambda: lines(out))
         kill(process)
     done = lines(out)
-    assert 0 < done < len(NAMES)
+    assert 0 < done < len(SIX)
     assert (out / "study.lock").exists()
-    again = run_in(tmp_path, "study", folder, "-d", out)
+    again = run_in(tmp_path, "study", six, "-d", out)
     assert again.code == 0
     assert f"{done} unchanged" in again.err
     assert results(out) == undisturbed
 
 
 @pytest.mark.nightly
-def test_a_worker_that_is_killed_costs_its_recording_alone(folder: Path, tmp_path: Path) -> None:
+def test_a_worker_that_is_killed_costs_its_recording_alone(six: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with held(tmp_path, "b/p2.calibrated.parquet") as hold:
-        process = begun(folder, out, environment=hold.environment)
+        process = begun(six, out, environment=hold.environment)
         worker = hold.process()
         assert list(out.glob(f"b/.p2.calibrated.parquet.*.{worker}.*.tmp"))
         os.kill(worker, signal.SIGKILL)
         _, said = process.communicate()
     assert process.returncode == 1
-    assert f"{folder / 'b/p2.raw'}: its process was ended by SIGKILL" in said.decode()
+    assert f"{six / 'b/p2.raw'}: its process was ended by SIGKILL" in said.decode()
     assert "6 recordings: 5 calibrated, 1 failed" in said.decode()
     assert not list(out.rglob("*.tmp"))
-    again = run_in(tmp_path, "study", folder, "-d", out)
+    again = run_in(tmp_path, "study", six, "-d", out)
     assert again.code == 0
     assert "5 unchanged" in again.err
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.nightly)])
-def test_interrupted_it_leaves_nothing_half_written(folder: Path, tmp_path: Path, number: int) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, nightly(signal.SIGINT)])
+def test_interrupted_it_leaves_nothing_half_written(six: Path, tmp_path: Path, number: int) -> None:
     out = tmp_path / "out"
     with held(tmp_path, "a/p0.calibrated.parquet") as hold:
-        process = begun(folder, out, environment=hold.environment)
+        process = begun(six, out, environment=hold.environment)
         hold.process()
         soon(lambda: lines(out))
         process.send_signal(number)
@@ -96,12 +82,10 @@ def test_interrupted_it_leaves_nothing_half_written(folder: Path, tmp_path: Path
 
 
 @pytest.mark.nightly
-def test_interrupted_at_the_terminal_while_workers_start_it_says_so_in_one_line(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_interrupted_while_workers_start_it_says_so_in_one_line(six: Path, tmp_path: Path) -> None:
     """Ctrl-C reaches all processes, also the one that is still importing what workers need."""
     with held(tmp_path, "accelcal_cli.studies.preload") as hold:
-        process = begun(folder, tmp_path / "out", environment=hold.environment)
+        process = begun(six, tmp_path / "out", environment=hold.environment)
         assert hold.process() != process.pid
         os.killpg(process.pid, signal.SIGINT)
     _, said = process.communicate()
@@ -114,7 +98,7 @@ def test_interrupted_at_the_terminal_while_workers_start_it_says_so_in_one_line(
 
 
 def test_interrupted_it_counts_what_the_table_has_although_a_later_round_is_to_come(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    six: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing is reported of a recording that may borrow until all others are done."""
     out, add = tmp_path / "out", Ledger.add
@@ -127,19 +111,17 @@ def test_interrupted_it_counts_what_the_table_has_although_a_later_round_is_to_c
         add(self, entry)
 
     monkeypatch.setattr(Ledger, "add", interrupted)
-    ran = run(capsys, "study", folder, "-d", out, "-j", 1, "--borrow")
+    ran = run("study", six, "-d", out, "-j", 1, "--borrow")
     assert ran.code == 130 and "; 3 recordings done; " in ran.err
     assert len((out / "study.csv").read_text().splitlines()) == 3 + 1
 
 
-def test_of_two_at_once_the_second_leaves(
-    folder: Path, undisturbed: dict[str, object], tmp_path: Path
-) -> None:
+def test_of_two_at_once_the_second_leaves(six: Path, undisturbed: dict[str, object], tmp_path: Path) -> None:
     out = tmp_path / "out"
     with held(tmp_path, "a/p0.calibrated.parquet") as hold:
-        process = begun(folder, out, environment=hold.environment)
+        process = begun(six, out, environment=hold.environment)
         hold.process()
-        second = run_in(tmp_path, "study", folder, "-d", out)
+        second = run_in(tmp_path, "study", six, "-d", out)
     assert (second.code, second.out) == (75, "")
     assert f"process {process.pid} on " in second.err
     process.communicate()
@@ -148,9 +130,9 @@ def test_of_two_at_once_the_second_leaves(
 
 
 @pytest.mark.nightly
-def test_a_disk_that_takes_no_more_costs_the_recordings_that_need_it(folder: Path, tmp_path: Path) -> None:
+def test_a_disk_that_takes_no_more_costs_the_recordings_that_need_it(six: Path, tmp_path: Path) -> None:
     study, out = tmp_path / "in", tmp_path / "out"
-    study_folder(study, NAMES[:1])
+    study_folder(study, SIX[:1])
     write_raw(study / "long.raw", still_counts(directions(240)))
     words, limit = command("study", study, "-d", out), 400_000
     done = subprocess.run(

@@ -8,60 +8,43 @@ import random
 import shutil
 import signal
 import subprocess
-import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.cli.run import run_process
-from tests.cli.studies import results, run_in, study_folder
+from tests.cli.studies import results
+from tests.studies.conftest import SIX
 from tests.studies.processes import begun, held, session, soon
 
 pytestmark = pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
-NAMES = tuple(f"{site}/p{number}.raw" for site in ("a", "b") for number in range(3))
 ENDS = ("calibrated.parquet", "calibration.json")
 MOMENTS = (
     "accelcal_cli.studies.run", "accelcal_cli.studies.preload", "study.parquet", "study.csv", "study.ledger",
-    *(f"{name.removesuffix('raw')}{end}" for name in NAMES for end in ENDS),
+    *(f"{name.removesuffix('raw')}{end}" for name in SIX for end in ENDS),
 )  # fmt: skip
 """What is about to be imported, or to be given its name, when a study is struck."""
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return study_folder(tmp_path_factory.mktemp("study") / "in", NAMES)
-
-
-@pytest.fixture
-def temporaries(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Where the runs make temporary files; its path is short enough for the name of a socket."""
-    with tempfile.TemporaryDirectory(prefix="study", dir="/tmp") as folder:
-        monkeypatch.setenv("TMPDIR", folder)
-        yield Path(folder)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("times", [50])
 def test_killed_again_and_again_it_ends_as_if_nothing_had_been(
-    folder: Path, tmp_path: Path, temporaries: Path, times: int
+    six: Path, undisturbed: dict[str, object], tmp_path: Path, temporaries: Path, times: int
 ) -> None:
     seed = int(os.environ.get("ACCELCAL_KILLS_SEED", time.time_ns() % 1_000_000))
     print(f"ACCELCAL_KILLS_SEED={seed}")
     chance, out = random.Random(seed), tmp_path / "out"
-    assert run_in(folder, "study", folder, "-d", tmp_path / "undisturbed").code == 0
-    undisturbed = results(tmp_path / "undisturbed")
     for number in range(times):
         (tmp_path / str(number)).mkdir()
-        said, code = struck(folder, out, tmp_path / str(number), chance)
+        said, code = struck(six, out, tmp_path / str(number), chance)
         assert code in (-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT, 0, 1, 130), said
         assert b"Traceback" not in said or code in (-signal.SIGTERM, -signal.SIGINT), said
         whole = {name: content for name, content in results(out).items() if is_output(name)}
         assert whole == {name: undisturbed[name] for name in whole}
         if chance.random() < 0.3:
             shutil.rmtree(out, ignore_errors=True)
-    last = run_process("study", folder, "-d", out)
+    last = run_process("study", six, "-d", out)
     assert last.code == 0, last.err
     assert results(out) == undisturbed
     assert list(temporaries.iterdir()) == []

@@ -14,7 +14,6 @@ from accelcal_cli.formats import open_recording
 from tests.cli.run import Ran, run
 from tests.cli.studies import study_folder
 
-Capture = pytest.CaptureFixture[str]
 STAMPS = [f"2024-03-04T10:{second // 60:02d}:{second % 60:02d}" for second in range(3600)]
 SAMPLES = "".join(f"{stamp},0.01,{0.5 + number % 7 / 100:.2f},0.86\n" for number, stamp in enumerate(STAMPS))
 NO_VALUES = {
@@ -27,65 +26,44 @@ def rows(head: str, row: str, number: int = 60) -> str:
     return head + "\n" + "".join(row.format(i=i, stamp=STAMPS[i]) + "\n" for i in range(number))
 
 
+TABLES = """
+part2_summary.csv epochs
+"ID","filename","calendar_date","N valid hours","ENMO_fullRecording"
+"{i}","a.cwa","2024-03-04",20.{i},31.{i}
+part4_nightsummary.csv epochs
+"ID","night","sleeponset","wakeup","SptDuration","guider"
+"{i}",1,22.{i},30.{i},8.{i},"HDCZA"
+part5_daysummary.csv epochs
+ID,weekday,window_number,dur_spt_sleep_min,ACC_day_mg,FRAG_mean
+{i},Monday,1,400.{i},30.{i},5.{i}
+metalong.csv epochs
+timestamp,nonwearscore,clippingscore,lightmean,temperaturemean,EN
+{stamp}+0100,0,0,12.{i},25.{i},1.0{i}
+angles.csv epochs
+timenum,ENMO,MAD,angle_x,angle_y,angle_z
+{i},.0{i},.0{i},1.{i},2.{i},3.{i}
+biobank-epoch.csv epochs
+time,samples,enmoTrunc,xMean,yMean,zMean,xStd,yStd,zStd,temp
+{stamp}.000+0000 [Europe/London],3000,.1,.2,.3,.4,.1,.1,.1,25.{i}
+agcounts.csv epochs
+timestamp,Axis1,Axis2,Axis3,Vector.Magnitude
+{stamp},{i},{i},{i},{i}
+diary.csv other_quantities
+id,date,bed_time,sleep_onset,wake_time,nap_minutes,quality
+{i},2024-03-04,22:10,22:30,06:{i:02d},{i},3
+people.csv other_quantities
+participant,age,weight_kg,height_cm,sex
+{i},4{i},7{i}.5,17{i}.5,F
+gps.csv other_quantities
+time,lat,lon,altitude,speed
+{stamp},51.{i},7.{i},100.{i},1.{i}
+magnet.csv other_quantities
+time,mag_x,mag_y,mag_z
+{stamp},5{i}.5,7{i}.1,1{i}.2
+"""
+"""Three lines each: its name and why it is left out, its head, and its rows."""
+
 OTHERS = {
-    "part2_summary.csv": (
-        "epochs",
-        rows(
-            '"ID","filename","calendar_date","N valid hours","ENMO_fullRecording"',
-            '"{i}","a.cwa","2024-03-04",20.{i},31.{i}',
-        ),
-    ),
-    "part4_nightsummary.csv": (
-        "epochs",
-        rows(
-            '"ID","night","sleeponset","wakeup","SptDuration","guider"', '"{i}",1,22.{i},30.{i},8.{i},"HDCZA"'
-        ),
-    ),
-    "part5_daysummary.csv": (
-        "epochs",
-        rows(
-            "ID,weekday,window_number,dur_spt_sleep_min,ACC_day_mg,FRAG_mean",
-            "{i},Monday,1,400.{i},30.{i},5.{i}",
-        ),
-    ),
-    "metalong.csv": (
-        "epochs",
-        rows(
-            "timestamp,nonwearscore,clippingscore,lightmean,temperaturemean,EN",
-            "{stamp}+0100,0,0,12.{i},25.{i},1.0{i}",
-        ),
-    ),
-    "angles.csv": (
-        "epochs",
-        rows("timenum,ENMO,MAD,angle_x,angle_y,angle_z", "{i},.0{i},.0{i},1.{i},2.{i},3.{i}"),
-    ),
-    "biobank-epoch.csv": (
-        "epochs",
-        rows(
-            "time,samples,enmoTrunc,xMean,yMean,zMean,xStd,yStd,zStd,temp",
-            "{stamp}.000+0000 [Europe/London],3000,.1,.2,.3,.4,.1,.1,.1,25.{i}",
-        ),
-    ),
-    "agcounts.csv": (
-        "epochs",
-        rows("timestamp,Axis1,Axis2,Axis3,Vector.Magnitude", "{stamp},{i},{i},{i},{i}"),
-    ),
-    "diary.csv": (
-        "other_quantities",
-        rows(
-            "id,date,bed_time,sleep_onset,wake_time,nap_minutes,quality",
-            "{i},2024-03-04,22:10,22:30,06:{i:02d},{i},3",
-        ),
-    ),
-    "people.csv": (
-        "other_quantities",
-        rows("participant,age,weight_kg,height_cm,sex", "{i},4{i},7{i}.5,17{i}.5,F"),
-    ),
-    "gps.csv": (
-        "other_quantities",
-        rows("time,lat,lon,altitude,speed", "{stamp},51.{i},7.{i},100.{i},1.{i}"),
-    ),
-    "magnet.csv": ("other_quantities", rows("time,mag_x,mag_y,mag_z", "{stamp},5{i}.5,7{i}.1,1{i}.2")),
     "notes.txt": ("no_numbers", "recorded in spring\n"),
     "picture.jpg": ("no_format", "\xff\xd8\xff\x00\x01"),
     "a.cwa.crdownload": ("unfinished_copy", SAMPLES),
@@ -94,10 +72,14 @@ OTHERS = {
     "steps.agd": ("epochs", "SQLite format 3\0" + "\0" * 99 + "epochlength"),
     "lab.db": ("database", "SQLite format 3\0" + "\0" * 99),
 }
+OTHERS |= {
+    said.split()[0]: (said.split()[1], rows(head, row))
+    for said, head, row in zip(*[iter(TABLES.split("\n")[1:-1])] * 3, strict=True)
+}
 
 
-def study(capsys: Capture, folder: Path, *words: object) -> Ran:
-    return run(capsys, "study", folder, "-d", folder.parent / "out", "-j", 1, "--report-only", *words)
+def study(folder: Path, *words: object) -> Ran:
+    return run("study", folder, "-d", folder.parent / "out", "-j", 1, "--report-only", *words)
 
 
 def left_out(out: Path) -> dict[str, str]:
@@ -106,23 +88,23 @@ def left_out(out: Path) -> dict[str, str]:
     return {one["path"]: one["code"] for one in found}
 
 
-def test_u2_s5_what_is_left_out_is_named_by_what_it_is(tmp_path: Path, capsys: Capture) -> None:
+def test_u2_s5_what_is_left_out_is_named_by_what_it_is(tmp_path: Path) -> None:
     folder = study_folder(tmp_path / "in", ("a.raw",))
     for name, (_, text) in OTHERS.items():
         (folder / name).write_bytes(text.encode("latin-1"))
     (folder / "gone.csv").write_text(HEAD + SAMPLES)
     wanted = {name: code for name, (code, _) in OTHERS.items()}
     wanted |= {"gone.csv": "excluded", "readme.txt": "no_numbers"}
-    shown = study(capsys, folder, "--dry-run", "--exclude", "gone.*").err.splitlines()
+    shown = study(folder, "--dry-run", "--exclude", "gone.*").err.splitlines()
     named = [line.removeprefix("accelcal: ").split(": ")[0] for line in shown if "left out" in line]
     assert sorted(named) == sorted(wanted)
-    ran = study(capsys, folder, "-v", "--exclude", "gone.*")
+    ran = study(folder, "-v", "--exclude", "gone.*")
     assert ran.code == 0, ran.err
     assert left_out(tmp_path / "out") == wanted
     assert all(f"{name}: left out: " in ran.err for name in wanted)
-    again = study(capsys, folder, "--exclude", "gone.*")
+    again = study(folder, "--exclude", "gone.*")
     assert (again.code, left_out(tmp_path / "out")) == (0, wanted), "from the ledger"
-    assert run(capsys, "report", tmp_path / "out").code == 0
+    assert run("report", tmp_path / "out").code == 0
     page = (tmp_path / "out" / "study.html").read_text()
     assert all(name in page for name in OTHERS) and "gone.csv" not in page
 
@@ -164,7 +146,7 @@ def test_t2_utf_16_is_read(tmp_path: Path, encoding: str, packed: bool) -> None:
     assert counts[0] == counts[1]
 
 
-def test_t2_what_may_be_a_recording_is_a_row(tmp_path: Path, capsys: Capture) -> None:
+def test_t2_what_may_be_a_recording_is_a_row(tmp_path: Path) -> None:
     folder = study_folder(tmp_path / "in", ("a.raw",))
     (folder / "empty.cwa").touch()
     (folder / "vague.csv").write_text(rows("a,b,c,d", "0.{i},0.{i},0.{i},0.{i}"))
@@ -175,7 +157,7 @@ def test_t2_what_may_be_a_recording_is_a_row(tmp_path: Path, capsys: Capture) ->
         archive.writestr("SUB01/one.csv", HEAD + SAMPLES)
     with zipfile.ZipFile(folder / "photos.zip", "w") as archive:
         archive.writestr("photo.jpg", "x")
-    assert study(capsys, folder).code == 1
+    assert study(folder).code == 1
     table = (tmp_path / "out" / "study.csv").read_text()
     for name in ("empty.cwa", "vague.csv", "channels.csv", "head.csv", "nothing.csv", "one.zip"):
         assert f"\n{name}," in table, name
@@ -186,7 +168,7 @@ def test_t2_what_may_be_a_recording_is_a_row(tmp_path: Path, capsys: Capture) ->
     assert "in its first 16 MB" in table
 
 
-def test_t2_the_cases_are_rows_of_a_study(tmp_path: Path, capsys: Capture) -> None:
+def test_t2_the_cases_are_rows_of_a_study(tmp_path: Path) -> None:
     cases = Path(__file__).resolve().parents[3] / "shared" / "data" / "cases"
     if not cases.is_dir():
         pytest.skip(f"no {cases}")
@@ -194,21 +176,19 @@ def test_t2_the_cases_are_rows_of_a_study(tmp_path: Path, capsys: Capture) -> No
     names = [next(cases.glob(f"{number}_*")).name for number in ("04", "06", "34")]
     for name in names:
         (tmp_path / "in" / name).symlink_to(cases / name)
-    assert study(capsys, tmp_path / "in", "-R", "max_damage=50").code == 0
+    assert study(tmp_path / "in", "-R", "max_damage=50").code == 0
     table = (tmp_path / "out" / "study.csv").read_text()
     assert all(f"\n{name}," in table for name in names)
 
 
-def test_pages_of_accelcal_are_nobodys_recording_and_are_not_named(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pages_of_accelcal_are_not_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "data"
     folder.mkdir()
     (folder / "walk.csv").write_text(HEAD + SAMPLES)
-    run(capsys, "calibrate", "data/walk.csv", "--html")
+    run("calibrate", "data/walk.csv", "--html")
     assert (folder / "walk.html").is_file()
     (folder / "other.html").write_text("<!doctype html>\n<p>not of accelcal</p>\n")
-    ran = run(capsys, "study", "data", "-d", "out", "--dry-run", "-v")
+    ran = run("study", "data", "-d", "out", "--dry-run", "-v")
     assert "other.html" in ran.err
     assert "walk.html" not in ran.err

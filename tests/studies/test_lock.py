@@ -14,6 +14,8 @@ from accelcal_cli.core.errors import LockedError, OutputError
 from accelcal_cli.studies import lock
 from accelcal_cli.studies.lock import locked
 
+NO_PROCESS = (b"-1", b"0", b"true", b"1e3", b"9999999999999")
+
 
 def write(path: Path, **changed: object) -> Path:
     path.write_text(json.dumps({**json.loads(lock.this_run()), **changed}))
@@ -73,21 +75,19 @@ def test_another_hosts_lock_is_respected(name: str, options: str, tmp_path: Path
     assert path.exists()
 
 
-@pytest.mark.parametrize("text", ["", "{", '{"host": "x", "pi', '{"host": "x", "pid": "y"}'])
-def test_a_lock_without_an_owner_is_stale_after_a_while(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"", b"{", b'{"host": "x", "pi', b'{"host": "x", "pid": "y"}', b'{"host": "\xff", "pid": 1',
+        *(b'{"host": "x", "pid": %b, "started": null, "run": "x"}' % pid for pid in NO_PROCESS),
+    ],
+)  # fmt: skip
+def test_a_lock_without_an_owner_is_stale_after_a_while(tmp_path: Path, text: bytes) -> None:
     path = tmp_path / "study.lock"
-    path.write_text(text)
+    path.write_bytes(text)
     with pytest.raises(LockedError, match="another process"), locked(path):
         pass
     os.utime(path, (1, 1))
-    with locked(path):
-        assert json.loads(path.read_text())["pid"] == os.getpid()
-
-
-def test_a_lock_with_damaged_text_is_taken_over(tmp_path: Path) -> None:
-    path = tmp_path / "study.lock"
-    path.write_bytes(b'{"host": "\xff", "pid": 1')
-    os.utime(path, (0, 0))
     with locked(path):
         assert json.loads(path.read_text())["pid"] == os.getpid()
 

@@ -1,4 +1,5 @@
 """Two runs on one folder: a lock in any order of operations, and what a run does whose lock is not its own.
+from tests.cli.run import nightly
 
 Links, exclusive creation and answers behave as on NFS.
 """
@@ -22,6 +23,7 @@ from accelcal_cli.core.errors import LockedError
 from accelcal_cli.output import files
 from accelcal_cli.studies import lock
 from accelcal_cli.studies.lock import Lease, locked
+from tests.cli.run import nightly
 
 Patch = pytest.MonkeyPatch
 
@@ -75,9 +77,7 @@ def test_where_links_work_nothing_depends_on_exclusive_creation(tmp_path: Path, 
     assert all(name.endswith(".tmp") and str(os.getpid()) in name for name in created)
 
 
-def test_without_links_and_exclusive_creation_the_first_finds_that_it_lost(
-    tmp_path: Path, monkeypatch: Patch
-) -> None:
+def test_without_links_and_exclusive_creation_the_first_has_lost(tmp_path: Path, monkeypatch: Patch) -> None:
     path, real = tmp_path / "study.lock", Path.open
 
     def refuse(*_paths: object) -> None:
@@ -177,7 +177,7 @@ class Turns:
         return results
 
 
-@pytest.mark.parametrize(("first", "last"), [(0, 60), pytest.param(60, 3000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(("first", "last"), [(0, 60), nightly(60, 3000)])
 def test_in_any_order_of_operations_one_at_most_has_the_lock(tmp_path: Path, first: int, last: int) -> None:
     """Of three that come while a run that has ended is removed."""
     gone = ended(tmp_path / "gone")

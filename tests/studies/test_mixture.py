@@ -14,10 +14,7 @@ from tests.cli.run import Ran
 from tests.cli.studies import results, rows, run_in
 from tests.studies.mixture import mixture
 
-SIZES = [
-    pytest.param((2, 12, 6), id="20"),
-    pytest.param((185, 10, 5), id="200", marks=pytest.mark.nightly),
-]
+SIZES = [pytest.param((2, 12, 6), id="20"), pytest.param((185, 10, 5), id="200", marks=pytest.mark.nightly)]
 CODES = {"calibrated": "0", "refused": "4", "failed": "3"}
 
 

@@ -14,7 +14,7 @@ from tests.device_recordings import rest, write_device
 from tests.recordings import directions
 from tests.studies.borrowing import report
 from tests.studies.pooling import pool_of, study
-from tests.studies.processes import begun, kill, lines, soon
+from tests.studies.processes import killed_after
 
 PARTS = {"a/one": 0, "a/two": 7, "b/three": 13, "b/four": 19}
 """Recordings of device A1, and the first pose of each; 26 poses in all."""
@@ -55,11 +55,6 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert study(base).code == 1
     assert study(base, out="plain", pool=False).code == 1
     return base
-
-
-@pytest.fixture
-def here(base: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(base, tmp_path / "study")
 
 
 def test_a_pool_is_what_one_long_recording_would_be(base: Path) -> None:
@@ -164,15 +159,11 @@ def test_with_borrowing_what_is_left_borrows_from_the_pool(here: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
-@pytest.mark.parametrize(
-    "after", [pytest.param(after, marks=pytest.mark.nightly) for after in (10, 11, 12, 13, 15)]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("after", [10, 11, 12, 13, 15])
 def test_killed_at_any_moment_a_rerun_ends_as_if_nothing_had_been(base: Path, here: Path, after: int) -> None:
     """After so many lines of the ledger: ten own results, two pools, four members."""
-    shutil.rmtree(here / "out")
-    process = begun(Path("in"), Path("out"), "--pool", "device", cwd=here)
-    soon(lambda: lines(here / "out") >= after)
-    kill(process)
+    killed_after(here, after, "--pool", "device")
     study(here)
     assert results(here / "out") == results(base / "out")
 

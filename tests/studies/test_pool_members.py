@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.cli.run import nightly
 from tests.cli.studies import rows
 from tests.device_recordings import rest, write_device
 from tests.recordings import RATE_HZ, directions
@@ -45,7 +46,7 @@ def test_the_errors_on_its_own_windows_are_those_of_an_independent_calculation(t
         assert (row["own_outcome"], row["pool_recordings"]) == ("refused", "3")
 
 
-@pytest.mark.parametrize("prior", [pytest.param("none", marks=pytest.mark.nightly), "population"])
+@pytest.mark.parametrize("prior", [nightly("none"), "population"])
 def test_a_recording_that_contradicts_the_others_is_left_out(tmp_path: Path, prior: str) -> None:
     """A perfect sensor with the serial of another: each would put 30 mg of error on the other."""
     (tmp_path / "in").mkdir()

@@ -21,11 +21,9 @@ from tests.cli.studies import results, rows, study_in
 from tests.conftest import ROOT
 from tests.device_recordings import edit, rest, write_device
 from tests.recordings import GAIN, OFFSET_G, directions
-from tests.schema import check_report
 from tests.studies.borrowing import report
-from tests.studies.processes import begun, kill, lines, soon
+from tests.studies.processes import killed_after
 
-Capture = pytest.CaptureFixture[str]
 FEW = directions(12)[directions(12)[:, 2] > 0.2][:5]
 GOOD = "ABCDE"
 KINDS = dict.fromkeys([*GOOD, "far"], "population") | {"few1": "device", "few2": "study"}
@@ -59,11 +57,6 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return base
 
 
-@pytest.fixture
-def here(base: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(base, tmp_path / "study")
-
-
 def of(out: Path) -> dict[str, dict[str, str]]:
     return {row["path"].removesuffix(".raw"): row for row in rows(out)}
 
@@ -75,14 +68,12 @@ def error_mg(found: dict[str, Any]) -> float:
     return float(1000 * np.abs(np.linalg.norm(a, axis=1) - 1).mean())
 
 
-def test_it_says_which_prior_was_used_and_the_error_is_smaller(
-    base: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_it_says_which_prior_was_used_and_the_error_is_smaller(base: Path, tmp_path: Path) -> None:
     table = of(base / "out")
     assert {name: row["prior"] for name, row in table.items()} == KINDS
     assert json.loads((base / "out/study.json").read_text())["settings"]["prior"] == "device"
     for name in ("few1", "few2"):
-        run(capsys, "calibrate", base / f"in/{name}.raw", "-d", tmp_path, "--report-only")
+        run("calibrate", base / f"in/{name}.raw", "-d", tmp_path, "--report-only")
         own, found = report(tmp_path, name), report(base / "out", name)
         assert error_mg(found) < error_mg(own) / 2
         assert found["calibration_error_mg"]["ci95"][1] < own["calibration_error_mg"]["ci95"][1]
@@ -91,7 +82,6 @@ def test_it_says_which_prior_was_used_and_the_error_is_smaller(
 
 def test_the_report_says_what_was_learnt_and_from_whom(base: Path) -> None:
     found = report(base / "out", "few2")
-    check_report(found)
     said = found["prior"]
     assert found["settings"]["prior"] == said["kind"] == found["models_tried"][-1]["prior"] == "study"
     hashes = sorted(report(base / "out", name)["recording"]["sha256"] for name in GOOD)
@@ -100,7 +90,6 @@ def test_the_report_says_what_was_learnt_and_from_whom(base: Path) -> None:
     assert found["message"].endswith(" The prior was learnt from 5 other devices of model M1.")
     assert np.abs(np.subtract([said["centre"][name] for name in ("ox", "oy", "oz")], OFFSET_G)).max() < 0.006
     of_device = report(base / "out", "few1")
-    check_report(of_device)
     donor = report(base / "out", "A")["recording"]["sha256"]
     assert of_device["prior"]["device"] == [{"path": "A.raw", "sha256": donor}]
     assert of_device["message"].endswith(" The prior was learnt from 1 other recording of the device.")
@@ -115,14 +104,12 @@ def test_a_sensor_unlike_the_others_keeps_its_own_result(base: Path) -> None:
     assert row["cautions"].split()[-1] == "prior_not_learnt"
 
 
-def test_verify_repeats_it_from_report_and_recording_alone(
-    base: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_verify_repeats_it_from_report_and_recording_alone(base: Path, tmp_path: Path) -> None:
     for name in ("few1", "few2"):
         path = Path(shutil.copy(base / f"out/{name}.calibration.json", tmp_path))
-        assert verify(capsys, path, base / f"in/{name}.raw")[0].code == 0
+        assert verify(path, base / f"in/{name}.raw")[0].code == 0
     edit(path, lambda held: held["prior"]["centre"].update(ox=0.05))
-    assert verify(capsys, path, base / f"in/{name}.raw")[0].code == 1
+    assert verify(path, base / f"in/{name}.raw")[0].code == 1
 
 
 @pytest.mark.parametrize(
@@ -137,13 +124,11 @@ def test_verify_repeats_it_from_report_and_recording_alone(
     ],
 )
 def test_a_report_whose_prior_cannot_be_is_damaged(
-    base: Path, tmp_path: Path, capsys: Capture, change: Callable[[dict[str, Any]], object], what: str
+    base: Path, tmp_path: Path, change: Callable[[dict[str, Any]], object], what: str
 ) -> None:
     path = Path(shutil.copy(base / "out/few2.calibration.json", tmp_path))
     edit(path, change)
-    ran = run(capsys, "verify", path, base / "in/few2.raw")
-    assert ran.code == 3
-    assert_one_line(ran, f"is a damaged report: {what}")
+    assert_one_line(run("verify", path, base / "in/few2.raw"), f"is a damaged report: {what}", code=3)
 
 
 @pytest.mark.nightly
@@ -181,21 +166,20 @@ def test_what_changes_is_learnt_anew(here: Path) -> None:
     assert source["sha256"] == hashlib.sha256((here / "in/A.raw").read_bytes()).hexdigest()
 
 
-def test_its_coefficients_are_applied_and_verified(base: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_its_coefficients_are_applied_and_verified(base: Path, tmp_path: Path) -> None:
     held = base / "out/few1.calibration.json"
     for name, words in (("few1", ()), ("few2", ("--any-device",))):
         recording, made = base / f"in/{name}.raw", tmp_path / f"{name}.calibration.json"
-        assert run(capsys, "apply", "--coefficients", held, recording, "-d", tmp_path, *words).code == 0
+        assert run("apply", "--coefficients", held, recording, "-d", tmp_path, *words).code == 0
         assert json.loads(made.read_text())["calibration"] == report(base / "out", "few1")["calibration"]
-        again = run(capsys, "verify", made, recording, "--coefficients", held)
+        again = run("verify", made, recording, "--coefficients", held)
         assert again.lines[0].split("\t")[1] == "identical"
     assert json.loads(made.read_text())["settings"]["prior"] == "population"
 
 
 @pytest.mark.parametrize("words", ["calibrate in/A.raw --prior study", "inspect in/A.raw --prior device"])
-def test_a_learnt_prior_is_refused_elsewhere_with_where_it_is_available(capsys: Capture, words: str) -> None:
-    ran = run(capsys, *words.split())
-    assert ran.code == 2
+def test_a_learnt_prior_is_refused_elsewhere_with_where_it_is_available(words: str) -> None:
+    ran = run(*words.split(), code=2)
     more = f"see: accelcal {words.split(maxsplit=1)[0]} --help\n"
     assert ran.err.endswith(f"is available only in `accelcal study`: it uses other recordings; {more}")
 
@@ -208,13 +192,9 @@ def test_a_learnt_prior_is_refused_elsewhere_with_where_it_is_available(capsys: 
         ("study in -d x --prior study --model 9", "--prior study does not go with --model 9"),
     ],
 )
-def test_what_it_does_not_go_with(
-    base: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, words: str, said: str
-) -> None:
+def test_what_it_does_not_go_with(base: Path, monkeypatch: pytest.MonkeyPatch, words: str, said: str) -> None:
     monkeypatch.chdir(base)
-    ran = run(capsys, *words.split())
-    assert ran.code == 2
-    assert_one_line(ran, said)
+    assert_one_line(run(*words.split()), said, code=2)
     assert not (base / "x").exists()
 
 
@@ -222,10 +202,7 @@ def test_what_it_does_not_go_with(
 @pytest.mark.nightly
 @pytest.mark.parametrize("after", [1, 4, 8, 9, 10])
 def test_killed_at_any_moment_a_rerun_ends_as_if_nothing_had_been(base: Path, here: Path, after: int) -> None:
-    shutil.rmtree(here / "out")
-    process = begun(Path("in"), Path("out"), "--prior", "device", "--report-only", cwd=here)
-    soon(lambda: lines(here / "out") >= after)
-    kill(process)
+    killed_after(here, after, "--prior", "device", "--report-only")
     assert study(here, "device").code == 0
     assert results(here / "out") == results(base / "out")
 

@@ -15,7 +15,7 @@ from accelcal_cli.core.reasons import Reason
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.studies import rounds as planning
 from accelcal_cli.studies.discovery import Where
-from accelcal_cli.studies.records import OWN, Item
+from accelcal_cli.studies.records import Item
 from accelcal_cli.studies.rounds import Plan, ledger_of, plan
 from accelcal_cli.studies.study import Shard, Study, shard
 from tests.cli.studies import run_in, study_folder
@@ -129,5 +129,5 @@ def test_a_shard_keeps_no_entries_of_others_in_memory(tmp_path: Path) -> None:
     study = Study(Where((folder,), out), Request(report_only=True), shard=shard("1/2"))
     whole, part = ledger_of(replace(study, shard=Shard())), ledger_of(study)
     for name in ("a.raw", "b.raw"):
-        assert whole.latest_of(name, study.asked(), [OWN])
-        assert bool(part.latest_of(name, study.asked(), [OWN])) == study.shard.owns(name)
+        assert [entry.asked for entry in whole.entries(name)] == [study.asked()]
+        assert bool(part.entries(name)) == study.shard.owns(name)

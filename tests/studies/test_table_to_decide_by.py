@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-import pytest
-
 from accelcal_cli.output.quality import wear_hours
 from tests.cli.run import run
 from tests.recordings import directions, still_counts, write_raw
@@ -18,15 +16,13 @@ FIRST = [
 ]  # fmt: skip
 
 
-def test_u11_the_table_says_first_what_to_use_and_why_not(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_u11_the_table_says_first_what_to_use_and_why_not(tmp_path: Path) -> None:
     """Recordings with many orientations and with one, and a table without a time."""
     (tmp_path / "in").mkdir()
     write_raw(tmp_path / "in" / "few.raw", still_counts(directions(1)))
     write_raw(tmp_path / "in" / "good.raw", still_counts(directions(60)))
     (tmp_path / "in" / "odd.csv").write_text("a,b,c\n" + "1,2,3\n" * 40)
-    run(capsys, "study", tmp_path / "in", "-d", tmp_path / "out", "--report-only", "-j", 1, "-q")
+    run("study", tmp_path / "in", "-d", tmp_path / "out", "--report-only", "-j", 1, "-q")
     with (tmp_path / "out" / "study.csv").open(encoding="utf-8", newline="") as file:
         table = csv.DictReader(file)
         rows = {row["path"]: row for row in table}

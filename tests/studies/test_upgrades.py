@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,62 +13,57 @@ import pytest
 from accelcal_cli.core.version import __version__
 from accelcal_cli.studies.upgrades import distance_mg
 from tests.cli.run import Ran, run
-from tests.cli.studies import study_folder
-
-Capture = pytest.CaptureFixture[str]
+from tests.cli.studies import change_ledger, study_folder
 
 
-def study(capsys: Capture, folder: Path, *words: object) -> Ran:
-    return run(capsys, "study", folder, "-d", folder.parent / "out", "-j", 1, "--report-only", *words)
+def study(folder: Path, *words: object) -> Ran:
+    return run("study", folder, "-d", folder.parent / "out", "-j", 1, "--report-only", *words)
 
 
 def as_if_made_by(out: Path, version: str) -> None:
     """Let the ledger and the summary say that another version made them, with coefficients a bit off."""
-    lines = []
-    for line in (out / "study.ledger").read_bytes().splitlines():
-        entry = json.loads(line.partition(b" ")[2])
+
+    def change(entry: dict[str, Any]) -> None:
         if entry["row"]:
             entry["asked"] = "0" * 16
             entry["row"] |= {"accelcal_version": version, "offset_x_g": entry["row"]["offset_x_g"] + 0.004}
-        text = json.dumps(entry).encode()
-        lines.append(f"{zlib.crc32(text):08x} ".encode() + text + b"\n")
-    (out / "study.ledger").write_bytes(b"".join(lines))
+
+    change_ledger(out, change)
     about = json.loads((out / "study.json").read_text())
     (out / "study.json").write_text(json.dumps(about | {"accelcal_version": version}))
 
 
-def test_u7_an_upgrade_says_what_is_made_again_and_how_it_changed(tmp_path: Path, capsys: Capture) -> None:
+def test_u7_an_upgrade_says_what_is_made_again_and_how_it_changed(tmp_path: Path) -> None:
     folder, out = study_folder(tmp_path / "in", ("a.raw", "b.raw")), tmp_path / "out"
-    assert all(line.endswith("\ttodo") for line in study(capsys, folder, "--dry-run").lines)
-    assert study(capsys, folder).code == 0
+    assert all(line.endswith("\ttodo") for line in study(folder, "--dry-run").lines)
+    assert study(folder).code == 0
     as_if_made_by(out, "0.0.9")
-    shown = study(capsys, folder, "--dry-run")
-    assert all(line.endswith("\ttodo (made by 0.0.9)") for line in shown.lines)
-    objects = [json.loads(line) for line in study(capsys, folder, "--dry-run", "--json").lines]
+    assert all(line.endswith("\ttodo (made by 0.0.9)") for line in study(folder, "--dry-run").lines)
+    objects = [json.loads(line) for line in study(folder, "--dry-run", "--json").lines]
     assert [one["why"] for one in objects if one["state"] == "todo"] == ["made by 0.0.9"] * 2
-    ran = study(capsys, folder)
+    ran = study(folder)
     assert "2 results to be made again (made by 0.0.9)\n" in ran.err
     found = re.search(
         rf"2 results made again by {re.escape(__version__)}, 0 with another outcome; (.*)", ran.err
     )
     assert found is not None and re.match(r"coefficients changed by [34]\.\d+ mg", found[1]), ran.err
-    assert "made again" not in study(capsys, folder).err
+    assert "made again" not in study(folder).err
 
 
-def test_with_other_options_too_both_are_said(tmp_path: Path, capsys: Capture) -> None:
+def test_with_other_options_too_both_are_said(tmp_path: Path) -> None:
     folder, out = study_folder(tmp_path / "in", ("a.raw", "b.raw")), tmp_path / "out"
-    assert study(capsys, folder).code == 0
+    assert study(folder).code == 0
     as_if_made_by(out, "0.0.9")
-    ran = study(capsys, folder, "--no-temperature")
+    ran = study(folder, "--no-temperature")
     assert "2 results to be made again (made by 0.0.9, --no-temperature)\n" in ran.err
 
 
-def test_results_of_a_development_version_are_named_and_made_again(tmp_path: Path, capsys: Capture) -> None:
+def test_results_of_a_development_version_are_named_and_made_again(tmp_path: Path) -> None:
     folder, out = study_folder(tmp_path / "in", ("a.raw", "b.raw")), tmp_path / "out"
-    assert study(capsys, folder).code == 0
+    assert study(folder).code == 0
     table = (out / "study.csv").read_bytes()
     without_identity(out, "0.3.0")
-    ran = study(capsys, folder)
+    ran = study(folder)
     text = "was made by a development version (0.3.0) of accelcal; its recordings are calibrated again"
     assert ran.code == 0 and f"study.json: {text}" in ran.err and "2 calibrated" in ran.err, ran.err
     assert (out / "study.csv").read_bytes() == table
@@ -81,13 +76,13 @@ def without_identity(out: Path, version: str) -> None:
         path.write_text(re.sub(r'"kind": "(study|report|quality|ledger)",', "", text))
 
 
-def test_u7_an_option_is_named_that_makes_results_again(tmp_path: Path, capsys: Capture) -> None:
+def test_u7_an_option_is_named_that_makes_results_again(tmp_path: Path) -> None:
     folder = study_folder(tmp_path / "in", ("a.raw", "b.raw"))
-    assert study(capsys, folder).code == 0
-    shown = study(capsys, folder, "--no-temperature", "--dry-run")
+    assert study(folder).code == 0
+    shown = study(folder, "--no-temperature", "--dry-run")
     assert all(line.endswith("\ttodo (--no-temperature)") for line in shown.lines), shown.out
     (folder / "a.raw").write_bytes((folder / "b.raw").read_bytes())
-    assert study(capsys, folder, "--dry-run").lines[0].endswith("\ttodo (changed)")
+    assert study(folder, "--dry-run").lines[0].endswith("\ttodo (changed)")
 
 
 def test_the_distance_of_two_calibrations_is_that_over_the_sphere() -> None:

@@ -13,6 +13,7 @@ from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.studies.discovery import Where, files
 from accelcal_cli.studies.executors import calibrated_in, with_absolute_paths
 from accelcal_cli.studies.task import CalibrationTask, Common, TaskResult, calibrated
+from tests.cli.run import nightly
 from tests.cli.studies import results, study_folder
 from tests.conftest import ROOT
 
@@ -43,7 +44,7 @@ def both(here: Path, folder: Path, patch: pytest.MonkeyPatch, request: Request) 
     return [one, two]
 
 
-@pytest.mark.parametrize("name", ["in", pytest.param(".", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("name", ["in", nightly(".")])
 def test_names_are_those_the_user_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     folder = study_folder(tmp_path / "in", NAMES)
     (folder / "zeros.cwa").write_bytes(bytes(4096))
@@ -56,9 +57,7 @@ def test_names_are_those_the_user_said(tmp_path: Path, monkeypatch: pytest.Monke
     assert report["recording"]["path"] == "a.raw"
 
 
-def test_a_layout_and_an_output_in_the_way_are_named_so_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_so_are_a_layout_and_an_output_in_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = study_folder(tmp_path / "in", NAMES)
     (folder / "a.layout.toml").rename(tmp_path / "all.toml")
     (folder / "b.layout.toml").unlink()

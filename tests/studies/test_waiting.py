@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from pathlib import Path
 
 import pytest
@@ -48,11 +47,6 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return base
 
 
-@pytest.fixture
-def here(base: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(base, tmp_path / "study")
-
-
 @pytest.mark.nightly
 def test_a_pool_waits_for_a_member_that_is_being_copied(here: Path) -> None:
     """A new member would make another pool, but one of the old ones is half there."""
@@ -84,8 +78,7 @@ def test_without_pools_what_is_being_copied_is_not_begun(here: Path) -> None:
     before = outputs(here, "a/one")
     (here / "in/a/one.raw").write_bytes((here / "in/a/one.raw").read_bytes()[:600])
     for words in ((), ("--borrow",)):
-        ran = study(here, *SETTLE, *words, pool=False)
-        assert "1 not started" in ran.err
+        assert "1 not started" in study(here, *SETTLE, *words, pool=False).err
         assert outputs(here, "a/one") == before
         assert [row["path"] for row in rows(here / "out")] == ["a/two.raw", "b/three.raw"]
 
