@@ -6,6 +6,7 @@ numpy, pyarrow or h5py, since every start of the command imports this.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -170,6 +171,14 @@ def sniff_mat(probe: Probe) -> int:
     return 100 if probe.head.startswith(b"MATLAB 5.0 MAT-file") else 90
 
 
+def _table(
+    name: str, title: str, suffixes: tuple[str, ...], sniff: Callable[[Probe], int], opens: str
+) -> Format:
+    """Return a format of files that hold nothing but tables."""
+    reader = f"{__name__}.{opens}"
+    return Format(name, title, suffixes, sniff, reader=reader, ignores=("layout",), is_table=True)
+
+
 CSV = Format(
     "csv",
     "text file (CSV) with a column each for x, y and z",
@@ -180,23 +189,19 @@ CSV = Format(
     belongs_to=belongs_to,
     refuse_others=refuse_other_texts,
 )
-PARQUET = Format(
+PARQUET = _table(
     "parquet",
     "Parquet file with a column each for x, y and z",
     (".parquet", ".pq"),
     sniff_parquet,
-    reader="accelcal_cli.formats.tables.arrow:open_parquet",
-    ignores=("layout",),
-    is_table=True,
+    "arrow:open_parquet",
 )
-FEATHER = Format(
+FEATHER = _table(
     "feather",
     "Feather file, or Arrow IPC file or stream, with a column each for x, y and z",
     (".feather", ".arrow", ".arrows", ".ipc"),
     sniff_feather,
-    reader="accelcal_cli.formats.tables.arrow:open_feather",
-    ignores=("layout",),
-    is_table=True,
+    "arrow:open_feather",
 )
 HDF5 = Format(
     "hdf5",
@@ -214,22 +219,10 @@ OPAL = Format(
     reader="accelcal_cli.formats.tables.opal:open_recording",
     ignores=("layout", "columns", *TIMES_OF_TABLES, *ONLY_TABLES),
 )
-NPZ = Format(
-    "npz",
-    "NumPy archive (.npz) with an array of acceleration",
-    (".npz",),
-    sniff_npz,
-    reader="accelcal_cli.formats.tables.npz:open_recording",
-    ignores=("layout",),
-    is_table=True,
+NPZ = _table(
+    "npz", "NumPy archive (.npz) with an array of acceleration", (".npz",), sniff_npz, "npz:open_recording"
 )
-MAT = Format(
-    "mat",
-    "MATLAB file (.mat) with an array of acceleration",
-    (".mat",),
-    sniff_mat,
-    reader="accelcal_cli.formats.tables.mat:open_recording",
-    ignores=("layout",),
-    is_table=True,
+MAT = _table(
+    "mat", "MATLAB file (.mat) with an array of acceleration", (".mat",), sniff_mat, "mat:open_recording"
 )
 FORMAT = (CSV, PARQUET, FEATHER, HDF5, OPAL, NPZ, MAT)

@@ -144,10 +144,6 @@ class ArrayRows:
 
     def read(self, start: int, stop: int) -> tuple[Any, NDArray[np.bool_]]:
         """See `RowSource`."""
-        values, good = self._values(start, stop)
-        return (self._texts(values), good) if self._array.track.dtype == TEXT else (values, good)
-
-    def _values(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         track, stored, across = self._array.track, self._array.stored, self._across
         place, count = self._array.place + start * self._step, (stop - start) * self._step
         plane = track.rows * self._step
@@ -164,16 +160,13 @@ class ArrayRows:
             values[:rows, first : first + across] = numbers
         if dtype.kind == "U":
             replace_no_letters(values)
-        return values, good
-
-    def _texts(self, values: NDArray[Any]) -> Any:
-        """Return texts as an array of Arrow (n,), null where empty."""
+        if track.dtype != TEXT:
+            return values, good
         import pyarrow as pa  # only where texts are parsed
 
-        texts = (
-            str(one, "utf-8", "replace") if isinstance(one, bytes) else one for one in values[:, 0].tolist()
-        )
-        return pa.array([text.strip("\0 ") or None for text in texts], pa.string())
+        cells = values[:, 0].tolist()
+        texts = (str(one, "utf-8", "replace") if isinstance(one, bytes) else one for one in cells)
+        return pa.array([text.strip("\0 ") or None for text in texts], pa.string()), good
 
 
 def replace_no_letters(texts: NDArray[np.str_]) -> bool:

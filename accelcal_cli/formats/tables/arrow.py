@@ -12,12 +12,12 @@ import json
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, NamedTuple, TypeVar
+from typing import Any, BinaryIO, ClassVar, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -89,11 +89,8 @@ class ArrowSource(TrackSource):
 
     def __init__(self, name: str, path: Path, kind: type[ArrowTable]) -> None:
         self.format = name
-        with opened(path, kind) as table:
-            self._table = table
-            self._leaves, self._around = table.leaves, table.around
-            self.missing_bytes = table.missing_bytes()
-            tracks = [leaf.track for leaf in table.leaves.values()]
+        table = self._table = opened(path, kind)
+        self.missing_bytes, tracks = table.missing_bytes(), [leaf.track for leaf in table.leaves.values()]
         super().__init__(path, tracks, damaged=table.damaged)
         self.can_be_entered = table.longest <= FARTHEST_ROWS
         if table.is_ours:
@@ -118,11 +115,11 @@ class ArrowSource(TrackSource):
 
     def own(self, path: str) -> Attributes:
         """Return the metadata of a column."""
-        return Attributes([self._leaves[path].own])
+        return Attributes([self._table.leaves[path].own])
 
     def around(self, path: str) -> Attributes:
         """Return the metadata of a column, then those of the file."""
-        return Attributes([self._leaves[path].own, self._around])
+        return Attributes([self._table.leaves[path].own, self._table.around])
 
 
 @contextmanager
@@ -143,17 +140,6 @@ class Leaf(NamedTuple):
     fields: tuple[str, ...]
     type: Any
     own: Mapping[str, object]
-
-
-def leaves_of(schema: Any, rows: int) -> tuple[dict[str, Leaf], int]:
-    """Return all tracks of a schema by their paths, and the number of names that several columns share."""
-    names = Counter(schema.names)
-    found: dict[str, Leaf] = {}
-    for field in (field for field in schema if names[field.name] == 1):
-        shown = "time" if field.name == UNNAMED_INDEX and not names["time"] else field.name
-        for leaf in _leaves(field, (field.name,), "/" + _part(shown), rows):
-            found.setdefault(leaf.track.path, leaf)
-    return found, sum(number > 1 for number in names.values())
 
 
 def _leaves(field: Any, names: tuple[str, ...], path: str, rows: int) -> Iterator[Leaf]:
@@ -253,7 +239,12 @@ class ArrowTable:
         if not rows:
             raise UnreadableError("holds no rows", path=path, hint="write it again with its rows")
         self.first_rows, self.longest = np.cumsum([0, *part_rows], dtype=np.int64), max(part_rows)
-        self.leaves, self.damaged = leaves_of(schema, rows)
+        names, self.leaves = Counter(schema.names), dict[str, Leaf]()
+        self.damaged = sum(number > 1 for number in names.values())
+        for field in (field for field in schema if names[field.name] == 1):
+            shown = "time" if field.name == UNNAMED_INDEX and not names["time"] else field.name
+            for leaf in _leaves(field, (field.name,), "/" + _part(shown), rows):
+                self.leaves.setdefault(leaf.track.path, leaf)
         stated = _texts(schema.metadata)
         self.around = {**json_object(json_object(stated.get("pandas")).get("attributes")), **stated}
 
@@ -273,26 +264,20 @@ class ArrowTable:
         raise NotImplementedError
 
 
-T = TypeVar("T", bound=ArrowTable)
-
-
-@contextmanager
-def opened(path: Path, kind: type[T]) -> Iterator[T]:
-    """Open a file as a table of a kind, and close it afterwards; raises UnreadableError for another."""
-    with ExitStack() as stack:
-        try:
-            file = stack.enter_context(path.open("rb"))
+def opened(path: Path, kind: type[ArrowTable]) -> ArrowTable:
+    """Return a file as a table of a kind, closed again; raise UnreadableError for another."""
+    try:
+        with path.open("rb") as file:
             if file.read(2) == GZIP_MAGIC:
                 hint = "unpack it first with gunzip"
                 raise UnreadableError(f"is {kind.names[0]} inside gzip", path=path, hint=hint)
             file.seek(0)
-            table = kind(path, file)
-        except ARROW_ERRORS as error:
-            with damage_suppressed(path):
-                raise
-            what = f"its {kind.names[1]} cannot be read ({' '.join(str(error).split())[:200]})"
-            raise UnreadableError(what, path=path, hint=f"the file is damaged: {AGAIN}") from error
-        yield table
+            return kind(path, file)
+    except ARROW_ERRORS as error:
+        with damage_suppressed(path):
+            raise
+        what = f"its {kind.names[1]} cannot be read ({' '.join(str(error).split())[:200]})"
+        raise UnreadableError(what, path=path, hint=f"the file is damaged: {AGAIN}") from error
 
 
 class IpcTable(ArrowTable):
@@ -317,7 +302,10 @@ class IpcTable(ArrowTable):
         if not self._whole:
             self._file.seek(self._start)
             self._schema = pa.ipc.open_stream(self._file).schema
-        rows = [*self._footer_rows()] if self._whole else [rows for _, _, rows, _ in self._heads[0]]
+        if self._whole:
+            rows = [*map(self._rows_of, range(pa.ipc.open_file(self._file).num_record_batches))]
+        else:
+            rows = [rows for _, _, rows, _ in self._heads[0]]
         self._find(path, self._schema, [max(0, number) for number in rows])
         self.damaged += sum(number < 0 for number in rows)
         numbers = [leaf.track for leaf in self.leaves.values() if leaf.track.dtype != TEXT]
@@ -349,14 +337,12 @@ class IpcTable(ArrowTable):
             return found, self._start == 0
         return found, False
 
-    def _footer_rows(self) -> Iterator[int]:
-        """Yield the rows of each batch that the footer knows; -1 for one that cannot be found."""
-        for number in range(pa.ipc.open_file(self._file).num_record_batches):
-            rows = -1
-            with damage_suppressed(self.path):
-                rows = self._batch(0, number).num_rows
-            heads = self._heads[0] if rows < 0 else []
-            yield heads[number][2] if number < len(heads) else rows
+    def _rows_of(self, number: int) -> int:
+        """Return the rows of a batch that the footer knows; -1 for one that cannot be found."""
+        with damage_suppressed(self.path):
+            return int(self._batch(0, number).num_rows)
+        heads = self._heads[0]
+        return heads[number][2] if number < len(heads) else -1
 
     def _batch(self, column: int, number: int) -> Any:
         """Return a column of a batch."""
@@ -411,7 +397,8 @@ class ParquetTable(ArrowTable):
                 refuse_other(about_it, SAMPLES, path)
             rate = json_object(about_it.get("recording")).get("sample_rate_hz")
             self.around |= {"sample_rate": rate, "time_zone": None}
-            self.calibrated = calibrated_of(about_it)
+            if about_it.get("outcome") != "refused" or about_it.get("calibration") is not None:
+                self.calibrated = _calibrated(about_it)  # a refused one holds raw values
 
     def attach(self, file: BinaryIO) -> None:
         """See `ArrowTable`."""
@@ -435,10 +422,8 @@ class ParquetTable(ArrowTable):
         return self._begins[part] if part < len(self._begins) else None
 
 
-def calibrated_of(about: dict[str, Any]) -> Calibrated | None:
-    """Return how a recording of ours was calibrated, by its metadata; a refused one holds raw values."""
-    if about.get("outcome") == "refused" and about.get("calibration") is None:
-        return None
+def _calibrated(about: dict[str, Any]) -> Calibrated:
+    """Return how a recording of ours was calibrated, by its metadata."""
     recording, result = (json_object(about.get(name)) for name in ("recording", "result"))
     outcome, error = result.get("outcome"), result.get("held_out_mg")
     return Calibrated(
@@ -472,12 +457,9 @@ def _refuse_ends(path: Path, file: BinaryIO) -> None:
     if first != signatures.PARQUET_MAGIC:
         raise UnreadableError("is not a Parquet file, or its beginning is damaged", path=path, hint=AGAIN)
     if last != signatures.PARQUET_MAGIC:
-        raise UnreadableError(
-            "is cut short: its end, which says where everything is, is missing",
-            path=path,
-            byte_offset=size,
-            hint="copy it again from its source, or let the program that writes it finish",
-        )
+        what = "is cut short: its end, which says where everything is, is missing"
+        hint = "copy it again from its source, or let the program that writes it finish"
+        raise UnreadableError(what, path=path, byte_offset=size, hint=hint)
 
 
 class PartRows:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from accelcal_cli.core.vocabulary import find_unit
 from accelcal_cli.core.written_times import is_date, is_time, read_date
@@ -62,6 +62,11 @@ def cell_kind(cell: str, decimal_comma: bool) -> Kind:
         return Kind.NUMBER
     known = DATE.fullmatch(cell) or TIME_OF_DAY.fullmatch(cell) or is_time(cell) or is_date(cell)
     return Kind.TIME if known else Kind.TEXT
+
+
+def present(cells: Iterable[str]) -> list[str]:
+    """Return the cells that are not missing, without blanks around them."""
+    return [text for cell in cells if (text := cell.strip()) not in MISSING]
 
 
 def least_of(number: int, share: float) -> float:

@@ -39,6 +39,10 @@ COLD = ("missing_value", "{rows} without a temperature: the last one before hold
 AHEAD = ("clock_gap", "the time jumps ahead{jump}{repeated}")
 BACK = ("clock_back", "the time goes back{jump}{repeated}")
 WITH_ITS_ZONE = (FOLLOWED, "the times follow a change of the clocks in {zone}")
+FAULTS = (
+    *((OUT_OF_RANGE, Fault.OUT_OF_RANGE), (IMPOSSIBLE_TIME, Fault.TIME)),
+    *((BAD_LINE, Fault.LINE), (FRACTION, Fault.FRACTION)),
+)
 CODES = [
     *(MISSING[0], OUT_OF_RANGE[0], IMPOSSIBLE_TIME[0], BAD_LINE[0], FRACTION[0], LOST[0], ASLEEP[0]),
     *(AHEAD[0], BACK[0], FOLLOWED, WRAPPED),
@@ -91,10 +95,6 @@ class _GoodRows:
     line: NDArray[np.int64]
     time_us: NDArray[np.int64] | None
 
-    def of(self, values: Any) -> Any:
-        """Return the entries of these rows in a column of the stretch."""
-        return values if self.keep is None else values[self.keep]
-
 
 class Assembler:
     """Makes chunks of the rows of a table, in order.
@@ -134,11 +134,12 @@ class Assembler:
     def chunks(self, rows: Rows, piece: Piece, chunk_samples: int) -> Iterator[Chunk]:
         """Yield the good rows of the next ones, which end with a piece, at most `chunk_samples` a chunk."""
         kept = self._kept(rows)
-        counts = kept.of(rows.counts)
-        channels = {name: kept.of(values) for name, values in rows.channels.items()}
+        channels, keep = dict(rows.channels), kept.keep
         if rows.filled is not None and rows.filled.any():
             validity = np.where(rows.filled, np.uint8(Validity.FILLED), np.uint8(Validity.MEASURED))
-            channels["validity"] = kept.of(validity)
+            channels["validity"] = validity
+        counts, channels = rows.counts, channels if keep is None else recording.cut_channels(channels, keep)
+        counts = counts if keep is None else counts[keep]
         events = list(self._row_events(rows))
         breaks, clock_jumps = self._breaks(kept, events, rows.first_row + len(rows))
         for event in events:
@@ -153,10 +154,14 @@ class Assembler:
         borders = [len(counts) * part // pieces for part in range(pieces + 1)]
         for start, stop in pairwise(borders):
             part = slice(start, stop)
+            clock: Clock = UniformClock(
+                self._start_us, int(kept.row[start]) if len(kept.row) else 0, self._rate
+            )
+            clock = clock if kept.time_us is None else StampClock(kept.time_us[part])
             yield Chunk(
                 self.samples,
                 counts[part],
-                self._clock(kept, start, stop),
+                clock,
                 piece.end_byte,
                 breaks=breaks[(breaks >= start) & (breaks < stop)] - start,
                 clock_jumps=clock_jumps[(clock_jumps >= start) & (clock_jumps < stop)] - start,
@@ -200,25 +205,7 @@ class Assembler:
     def _row_events(self, rows: Rows) -> Iterator[Event]:
         """Yield what concerns single rows: those left out, those not measured, changes of the clocks."""
         yield from self._wrap_events(rows)
-        good = rows.fault == Fault.NONE
-        flags: list[tuple[Kind, NDArray[np.bool_], int]] = []
-        if not good.all():
-            missing = rows.fault == Fault.MISSING
-            missing |= (rows.fault == Fault.EMPTY) & (self._stride == 1)
-            flags.append((MISSING, missing, self._row_bytes))
-            for kind, fault in (
-                (OUT_OF_RANGE, Fault.OUT_OF_RANGE),
-                (IMPOSSIBLE_TIME, Fault.TIME),
-                (BAD_LINE, Fault.LINE),
-                (FRACTION, Fault.FRACTION),
-            ):
-                flags.append((kind, rows.fault == fault, self._row_bytes))
-        if rows.filled is not None and rows.filled.any():
-            flags.append((ASLEEP, rows.filled, 0))
-        followed = self._stream.followed
-        here = [row - rows.first_row for row in followed if 0 <= row - rows.first_row < len(rows)]
-        if here:
-            flags.append((self._with_its_zone, np.isin(np.arange(len(rows)), here), 0))
+        good, flags = rows.fault == Fault.NONE, [*self._flags(rows)]
         before = np.cumsum(good) - good if flags or rows.where is not None else good
         for kind, flag, row_bytes in flags:
             yield from self._runs(rows, kind, flag, (before, row_bytes, None))
@@ -232,6 +219,21 @@ class Assembler:
             sample = self.samples + int(np.count_nonzero(good[:first]))
             place = rows.first_row + first, 1
             yield Event(*place, *COLD, None, sample, count, line=int(rows.line[first]), scattered=True)
+
+    def _flags(self, rows: Rows) -> Iterator[tuple[Kind, NDArray[np.bool_], int]]:
+        """Yield kinds of events, the rows (n,) that they concern, and the bytes that each of these costs."""
+        if rows.fault.any():
+            empty = (rows.fault == Fault.EMPTY) & (self._stride == 1)
+            yield MISSING, (rows.fault == Fault.MISSING) | empty, self._row_bytes
+            for kind, fault in FAULTS:
+                yield kind, rows.fault == fault, self._row_bytes
+        if rows.filled is not None and rows.filled.any():
+            yield ASLEEP, rows.filled, 0
+        here = [
+            row - rows.first_row for row in self._stream.followed if 0 <= row - rows.first_row < len(rows)
+        ]
+        if here:
+            yield self._with_its_zone, np.isin(np.arange(len(rows)), here), 0
 
     def _runs(
         self, rows: Rows, kind: Kind, flag: NDArray[np.bool_], about: tuple[NDArray[Any], int, int | None]
@@ -263,7 +265,6 @@ class Assembler:
         return f"and more of the same: {text}" if run.scattered and run.event.kind != COLD else text
 
     def _place(self, run: Run) -> str:
-        """Return where a run is."""
         where = self._source.place(run.event.line)
         return f"before {where}" if run.event.code in JUMPS else f"from {where} on"
 
@@ -285,12 +286,6 @@ class Assembler:
             stamps = UniformClock(self._start_us, rows.first_row, self._rate).times(0, len(rows))
         return _GoodRows(keep, rows.row[keep], rows.line[keep], stamps[keep])
 
-    def _clock(self, kept: _GoodRows, start: int, stop: int) -> Clock:
-        if kept.time_us is not None:
-            return StampClock(kept.time_us[start:stop])
-        first = int(kept.row[start]) if len(kept.row) else 0
-        return UniformClock(self._start_us, first, self._rate)
-
     def _breaks(
         self, kept: _GoodRows, events: list[Event], stop: int
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -305,7 +300,10 @@ class Assembler:
         if not len(kept.row):
             return recording.NO_BREAKS, recording.NO_BREAKS
         first, self._begun = not self._begun, True
-        rows = self._strides(kept, first)
+        before = int(kept.row[0]) - 1 if first else self._last_row
+        even = kept.keep is None and kept.row[0] == before + 1
+        # distances [rows] from the good row before
+        rows = np.ones(1, np.int64) if even else -(-np.diff(kept.row, prepend=before) // self._stride)
         broken = rows > 1
         self._last_row = int(kept.row[-1])
         if kept.time_us is None or self._layout.clock is None:
@@ -320,13 +318,6 @@ class Assembler:
         self._last_jump = AHEAD if ahead[-1] else BACK if back[-1] else None
         jumps = ahead | back
         return np.flatnonzero(broken | jumps), np.flatnonzero(jumps & ~broken)
-
-    def _strides(self, kept: _GoodRows, first: bool) -> NDArray[np.int64]:
-        """Return distances [rows] from the good row before: (n,), or (1,) where all are alike."""
-        before = int(kept.row[0]) - 1 if first else self._last_row
-        if kept.keep is None and kept.row[0] == before + 1:
-            return np.ones(1, np.int64)
-        return -(-np.diff(kept.row, prepend=before) // self._stride)
 
     def _jumps(
         self, kind: Kind, places: NDArray[np.int64], kept: _GoodRows, steps: NDArray[np.int64], stop: int

@@ -24,6 +24,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.written_times import (
     AMBIGUOUS,
     READ,
+    Surroundings,
     has_buddhist_year,
     is_digits_of_day,
     is_time,
@@ -47,6 +48,7 @@ from accelcal_cli.formats.tables.cells import (
     cell_kind,
     column_kind,
     number_of,
+    present,
 )
 from accelcal_cli.formats.tables.dates import date_texts, order_of
 from accelcal_cli.formats.tables.header import (
@@ -58,7 +60,7 @@ from accelcal_cli.formats.tables.header import (
     Kind,
     Source,
 )
-from accelcal_cli.formats.tables.names import microseconds_in
+from accelcal_cli.formats.tables.names import Name, microseconds_in
 from accelcal_cli.formats.tables.roles import Roles
 from accelcal_cli.formats.tables.units import EMPTY, as_floats
 from accelcal_cli.formats.tables.values import in_arrow, moments, told
@@ -136,12 +138,6 @@ class TimeFormat:
         """True if its times have a date: they count from 1970, or from a known moment."""
         return self.since_1970 or self.base_us is not None
 
-    def counted_from(self, start_us: int) -> TimeFormat:
-        """Return the format of numbers that count from the start of the recording, with that start known."""
-        if self.unit_us is None or self.since_1970:
-            return self
-        return replace(self, base_us=start_us, is_local=True)
-
     def of_numbers(self, values: NDArray[Any]) -> NDArray[np.int64]:
         """Return numbers (n,) as times (n,) [us], NO_TIME where one is empty.
 
@@ -185,6 +181,14 @@ class DateColumn:
         """Return the time that two cells give together, as ISO 8601; what is not a date stays as it is."""
         found = read_date(day.strip(), None if YEAR.match(day.strip()) else self.order)
         return f"{day.strip() if found is None else found.isoformat()}T{time.strip()}"
+
+    def cells(self, days: Sequence[Cell], times: Sequence[Cell]) -> list[Cell]:
+        """Return cells of dates and of times of day as cells of both, empty where one of the two is."""
+        pairs = zip(days, times, strict=True)
+        return [
+            (self.moment(day, time) if day.strip() and time.strip() else "", line)
+            for (day, _), (time, line) in pairs
+        ]
 
     def times(
         self, days: CellTexts, hours: Any, form: TimeFormat
@@ -234,93 +238,84 @@ class Clock:
         NO_TIME stands where a time is missing, IMPOSSIBLE where it does not exist, LOST where it is in a lost
         part of the file.
         """
-        times, wrong = self._times(block)
-        for damage in block.damage:
-            if damage.column in self.wanted:
-                times = np.where(damage.lost, LOST, times)
+        values, wrong = block.values[self.column.number], dict[int, str]()
+        if self.format.unit_us is not None:
+            times = self.format.of_numbers(values)
+        elif isinstance(values, np.ndarray):
+            times = values
+        else:
+            if self.date is None:
+                times, rows = self.format.of_texts(values)
+            else:
+                times, rows = self.date.times(block.values[self.date.number], values, self.format)
+            wrong = told(self.column.number, values, rows, "time")
+        for column, lost in block.damage.items():
+            if column in self.wanted:
+                times = np.where(lost, LOST, times)
         return times, wrong
 
-    def _times(self, block: Block) -> tuple[NDArray[np.int64], dict[int, str]]:
-        """Return what `times` does, with anything in lost rows."""
-        values = block.values[self.column.number]
-        if self.format.unit_us is not None:
-            return self.format.of_numbers(values), {}
-        if isinstance(values, np.ndarray):
-            return values, {}
-        if self.date is None:
-            times, wrong = self.format.of_texts(values)
-        else:
-            times, wrong = self.date.times(block.values[self.date.number], values, self.format)
-        number = self.column.number
-        return times, told(number, values, wrong, "time")
 
-
-@dataclass(frozen=True, slots=True)
-class TimeRules:
-    """The facts known of a column of times before its cells are looked at.
-
-    Attributes:
-        asked: -R time_format.
-        unit_us: microseconds in one unit, by the name of the column or the vendor.
-        ticks: the column counts ticks of an unknown length; fine: it is Xsens' SampleTimeFine.
-        rate_hz: sampling rate, as the user or a vendor's header says; hint_hz: as lines above the table do.
-        order: of day, month and year in numbers.
-        zone: of the clock, by the name of the column.
-        decimal_comma: decimals are written with a comma.
-        moments: the type of the column says that it counts from 1970; local: on a clock of an unknown zone.
-        more: the cells of all first rows.
-    """
-
-    asked: str | None = None
-    unit_us: float | None = None
-    ticks: bool = False
-    fine: bool = False
-    rate_hz: float | None = None
-    hint_hz: float | None = None
-    order: str | None = None
-    zone: str | None = None
-    decimal_comma: bool = False
-    moments: bool = False
-    local: bool = False
-    more: Callable[[], list[str]] = list
-
-
-def find_time_format(cells: Sequence[Cell], rules: TimeRules, path: Path) -> TimeFormat:
+def find_time_format(
+    cells: Sequence[Cell],
+    column: Column,
+    source: Source,
+    options: ReadOptions,
+    order: str | None,
+    first: First,
+) -> TimeFormat:
     """Find out how the first cells of the time column are written.
 
     Args:
         cells: at least one, with their lines.
+        order: of day, month and year in numbers.
+        first: the first rows, of which these cells are some.
 
     Raises:
         UnreadableError: they can be read in more than one way, or are not times.
         UsageError: -R time_format is not a pattern of strptime.
     """
-    known = [(text, line) for cell, line in cells if (text := cell.strip()) not in MISSING]
-    known = known or [("", cells[0][1])]
-    kind = column_kind([text for text, _ in known], rules.decimal_comma, KIND_SHARE)
-    if kind in (Kind.NUMBER, Kind.TIME):  # what is neither costs its row, not the recording
-        known = [cell for cell in known if cell_kind(cell[0], rules.decimal_comma) is kind]
-    texts = [text for text, _ in known]
-    asked_us = microseconds_in(rules.asked or "")
-    if rules.asked is not None and asked_us is None:
-        return _written_format(_asked_form(rules.asked), known, rules, path)
+    known, asked, zone = _usual_cells(cells, source.decimal_comma), options.time_format, column.name.zone
+    texts, asked_us = [text for text, _ in known], microseconds_in(asked or "")
+    if asked is not None and asked_us is None:
+        return _written_format(_asked_form(asked), known, zone, source.path)
     numbers = [value for text in texts if (value := number_of(text)) is not None]
     if len(numbers) == len(texts):
-        if asked_us is None and (form := _form_of_digits(texts, rules)) is not None:
-            return _written_format(form, known, rules, path)
-        return _number_format(numbers, rules if asked_us is None else replace(rules, unit_us=asked_us), path)
-    commas = [text.replace(",", ".") for text in texts] if rules.decimal_comma else texts
-    stamps = [STAMP.fullmatch(text) for text in commas]
-    near = [stamp is not None and stamp["year"] in NS_YEARS for stamp in stamps]
-    if None not in stamps and 2 * sum(near) >= len(near):
-        zones = [stamp["zone"] for stamp in stamps if stamp is not None]
-        _refuse_mixed([zone is not None for zone in zones], known, path)
-        offsets = not {*zones} <= {None, "Z"}
-        return TimeFormat(None, zoned=zones[0] is not None, has_offsets=offsets, zone=rules.zone)
-    form = written_form(texts, rules.order)
-    if form is None:
-        raise _no_time(known, path)
-    return _written_format(form, known, rules, path)
+        unit_us = asked_us or source.stated.time_unit_us or column.name.time_unit_us
+        form = (
+            None if asked_us else _form_of_digits(texts, unit_us, lambda: source.cells(first, column, None))
+        )
+        if form is not None:
+            return _written_format(form, known, zone, source.path)
+        return _number_format(numbers, unit_us, column, source, options)
+    if (iso := _iso_format(known, source, zone)) is not None:
+        return iso
+    if (form := written_form(texts, order)) is None:
+        raise _no_time(known, source.path)
+    return _written_format(form, known, zone, source.path)
+
+
+def _usual_cells(cells: Sequence[Cell], decimal_comma: bool) -> list[Cell]:
+    """Return the cells that are not missing, of numbers or of times if most are one of these; at least one.
+
+    What is neither costs its row, not the recording.
+    """
+    known = [(text, line) for cell, line in cells if (text := cell.strip()) not in MISSING]
+    known = known or [("", cells[0][1])]
+    kind = column_kind([text for text, _ in known], decimal_comma, KIND_SHARE)
+    usual = kind in (Kind.NUMBER, Kind.TIME)
+    return [cell for cell in known if not usual or cell_kind(cell[0], decimal_comma) is kind]
+
+
+def _iso_format(known: Sequence[Cell], source: Source, zone: str | None) -> TimeFormat | None:
+    """Return the format of times in ISO 8601 with the year first; None for other times."""
+    comma = "," if source.decimal_comma else "."
+    found = [STAMP.fullmatch(text.replace(comma, ".")) for text, _ in known]
+    stamps = [stamp for stamp in found if stamp is not None]
+    if len(stamps) < len(found) or 2 * sum(stamp["year"] in NS_YEARS for stamp in stamps) < len(stamps):
+        return None
+    zones = [stamp["zone"] for stamp in stamps]
+    _refuse_mixed([one is not None for one in zones], known, source.path)
+    return TimeFormat(None, zoned=zones[0] is not None, has_offsets=not {*zones} <= {None, "Z"}, zone=zone)
 
 
 def _asked_form(asked: str) -> Written:
@@ -347,45 +342,53 @@ def _no_time(known: Sequence[Cell], path: Path) -> UnreadableError:
 
 def _refuse_mixed(zoned: Sequence[bool], known: Sequence[Cell], path: Path) -> None:
     if len(set(zoned)) == 2:
-        raise UnreadableError(
+        _, line = known[zoned.index(min((False, True), key=zoned.count))]
+        what, hint = (
             "some times have a zone and some do not",
-            path=path,
-            line=known[zoned.index(min((False, True), key=zoned.count))][1],
-            hint="write all of them with Z or an offset, or none",
+            "write all of them with Z or an offset, or none",
         )
+        raise UnreadableError(what, path=path, line=line, hint=hint)
 
 
-def _written_format(form: Written, known: Sequence[Cell], rules: TimeRules, path: Path) -> TimeFormat:
+def _written_format(form: Written, known: Sequence[Cell], zone: str | None, path: Path) -> TimeFormat:
     """Return the format of cells of a form, whose dates and zones must be of one kind."""
-    around = [form.cell(text) for text, _ in known]
-    if None in around:
-        raise _no_time(known[around.index(None) :], path)
-    found = [one for one in around if one is not None]
-    vague = next((one.vague for one in found if one.vague), None)
-    zoned = [one.offset_s is not None for one in found]
-    if vague is None:
-        _refuse_mixed(zoned, known, path)
-    offsets = vague is None and zoned[0]
-    dated = [one.dated for one in found]
-    if len(set(dated)) == 2:
-        raise _no_time(known[dated.index(min((False, True), key=dated.count)) :], path)
-    place = found[0].place if found[0].place and stated_zone(found[0].place) else None
-    how = [] if vague is None else [VAGUE.format(vague, AMBIGUOUS[vague])]
-    how += [f" (written in {place}, read by the offsets)"] * bool(place and offsets)
-    how += [" (times of day without a date)"] * (not dated[0])
-    how += [" (years of the Buddhist calendar)"] * any(map(has_buddhist_year, (text for text, _ in known)))
+    found = _read_cells(form, known, path)
+    vague = next(filter(None, (one.vague for one in found)), None)
+    offsets, named = vague is None and found[0].offset_s is not None, found[0].place or ""
+    known_place = bool(named and stated_zone(named))
+    how = "" if vague is None else VAGUE.format(vague, AMBIGUOUS[vague])
+    how += f" (written in {named}, read by the offsets)" * (known_place and offsets)
+    how += " (times of day without a date)" * (not found[0].dated)
+    how += " (years of the Buddhist calendar)" * any(has_buddhist_year(text) for text, _ in known)
     return TimeFormat(
         None,
         zoned=offsets,
-        since_1970=dated[0],
+        since_1970=found[0].dated,
         has_offsets=offsets and any(one.offset_s for one in found),
         written=replace(form, offsets=offsets, vague=vague is not None),
-        zone=None if offsets else rules.zone or place,
-        how="".join(how),
+        zone=None if offsets else zone or named * known_place or None,
+        how=how,
     )
 
 
-def _form_of_digits(texts: Sequence[str], rules: TimeRules) -> Written | None:
+def _read_cells(form: Written, known: Sequence[Cell], path: Path) -> list[Surroundings]:
+    """Return what a form says of cells; raise UnreadableError unless all are of it, and alike."""
+    found = []
+    for place, (text, _) in enumerate(known):
+        if (cell := form.cell(text)) is None:
+            raise _no_time(known[place:], path)
+        found.append(cell)
+    if not any(one.vague for one in found):
+        _refuse_mixed([one.offset_s is not None for one in found], known, path)
+    dated = [one.dated for one in found]
+    if len(set(dated)) == 2:
+        raise _no_time(known[dated.index(min((False, True), key=dated.count)) :], path)
+    return found
+
+
+def _form_of_digits(
+    texts: Sequence[str], unit_us: float | None, more: Callable[[], Sequence[Cell]]
+) -> Written | None:
     """Return the form of digits that are a date and a time of day, or the latter alone; None for counts.
 
     Digits such as 104140.000 are a time of day if a minute ends: seconds of 60 to 99 never occur, and one
@@ -393,9 +396,9 @@ def _form_of_digits(texts: Sequence[str], rules: TimeRules) -> Written | None:
     """
     if all(map(DATE_DIGITS.fullmatch, texts)) and (form := written_form(texts)) is not None:
         return form if all(found and found.day for found in map(form.cell, texts)) else None
-    if rules.unit_us is not None or not all(map(is_digits_of_day, texts)):
+    if unit_us is not None or not all(map(is_digits_of_day, texts)):
         return None
-    digits = [text for cell in rules.more() if (text := cell.strip()) not in MISSING]
+    digits = present(cell for cell, _ in more())
     if not all(map(is_digits_of_day, digits)):
         return None
     seconds = [float(text.replace(",", ".")) for text in digits]
@@ -403,71 +406,77 @@ def _form_of_digits(texts: Sequence[str], rules: TimeRules) -> Written | None:
     return digits_alone() if ends or any(text.startswith("0") for text in digits) else None
 
 
-def _number_format(values: Sequence[float], rules: TimeRules, path: Path) -> TimeFormat:
-    if rules.moments and rules.unit_us is not None:
-        how = f", in {UNIT_NAMES[rules.unit_us]}" + " since 1970" * (not rules.local)
-        return TimeFormat(rules.unit_us, is_local=rules.local, how=how)
+def _number_format(
+    values: Sequence[float], unit_us: float | None, column: Column, source: Source, options: ReadOptions
+) -> TimeFormat:
+    """Return the format of numbers; raise UnreadableError where neither size nor rate tells the unit."""
+    if column.is_moment and unit_us is not None:
+        how = f", in {UNIT_NAMES[unit_us]}" + " since 1970" * (not column.is_clock)
+        return TimeFormat(unit_us, is_local=column.is_clock, how=how)
     step, middle = _usual_step(values), sorted(values)[len(values) // 2]
-    hinted = replace(rules, rate_hz=rules.rate_hz or rules.hint_hz)
-    rules = hinted if _fitting_units(step, hinted) else rules
-    unit_us, rate_hz = rules.unit_us, rules.rate_hz
-    since = _units_since_1970(UNITS_US if unit_us is None else (unit_us,), step, middle)
-    fitting = _fitting_units(step, rules)
+    rate_hz, units = (
+        _useful_rate(step, column.name, source, options),
+        UNITS_US if unit_us is None else (unit_us,),
+    )
+    fitting = _fitting_units(step, rate_hz, column.name)
+    since = [unit for unit in units if _is_epoch(middle * unit) and step * unit <= LONGEST_PERIOD_US]
     sure = [unit for unit in since if unit in fitting]
     if sure or (since and not fitting):
         unit = (sure or since)[0]
         return TimeFormat(unit, how=f", in {UNIT_NAMES[unit]} since 1970")
     if unit_us is not None:
         return TimeFormat(unit_us, since_1970=bool(since), how=f", in {UNIT_NAMES[unit_us]}")
-    if fitting == [DAY_US] and (epoch_day := _epoch_day(middle)):
-        return TimeFormat(DAY_US, epoch_day=epoch_day, zone=rules.zone, how=", in days")
-    if len(fitting) == 1 and (rate_hz or not since):
-        by = "the stated rate" if rate_hz else "the ticks of Xsens" if rules.fine else "the rate"
-        return TimeFormat(fitting[0], since_1970=False, how=f", in {UNIT_NAMES[fitting[0]]} (judged by {by})")
-    name = shlex.quote(printable(path.name))
+    return _judged_format(step, middle, rate_hz, bool(since), column.name, source.path)
+
+
+def _useful_rate(step: float, name: Name, source: Source, options: ReadOptions) -> float | None:
+    """Return the stated rate [Hz], or that of a line above the table if a unit fits it."""
+    stated_hz = options.rate_hz or source.stated.rate_hz
+    hinted_hz = stated_hz or source.stated.hint_hz
+    return hinted_hz if _fitting_units(step, hinted_hz, name) else stated_hz
+
+
+def _judged_format(
+    step: float, middle: float, rate_hz: float | None, may_be_since_1970: bool, name: Name, path: Path
+) -> TimeFormat:
+    """Return the format of numbers whose unit is not stated, by the only one that fits the rate."""
+    fitting = _fitting_units(step, rate_hz, name)
+    day = next((day for day in EPOCH_DAYS if _is_epoch((middle - day) * DAY_US)), None)
+    if fitting == [DAY_US] and day:
+        return TimeFormat(DAY_US, epoch_day=day, zone=name.zone, how=", in days")
+    if len(fitting) == 1 and (rate_hz or not may_be_since_1970):
+        by = "the stated rate" if rate_hz else "the ticks of Xsens" if name.fine_ticks else "the rate"
+        how = f", in {UNIT_NAMES[fitting[0]]} (judged by {by})"
+        return TimeFormat(fitting[0], since_1970=False, how=how)
     known = f"does not fit {rate_hz:g} Hz" if rate_hz else "may be seconds or milliseconds"
     raise UnreadableError(
         f"the time column rises by {step:g} a row, which {known}",
         path=path,
-        hint="give the right --rate, or -R time_column=none with --rate if it only counts rows; "
-        f"or say its unit (s, ms, us or ns): accelcal calibrate {name} -R time_format=ms",
+        hint="give the right --rate, or -R time_column=none with --rate if it only counts rows; or say its "
+        f"unit (s, ms, us or ns): accelcal calibrate {shlex.quote(printable(path.name))} -R time_format=ms",
     )
-
-
-def _fitting_units(step: float, rules: TimeRules) -> list[float]:
-    """Return the units [us] in which numbers that rise by a step a row fit the rate, or an actigraph's.
-
-    A counter of ticks fits none without a rate; Xsens' counts 0.1 ms (MT Manager) or us (Movella DOT).
-    """
-    rate_hz = rules.rate_hz
-    low, high = (rate_hz / 2, rate_hz * 2) if rate_hz else PLAUSIBLE_HZ
-    exact = rate_hz is not None and 1 / DISAGREEMENT < step * TICK_US * rate_hz / 1e6 < DISAGREEMENT
-    units: tuple[float, ...] = (*UNITS_US, TICK_US, DAY_US) if exact else (*UNITS_US, DAY_US)
-    units = (TICK_US, 1.0) if rules.fine else () if rules.ticks and not rate_hz else units
-    periods = {unit: step * unit for unit in units}
-    return [unit for unit, period in periods.items() if period > 0 and low <= 1e6 / period <= high]
-
-
-def _units_since_1970(units: Sequence[float], step: float, middle: float) -> list[float]:
-    """Return the units [us] in which numbers count from 1970 and rise slowly enough."""
-    return [unit for unit in units if _is_epoch(middle * unit) and step * unit <= LONGEST_PERIOD_US]
-
-
-def _epoch_day(middle: float) -> float | None:
-    """Return the number of 1970-01-01 by which a number of days is a date of our time, None if none is."""
-    return next((day for day in EPOCH_DAYS if _is_epoch((middle - day) * DAY_US)), None)
-
-
-def _is_epoch(time_us: float) -> bool:
-    return EPOCH_S[0] <= time_us / 1e6 <= EPOCH_S[1]
 
 
 def _usual_step(values: Sequence[float]) -> float:
     """Return the rise a row: the median, or the mean where stamps repeat."""
-    steps = sorted(right - left for left, right in pairwise(values))
-    if not steps:
-        return 0.0
+    steps = sorted(right - left for left, right in pairwise(values)) or [0.0]
     return steps[len(steps) // 2] or (max(values) - min(values)) / len(steps)
+
+
+def _fitting_units(step: float, rate_hz: float | None, name: Name) -> list[float]:
+    """Return the units [us] in which numbers that rise by a step a row fit the rate, or an actigraph's.
+
+    A counter of ticks fits none without a rate; Xsens' counts 0.1 ms (MT Manager) or us (Movella DOT).
+    """
+    low, high = (rate_hz / 2, rate_hz * 2) if rate_hz else PLAUSIBLE_HZ
+    exact = rate_hz is not None and 1 / DISAGREEMENT < step * TICK_US * rate_hz / 1e6 < DISAGREEMENT
+    units: tuple[float, ...] = (*UNITS_US, TICK_US, DAY_US) if exact else (*UNITS_US, DAY_US)
+    units = (TICK_US, 1.0) if name.fine_ticks else () if name.ticks and not rate_hz else units
+    return [unit for unit in units if step * unit > 0 and low <= 1e6 / (step * unit) <= high]
+
+
+def _is_epoch(time_us: float) -> bool:
+    return EPOCH_S[0] <= time_us / 1e6 <= EPOCH_S[1]
 
 
 def find_clock(
@@ -482,49 +491,25 @@ def find_clock(
         UnreadableError: its times can be read in more than one way, or in no way.
         UsageError: -R time_format is not a pattern of strptime.
     """
-    column, about, path = roles.time, source.stated, source.path
-    if column is None:
+    if (column := roles.time) is None:
         return None, source
-    name = column.name
-    if column.unit and name.time_unit_us is None and column.kind is Kind.NUMBER:
-        raise UnreadableError(
-            f"the unit {column.unit!r} of the times in {column.described} is not known",
-            path=path,
-            hint="give -R time_format=UNIT (s, ms, us or ns), or ignore them with -R time_column=none",
-        )
-
-    def texts(one: Column) -> list[str]:
-        return [cell for cell, _ in source.cells(first, one, None)]
-
-    rules = TimeRules(
-        asked=options.time_format,
-        unit_us=about.time_unit_us or name.time_unit_us,
-        ticks=name.ticks,
-        fine=name.fine_ticks,
-        rate_hz=options.rate_hz or about.rate_hz,
-        hint_hz=about.hint_hz,
-        zone=name.zone,
-        decimal_comma=source.decimal_comma,
-        moments=column.is_moment,
-        local=column.is_clock,
-        more=lambda: texts(column),
-    )
-    cells = source.cells(first, column)
+    if column.unit and column.name.time_unit_us is None and column.kind is Kind.NUMBER:
+        what = f"the unit {column.unit!r} of the times in {column.described} is not known"
+        hint = "give -R time_format=UNIT (s, ms, us or ns), or ignore them with -R time_column=none"
+        raise UnreadableError(what, path=source.path, hint=hint)
+    cells, order = source.cells(first, column), None
     if roles.date is not None:
-        days = [f"{day.strip()} 00:00" for day in texts(roles.date)]
+        days = [f"{day.strip()} 00:00" for day, _ in source.cells(first, roles.date, None)]
         date = DateColumn(roles.date.number, order_of(date_texts(days), source, options))
-        pairs = zip(source.cells(first, roles.date), cells, strict=True)
-        moments_of = [
-            (date.moment(day, time) if day.strip() and time.strip() else "", line)
-            for (day, _), (time, line) in pairs
-        ]
-        return Clock(column, find_time_format(moments_of, rules, path), date), source
+        cells = date.cells(source.cells(first, roles.date), cells)
+        return Clock(column, find_time_format(cells, column, source, options, None, first), date), source
     if options.time_format is None and date_texts([cell for cell, _ in cells]):
-        order = order_of(date_texts(texts(column)), source, options)
-        own = None if order is None else source.with_date_order(column, order)
-        source, rules = own or source, replace(rules, order=None if own else order)
+        texts = [cell for cell, _ in source.cells(first, column, None)]
+        order = order_of(date_texts(texts), source, options)
+        if order is not None and (own := source.with_date_order(column, order)) is not None:
+            source, order = own, None
         cells = source.cells(first, column)
-    form = find_time_format(cells, rules, path)
+    form = find_time_format(cells, column, source, options, order, first)
     return Clock(column, _begun(form, column, cells, source)), source
 
 
@@ -537,12 +522,12 @@ def _begun(form: TimeFormat, column: Column, cells: Sequence[Cell], source: Sour
             has_offsets=since.had_offset, zone="UTC" if since.timezone == "UTC" else form.zone,
         )  # fmt: skip
     about = source.stated
-    from_zero = about.companion is not None or about.counts_from_zero
-    if about.start is None or not (from_zero or about.counts_from_start):
+    stated = about.companion is not None or about.counts_from_zero or about.counts_from_start
+    if about.start is None or not stated or form.unit_us is None or form.since_1970:
         return form
     first = next((value for cell, _ in cells if (value := number_of(cell)) is not None), 0.0)
-    begin_us = round(first * (form.unit_us or 0)) if about.counts_from_start else 0
-    return form.counted_from(about.start.us(None, source.path) - begin_us)
+    begin_us = round(first * form.unit_us) if about.counts_from_start else 0
+    return replace(form, base_us=about.start.us(None, source.path) - begin_us, is_local=True)
 
 
 def wraps_of(clock: Clock | None, times: NDArray[np.int64] | None) -> Wraps:

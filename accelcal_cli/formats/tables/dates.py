@@ -50,19 +50,14 @@ def _fitting_orders(texts: Sequence[str]) -> list[str]:
 
 
 def order_of(texts: list[str], source: Source, options: ReadOptions) -> str | None:
-    """Return the order of day, month and year in dates; None if there are none that need it."""
+    """Return the order of day, month and year in dates; None if there are none that need it.
+
+    A header suggests the only order in which the first row lies on the day on which it says it began.
+    """
     if not texts:
         return None
-    stated = _stated_orders(texts, source)
-    return find_order(texts, options.date_format, stated, source.path, source.first_line)
-
-
-def _stated_orders(texts: Sequence[str], source: Source) -> list[str]:
-    """Return the orders of dates that a header suggests, best first.
-
-    The best one is the only one in which the first row lies on the day on which the header says it began.
-    """
     about = source.stated
     days = about.start.days(about.date_order) if about.start is not None else ()
     fitting = [order for order in ORDERS if days and read_date(texts[0], order) in days]
-    return [order for order in (fitting[0] if len(fitting) == 1 else None, about.date_order) if order]
+    stated = [order for order in (fitting[0] if len(fitting) == 1 else None, about.date_order) if order]
+    return find_order(texts, options.date_format, stated, source.path, source.first_line)

@@ -54,14 +54,6 @@ class WithGyroscope(Reader):
             yield replace(chunk, gyro_counts=counts, breaks=breaks)
 
 
-def can_join(reader: Reader, gyro: Reader) -> bool:
-    """Return True if two sensors ran together: they have dates or neither has, and began together."""
-    one, two = reader.recording, gyro.recording
-    if (one.start_us is None) != (two.start_us is None):
-        return False
-    return abs((one.start_us or 0) - (two.start_us or 0)) <= LONGEST_DELAY_S * MICROSECONDS
-
-
 class _Rates:
     """Rates in the order of their times, as far as they have been needed."""
 

@@ -37,7 +37,6 @@ from accelcal_cli.formats.tables.tracks import (
     REFUSE_ABOVE_BYTES,
     TEXT,
     OpenRows,
-    RowSource,
     Track,
     TrackSource,
     track_of_shape,
@@ -298,11 +297,8 @@ def guarded(path: Path, what: str) -> Iterator[None]:
     try:
         yield
     except H5PY_ERRORS as error:
-        raise UnreadableError(
-            f"the {what} cannot be read ({brief(error)})",
-            path=path,
-            hint="the file is damaged: copy it again from its source",
-        ) from error
+        hint = "the file is damaged: copy it again from its source"
+        raise UnreadableError(f"the {what} cannot be read ({brief(error)})", path=path, hint=hint) from error
 
 
 def as_track(path: str, dataset: Any) -> Track | None:
@@ -363,11 +359,9 @@ def all_nodes(file: Any, path: Path) -> Iterator[tuple[str, Any]]:
                 if isinstance(node, h5py.Group) and parent.count("/") < DEEPEST:
                     groups.append(f"{parent}/{name}")
             if len(seen) > MOST_NODES:
-                raise UnreadableError(
-                    f"has more than {MOST_NODES} datasets and groups, as no recording does",
-                    path=path,
-                    hint="copy the recording to a file of its own, as with h5copy",
-                )
+                what = f"has more than {MOST_NODES} datasets and groups, as no recording does"
+                hint = "copy the recording to a file of its own, as with h5copy"
+                raise UnreadableError(what, path=path, hint=hint)
             yield f"{parent}/{name}", node
 
 
@@ -401,12 +395,13 @@ class Hdf5Source(TrackSource):
         with open_hdf5(self.path) as file, guarded(self.path, "description of the recording"):
             before, self.file = self.file, file
             try:
-                yield self._open_rows_of
+                yield (
+                    lambda track: (
+                        TextDataset(file[track.path]) if track.dtype == TEXT else TrackRows(self, track)
+                    )
+                )
             finally:
                 self.file = before
-
-    def _open_rows_of(self, track: Track) -> RowSource:
-        return TextDataset(self.file[track.path]) if track.dtype == TEXT else TrackRows(self, track)
 
     def own(self, path: str) -> NodeAttributes:
         """Return the attributes of a dataset alone."""

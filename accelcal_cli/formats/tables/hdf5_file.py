@@ -190,15 +190,12 @@ class NodeAttributes(Attributes):
                 node = file[path]
             except H5PY_ERRORS:
                 continue
-            self._layers.append(self._names(node))
+            try:
+                self._layers.append({normalized(name): name for name in node.attrs})
+            except H5PY_ERRORS:
+                self.damaged.append("*")
+                self._layers.append({})
             self._nodes.append((path, _members_by_name(node)))
-
-    def _names(self, node: Any) -> dict[str, object]:
-        try:
-            return {normalized(name): name for name in node.attrs}
-        except H5PY_ERRORS:
-            self.damaged.append("*")
-            return {}
 
     def read(self, depth: int, name: str) -> str | float | None:
         """Return the attribute, or else the dataset, of this name."""

@@ -48,11 +48,8 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
     except (OSError, RuntimeError) as error:
         if isinstance(error, OSError) and error.strerror:
             raise
-        raise OutputError(
-            f"cannot be written ({' '.join(str(error).split())[:200]})",
-            path=path,
-            hint="check the free space and the permissions",
-        ) from error
+        what = f"cannot be written ({' '.join(str(error).split())[:200]})"
+        raise OutputError(what, path=path, hint="check the free space and the permissions") from error
 
 
 class _Target(io.RawIOBase):
@@ -120,7 +117,7 @@ class _Writer:
         """Add one chunk to every dataset that it has values for."""
         accel = self._dataset("accel", chunk.counts)
         if not self._rows:
-            _describe(accel, self._recording)
+            self._describe(accel)
         self._add(accel, chunk.counts)
         if chunk.temperature_mc is not None:
             degrees = (chunk.temperature_mc / 1000).astype(np.float32)
@@ -130,6 +127,22 @@ class _Writer:
             self._add(self._dataset("gyro", chunk.gyro_counts, dps_per_lsb=steps[0]), chunk.gyro_counts)
         self._add_times(chunk)
         self._rows += len(chunk)
+
+    def _describe(self, accel: Any) -> None:
+        """State what the reader needs, and what is known of the device; unknown facts are left out."""
+        about, start = self._recording, self._recording.start_us
+        stated = {
+            "sample_rate": float(about.rate_hz),
+            "units": "counts",
+            "lsb_per_g": float(about.lsb_per_g),
+            "range_g": about.range_g,
+            "start_time": None if start is None else (EPOCH + timedelta(microseconds=start)).isoformat(),
+            "timezone": about.timezone,
+            "serial": about.device.serial,
+            "model": about.device.model,
+            "firmware": about.device.firmware,
+        }
+        _set(accel, stated)
 
     def _dataset(self, name: str, values: Any, **attributes: Any) -> Any:
         """Return the dataset of this name, made when its first values come."""
@@ -166,25 +179,6 @@ class _Writer:
 
     def _even(self, start: int, stop: int) -> Any:
         return UniformClock(self._recording.start_us or 0, 0, self._rate).times(start, stop)
-
-
-def _describe(accel: Any, recording: Recording) -> None:
-    """State what the reader needs, and what is known of the device; unknown facts are left out."""
-    start = recording.start_us
-    _set(
-        accel,
-        {
-            "sample_rate": float(recording.rate_hz),
-            "units": "counts",
-            "lsb_per_g": float(recording.lsb_per_g),
-            "range_g": recording.range_g,
-            "start_time": None if start is None else (EPOCH + timedelta(microseconds=start)).isoformat(),
-            "timezone": recording.timezone,
-            "serial": recording.device.serial,
-            "model": recording.device.model,
-            "firmware": recording.device.firmware,
-        },
-    )
 
 
 def _set(dataset: Any, attributes: dict[str, Any]) -> None:

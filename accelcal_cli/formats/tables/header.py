@@ -8,7 +8,7 @@ columns that are wanted, in the order of the rows; all that these mean is decide
 from __future__ import annotations
 
 import re
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import date
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.errors import AccelcalError, NoRecordingError, UnreadableError
+from accelcal_cli.core.errors import NoRecordingError, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Calibrated, Device, Problem
@@ -33,7 +33,6 @@ SAMPLE_ROWS = 200
 
 DAY_US = 86_400 * MICROSECONDS
 EPOCH = date(1970, 1, 1)
-NO_DEVICE = Device()
 FLOAT = np.dtype(np.float64)
 MOST_SHOWN = 20
 """Number of columns, and of objects, that a message names."""
@@ -65,6 +64,10 @@ class As(Enum):
 
     CODES = "codes"
     """`CellTexts`."""
+
+
+Wanted = Mapping[int, As]
+"""How the values of columns are wanted, by the numbers of these."""
 
 
 class CellTexts(NamedTuple):
@@ -202,7 +205,7 @@ class Stated:
     """
 
     title: str = ""
-    device: Device = NO_DEVICE
+    device: Device = field(default_factory=Device)
     preamble: int = 0
     names: tuple[str, ...] | None = None
     xyz: tuple[int, ...] | None = None
@@ -234,14 +237,6 @@ class Stated:
 
 
 @dataclass(frozen=True, slots=True)
-class Damage:
-    """The rows (n,) of a block that a column has lost."""
-
-    column: int
-    lost: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True)
 class Block:
     """Consecutive rows of a table.
 
@@ -249,13 +244,13 @@ class Block:
         line: (n,) the line of each row in a text file, or its number in the table, from 1.
         values: of the columns that were asked for, by their numbers, in the form that was asked for.
         bad: what is wrong with lines that are not rows, by the number of the row, which has no values.
-        damage: rows that are lost in damaged or missing parts of the file.
+        damage: flags (n,) of the rows that columns have lost in damaged or missing parts of the file.
     """
 
     line: NDArray[np.int64]
     values: Mapping[int, Any]
     bad: Mapping[int, str] = field(default_factory=dict)
-    damage: tuple[Damage, ...] = ()
+    damage: Mapping[int, NDArray[np.bool_]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.line)
@@ -289,6 +284,13 @@ class First:
 
     piece: Piece
     lines: frozenset[int] | None = None
+
+
+Cut = Callable[[bytes, bool], Piece | None]
+"""Takes the next bytes of a growing file, and True if they are the last ones.
+
+Returns the rows that are complete with them; None if there are none yet.
+"""
 
 
 class Source:
@@ -326,25 +328,20 @@ class Source:
     can_be_entered = False
     decimal_comma = False
 
-    def head(self, wanted: Mapping[int, As]) -> Piece:
+    def head(self, wanted: Wanted) -> Piece:
         """Return the first rows, by which the file is understood."""
         raise NotImplementedError
 
-    def more(self, wanted: Mapping[int, As]) -> Iterator[Piece]:
+    def more(self, wanted: Wanted) -> Iterator[Piece]:
         """Yield some rows of other places of the file, where it can be entered."""
         return iter(())
 
-    def last(self, wanted: Mapping[int, As]) -> Piece | None:
+    def last(self, wanted: Wanted) -> Piece | None:
         """Return the last rows; None where the end cannot be reached without reading all."""
         return None
 
     def pieces(
-        self,
-        wanted: Mapping[int, As],
-        samples: int,
-        start: int = 0,
-        stop: int | None = None,
-        threads: int = 1,
+        self, wanted: Wanted, samples: int, start: int = 0, stop: int | None = None, threads: int = 1
     ) -> Generator[Piece]:
         """Yield the rows of a file in order, about `samples` at a time; raise UnreadableError where they end.
 
@@ -353,7 +350,7 @@ class Source:
         """
         raise NotImplementedError
 
-    def parse(self, piece: Piece, wanted: Mapping[int, As]) -> Block:
+    def parse(self, piece: Piece, wanted: Wanted) -> Block:
         """Return the columns of a piece; this may run in any order, on several threads."""
         raise NotImplementedError
 
@@ -373,10 +370,10 @@ class Source:
             UnreadableError: what is stated contradicts itself, or is of another quantity.
         """
 
-    def check(self, wanted: Mapping[int, As]) -> None:
+    def check(self, wanted: Wanted) -> None:
         """Look at the columns that will be read; raise UnreadableError for those that cannot be."""
 
-    def row_bytes_of(self, wanted: Mapping[int, As]) -> float:
+    def row_bytes_of(self, wanted: Wanted) -> float:
         """Return the bytes of a row in the file, as far as its columns are wanted, or about that."""
         return self.row_bytes
 
@@ -400,7 +397,7 @@ class Source:
         """Return what is wrong with the end of the file, after its last piece."""
         return ()
 
-    def intake(self) -> LineIntake | None:
+    def intake(self) -> Cut | None:
         """Return what cuts the bytes of a growing file into pieces; None for a file that does not grow."""
         return None
 
@@ -408,10 +405,6 @@ class Source:
     def explaining(self) -> Iterator[None]:
         """Add to any error of ours that the file is cut short or damaged, if it is."""
         yield
-
-    def column(self, number: int) -> Column:
-        """Return the column of a number."""
-        return self.columns[number]
 
     def place(self, number: int) -> str:
         """Return the place of a row: `line 12`, `row 11`."""
@@ -423,21 +416,13 @@ def refuse_doubtful(stated: Stated, options: ReadOptions, path: Path, line: int 
 
     Counts of epochs raise a NoRecordingError. Who gives a unit insists on it.
     """
-    doubt, about = stated.doubt, {"path": path, "line": line}
+    doubt = stated.doubt
     if doubt is None or options.unit is not None:
         return
     if doubt.epochs:
         reason = Reason("epochs", {"whose": f"{stated.title}'s"})
-        raise NoRecordingError(doubt.message, hint=doubt.hint, reason=reason, **about)
+        raise NoRecordingError(doubt.message, path=path, line=line, hint=doubt.hint, reason=reason)
     raise UnreadableError(doubt.message, path=path, line=line, hint=doubt.hint)
-
-
-class LineIntake:
-    """Cuts the bytes of a growing file into pieces."""
-
-    def cut(self, data: bytes, *, last: bool) -> Piece | None:
-        """Return the rows that are complete with these bytes; None if there are none yet."""
-        raise NotImplementedError
 
 
 def readable(text: str) -> str:
@@ -503,26 +488,3 @@ class Attributes:
             found = re.match(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?", value)
             value = float(found[0]) if found else None
         return value if value is not None and np.isfinite(value) else None
-
-
-@contextmanager
-def explained(path: Path, missing_bytes: int, damaged: int) -> Iterator[None]:
-    """Add to any error of ours that a file is cut short or damaged.
-
-    Args:
-        missing_bytes: that it lacks at its end; -1 if that is not known.
-        damaged: number of its parts that cannot be read.
-    """
-    try:
-        yield
-    except AccelcalError as error:
-        what, hint, size = error.message, error.hint, None
-        if missing_bytes:
-            size = path.stat().st_size
-            to = f" to {size} of {size + missing_bytes} bytes" if missing_bytes > 0 else ""
-            what = f"is cut short{to}, so that {what}"
-            hint = "; or ".join(filter(None, (hint, "copy the whole file again from its source")))
-        elif damaged:
-            what = f"is damaged in {damaged} places, so that {what}"
-        error.message, error.byte_offset, error.hint = what, size, hint
-        raise

@@ -97,19 +97,17 @@ class MatElements:
                 end = start + size if kind == COMPRESSED else cursor.place
                 table.missing = max(0, end - self._size)
                 cursor.place = begin
-                self._array(self._inside(start, size) if kind == COMPRESSED else cursor)
+                if kind == COMPRESSED:
+                    pieces = partial(inflated, table.path, start, size)
+                    is_true = cache(partial(arrays.is_sound, pieces))
+                    cursor = Cursor(StoredBytes(table.path, 0, pieces, is_true), self._order)
+                self._array(cursor)
             except ValueError:
                 table.damaged += 1
         if end + TAG_BYTES <= self._size:
             table.damaged += 1
         elif end < self._size:
             table.missing = table.missing or -1
-
-    def _inside(self, start: int, size: int) -> Cursor:
-        """Return the beginning of what a stretch of the file unpacks to."""
-        pieces = partial(inflated, self._table.path, start, size)
-        is_true = cache(partial(arrays.is_sound, pieces))
-        return Cursor(StoredBytes(self._table.path, 0, pieces, is_true), self._order)
 
     def _array(self, cursor: Cursor, name: str = "", depth: int = 0) -> None:
         """Take the next element in, an array of any class, and go behind it."""

@@ -15,7 +15,6 @@ from accelcal_cli.core.thermometers import UNITS as HEAT_UNITS
 from accelcal_cli.core.vocabulary import (
     ABOUT_PEOPLE,
     ACCELEROMETER,
-    BARE_ACCELEROMETER,
     BARE_TIMES,
     GYROSCOPE,
     LABELS,
@@ -66,9 +65,7 @@ ZONE_WORD = re.compile(
 )
 """A zone among the words of a column's name."""
 
-TICKS = re.compile("tick", re.IGNORECASE)
 FINE_TICKS = re.compile(r"sample_?time_?fine", re.IGNORECASE)
-"""Name of Xsens' counter, whose ticks are 0.1 ms or 1 us."""
 
 WORDS_OF_UNITS = frozenset({Quantity.ACCELERATION, Quantity.COUNTS, Quantity.TIME, Quantity.TEMPERATURE})
 """Quantities whose units are known as the last word of a name, without brackets."""
@@ -147,12 +144,8 @@ class Name:
         """True if a word rules out that it is measured acceleration, or its unit is of another quantity."""
         unit = self.unit
         other = unit is not None and unit.quantity not in (Quantity.ACCELERATION, Quantity.COUNTS)
-        return bool(OTHER_SENSORS & set(self.stem)) or other or self.is_gauss
-
-    @property
-    def is_gauss(self) -> bool:
-        """True for a bare `G` without a word of an accelerometer: magnetometers are given in gauss."""
-        return self.stated == "G" and not self.is_accelerometer
+        gauss = self.stated == "G" and not self.is_accelerometer  # magnetometers are given in it
+        return bool(OTHER_SENSORS & set(self.stem)) or other or gauss
 
     @property
     def is_elsewhere(self) -> bool:
@@ -194,23 +187,13 @@ class Name:
 
     @property
     def ticks(self) -> bool:
-        """True if it says that it counts ticks; `fine_ticks`: those of Xsens."""
-        return TICKS.search(self.text) is not None
+        """True if it says that it counts ticks."""
+        return "tick" in self.text.lower()
 
     @property
     def fine_ticks(self) -> bool:
-        """True for the name of Xsens' counter."""
+        """True for Xsens' counter, whose ticks are 0.1 ms or 1 us."""
         return FINE_TICKS.fullmatch(self.text.strip()) is not None
-
-
-def is_accelerometer_group(text: str) -> bool:
-    """Return True if the name of a group says that it holds an accelerometer."""
-    return name_of(text).is_all(ACCELEROMETER | BARE_ACCELEROMETER)
-
-
-def is_gyroscope_group(text: str) -> bool:
-    """Return True if the name of a group says that it holds a gyroscope."""
-    return name_of(text).is_all(GYROSCOPE)
 
 
 def is_other_group(text: str) -> bool:

@@ -30,7 +30,7 @@ from accelcal_cli.formats.tables.hdf5_file import (
     members,
     open_hdf5,
 )
-from accelcal_cli.formats.tables.header import Attributes, Column, Stated, plain_value, readable
+from accelcal_cli.formats.tables.header import Column, Stated, plain_value, readable
 from accelcal_cli.formats.tables.names import name_of
 from accelcal_cli.formats.tables.reader import TableReader, open_table
 from accelcal_cli.formats.tables.tracks import TEXT, Track, header_problems
@@ -102,7 +102,13 @@ class OpalSource(Hdf5Source):
         super().__init__(path)
         usual = (ACCELERATION_UNIT, "us", TURN_UNIT, HEAT_UNIT)
         by_path = dict(zip(self._paths, usual, strict=True))
-        self.columns = tuple(_in_unit(one, by_path[f"/{one.path}"]) for one in self.columns)
+        units = [
+            one.unit or by_path[f"/{one.path}"] for one in self.columns
+        ]  # the usual one if none is stated
+        self.columns = tuple(
+            replace(one, unit=unit, name=name_of(one.name.text, unit))
+            for one, unit in zip(self.columns, units, strict=True)
+        )
         gyro = tuple(one.number for one in self.columns if f"/{one.path}" == self._paths[2])
         self.stated = Stated(xyz=(0,), time=1, gyro=gyro or None)
 
@@ -112,18 +118,20 @@ class OpalSource(Hdf5Source):
         self._sensor = _choose(_sensors(file, self._layout), self._wanted, path)
         names = (self._layout.accel, TIME, self._layout.gyro, self._layout.temperature)
         self._paths = [f"/{self._sensor.group}/{name}" for name in names]
-        found = [_track(file, one, width) for one, width in zip(self._paths, (3, 1, 3, 1), strict=True)]
-        accel, time = found[:2]
-        for name, width, track in zip(self._paths, (3, 1), found, strict=False):
-            if track is None or accel is None or track.rows != accel.rows:
+        found, rows = [], None
+        for name, width, needed in zip(self._paths, (3, 1, 3, 1), (True, True, False, False), strict=True):
+            node = file.get(name)
+            track = as_track(name, node) if isinstance(node, h5py.Dataset) else None
+            fits = track is not None and track.dtype != TEXT and track.width == width
+            if track is not None and fits and rows in (None, track.rows):
+                rows = track.rows
+                found.append(replace(track, is_moment=True, unit="us") if name == self._paths[1] else track)
+            elif needed:
                 shape = counted(width, "number")
-                raise UnreadableError(
-                    f"column {name} is missing or does not have one row of {shape} for each sample",
-                    path=path,
-                    hint="export the recording again with the vendor's software",
-                )
-        found[1] = time and replace(time, is_moment=True, unit="us")
-        return [one for one in found if one and accel and one.rows == accel.rows], [], 0
+                what = f"column {name} is missing or does not have one row of {shape} for each sample"
+                hint = "export the recording again with the vendor's software"
+                raise UnreadableError(what, path=path, hint=hint)
+        return found, [], 0
 
     def settle(self, xyz: Sequence[Column], gyro: Sequence[Column], options: ReadOptions) -> None:
         """See `Source`."""
@@ -132,19 +140,17 @@ class OpalSource(Hdf5Source):
             zone, label = settings.text("Timezone"), self._sensor.label
             notes = [f"worn at: {label}"] * bool(label) + [f"recorded in the time zone {zone}"] * bool(zone)
             firmware = settings.text("Firmware Version", "VersionString1")
+            accel = self.own(self._paths[0])
+            unit = PER_G.get(acceleration_unit(accel.text("Units") or ACCELERATION_UNIT) or "")
+            limits = [abs(limit) for name in ("Upper Limit", "Lower Limit") if (limit := accel.number(name))]
             self.stated = Stated(
                 device=Device("Opal", readable(self._sensor.serial), firmware),
                 rate_hz=settings.number("Sample Rate", "SampleRate") or None,
-                range_g=_range_g(self.own(self._paths[0])),
+                range_g=min(limits) / unit if limits and unit else None,
                 timezone="UTC",
                 notes=tuple(notes),
             )
             self.rows, self.problems = xyz[0].rows, header_problems(settings)
-
-
-def _in_unit(column: Column, unit: str) -> Column:
-    """Return a column in its usual unit if none is stated of it."""
-    return column if column.unit else replace(column, unit=unit, name=name_of(column.name.text, unit))
 
 
 def _version(file: Any) -> int | None:
@@ -157,12 +163,9 @@ def _layout(file: Any, path: Path) -> OpalLayout:
     if version is not None and OLDEST <= version <= NEW:
         return LAYOUTS[max(version, OLD)]
     what = "is not an APDM Opal file" if version is None else f"is an Opal file of version {version}"
-    raise UnreadableError(
-        f"{what}; versions {OLDEST} to {NEW} can be read",
-        path=path,
-        byte_offset=0,
-        hint="export it again with the vendor's software, or try --format hdf5",
-    )
+    what += f"; versions {OLDEST} to {NEW} can be read"
+    hint = "export it again with the vendor's software, or try --format hdf5"
+    raise UnreadableError(what, path=path, byte_offset=0, hint=hint)
 
 
 def _sensors(file: Any, layout: OpalLayout) -> list[OpalSensor]:
@@ -173,23 +176,19 @@ def _sensors(file: Any, layout: OpalLayout) -> list[OpalSensor]:
         settings = [attributes_of(file, f"{group}/{layout.settings}") for group in groups]
         labels = [known.text("Label 0", "Label 1") or "" for known in settings]
     else:
-        serials, labels = (_texts(file.attrs.get(name, ())) for name in ("CaseIdList", "MonitorLabelList"))
+        lists = (file.attrs.get(name, ()) for name in ("CaseIdList", "MonitorLabelList"))
+        items = (np.atleast_1d(np.asarray(values, dtype=object)) for values in lists)
+        serials, labels = ([str(plain_value(one) or "") for one in some] for some in items)
         groups = serials
     found = map(OpalSensor, serials, chain(labels, repeat("")), groups)
     return [sensor for sensor in found if f"{sensor.group}/{layout.accel}" in file]
 
 
-def _texts(values: object) -> list[str]:
-    """Return the texts of a list attribute, each without padding."""
-    return [str(plain_value(item) or "") for item in np.atleast_1d(np.asarray(values, dtype=object))]
-
-
 def _choose(sensors: list[OpalSensor], wanted: str | None, path: Path) -> OpalSensor:
     listed = ", ".join(str(item) for item in sensors)
     if not sensors:
-        raise UnreadableError(
-            "holds no sensor with an accelerometer", path=path, hint="record with the accelerometer enabled"
-        )
+        hint = "record with the accelerometer enabled"
+        raise UnreadableError("holds no sensor with an accelerometer", path=path, hint=hint)
     if wanted is None and len(sensors) > 1:
         what = f"holds {len(sensors)} sensors: {listed}"
         hint = f"choose one with --sensor, or each in a study with --sensor {EACH}"
@@ -200,17 +199,3 @@ def _choose(sensors: list[OpalSensor], wanted: str | None, path: Path) -> OpalSe
         what = "no sensor" if not found else "several sensors"
         raise UsageError(f"{what} named {wanted!r}", path=path, hint=f"the file holds {listed}")
     return found[0]
-
-
-def _track(file: Any, path: str, width: int) -> Track | None:
-    """Return a dataset with `width` numbers a row; None if there is none."""
-    node = file.get(path)
-    track = as_track(path, node) if isinstance(node, h5py.Dataset) else None
-    return track if track is not None and track.dtype != TEXT and track.width == width else None
-
-
-def _range_g(accel: Attributes) -> float | None:
-    """Return the smaller of the two limits that the vendor gives [g]."""
-    unit = PER_G.get(acceleration_unit(accel.text("Units") or ACCELERATION_UNIT) or "")
-    found = [abs(limit) for name in ("Upper Limit", "Lower Limit") if (limit := accel.number(name))]
-    return min(found) / unit if found and unit else None

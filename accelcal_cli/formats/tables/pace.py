@@ -47,29 +47,25 @@ def find_pace(stamps: NDArray[np.int64] | None, source: Source, options: ReadOpt
         stamps: (n,) the first times [us]; None if the table has none.
 
     Raises:
-        UnreadableError: nothing tells the rate, or two of these contradict each other.
+        UnreadableError: nothing tells the rate, two of these contradict each other, or no recorder has it.
         UsageError: the user's rate contradicts that of the header of a table without times.
     """
-    stated_hz, path = source.stated.rate_hz, source.path
+    stated_hz, user_hz, path = source.stated.rate_hz, options.rate_hz, source.path
     if stamps is not None:
         known = stamps[stamps > LOST]
-        if options.rate_hz is None and stated_hz is not None:
-            return _checked(_agreeing_pace(known, stated_hz, path), path)
-        return _checked(_pace_of(known, options.rate_hz, path), path)
-    if stated_hz is not None:
-        return _checked(Pace(agreed_rate(options, stated_hz, path)), path)
-    if options.rate_hz is None:
+        by_header = user_hz is None and stated_hz is not None
+        pace = _agreeing_pace(known, stated_hz or 0, path) if by_header else _pace_of(known, user_hz, path)
+    elif stated_hz is not None:
+        pace = Pace(agreed_rate(options, stated_hz, path))
+    elif user_hz is not None:
+        pace = Pace(user_hz)
+    else:
         raise UnreadableError(
             "no column is known to hold the time",
             path=path,
             hint="name it with -R time_column=NAME, or give the sampling rate with --rate HZ; means of still "
             "windows are fitted with `accelcal fit`",
         )
-    return _checked(Pace(options.rate_hz), path)
-
-
-def _checked(pace: Pace, path: Path) -> Pace:
-    """Return a pace that can be worked with; raise UnreadableError for a rate that no recorder has."""
     if not SLOWEST_HZ <= pace.rate_hz <= FASTEST_HZ:
         what = f"a sampling rate of {pace.rate_hz:g} Hz cannot be right"
         raise UnreadableError(what, path=path, hint="give it with --rate HZ")
@@ -80,27 +76,19 @@ def _pace_of(stamps: NDArray[np.int64], user_hz: float | None, path: Path) -> Pa
     """Return the pace of the first rows, whose times are `stamps` (n,) [us]; raises as `find_pace`."""
     pace = shared_pace(stamps) if shares_stamps(stamps) else _pace_of_single_stamps(stamps)
     if pace is None and user_hz is None:
-        raise UnreadableError(
-            f"the sampling rate cannot be found from the times of its rows{_alike(stamps)}",
-            path=path,
-            hint="give it with --rate",
-        )
+        why = ": none of the first ones exists"
+        if len(stamps):
+            alike = f": {iso_time(int(stamps[0]), None)} in each of the first {len(stamps)}"
+            why = alike * (not np.ptp(stamps))
+        what = f"the sampling rate cannot be found from the times of its rows{why}"
+        raise UnreadableError(what, path=path, hint="give it with --rate")
     if pace is None or user_hz is None:
         return pace or Pace(float(user_hz or 0), only_stamp_period(stamps))
     if not pace.agrees(user_hz):
-        raise UnreadableError(
-            f"its times say {pace.rate_hz:g} Hz, not {user_hz:g} Hz",
-            path=path,
-            hint="omit --rate, or ignore the times with -R time_column=none",
-        )
+        what = f"its times say {pace.rate_hz:g} Hz, not {user_hz:g} Hz"
+        hint = "omit --rate, or ignore the times with -R time_column=none"
+        raise UnreadableError(what, path=path, hint=hint)
     return Pace(user_hz, pace.stamp_period_us)
-
-
-def _alike(stamps: NDArray[np.int64]) -> str:
-    """Return what is wrong with times (n,) that show no rate, for a message."""
-    if not len(stamps):
-        return ": none of the first ones exists"
-    return f": {iso_time(int(stamps[0]), None)} in each of the first {len(stamps)}" * (not np.ptp(stamps))
 
 
 def _agreeing_pace(stamps: NDArray[np.int64], header_hz: float, path: Path) -> Pace:
@@ -114,11 +102,9 @@ def _agreeing_pace(stamps: NDArray[np.int64], header_hz: float, path: Path) -> P
     except UnreadableError:
         return _pace_of(stamps, header_hz, path)
     if not pace.agrees(header_hz):
-        raise UnreadableError(
-            f"its header says {header_hz:g} Hz, the times of its rows say {pace.rate_hz:g} Hz",
-            path=path,
-            hint=f"export the raw data; or give --rate {pace.rate_hz:g} if the rows are right",
-        )
+        what = f"its header says {header_hz:g} Hz, the times of its rows say {pace.rate_hz:g} Hz"
+        hint = f"export the raw data; or give --rate {pace.rate_hz:g} if the rows are right"
+        raise UnreadableError(what, path=path, hint=hint)
     return Pace(header_hz, pace.stamp_period_us)
 
 

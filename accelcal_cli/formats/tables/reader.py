@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, RESET_US
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import Chunk, Device, Intake, Reader, Recording
+from accelcal_cli.core.recording import Chunk, Intake, Reader, Recording
 from accelcal_cli.core.thermometers import HeatUnit, unit_by_values
 from accelcal_cli.formats._stamps import IMPOSSIBLE, spread
 from accelcal_cli.formats._unsigned import FOUND_ZERO
@@ -26,15 +26,15 @@ from accelcal_cli.formats.tables.clock import Clock, find_clock, wraps_of
 from accelcal_cli.formats.tables.header import (
     As,
     Block,
-    Column,
+    CellTexts,
+    Cut,
     First,
-    LineIntake,
     Piece,
     Source,
     refuse_doubtful,
 )
 from accelcal_cli.formats.tables.pace import find_pace
-from accelcal_cli.formats.tables.roles import Roles, find_roles, heat_notes, names_group
+from accelcal_cli.formats.tables.roles import Roles, find_roles, names_group
 from accelcal_cli.formats.tables.rows import Heat, Layout, RowStream, Turns, not_rows
 from accelcal_cli.formats.tables.sensors import (
     ONLY,
@@ -48,7 +48,6 @@ from accelcal_cli.formats.tables.units import (
     UNKNOWN,
     as_floats,
     common_dtype,
-    described_scale,
     find_scale,
     find_turn_scale,
     group_values,
@@ -78,24 +77,6 @@ class Plan:
     notes: tuple[str, ...]
     watch: SensorWatch | None = None
 
-    @property
-    def stamped(self) -> bool:
-        """True if its rows have times such as a computer writes; a counter does not follow its zone."""
-        return self.layout.clock is not None and self.layout.clock.format.since_1970
-
-    @property
-    def timezone(self) -> str | None:
-        """The zone of its clock, as the file says it."""
-        clock, stated = self.layout.clock, self.source.stated.timezone
-        if clock is None:
-            return stated
-        return "UTC" if clock.format.is_utc else clock.format.zone or stated
-
-    @property
-    def sensor_note(self) -> str | None:
-        """Says which rows are read; None for all."""
-        return None if self.layout.chosen is None else self.layout.chosen.note
-
 
 def find_plan(source: Source, options: ReadOptions) -> Plan:
     """Decide what to read of a table, and how.
@@ -119,7 +100,7 @@ def find_plan(source: Source, options: ReadOptions) -> Plan:
         sensor = None
     chosen = find_chosen(source, sensor, roles.dividing)
     if chosen is not None:
-        block = source.parse(chosen.piece, codes_of(number for number, _ in chosen.texts))
+        block = source.parse(chosen.piece, chosen.wanted)
         first = First(chosen.piece, frozenset(block.line[chosen.rows(block)].tolist()))
     clock, source = find_clock(source, first, roles, options)
     return _Understood(source, options, roles, clock, chosen).plan(first.piece)
@@ -137,65 +118,45 @@ class _Understood:
 
     def plan(self, piece: Piece) -> Plan:
         """Return the plan, by the first rows."""
-        source, options, roles = self.source, self.options, self.roles
+        source, options, roles, clock = self.source, self.options, self.roles, self.clock
         whole = source.parse(piece, self._wanted)
         block = self._head(whole)
         if 2 * len(block.bad) > len(block):
             row, fault = next(iter(block.bad.items()))
             raise not_rows(source, int(block.line[row]), fault)
-        times = None if self.clock is None else self.clock.times(block)[0]
-        wraps = wraps_of(self.clock, times)
+        times = None if clock is None else clock.times(block)[0]
+        wraps = wraps_of(clock, times)
         times = None if times is None else RunningOn(wraps).running_on(times)
         watch = self._watch(block, times)
         values = as_floats(group_values(block.values, roles.xyz))
         scale, guessed = find_scale(self._more_values(values), block.line, roles, source, options)
-        stride = usual_stride(values)
-        measured = times if times is None or stride == 1 else times[~np.isnan(values).any(axis=1)]
+        # the usual distance [rows] between rows with values
+        places = np.flatnonzero(~np.isnan(values).any(axis=1))
+        stride = max(1, int(np.median(np.diff(places)))) if len(places) > 1 else 1
+        measured = times if times is None or stride == 1 else times[places]
         pace = find_pace(measured, source, options)
-        heat, like_heat = self._heat(block)
-        turns, turn_notes = self._turns(block, values)
-        layout = Layout(
-            roles.xyz,
-            scale,
-            self.clock,
-            pace,
-            heat,
-            turns,
-            source.stated.marks,
-            self.chosen,
-            wraps,
-            source.stated.repeats_idle,
-            stride,
-            self._start_us(),
-        )
+        (heat, heat_notes), (turns, turn_notes) = self._heat(block), self._turns(block, values)
+        stated, start_us = source.stated, None
+        if clock is None and stated.start is not None:
+            start_us = stated.start.us(options.date_format or stated.date_order, source.path)
+        read = roles.xyz, scale, clock, pace, heat, turns, stated.marks, self.chosen
+        layout = Layout(*read, wraps, stated.repeats_idle, stride, start_us)
         source.check(layout.wanted)
         source.row_bytes = source.row_bytes_of(layout.wanted) * len(whole) / max(len(block), 1)
-        about = replace(
-            roles,
-            heat=None if heat is None else roles.heat,
-            heat_unit=None if heat is None else heat.unit,
-            like_heat=like_heat,
-        )
-        found_zero = (FOUND_ZERO.format(scale.zero),) * scale.found_zero
         notes = (
-            *self._first_notes(),
-            described_scale(scale, guessed),
-            *found_zero,
+            *[f"an export of {stated.title}"] * bool(stated.title),
+            *stated.notes,
+            f"x, y, z: {', '.join(column.described for column in roles.xyz)}",
+            f"unit: {scale.unit}{' (judged by the length of gravity)' * guessed}",
+            *[FOUND_ZERO.format(scale.zero)] * scale.found_zero,
             *self._time_notes(),
-            *heat_notes(about),
-            *(SPARSE.format(stride),) * (stride > 1),
+            *heat_notes,
+            *[SPARSE.format(stride)] * (stride > 1),
             *turn_notes,
             *pace.notes,
             *source.last_notes,
         )
         return Plan(source, layout, notes, watch)
-
-    def _start_us(self) -> int | None:
-        """Return the time of the first row where rows carry none; None if it is not known."""
-        stated = self.source.stated
-        if self.clock is not None or stated.start is None:
-            return None
-        return stated.start.us(self.options.date_format or stated.date_order, self.source.path)
 
     @property
     def _wanted(self) -> dict[int, As]:
@@ -204,15 +165,15 @@ class _Understood:
         columns = (*roles.xyz, *(roles.gyro or ()), *(() if roles.heat is None else (roles.heat,)))
         wanted = {column.number: As.NUMBER for column in columns} | codes_of(roles.dividing)
         wanted |= {} if self.clock is None else self.clock.wanted
-        return wanted | ({} if self.chosen is None else codes_of(number for number, _ in self.chosen.texts))
+        return wanted | ({} if self.chosen is None else self.chosen.wanted)
 
     def _head(self, block: Block) -> Block:
         """Return the rows of the sensor that is read, without those that are lost."""
         if self.chosen is None and not block.damage:
             return block
         kept = np.ones(len(block), np.bool_) if self.chosen is None else self.chosen.rows(block)
-        for damage in block.damage:
-            kept = kept & ~damage.lost
+        for lost in block.damage.values():
+            kept = kept & ~lost
         return only(block, np.flatnonzero(kept))
 
     def _watch(self, block: Block, times: NDArray[np.int64] | None) -> SensorWatch | None:
@@ -235,21 +196,25 @@ class _Understood:
         more = [as_floats(group_values(block.values, self.roles.xyz)) for block in blocks]
         return np.concatenate([values, *more])
 
-    def _heat(self, block: Block) -> tuple[Heat | None, tuple[Column, ...]]:
-        """Return the temperature with the unit that its values show, and columns that only look like one.
+    def _heat(self, block: Block) -> tuple[Heat | None, list[str]]:
+        """Return the temperature with the unit that its values show, and notes.
 
         A column whose unit nothing shows, or without any value in the first rows, is not read.
         """
-        column, like = self.roles.heat, self.roles.like_heat
-        if column is None:
-            return None, like
-        values = as_floats(block.values[column.number])
-        unit: HeatUnit | None = self.roles.heat_unit or unit_by_values(values)
-        if unit is None:
-            return None, (*like, column) if np.isfinite(values).any() else like
-        steps = millidegrees(values, unit)
-        known = steps[steps != UNKNOWN]
-        return (Heat(column.number, unit, int(known[0])), like) if len(known) else (None, like)
+        column, like, heat = self.roles.heat, self.roles.like_heat, None
+        notes: list[str] = []
+        if column is not None:
+            values = as_floats(block.values[column.number])
+            unit: HeatUnit | None = self.roles.heat_unit or unit_by_values(values)
+            if unit is None:
+                like = (*like, column) if np.isfinite(values).any() else like
+            elif len(known := (steps := millidegrees(values, unit))[steps != UNKNOWN]):
+                heat = Heat(column.number, unit, int(known[0]))
+                notes = [f"temperature: {column.described}, in {unit.name}"]
+        if like:
+            names = ", ".join(one.described for one in like)
+            notes.append(f"not read, though it looks like a temperature: {names}")
+        return heat, notes
 
     def _turns(self, block: Block, values: NDArray[np.float64]) -> tuple[Turns | None, tuple[str, ...]]:
         """Return the rotation rates, None if they are not read, and notes."""
@@ -264,54 +229,30 @@ class _Understood:
             return None, (fault,)
         return Turns(gyro, scale), notes
 
-    def _first_notes(self) -> list[str]:
-        """Return whose export it is, what its header says, and which columns are the acceleration."""
-        stated = self.source.stated
-        axes = ", ".join(column.described for column in self.roles.xyz)
-        return [*[f"an export of {stated.title}"] * bool(stated.title), *stated.notes, f"x, y, z: {axes}"]
-
     def _time_notes(self) -> list[str]:
         """Return which column is the time, and which rows are read."""
-        notes = []
+        notes, stated = [], self.source.stated
         if self.clock is not None:
             date = "" if self.roles.date is None else f"{self.roles.date.described} and "
             notes.append(f"time: {date}{self.clock.column.described}{self.clock.format.how}")
-        zone = self.source.stated.timezone
-        if self.clock is not None and self.clock.format.is_utc and zone not in (None, "UTC"):
-            notes.append(f"its times are UTC; it names the time zone {zone}")
-        if self.source.stated.pauses:
-            notes.append(
-                f"{counted(self.source.stated.pauses, 'pause')} of the experiment are not in its times"
-            )
+            if self.clock.format.is_utc and stated.timezone not in (None, "UTC"):
+                notes.append(f"its times are UTC; it names the time zone {stated.timezone}")
+        if stated.pauses:
+            notes.append(f"{counted(stated.pauses, 'pause')} of the experiment are not in its times")
         return notes + ([self.chosen.note] if self.chosen is not None else [])
 
 
 def only(block: Block, rows: NDArray[np.int64]) -> Block:
     """Return some rows of a block, by their numbers."""
-    values = {
-        number: one._replace(codes=one.codes[rows]) if hasattr(one, "codes") else _taken(one, rows)
-        for number, one in block.values.items()
-    }
+
+    def taken(values: Any) -> Any:
+        if isinstance(values, CellTexts):
+            return values._replace(codes=values.codes[rows])
+        return values[rows] if isinstance(values, np.ndarray) else values.take(rows)
+
+    values = {number: taken(one) for number, one in block.values.items()}
     bad = {place: block.bad[row] for place, row in enumerate(rows.tolist()) if row in block.bad}
-    return replace(block, line=block.line[rows], values=values, bad=bad, damage=())
-
-
-def _taken(values: Any, rows: NDArray[np.int64]) -> Any:
-    """Return some of the numbers, or of the texts of an array of Arrow."""
-    return values[rows] if isinstance(values, np.ndarray) else values.take(rows)
-
-
-def usual_stride(values: NDArray[np.float64]) -> int:
-    """Return the usual distance [rows] between rows (n, 3) with values, 1 where they follow one another."""
-    places = np.flatnonzero(~np.isnan(values).any(axis=1))
-    return max(1, int(np.median(np.diff(places)))) if len(places) > 1 else 1
-
-
-def device_of(device: Device, note: str | None) -> Device:
-    """Return the device of the rows that a note is about: each sensor of a device is one of its own."""
-    if note is None or device.serial is None:
-        return device
-    return replace(device, serial=printable(f"{device.serial} ({note.removeprefix(ONLY)})"))
+    return replace(block, line=block.line[rows], values=values, bad=bad, damage={})
 
 
 class TableReader(Reader):
@@ -329,9 +270,7 @@ class TableReader(Reader):
         Raises:
             UnreadableError: a line is not a row of the file, or most rows cannot be used.
         """
-        watch = None if self._plan.watch is None else self._plan.watch.again()
-        stream = RowStream(self._plan.source, self._plan.layout, watch, self._zone)
-        yield from self._assembled(stream, chunk_samples)
+        yield from self._assembled(self._watched(), chunk_samples)
 
     def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
         """Yield up to `pieces` chunks, spread evenly over a file that can be entered anywhere."""
@@ -347,12 +286,13 @@ class TableReader(Reader):
 
     def intake(self) -> Intake:
         """See `Reader`."""
-        lines = self._plan.source.intake()
-        if lines is None:
-            return super().intake()
+        cut, stream = self._plan.source.intake(), self._watched()
+        return super().intake() if cut is None else TableIntake(cut, stream, self._assembler(stream))
+
+    def _watched(self) -> RowStream:
+        """Return all rows, over which the watch begins again."""
         watch = None if self._plan.watch is None else self._plan.watch.again()
-        stream = RowStream(self._plan.source, self._plan.layout, watch, self._zone)
-        return TableIntake(lines, stream, self._assembler(stream))
+        return RowStream(self._plan.source, self._plan.layout, watch, self._zone)
 
     @property
     def _zone(self) -> str | None:
@@ -407,37 +347,41 @@ class TableReader(Reader):
         return int(known[-1]) if len(known) else None
 
     def _described(self, first_us: int | None, last_us: int | None) -> Recording:
-        plan, layout, stated = self._plan, self._plan.layout, self._plan.source.stated
-        clock = layout.clock
-        offsets = stated.has_offsets if clock is None or not clock.format.since_1970 else False
+        source, layout, stated = self._plan.source, self._plan.layout, self._plan.source.stated
+        form = None if layout.clock is None else layout.clock.format
+        zone, offsets = stated.timezone, stated.has_offsets
+        if form is not None:
+            zone = "UTC" if form.is_utc else form.zone or zone
+            offsets = form.has_offsets or (offsets and not form.since_1970)
+        device = stated.device
+        if (
+            layout.chosen is not None and device.serial is not None
+        ):  # each sensor of a device is one of its own
+            whose = layout.chosen.note.removeprefix(ONLY)
+            device = replace(device, serial=printable(f"{device.serial} ({whose})"))
+        columns = (*layout.xyz, *(() if layout.turns is None else layout.turns.group))
+        are_counted = form is None and layout.chosen is None and common_dtype(columns).kind in "iu"
         return Recording(
-            path=plan.source.path,
-            format=plan.source.format,
+            path=source.path,
+            format=source.format,
             rate_hz=layout.pace.rate_hz,
             lsb_per_g=layout.scale.lsb,
-            total_bytes=plan.source.path.stat().st_size,
-            device=device_of(stated.device, plan.sensor_note),
+            total_bytes=source.path.stat().st_size,
+            device=device,
             range_g=stated.range_g,
             start_us=first_us,
-            timezone=plan.timezone,
-            has_offsets=offsets or (clock is not None and clock.format.has_offsets),
-            stamped=plan.stamped,
-            samples=self._samples,
+            timezone=zone,
+            has_offsets=offsets,
+            stamped=form is not None
+            and form.since_1970,  # as by a computer; a counter does not follow its zone
+            samples=source.rows if are_counted else None,  # else only reading shows which rows are good
             duration_s=self._length_s(first_us, last_us),
             has_temperature=layout.heat is not None,
             gyro_dps_per_lsb=None if layout.turns is None else (1 / layout.turns.scale.lsb,) * 3,
             companion=stated.companion,
             calibrated=stated.calibrated,
-            notes=plan.notes,
+            notes=self._plan.notes,
         )
-
-    @property
-    def _samples(self) -> int | None:
-        """The number of samples: all rows, of whole numbers without times; else only reading shows it."""
-        layout = self._plan.layout
-        columns = (*layout.xyz, *(() if layout.turns is None else layout.turns.group))
-        whole = layout.clock is None and layout.chosen is None
-        return self._plan.source.rows if whole and common_dtype(columns).kind in "iu" else None
 
     def _length_s(self, first_us: int | None, last_us: int | None) -> float | None:
         """Return the length [s], to the end of the last row; None if the clock did not run on until then."""
@@ -457,12 +401,12 @@ class TableReader(Reader):
 class TableIntake(Intake):
     """Takes a table of text as it grows, whole lines at a time."""
 
-    def __init__(self, lines: LineIntake, stream: RowStream, assembler: Assembler) -> None:
-        self._lines, self._stream, self._assembler = lines, stream, assembler
+    def __init__(self, cut: Cut, stream: RowStream, assembler: Assembler) -> None:
+        self._cut, self._stream, self._assembler = cut, stream, assembler
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
         """See `Intake`."""
-        piece = self._lines.cut(data, last=last)
+        piece = self._cut(data, last)
         if piece is None:
             return
         for rows, passed in self._stream.rows([piece], 1):
@@ -472,17 +416,11 @@ class TableIntake(Intake):
 
 
 def open_table(source: Source, options: ReadOptions) -> TableReader:
-    """Return the reader of a table; raises what `find_plan` does."""
-    refuse_not_positive(options)
+    """Return the reader of a table; raises what `find_plan` does, and a UsageError for a scale below 0."""
+    for name, value in (("--rate", options.rate_hz), ("--lsb-per-g", options.lsb_per_g)):
+        if value is not None and not 0 < value < np.inf:
+            what, hint = f"{name} {value:g} is not a positive number", "give it as a number such as 100"
+            raise UsageError(what, hint=hint)
     with source.explaining():
         plan = find_plan(source, options)
     return TableReader(plan)
-
-
-def refuse_not_positive(options: ReadOptions) -> None:
-    """Raise UsageError for a rate or scale that cannot be one."""
-    for name, value in (("--rate", options.rate_hz), ("--lsb-per-g", options.lsb_per_g)):
-        if value is not None and not 0 < value < np.inf:
-            raise UsageError(
-                f"{name} {value:g} is not a positive number", hint="give it as a number such as 100"
-            )

@@ -19,14 +19,14 @@ from accelcal_cli.core.thermometers import BARE, HeatUnit, find_thermometer
 from accelcal_cli.core.vocabulary import ACCELEROMETER, BARE_ACCELEROMETER, GYROSCOPE, NOT_RAW, normalized
 from accelcal_cli.core.written_times import is_date, is_digits_of_day
 from accelcal_cli.formats._not_recordings import epochs_by_names
-from accelcal_cli.formats.tables.cells import DATE_ALONE, MISSING, TIME_OF_DAY, number_of
+from accelcal_cli.formats.tables.cells import DATE_ALONE, TIME_OF_DAY, number_of, present
 from accelcal_cli.formats.tables.header import Column, Kind, Source, readable, shown
 from accelcal_cli.formats.tables.names import (
     AXES,
-    is_accelerometer_group,
-    is_gyroscope_group,
+    Name,
     is_other_group,
     name_and_hint,
+    name_of,
 )
 from accelcal_cli.formats.tables.sensors import WHOLE, Meaning, meaning_of
 
@@ -36,9 +36,7 @@ LISTED = 8
 MOST_DIVIDING = 1000
 """Most columns that are watched for several sensors."""
 
-NO_COLUMN = "none"
-"""The value of -R time_column for no column."""
-
+ACCELEROMETERS = ACCELEROMETER | BARE_ACCELEROMETER
 NOT_READ = "the gyroscope is not read (-R gyro_unit=none)"
 SEVERAL_GYROSCOPES = (
     "no gyroscope is read: several groups of columns could be one; -R gyro_columns=X,Y,Z chooses"
@@ -86,38 +84,27 @@ def find_roles(source: Source, options: ReadOptions, cells: Cells) -> Roles:
     xyz = find_acceleration(source, options, cells)
     for column in xyz:
         if column.kind is not Kind.NUMBER:
-            raise UnreadableError(
+            what, hint = (
                 f"{column.described} does not hold numbers",
-                path=source.path,
-                line=source.first_line,
-                hint="name the columns of x, y and z with --columns",
+                "name the columns of x, y and z with --columns",
             )
-    near, home = [column for column in source.columns if _is_near(column, xyz)], xyz[0].group
+            raise UnreadableError(what, path=source.path, line=source.first_line, hint=hint)
+    home = xyz[0].group
+    near = [one for one in source.columns if one.rows == xyz[0].rows and one not in xyz]
     time, date = _time_columns(source, near, home, (options, cells))
     free = [column for column in near if column not in (time, date)]
     heat, heat_unit, like_heat = _thermometer(source, free, home)
-    gyro, notes = _gyroscope(source, [one for one in free if one is not heat], xyz, options)
-    used = {column.number for column in (*(gyro or ()), heat) if column is not None} | {source.stated.marks}
+    free = [column for column in free if column is not heat]
+    gyro, notes = _gyroscope(source, free, xyz, options)
+    used = {column.number for column in gyro or ()} | {source.stated.marks}
     others = [column for column in free if column.number not in used and is_around(column, home)]
     dividing = _dividing(others, cells)
     return Roles(xyz, time, date, heat, heat_unit, like_heat, gyro, notes, dividing)
 
 
-def _is_near(column: Column, xyz: Group) -> bool:
-    """Return True for another column of one number or text a row, as long as the acceleration."""
-    return column.rows == xyz[0].rows and column not in xyz
-
-
 def is_around(column: Column, home: str) -> bool:
     """Return True if the group of a column is around another, or is the same."""
     return f"{home.rstrip('/')}/".startswith(column.group.rstrip("/") + "/")
-
-
-def _innermost(columns: Iterable[Column], home: str) -> list[Column]:
-    """Return the columns of the innermost group around another."""
-    around = [column for column in columns if is_around(column, home)]
-    depth = max((len(column.group) for column in around), default=0)
-    return [column for column in around if len(column.group) == depth]
 
 
 # Acceleration
@@ -129,41 +116,39 @@ def find_acceleration(source: Source, options: ReadOptions, cells: Cells) -> Gro
         return chosen_axes(source, options.columns, "--columns")
     if (known := _columns_within(source, source.stated.xyz)) is not None:
         return known
-    if options.unit is None:
-        _refuse_epochs(source)
+    if options.unit is None and source.place_word != "line":  # of text that is asked before
+        epochs = epochs_by_names(column.name.text for column in source.columns)
+        if epochs is not None:
+            about = {"path": source.path, "hint": epochs.hint}
+            raise NoRecordingError(f"holds {epochs.what}", reason=epochs.reason, **about)
     sensor = options.one_sensor if names_group(source, options.one_sensor) else None
     found = [group for group in _named_axes(source) if sensor is None or _is_in(group[0], sensor)]
     if len(found) > 1:
-        names = [_as_option(group, source) for group in found]
-        groups = [group[0].group.strip("/") for group in found]
-        raise UnreadableError(
-            f"several groups of columns are named like an accelerometer's: {'; '.join(names[:LISTED])}"
-            + "; ..." * (len(names) > LISTED),
-            path=source.path,
-            hint=f"choose one, such as --columns {shlex.quote(names[0])}",
-            sensors=groups if all(groups) and len({*groups}) == len(groups) else (),
-        )
+        raise _several_groups(found, source)
     if not found and sensor is not None:
         hint = _listed(source)
         raise UsageError(f"no acceleration in a group named {sensor!r}", path=source.path, hint=hint)
     return found[0] if found else _placed_axes(source, cells)
 
 
-def _as_option(group: Group, source: Source) -> str:
-    """Return a group of columns as --columns takes them: by paths, or by number if others share these."""
+def _several_groups(found: Sequence[Group], source: Source) -> UnreadableError:
+    """Return the error that names groups for --columns: by paths, or by number if others share these."""
     paths = [column.path for column in source.columns]
-    if all(paths.count(column.path) == 1 for column in group):
-        return ",".join(column.path for column in group)
-    return ",".join(str(column.number) for column in group)
-
-
-def _refuse_epochs(source: Source) -> None:
-    """Raise NoRecordingError for a table of epochs or still windows, by the names of its columns."""
-    if source.place_word == "line":  # of text that is asked before, with the lines above
-        return
-    found = epochs_by_names(column.name.text for column in source.columns)
-    if found is not None:
-        raise NoRecordingError(f"holds {found.what}", path=source.path, hint=found.hint, reason=found.reason)
+    names = [
+        ",".join(
+            one.path if all(paths.count(other.path) == 1 for other in group) else str(one.number)
+            for one in group
+        )
+        for group in found
+    ]
+    groups = [group[0].group.strip("/") for group in found]
+    return UnreadableError(
+        f"several groups of columns are named like an accelerometer's: {'; '.join(names[:LISTED])}"
+        + "; ..." * (len(names) > LISTED),
+        path=source.path,
+        hint=f"choose one, such as --columns {shlex.quote(names[0])}",
+        sensors=groups if all(groups) and len({*groups}) == len(groups) else (),
+    )
 
 
 def names_group(source: Source, sensor: str | None) -> bool:
@@ -224,14 +209,10 @@ def described(columns: Iterable[Column]) -> str:
     return shown([one.path if one.rows is None else f"{one.path} ({one.rows} rows)" for one in columns])
 
 
-def _sized(column: Column) -> str:
-    """Return the path of a column; with its shape, if a row has several numbers."""
-    return column.path if column.width == 1 else f"{column.path} ({column.rows} x {column.width})"
-
-
 def _listed(source: Source) -> str:
-    """Return the columns of a file, for advice."""
-    names = shown([*map(_sized, source.columns)]) if source.has_names else "none has a name"
+    """Return the columns of a file, for advice, with the shapes of those of several numbers a row."""
+    sized = [one.path + f" ({one.rows} x {one.width})" * (one.width > 1) for one in source.columns]
+    names = shown(sized) if source.has_names else "none has a name"
     unread = f"; {source.unread}" if source.unread else ""
     return f"its columns are 0 to {len(source.columns) - 1} ({names}){unread}"
 
@@ -258,29 +239,40 @@ def _triples(columns: Iterable[Column]) -> Iterator[Group]:
             yield from zip(one["x"], one["y"], one["z"], strict=False)
 
 
+def _named_like(
+    columns: Sequence[Column], words: frozenset[str], is_named: Callable[[Name], bool]
+) -> list[Group]:
+    """Return columns that are named like a sensor's: by their own names, then by the group that holds them.
+
+    Args:
+        words: of the sensor, of which the name of one column of three numbers, or of a group, consists.
+        is_named: tells by the name of one of three columns.
+    """
+    wide = [
+        (one,)
+        for one in columns
+        if one.width == len(AXES)
+        and (one.name.is_all(words) or (one.name.says_nothing and _is_in_group(one, words)))
+    ]
+    triples = [*_triples(columns)]
+    named = [group for group in triples if is_named(group[0].name)]
+    held = [group for group in triples if not group[0].name.stem and _is_in_group(group[0], words)]
+    return [*wide, *named, *held]
+
+
+def _is_in_group(column: Column, words: frozenset[str]) -> bool:
+    """Return True if the name of the innermost group around a column consists of these words."""
+    return any(name_of(group).is_all(words) for group in column.groups[-1:])
+
+
 def _named_axes(source: Source) -> list[Group]:
     """Return the groups of columns that are named like an accelerometer's; else those named x, y and z alone.
 
     What other words or units name is left out.
     """
     candidates = [column for column in source.columns if not _is_of_other_sensor(column)]
-    wide: list[Group] = [
-        (column,)
-        for column in candidates
-        if column.width == len(AXES)
-        and (
-            column.name.is_all(ACCELEROMETER | BARE_ACCELEROMETER)
-            or (column.name.says_nothing and any(map(is_accelerometer_group, column.groups[-1:])))
-        )
-    ]
-    triples = [*_triples(candidates)]
-    named = [group for group in triples if group[0].name.is_accelerometer]
-    named += [
-        group
-        for group in triples
-        if not group[0].name.stem and any(map(is_accelerometer_group, group[0].groups[-1:]))
-    ]
-    return wide + named or [group for group in triples if not group[0].name.stem]
+    named = _named_like(candidates, ACCELEROMETERS, lambda name: name.is_accelerometer)
+    return named or [group for group in _triples(candidates) if not group[0].name.stem]
 
 
 def _is_of_other_sensor(column: Column) -> bool:
@@ -302,56 +294,49 @@ def _placed_axes(source: Source, cells: Cells) -> Group:
 
 def _no_axes(source: Source, cells: Cells) -> UnreadableError:
     """Return the error that no columns are known as acceleration, by what the columns may be."""
-    names, line = [column.name.text for column in source.columns], source.names_line
-    path = source.path
-    if not source.columns or all(column.kind is Kind.TEXT for column in source.columns):
+    names, columns = [readable(column.name.text) for column in source.columns], source.columns
+    path, line = source.path, source.names_line
+    if not columns or all(column.kind is Kind.TEXT for column in columns):
         hint = source.unread or "give it x, y and z, and times, as numbers"
         return NoRecordingError("no column of numbers can be found", path=path, line=line, hint=hint)
-    if source.has_names and not could_be_axes(source.columns):
+    if source.has_names and not could_be_axes(columns):
         hint = "give --columns X,Y,Z as names, or as numbers from 0, if it is there"
         return NoRecordingError(
-            f"no column has a name known for acceleration: {', '.join(map(readable, names))}",
+            f"no column has a name known for acceleration: {', '.join(names)}",
             hint="; ".join(filter(None, (hint, source.unread))),
-            reason=Reason.of("other_quantities", columns=tuple(map(readable, names[:LISTED]))),
+            reason=Reason.of("other_quantities", columns=tuple(names[:LISTED])),
             path=path,
             line=line,
         )
-    listed = (
-        f"the columns {', '.join(map(readable, names))}"
-        if source.has_names
-        else (f"{len(source.columns)} columns without names")
-    )
-    without = {one.name.axis for one in source.columns if one.name.axis and NOT_RAW & set(one.name.stem)}
+    listed = f"the columns {', '.join(names)}" if source.has_names else f"{len(names)} columns without names"
+    without = {one.name.axis for one in columns if one.name.axis and NOT_RAW & set(one.name.stem)}
     if len(without) == len(AXES):
         hint = "export the acceleration that was measured; or give --columns X,Y,Z to read it anyway"
         what = f"holds acceleration without gravity only, in {listed}"
         return UnreadableError(what, path=path, line=line, hint=hint)
-    hint = f"give --columns X,Y,Z as names, or as numbers from 0{_advice_on_commas(source, cells)}"
-    wide = [shlex.quote(column.path) for column in source.columns if column.width == len(AXES)]
-    if wide or source.unread:
-        as_in = f"name it, as in --columns {wide[0]}" if wide else "give --columns X,Y,Z"
-        hint = f"{as_in}; {_listed(source)}"
-    return UnreadableError(f"cannot tell which of {listed} are x, y and z", path=path, line=line, hint=hint)
+    what, hint = f"cannot tell which of {listed} are x, y and z", _advice_on_axes(source, cells)
+    return UnreadableError(what, path=path, line=line, hint=hint)
 
 
 def could_be_axes(columns: Iterable[Column]) -> bool:
     """Return True if three columns or more have names that do not say that they are something else."""
-    unknown = [
-        column
-        for column in columns
-        if not (column.name.is_elsewhere or column.name.is_other or _is_of_other_sensor(column))
-    ]
-    return sum(column.width for column in unknown) >= len(AXES)
+    unknown = (one for one in columns if not (one.name.is_elsewhere or _is_of_other_sensor(one)))
+    return sum(one.width for one in unknown) >= len(AXES)
 
 
-def _advice_on_commas(source: Source, cells: Cells) -> str:
-    """Return advice for `0,012,0,996,-0,101`, which no option can settle."""
+def _advice_on_axes(source: Source, cells: Cells) -> str:
+    """Return how to name the axes; no option can settle `0,012,0,996,-0,101`."""
+    wide = [shlex.quote(column.path) for column in source.columns if column.width == len(AXES)]
+    if wide or source.unread:
+        as_in = f"name it, as in --columns {wide[0]}" if wide else "give --columns X,Y,Z"
+        return f"{as_in}; {_listed(source)}"
+    hint = "give --columns X,Y,Z as names, or as numbers from 0"
     if source.has_names or not 6 <= len(source.columns) <= 8 or source.place_word != "line":
-        return ""
+        return hint
     texts = [cell for column in source.columns[-6:] for cell in cells(column)]
-    if not all(re.fullmatch(r"-?\d+", cell.strip()) for cell in texts):
-        return ""
-    return "; if it also uses commas as decimals, export it with another delimiter or decimal point"
+    whole = all(re.fullmatch(r"-?\d+", cell.strip()) for cell in texts)
+    commas = "; if it also uses commas as decimals, export it with another delimiter or decimal point"
+    return hint + commas * whole
 
 
 # Times
@@ -379,37 +364,38 @@ def _time_columns(
         return _chosen_time(source, options.time_column, near, cells)
     if source.stated.time is not None and source.stated.time < len(source.columns):
         return source.columns[source.stated.time], None
-    single = [column for column in near if column.width == 1]
-    for level in _levels(single, home):
-        dated = [column for column in level if column.kind is Kind.TIME]
-        named = [column for column in level if column.name.is_time]
-        if len(named) > 1:
-            named = [column for column in named if name_and_hint(column.name.text)[0] != BARE]
-        both = [column for column in named if column in dated]
-        for columns in (both, dated, named):
-            if (pair := _date_and_time(columns, cells)) is not None:
-                return pair
-        found = both or named or dated
+    for level in _levels([column for column in near if column.width == 1], home):
+        found = _times_among(level, cells)
         if len(found) > 1:
-            found = [column for column in found if not _has_days_alone(column, cells)] or found
-        if len(found) > 1:
-            raise UnreadableError(
-                f"several columns may be the time ({', '.join(column.described for column in found)})",
-                path=source.path,
-                hint="name one with -R time_column=NAME, or give -R time_column=none and --rate",
-            )
+            what = f"several columns may be the time ({', '.join(column.described for column, _ in found)})"
+            hint = "name one with -R time_column=NAME, or give -R time_column=none and --rate"
+            raise UnreadableError(what, path=source.path, hint=hint)
         if found:
-            return found[0], None
+            return found[0]
     first = source.columns[0]
     untitled = not source.has_names and first in near
     return (first, None) if untitled and _may_be_time(first, cells) else (None, None)
 
 
-def _has_days_alone(column: Column, cells: Cells) -> bool:
-    """Return True for a column of dates, which next to another are not the times of its rows."""
-    return column.kind is Kind.TIME and all(
-        DATE_ALONE.fullmatch(text) for cell in cells(column) if (text := cell.strip()) not in MISSING
-    )
+def _times_among(level: Sequence[Column], cells: Cells) -> list[tuple[Column, Column | None]]:
+    """Return the columns of one group that may be the times, each with that of the dates if it is another."""
+    dated = [column for column in level if column.kind is Kind.TIME]
+    named = [column for column in level if column.name.is_time]
+    if len(named) > 1:
+        named = [column for column in named if name_and_hint(column.name.text)[0] != BARE]
+    both = [column for column in named if column in dated]
+    for columns in (both, dated, named):
+        if (pair := _date_and_time(columns, cells)) is not None:
+            return [pair]
+    found = both or named or dated
+    return [(one, None) for one in _without_dates(found, cells)]
+
+
+def _without_dates(columns: list[Column], cells: Cells) -> list[Column]:
+    """Return columns without those of dates alone, which next to others are not the times of rows."""
+    dates = [one for one in columns if one.kind is Kind.TIME]
+    dates = [one for one in dates if all(map(DATE_ALONE.fullmatch, present(cells(one))))]
+    return [one for one in columns if one not in dates] or columns
 
 
 def _levels(columns: Sequence[Column], home: str) -> Iterator[list[Column]]:
@@ -423,7 +409,7 @@ def _chosen_time(
     source: Source, name: str, near: Sequence[Column], cells: Cells
 ) -> tuple[Column | None, Column | None]:
     """Return the column that -R time_column names, and that of the dates if it is the only one that fits."""
-    if name.lower() == NO_COLUMN:
+    if name.lower() == "none":
         return None, None
     chosen = chosen_column(source, name, "-R time_column")
     if chosen not in near or chosen.width != 1:
@@ -436,13 +422,8 @@ def _chosen_time(
 
 def _date_and_time(columns: Sequence[Column], cells: Cells) -> tuple[Column, Column] | None:
     """Return which of two columns has times of day and which has dates; None if they hold anything else."""
-    if len(columns) != 2:
-        return None
-    for time, date in (columns, columns[::-1]):
-        times, dates = (
-            [text for cell in cells(column) if (text := cell.strip()) not in MISSING]
-            for column in (time, date)
-        )
+    for time, date in (columns, columns[::-1]) if len(columns) == 2 else ():
+        times, dates = present(cells(time)), present(cells(date))
         clock = all(map(TIME_OF_DAY.fullmatch, times)) or all(map(is_digits_of_day, times))
         if times and dates and clock and all(DATE_ALONE.fullmatch(cell) or is_date(cell) for cell in dates):
             return time, date
@@ -460,16 +441,13 @@ def _thermometer(
         return None, None, ()
     numbers = [one for one in free if one.kind is Kind.NUMBER and one.width == 1]
     named = [one for one in numbers if find_thermometer([(one.name.text, None)])[0]]
-    near = _innermost(named, home)
+    near = next(_levels(named, home), [])
     found, like = find_thermometer([(column.name.text, column.unit) for column in near])
     rest = [column for column in numbers if column not in named and is_around(column, home)]
     _, looking = find_thermometer([(column.name.text, None) for column in rest])
-    others = sorted(
-        [*(near[one] for one in like), *(rest[one] for one in looking)], key=lambda one: one.number
-    )
-    if found is None:
-        return None, None, tuple(others)
-    return near[found.number], found.unit, tuple(others)
+    both = [*(near[one] for one in like), *(rest[one] for one in looking)]
+    others = tuple(sorted(both, key=lambda one: one.number))
+    return (None, None, others) if found is None else (near[found.number], found.unit, others)
 
 
 def _gyroscope(
@@ -481,9 +459,8 @@ def _gyroscope(
         UnreadableError: a column of -R gyro_columns does not hold numbers.
         UsageError: -R gyro_columns names no column of the file, or others than the acceleration is long.
     """
-    chosen = (
-        None if options.gyro_columns is None else chosen_axes(source, options.gyro_columns, "-R gyro_columns")
-    )
+    asked = options.gyro_columns
+    chosen = None if asked is None else chosen_axes(source, asked, "-R gyro_columns")
     if chosen is not None and chosen[0].rows != xyz[0].rows:
         what = f"-R gyro_columns names {described(chosen)}, and the acceleration has {xyz[0].rows} rows"
         raise UsageError(what, path=source.path)
@@ -506,35 +483,17 @@ def _gyroscope(
 
 def _named_gyroscopes(free: Sequence[Column], xyz: Group) -> list[Group]:
     """Return groups of columns named like a gyroscope's, if possible of the accelerometer's place."""
-    found: list[Group] = [
-        (column,)
-        for column in free
-        if column.width == len(AXES)
-        and (column.name.is_all(GYROSCOPE) or (column.name.says_nothing and _is_in_gyroscope(column)))
-    ]
-    found += [
-        group
-        for group in _triples(free)
-        if group[0].name.is_gyroscope or (not group[0].name.stem and _is_in_gyroscope(group[0]))
-    ]
-    home = _home(xyz[0])
+    found, home = _named_like(free, GYROSCOPE, lambda name: name.is_gyroscope), _home(xyz[0])
     beside = [group for group in found if _home(group[0]) == home]
-    if not beside:
-        beside = [group for group in found if f"{home}/".startswith(f"{_home(group[0])}/")]
+    beside = beside or [group for group in found if f"{home}/".startswith(f"{_home(group[0])}/")]
     near = [group for group in beside if group[0].name.place == xyz[0].name.place]
     return near or beside
 
 
-def _is_in_gyroscope(column: Column) -> bool:
-    return any(map(is_gyroscope_group, column.groups[-1:]))
-
-
 def _home(column: Column) -> str:
     """Return the group of a column, without one that only says which sensor it is."""
-    groups = column.groups
-    own = groups[-1:]
-    sensor = any(map(is_accelerometer_group, own)) or any(map(is_gyroscope_group, own))
-    return "/".join(groups[:-1] if sensor else groups)
+    sensor = any(_is_in_group(column, words) for words in (ACCELEROMETERS, GYROSCOPE))
+    return "/".join(column.groups[:-1] if sensor else column.groups)
 
 
 def _dividing(free: Sequence[Column], cells: Cells) -> tuple[Column, ...]:
@@ -542,28 +501,10 @@ def _dividing(free: Sequence[Column], cells: Cells) -> tuple[Column, ...]:
 
     Where there are more than MOST_DIVIDING, those with the most telling names.
     """
-    named = [
-        column
-        for column in free
-        if column.width == 1 and meaning_of(column.name.text) is not Meaning.MEASURED
-    ]
+    named = [one for one in free if one.width == 1 and meaning_of(one.name.text) is not Meaning.MEASURED]
     if len(named) > MOST_DIVIDING:
         named = sorted(named, key=lambda one: meaning_of(one.name.text), reverse=True)[:MOST_DIVIDING]
-    return tuple(column for column in named if _may_divide(column, cells))
-
-
-def _may_divide(column: Column, cells: Cells) -> bool:
-    if column.kind is not Kind.NUMBER:
-        return column.kind is Kind.TEXT
-    return all(WHOLE.fullmatch(text) for cell in cells(column) if (text := cell.strip()) not in MISSING)
-
-
-def heat_notes(roles: Roles) -> list[str]:
-    """Return which column is the temperature, and which look like one and are not read."""
-    notes = []
-    if roles.heat is not None and roles.heat_unit is not None:
-        notes.append(f"temperature: {roles.heat.described}, in {roles.heat_unit.name}")
-    if roles.like_heat:
-        names = ", ".join(column.described for column in roles.like_heat)
-        notes.append(f"not read, though it looks like a temperature: {names}")
-    return notes
+    whole = (
+        one for one in named if one.kind is not Kind.NUMBER or all(map(WHOLE.fullmatch, present(cells(one))))
+    )
+    return tuple(one for one in whole if one.kind in (Kind.NUMBER, Kind.TEXT))

@@ -100,7 +100,7 @@ class Layout:
         wanted |= {} if self.heat is None else {self.heat.column: As.NUMBER}
         wanted |= {} if self.marks is None else {self.marks: As.NUMBER}
         wanted |= {} if self.clock is None else self.clock.wanted
-        return wanted | ({} if self.chosen is None else codes_of(number for number, _ in self.chosen.texts))
+        return wanted | ({} if self.chosen is None else self.chosen.wanted)
 
     @property
     def no_channels(self) -> Channels:
@@ -201,7 +201,15 @@ class RowParser:
                 self._refuse_mostly_bad(rows)
             if self._watch is not None:
                 self._watch.see(seen, rows.time_us)
-            yield self._placed(rows), piece
+            first, self._next_row = self._next_row, self._next_row + len(rows)
+            if HEAT in rows.channels and len(rows):
+                values = rows.channels[HEAT]
+                if values[0] == UNKNOWN:  # the last one before holds
+                    values = rows.channels[HEAT] = np.where(
+                        values == UNKNOWN, np.int32(self._last_mc), values
+                    )
+                self._last_mc = int(values[-1])
+            yield replace(rows, first_row=first), piece
 
     def _refuse_mostly_bad(self, rows: Rows) -> None:
         """Raise UnreadableError once most lines up to one are not rows, however the lines were cut."""
@@ -211,16 +219,6 @@ class RowParser:
         if ((bad > MOST_BAD) & (2 * bad > number)).any():
             raise not_rows(self._source, *self._first_bad)
         self._bad = int(bad[-1]) if len(bad) else self._bad
-
-    def _placed(self, rows: Rows) -> Rows:
-        """Return the next rows with their number, and the temperature from before them."""
-        first, self._next_row = self._next_row, self._next_row + len(rows)
-        if HEAT in rows.channels and len(rows):
-            values = rows.channels[HEAT]
-            if values[0] == UNKNOWN:
-                values = rows.channels[HEAT] = np.where(values == UNKNOWN, np.int32(self._last_mc), values)
-            self._last_mc = int(values[-1])
-        return replace(rows, first_row=first)
 
     def _rows_of(self, piece: Piece) -> tuple[Rows, Piece, Any]:
         """Return the rows of a piece by themselves, and what the watch saw; this may run in any order."""
@@ -232,15 +230,10 @@ class RowParser:
         rows = rows_of(block, layout)
         if layout.chosen is not None:
             wanted = layout.chosen.rows(block)
-            rows = _only(rows, wanted)
+            columns, channels = cut_columns(rows, COLUMNS, wanted), cut_channels(rows.channels, wanted)
+            rows = replace(rows, channels=channels, **columns)  # lines that are not rows are of no sensor
             seen = None if seen is None else tuple(one._replace(codes=one.codes[wanted]) for one in seen)
         return rows, piece.emptied(), seen
-
-
-def _only(rows: Rows, wanted: NDArray[np.bool_]) -> Rows:
-    """Return some of the rows; `bad` lines are of no sensor."""
-    columns, channels = cut_columns(rows, COLUMNS, wanted), cut_channels(rows.channels, wanted)
-    return replace(rows, channels=channels, **columns)
 
 
 def rows_of(block: Block, layout: Layout) -> Rows:
@@ -265,24 +258,20 @@ def rows_of(block: Block, layout: Layout) -> Rows:
         faults[faults == Fault.EMPTY] = Fault.MISSING
         fault = np.where(fault == Fault.NONE, faults, fault)
     if layout.marks is not None:
-        channels[VALIDITY] = _validity(values[layout.marks])
+        marks = values[layout.marks] % NOT_CALIBRATED
+        known = (marks >= 0) & (marks <= max(Validity))
+        channels[VALIDITY] = np.where(known, marks, Validity.MEASURED).astype(np.uint8)
     if bad:
         fault[[*bad]] = Fault.LINE
     where = None
-    for damage in block.damage:
+    for column, lost in block.damage.items():
         where = np.full(len(block), -1, np.int32) if where is None else where
-        where[damage.lost & (where < 0)] = damage.column
-        fault[damage.lost] = Fault.LOST
+        where[lost & (where < 0)] = column
+        fault[lost] = Fault.LOST
     if cold is not None:
         cold = cold & (fault == Fault.NONE)
     lines = {int(block.line[row]): why for row, why in bad.items()}
     return Rows(0, block.line, counts, fault, times, channels, None, where, cold, lines)
-
-
-def _validity(marks: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return the marks (n,) of a file of ours; unknown ones count as measured."""
-    found = marks % NOT_CALIBRATED
-    return np.where((found >= 0) & (found <= max(Validity)), found, Validity.MEASURED).astype(np.uint8)
 
 
 def not_rows(source: Source, line: int, fault: str) -> UnreadableError:

@@ -12,9 +12,10 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -189,64 +190,42 @@ class Division:
         self._not_ahead += int(np.count_nonzero(changes & (steps <= 0)))
         self._jumps += int(np.count_nonzero(changes & jumps))
         self._whole.add(steps)
-        self._see_times_again(times, steps, jumps, changes)
+        for row in np.flatnonzero(jumps & (steps != 0)).tolist():
+            # the times go back into the stretch without jumps before them
+            self._again += bool(changes[row] and steps[row] < 0 and times[row] >= self._begin_us)
+            self._begin_us = int(times[row])
         for code in present.tolist():
             own = times[codes == code]
             stream = self._streams.setdefault(texts[code], _OneValue())
             self._each.add(np.diff(own) if stream.last_us is None else np.diff(own, prepend=stream.last_us))
             stream.last_us = int(own[-1])
 
-    def _see_times_again(
-        self,
-        times: NDArray[np.int64],
-        steps: NDArray[np.int64],
-        jumps: NDArray[np.bool_],
-        changes: NDArray[np.bool_],
-    ) -> None:
-        """Count the changes at which the times go back into the stretch without jumps before them."""
-        for row in np.flatnonzero(jumps & (steps != 0)).tolist():
-            self._again += bool(changes[row] and steps[row] < 0 and times[row] >= self._begin_us)
-            self._begin_us = int(times[row])
-
     def is_several(self) -> bool:
         """Return True if the values are those of several sensors or people."""
-        texts, most = self.texts, max(MOST_VALUES, self._rows if self.meaning is Meaning.OWNER else 0)
-        if self.meaning is Meaning.MEASURED or len(texts) < 2 or len(self._streams) > most:
+        values = len(self._streams)
+        most = max(MOST_VALUES, self._rows if self.meaning is Meaning.OWNER else 0)
+        if self.meaning is Meaning.MEASURED or len(self.texts) < 2 or values > most:
             return False
-        if len(self._streams) * ROWS_A_VALUE > max(self._rows, 2 * ROWS_A_VALUE):
+        if values * ROWS_A_VALUE > max(self._rows, 2 * ROWS_A_VALUE):
             return False
         if self._last is None or self._last[1] is None:
             return self.meaning >= Meaning.PLACE
-        in_turn = LONGEST_TURN_ROWS * self._changes >= self._rows
+        return self._times_divide(self._last[1])
+
+    def _times_divide(self, last_us: int) -> bool:
+        """Return True if the times show that the values are of several; `last_us` is the last one."""
+        rows, changes, whole, each = self._rows, self._changes, self._whole, self._each
+        # the times do not go ahead where the value changes, and do for each value alone
+        contradict = 5 * self._not_ahead >= 2 * max(changes, 1) and 10 * each.others <= whole.others
+        contradict = contradict and 10 * each.near >= 6 * each.ahead
         if self.meaning is Meaning.LABEL:
-            return self._contradict and (in_turn or (self._since_1970 and 2 * self._again >= self._changes))
-        found = self.meaning is Meaning.OWNER or self._contradict or self._steady_apart
-        return found or (self.meaning is Meaning.PLACE and (self._take_turns or self._is_cut))
-
-    @property
-    def _contradict(self) -> bool:
-        """True if times do not go ahead where the value changes, and do for each value alone."""
-        return (
-            5 * self._not_ahead >= 2 * max(self._changes, 1)
-            and 10 * self._each.others <= self._whole.others
-            and 10 * self._each.near >= 6 * self._each.ahead
-        )
-
-    @property
-    def _steady_apart(self) -> bool:
-        """True if values that take turns have a steady rate each, and none together."""
-        steady = 10 * self._each.nearer >= 9 * self._each.ahead > 0
-        return steady and 4 * self._changes >= self._rows and 10 * self._whole.nearer <= 6 * self._whole.ahead
-
-    @property
-    def _take_turns(self) -> bool:
-        assert self._last is not None and self._last[1] is not None
-        return abs(self._last[1] - self._first_us) <= LONGEST_TURN_S * MICROSECONDS * self._changes
-
-    @property
-    def _is_cut(self) -> bool:
-        """True if the times jump at most changes of the value."""
-        return self._changes > 0 and 2 * self._jumps >= self._changes
+            in_turn = LONGEST_TURN_ROWS * changes >= rows
+            return contradict and (in_turn or (self._since_1970 and 2 * self._again >= changes))
+        steady_apart = 10 * each.nearer >= 9 * each.ahead > 0 and 10 * whole.nearer <= 6 * whole.ahead
+        if self.meaning is Meaning.OWNER or contradict or (steady_apart and 4 * changes >= rows):
+            return True
+        take_turns = abs(last_us - self._first_us) <= LONGEST_TURN_S * MICROSECONDS * changes
+        return self.meaning is Meaning.PLACE and (take_turns or 0 < changes <= 2 * self._jumps)
 
     def is_worth_watching(self) -> bool:
         """Return True if more rows may show several sensors; a column that always changes did already."""
@@ -266,65 +245,6 @@ class Division:
             f"--sensor {EACH} in a study for a recording of each)",
             sensors=sensors,
         )
-
-
-def most_telling(divisions: Iterable[Division]) -> Division | None:
-    """Return the column that divides the rows best: by its name, then with the fewest values."""
-    several = [one for one in divisions if one.is_several()]
-    return max(several, key=lambda one: (one.meaning, -len(one.texts)), default=None)
-
-
-class Watch:
-    """Refuses a table whose rows turn out to be of several sensors; takes rows in their order.
-
-    Args:
-        names: of the columns that may tell whose each row is, each once.
-        since_1970: see `Division`.
-        place: the table, and what --sensor has chosen of it.
-        all_values: returns the values of the rows that are read, with how many have each, of a column by its
-            number. The error has all of them if sensors are to be listed, else those that were seen.
-    """
-
-    def __init__(
-        self,
-        names: Sequence[str],
-        since_1970: bool,
-        place: tuple[Path, str | None],
-        all_values: Callable[[int], Counter[str]],
-    ) -> None:
-        self.divisions = [Division(name, since_1970) for name in names]
-        self._path, self._wanted = place
-        self._all_values = all_values
-
-    def see(self, values: Sequence[CellTexts], times: NDArray[np.int64] | None) -> None:
-        """Take the columns of the next rows; raise UnreadableError if they show several sensors."""
-        for division, cells in zip(self.divisions, values, strict=True):
-            division.add(cells, times)
-        if (found := most_telling(self.divisions)) is not None:
-            raise found.fault(self._path, self._wanted, self._sensors(found))
-
-    def _sensors(self, found: Division) -> list[str]:
-        """Return values of --sensor that choose each sensor."""
-        *chosen, last = (self._wanted or EACH).rsplit(",", 1)
-        texts = found.texts
-        if self._wanted is not None and last == EACH:
-            rows = self._all_values(self.divisions.index(found))
-            texts = [text for text, number in rows.items() if number >= LEAST_ROWS]
-        before = chosen if last == EACH else [self._wanted or ""]
-        return [",".join([*before, f"{found.name}={text}"]) for text in texts]
-
-    def worth_watching(self) -> list[int]:
-        """Return the numbers of the columns of which more rows may show several sensors."""
-        return [number for number, one in enumerate(self.divisions) if one.is_worth_watching()]
-
-
-def counted_texts(parts: Iterable[CellTexts]) -> Counter[str]:
-    """Return how many rows have each value of a column."""
-    rows: Counter[str] = Counter()
-    for texts, codes in parts:
-        for code, number in enumerate(np.bincount(codes[codes >= 0], minlength=len(texts)).tolist()):
-            rows[texts[code]] += number
-    return rows
 
 
 def is_same(text: str, wanted: str) -> bool:
@@ -362,24 +282,12 @@ def _column_with(
     return None if best is None else (best, having[best])
 
 
-def note_of(chosen: Mapping[str, Iterable[str]]) -> str:
-    """Return the note on which rows are read, by the texts that are wanted of each column."""
-    return ONLY + ", ".join(f"{name} {' or '.join(sorted(texts))}" for name, texts in chosen.items())
-
-
 def no_such_sensor(wanted: str, columns: Mapping[str, Sequence[str]], path: Path) -> UsageError:
     """Return the error for a value that no column has."""
-    known = "; ".join(_described(columns))
-    return UsageError(
-        f"no row is of the sensor {wanted!r}",
-        path=path,
-        hint=f"give --sensor a value of a column: {known}" if known else "omit --sensor",
-    )
-
-
-def _described(columns: Mapping[str, Sequence[str]]) -> Iterator[str]:
-    for name in sorted(columns, key=lambda name: (-meaning_of(name), name)):
-        yield f"{printable(name)} has {_shown(columns[name])}"
+    names = sorted(columns, key=lambda name: (-meaning_of(name), name))
+    known = "; ".join(f"{printable(name)} has {_shown(columns[name])}" for name in names)
+    hint = f"give --sensor a value of a column: {known}" if known else "omit --sensor"
+    return UsageError(f"no row is of the sensor {wanted!r}", path=path, hint=hint)
 
 
 def _shown(texts: Sequence[str]) -> str:
@@ -400,27 +308,25 @@ class Chosen:
     piece: Piece
     note: str
 
+    @property
+    def wanted(self) -> dict[int, As]:
+        """How the columns that tell are asked for."""
+        return codes_of(number for number, _ in self.texts)
+
     def rows(self, block: Block) -> NDArray[np.bool_]:
         """Return flags (n,) of the rows of a block that are chosen."""
-        flags = [_has(block.values[number], texts) for number, texts in self.texts]
-        wanted: NDArray[np.bool_] = np.logical_and.reduce(flags)
+        wanted = np.ones(len(block), np.bool_)
+        for number, texts in self.texts:
+            values: CellTexts = block.values[number]
+            wanted &= np.isin(values.codes, [code for code, text in enumerate(values.texts) if text in texts])
         return wanted
-
-
-def _has(values: CellTexts, texts: frozenset[str]) -> NDArray[np.bool_]:
-    """Return flags (n,) of the rows that have one of the texts."""
-    return np.isin(values.codes, [code for code, text in enumerate(values.texts) if text in texts])
 
 
 def _names(source: Source, columns: Sequence[Column]) -> list[str]:
     """Return the names of columns, each once; numbers where the table has none."""
     own = [column.name.text if source.has_names else "" for column in source.columns]
-    return [
-        own[column.number]
-        if own[column.number] and own.count(own[column.number]) == 1
-        else str(column.number)
-        for column in columns
-    ]
+    names = ((own[column.number], column.number) for column in columns)
+    return [name if name and own.count(name) == 1 else str(number) for name, number in names]
 
 
 def codes_of(columns: Iterable[Column | int]) -> dict[int, As]:
@@ -439,27 +345,25 @@ def find_chosen(source: Source, wanted: str | None, columns: Sequence[Column]) -
     """
     if wanted is None or (wanted == EVERY_ROW and not columns):
         return None
-    names, asked = _names(source, columns), codes_of(columns)
-    texts: dict[str, list[str]] = {name: [] for name in names}
+    named, asked = dict(zip(_names(source, columns), columns, strict=True)), codes_of(columns)
+    texts: dict[str, list[str]] = {name: [] for name in named}
     pieces = source.pieces(asked, SEARCH_ROWS) if columns else iter(())
     for piece in pieces:
         block = source.parse(piece, asked)
-        for name, column in zip(names, columns, strict=True):
+        for name, column in named.items():
             if len(texts[name]) < MOST_TEXTS:
                 texts[name] += [one for one in block.values[column.number].texts if one not in texts[name]]
         if (found := matched(wanted, texts)) is not None:
-            numbers = dict(zip(names, (column.number for column in columns), strict=True))
-            chosen = tuple((numbers[name], frozenset(some)) for name, some in found.items())
-            following = next(pieces, None)
-            first = piece if following is None else source.joined([piece, following])
-            return Chosen(chosen, first, note_of(found))
+            chosen = tuple((named[name].number, frozenset(some)) for name, some in found.items())
+            note = ONLY + ", ".join(f"{name} {' or '.join(sorted(some))}" for name, some in found.items())
+            return Chosen(chosen, source.joined([piece, *islice(pieces, 1)]), note)
         if wanted == EVERY_ROW:
             return None
     raise no_such_sensor(wanted, texts, source.path)
 
 
 class SensorWatch:
-    """The watch over a table whose rows may turn out to be of several sensors: see `Watch`.
+    """Refuses a table whose rows turn out to be of several sensors; takes rows in their order.
 
     Args:
         columns: that may tell whose each row is.
@@ -474,31 +378,20 @@ class SensorWatch:
         wanted: tuple[str | None, Chosen | None],
         since_1970: bool,
     ) -> None:
-        self._source, self.columns, self._wanted, self._since_1970 = source, columns, wanted, since_1970
-        names = _names(source, columns)
-        self._watch = Watch(names, since_1970, (source.path, wanted[0]), self._values)
-
-    def _values(self, number: int) -> Counter[str]:
-        """Return the values of a column in the rows that are read, with how many have each."""
-        column, chosen = self.columns[number].number, self._wanted[1]
-        asked = codes_of([column, *(one for one, _ in chosen.texts)] if chosen is not None else [column])
-
-        def parts() -> Iterator[CellTexts]:
-            for piece in self._source.pieces(asked, SEARCH_ROWS):
-                block = self._source.parse(piece, asked)
-                texts, codes = block.values[column]
-                yield CellTexts(texts, codes if chosen is None else codes[chosen.rows(block)])
-
-        return counted_texts(parts())
+        self._source, self.columns, self._since_1970 = source, columns, since_1970
+        self._wanted, self._chosen = wanted
+        self._divisions = [Division(name, since_1970) for name in _names(source, columns)]
 
     def again(self) -> SensorWatch | None:
         """Return a watch from the beginning over the columns that are worth it; None if none is."""
-        columns = [self.columns[number] for number in self._watch.worth_watching()]
-        return SensorWatch(self._source, columns, self._wanted, self._since_1970) if columns else None
+        pairs = zip(self.columns, self._divisions, strict=True)
+        columns = [column for column, division in pairs if division.is_worth_watching()]
+        wanted = self._wanted, self._chosen
+        return SensorWatch(self._source, columns, wanted, self._since_1970) if columns else None
 
     def constant(self, piece: Piece) -> dict[int, str]:
         """Return the texts of columns that, as far as a short look shows, are the same in all rows."""
-        if self._wanted[1] is not None:
+        if self._chosen is not None:
             return {}
         return self._source.constant_cells(piece, [column.number for column in self.columns])
 
@@ -510,6 +403,38 @@ class SensorWatch:
             alike[one.number] if one.number in alike else block.values[one.number] for one in self.columns
         )
 
-    def see(self, seen: tuple[CellTexts, ...], times: NDArray[np.int64] | None) -> None:
-        """Take the columns of the next block; raise UnreadableError if they show several sensors."""
-        self._watch.see(seen, times)
+    def see(self, seen: Sequence[CellTexts], times: NDArray[np.int64] | None) -> None:
+        """Take the columns of the next block; raise UnreadableError if they show several sensors.
+
+        The column that tells most by its name is named, then the one with the fewest values.
+        """
+        for division, cells in zip(self._divisions, seen, strict=True):
+            division.add(cells, times)
+        several = [one for one in self._divisions if one.is_several()]
+        if several:
+            found = max(several, key=lambda one: (one.meaning, -len(one.texts)))
+            raise found.fault(self._source.path, self._wanted, self._sensors(found))
+
+    def _sensors(self, found: Division) -> list[str]:
+        """Return values of --sensor that choose each sensor, those seen unless all are to be listed."""
+        *chosen, last = (self._wanted or EACH).rsplit(",", 1)
+        texts = found.texts
+        if self._wanted is not None and last == EACH:
+            rows = self._values(self.columns[self._divisions.index(found)].number)
+            texts = [text for text, number in rows.items() if number >= LEAST_ROWS]
+        before = chosen if last == EACH else [self._wanted or ""]
+        return [",".join([*before, f"{found.name}={text}"]) for text in texts]
+
+    def _values(self, column: int) -> Counter[str]:
+        """Return the values of a column in the rows that are read, with how many have each."""
+        asked, rows = (
+            {column: As.CODES} | ({} if self._chosen is None else self._chosen.wanted),
+            Counter[str](),
+        )
+        for piece in self._source.pieces(asked, SEARCH_ROWS):
+            block = self._source.parse(piece, asked)
+            texts, codes = block.values[column]
+            codes = codes if self._chosen is None else codes[self._chosen.rows(block)]
+            for code, number in enumerate(np.bincount(codes[codes >= 0], minlength=len(texts)).tolist()):
+                rows[texts[code]] += number
+        return rows

@@ -58,19 +58,6 @@ class SiblingGyroscope:
     unit: str
 
 
-@dataclass(frozen=True, slots=True)
-class ExperimentStart:
-    """When the time 0 of an experiment was.
-
-    Attributes:
-        us: microseconds since 1970.
-        pauses: how often it was paused; times do not count pauses.
-    """
-
-    us: int
-    pauses: int
-
-
 def belongs_to(path: Path) -> Path | None:
     """Return the recording that a file belongs to; None for a file that may be one itself."""
     if not path.name.lower().endswith(SUFFIXES):
@@ -131,26 +118,25 @@ def _of_polar(path: Path) -> Path | None:
 def sibling_gyroscope(path: Path) -> SiblingGyroscope | None:
     """Return the rotation rates next to a file of accelerations; None if there are none."""
     try:
-        return _gyroscope(path)
+        if path.name in LOGGER_ACC:
+            beside = (path.with_name(name) for name in LOGGER_GYRO)
+            found = next((one for one in beside if LOGGER_HEAD.match(_head(one))), None)
+            return None if found is None else SiblingGyroscope(found, ("x", "y", "z"), "rad/s")
+        if path.stem.upper().endswith("_ACC"):
+            found = path.with_name(f"{path.stem[:-3]}GYRO{path.suffix}")
+            polar = _head(found).startswith(POLAR_HEAD)
+            return SiblingGyroscope(found, ("2", "3", "4"), "deg/s") if polar else None
+        found = _in_phyphox(path.parent, PHYPHOX_GYRO)
     except (OSError, ValueError, UnreadableError):
         return None
-
-
-def _gyroscope(path: Path) -> SiblingGyroscope | None:
-    if path.name in LOGGER_ACC:
-        beside = (path.with_name(name) for name in LOGGER_GYRO)
-        found = next((one for one in beside if LOGGER_HEAD.match(_head(one))), None)
-        return None if found is None else SiblingGyroscope(found, ("x", "y", "z"), "rad/s")
-    if path.stem.upper().endswith("_ACC"):
-        found = path.with_name(f"{path.stem[:-3]}GYRO{path.suffix}")
-        polar = _head(found).startswith(POLAR_HEAD)
-        return SiblingGyroscope(found, ("2", "3", "4"), "deg/s") if polar else None
-    found = _in_phyphox(path.parent, PHYPHOX_GYRO)
     return None if found is None else SiblingGyroscope(found, ("1", "2", "3"), "rad/s")
 
 
-def experiment_start(path: Path) -> ExperimentStart | None:
-    """Return when a phyphox experiment began, as `meta/time.csv` says; None if nothing says so."""
+def experiment_start(path: Path) -> tuple[int, int] | None:
+    """Return when the time 0 of a phyphox experiment was [us since 1970], and how often it was paused.
+
+    None if `meta/time.csv` does not say so; times do not count pauses.
+    """
     times = path.parent / "meta" / PHYPHOX_META[0]
     try:
         with open_found(times) as file:
@@ -162,7 +148,7 @@ def experiment_start(path: Path) -> ExperimentStart | None:
         us = round((system - since) * MICROSECONDS)
     except (OSError, ValueError, IndexError, InvalidOperation, csv.Error, UnreadableError):
         return None
-    return ExperimentStart(us, len(starts) - 1) if FIRST_US < us < LAST_US else None
+    return (us, len(starts) - 1) if FIRST_US < us < LAST_US else None
 
 
 def _number(text: str) -> Decimal:

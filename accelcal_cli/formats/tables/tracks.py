@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import utc_offset_s
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import AccelcalError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Problem
 from accelcal_cli.core.vocabulary import GIVE_UNIT, PER_SECOND, acceleration_unit, find_unit
@@ -32,14 +32,13 @@ from accelcal_cli.formats.tables.header import (
     Block,
     CellTexts,
     Column,
-    Damage,
     First,
     Kind,
     Piece,
     Source,
     Start,
     Stated,
-    explained,
+    Wanted,
     readable,
     shown,
 )
@@ -214,7 +213,9 @@ class TrackSource(Source):
         with self.explaining(), self.opened() as open_rows:
             self.columns = self._described(open_rows)
         names = tuple(column.name.text for column in self.columns)
-        self.stated = names_description(Head(names, self._first_cells), path.name) or self.stated
+        first = First(self._piece(0, SAMPLE_ROWS, {}))
+        head = Head(names, lambda number: [cell for cell, _ in self.cells(first, self.columns[number])])
+        self.stated = names_description(head, path.name) or self.stated
 
     @contextmanager
     def opened(self) -> Iterator[OpenRows]:
@@ -233,8 +234,21 @@ class TrackSource(Source):
     @contextmanager
     def explaining(self) -> Iterator[None]:
         """See `Source`."""
-        with explained(self.path, self.missing_bytes, self.damaged):
+        try:
             yield
+        except AccelcalError as error:
+            missing, size = self.missing_bytes, None
+            if missing:
+                size = self.path.stat().st_size
+                to = f" to {size} of {size + missing} bytes" if missing > 0 else ""
+                error.message = f"is cut short{to}, so that {error.message}"
+                error.hint = "; or ".join(
+                    filter(None, (error.hint, "copy the whole file again from its source"))
+                )
+            elif self.damaged:
+                error.message = f"is damaged in {self.damaged} places, so that {error.message}"
+            error.byte_offset = size
+            raise
 
     def _described(self, open_rows: OpenRows) -> tuple[Column, ...]:
         """Return the columns, with the units that are stated of them, and the kinds of those of texts."""
@@ -242,28 +256,17 @@ class TrackSource(Source):
         for number, track in enumerate(self.tracks):
             looked_at = number < MOST_LOOKED_AT
             stated = self.own(track.path).text(*UNIT_NAMES) if looked_at and not track.unit else None
-            name = readable(basename(track.path))
+            name, group = readable(basename(track.path)), readable(dirname(track.path))
             unit = track.unit or stated or ""
             kind = Kind.TIME if track.is_moment else Kind.NUMBER
             if track.dtype == TEXT:
                 kind = self._kind_of(open_rows, track) if looked_at else Kind.TEXT
-            group = readable(dirname(track.path))
-            grouped = group.strip("/")
-            columns.append(
-                Column(
-                    number,
-                    name_of(name, unit or None),
-                    kind,
-                    f"column {readable(track.path)}" if grouped else f"column {number} ({name!r})",
-                    unit,
-                    group,
-                    track.rows,
-                    track.width,
-                    track.dtype if track.dtype != TEXT else FLOAT,
-                    track.is_moment,
-                    track.is_clock,
-                )
+            described = (
+                f"column {readable(track.path)}" if group.strip("/") else f"column {number} ({name!r})"
             )
+            dtype = track.dtype if track.dtype != TEXT else FLOAT
+            size = track.rows, track.width, dtype, track.is_moment, track.is_clock
+            columns.append(Column(number, name_of(name, unit or None), kind, described, unit, group, *size))
         return tuple(columns)
 
     def _kind_of(self, open_rows: OpenRows, track: Track) -> Kind:
@@ -282,83 +285,64 @@ class TrackSource(Source):
                 what, hint = "the axes have different counts per g", "give --lsb-per-g N"
                 raise UnreadableError(what, path=self.path, hint=hint)
             if options.unit is None and not any(one.unit or one.name.stated for one in xyz):
-                self._refuse_other_unit(about.text(*UNIT_NAMES))
+                text = about.text(*UNIT_NAMES)  # of the acceleration, or around it
+                if text and find_unit(text) is not None and acceleration_unit(text) is None:
+                    what = f"the unit {text!r}, which is stated of it, is not one of acceleration"
+                    raise UnreadableError(what, path=self.path, hint=GIVE_UNIT)
             self.stated = stated_of(about, self.stated)
             if gyro:
-                lsb = lsb_per_dps(self.around(self.tracks[gyro[0].number].path))
+                lsb = _lsb_per_dps(self.around(self.tracks[gyro[0].number].path))
                 self.stated = replace(self.stated, lsb_per_dps=lsb or self.stated.lsb_per_dps)
             self.problems = (*self.problems, *header_problems(about, self.damaged))
         self.rows = xyz[0].rows
 
-    def _refuse_other_unit(self, text: str | None) -> None:
-        """Raise UnreadableError for a unit of another quantity, stated of the acceleration or around it."""
-        if text and find_unit(text) is not None and acceleration_unit(text) is None:
-            what = f"the unit {text!r}, which is stated of it, is not one of acceleration"
-            raise UnreadableError(what, path=self.path, hint=GIVE_UNIT)
-
-    def row_bytes_of(self, wanted: Mapping[int, As]) -> float:
+    def row_bytes_of(self, wanted: Wanted) -> float:
         """See `Source`."""
         sizes = (self.tracks[number] for number in wanted)
         return float(sum(16 if one.dtype == TEXT else one.dtype.itemsize * one.width for one in sizes))
 
-    def head(self, wanted: Mapping[int, As]) -> TrackPiece:
+    def head(self, wanted: Wanted) -> TrackPiece:
         """See `Source`."""
         return self._piece(0, min(BLOCK_ROWS, self.rows or BLOCK_ROWS), {})
 
-    def more(self, wanted: Mapping[int, As]) -> Iterator[TrackPiece]:
+    def more(self, wanted: Wanted) -> Iterator[TrackPiece]:
         """See `Source`."""
         last = max(0, (self.rows or 0) - PLACE_ROWS)
         for place in range(1, PLACES + 1):
             row = place * last // PLACES
             yield self._piece(row, min(PLACE_ROWS, (self.rows or 0) - row), {})
 
-    def last(self, wanted: Mapping[int, As]) -> TrackPiece:
+    def last(self, wanted: Wanted) -> TrackPiece:
         """See `Source`."""
         rows = self.rows or 0
         return self._piece(max(0, rows - BLOCK_ROWS), min(rows, BLOCK_ROWS), {})
 
     def pieces(
-        self,
-        wanted: Mapping[int, As],
-        samples: int,
-        start: int = 0,
-        stop: int | None = None,
-        threads: int = 1,
+        self, wanted: Wanted, samples: int, start: int = 0, stop: int | None = None, threads: int = 1
     ) -> Generator[TrackPiece]:
         """See `Source`."""
         end = self.rows or 0
         end = end if stop is None else min(stop, end)
         with self.opened() as open_rows:
             rows = self._open_rows = {number: open_rows(self.tracks[number]) for number in wanted}
-            self._refuse_unbounded(sum(one.kept_bytes for one in rows.values()))
+            if (kept := sum(one.kept_bytes for one in rows.values())) > REFUSE_ABOVE_BYTES:
+                size = f"parts of {kept >> 20} MB together, too large to unpack at once"
+                what = f"its columns are packed in {size}"
+                raise UnreadableError(what, path=self.path, hint=self.repack)
             row_bytes = max(1, sum(one.row_bytes for one in rows.values()))
             step = max(1, min(samples, PIECE_BYTES // row_bytes))
             for row in range(start, end, step):
                 yield self._piece(row, min(step, end - row), rows)
 
-    def _refuse_unbounded(self, kept: int) -> None:
-        """Raise UnreadableError for parts that would take too much memory together."""
-        if kept > REFUSE_ABOVE_BYTES:
-            raise UnreadableError(
-                f"its columns are packed in parts of {kept >> 20} MB together, too large to unpack at once",
-                path=self.path,
-                hint=self.repack,
-            )
-
     def _piece(self, row: int, rows: int, sources: Mapping[int, RowSource]) -> TrackPiece:
         read = {number: source.read(row, row + rows) for number, source in sources.items()}
         size, whole = self._size, max(1, self.rows or 1)
-        return TrackPiece(
-            row,
-            rows,
-            size * row // whole,
-            size * (row + rows) // whole,
-            row + rows >= whole,
-            {number: values for number, (values, _) in read.items()},
-            {number: ~good for number, (_, good) in read.items() if not good.all()},
-        )
+        place = size * row // whole, size * (row + rows) // whole, row + rows >= whole
+        values = {number: values for number, (values, _) in read.items()}
+        lost = {number: ~good for number, (_, good) in read.items() if not good.all()}
+        return TrackPiece(row, rows, *place, values, lost)
 
-    def parse(self, piece: Piece, wanted: Mapping[int, As]) -> Block:
+    def parse(self, piece: Piece, wanted: Wanted) -> Block:
         """See `Source`."""
         assert isinstance(piece, TrackPiece)
         missing = [number for number in wanted if number not in piece.values]
@@ -376,20 +360,15 @@ class TrackSource(Source):
                 continue
             values[number], wrong = values_of_texts(piece.values[number], how)
             what = "time" if how in MOMENTS else "number"
-            bad |= {
-                row: why
-                for row, why in told(number, piece.values[number], wrong, what).items()
-                if row not in bad
-            }
+            bad = bad | told(number, piece.values[number], wrong, what) | bad  # the first reason holds
         lines = np.arange(piece.row + 1, piece.row + piece.rows + 1)
-        damage = tuple(Damage(number, lost) for number, lost in piece.lost.items() if number in wanted)
+        damage = {number: lost for number, lost in piece.lost.items() if number in wanted}
         return Block(lines, values, bad, damage)
 
     def joined(self, pieces: Sequence[Piece]) -> TrackPiece:
         """See `Source`."""
-        first, last = pieces[0], pieces[-1]
-        assert isinstance(first, TrackPiece) and isinstance(last, TrackPiece)
-        return self._piece(first.row, last.row + last.rows - first.row, {})
+        rows = [piece for piece in pieces if isinstance(piece, TrackPiece)]
+        return self._piece(rows[0].row, rows[-1].row + rows[-1].rows - rows[0].row, {})
 
     def cells(
         self, first: First, column: Column, most: int | None = SAMPLE_ROWS
@@ -405,10 +384,6 @@ class TrackSource(Source):
             values, good = open_rows(self.tracks[column.number]).read(row, row + rows[-1] + 1)
         texts = texts_of(values)
         return [(texts[one] if good[one] else "", None) for one in rows]
-
-    def _first_cells(self, number: int) -> list[str]:
-        """Return the first cells of a column."""
-        return [cell for cell, _ in self.cells(First(self._piece(0, SAMPLE_ROWS, {})), self.columns[number])]
 
     def offset_of(self, column: int, row: int) -> int | None:
         """See `Source`."""
@@ -438,15 +413,11 @@ def texts_of(values: Any) -> list[str]:
 
 def _as_wanted(values: NDArray[Any], how: As) -> Any:
     """Return numbers (n, width) in the form in which they are wanted."""
-    if how is As.CODES:
-        return _codes(values[:, 0])
     if how is As.TEXT:
         return as_texts(texts_of(values))
-    return values[:, 0] if values.shape[1] == 1 else values
-
-
-def _codes(column: NDArray[Any]) -> CellTexts:
-    """Return numbers (n,) as texts with the number of each."""
+    column = values[:, 0]
+    if how is not As.CODES:
+        return column if values.shape[1] == 1 else values
     wide = column.astype(np.float64)
     known = np.isfinite(wide) & (np.abs(wide) < 1 << 53)
     numbers, codes = np.unique(np.where(known, column, 0), return_inverse=True)
@@ -492,8 +463,7 @@ def parse_moment(value: str | float) -> tuple[int, bool, bool] | None:
     return start.start_us, start.timezone == "UTC", start.had_offset
 
 
-def lsb_per_dps(attributes: Attributes) -> float | None:
-    """Return the counts in one deg/s that the attributes of a gyroscope and of what is around it state."""
+def _lsb_per_dps(attributes: Attributes) -> float | None:
     per_count, lsb = attributes.number(*DPS_PER_LSB), attributes.number(*LSB_PER_DPS)
     lsb = 1 / per_count if lsb is None and per_count else lsb
     return lsb if lsb is not None and lsb > 0 else None
@@ -505,28 +475,16 @@ def stated_of(attributes: Attributes, known: Stated) -> Stated:
     Args:
         known: what the names of the columns tell already; attributes take precedence.
     """
-    zone_name, range_g = attributes.text(*ZONE_NAMES), attributes.number(*RANGE_NAMES)
-    zone, notes = known_zone(zone_name), list(known.notes)
-    start = attributes.value(*START_NAMES)
-    moment = None if start is None else parse_moment(start)
-    if start is not None and moment is None:
-        notes.append(f"the start time {start!r} is not a date and time")
-    if moment is not None and moment[1]:
-        if zone_name is not None and zone != "UTC":
-            notes.append(f"its start is UTC; it names the time zone {zone or zone_name}")
-        zone = "UTC"
-    elif zone_name is not None and zone is None:
-        notes.append(f"its time zone {zone_name!r} is not known and was not used")
-    unit_name = attributes.text(*UNIT_NAMES) or ""
+    notes, range_g = list(known.notes), attributes.number(*RANGE_NAMES)
+    zone, moment = _stated_times(attributes, notes)
+    unit_name, scale = attributes.text(*UNIT_NAMES) or "", attributes.number(*LSB_NAMES)
     unit = acceleration_unit(unit_name)
     if unit_name and unit is None:
         notes.append(f"its unit {unit_name!r} is not known and was not used")
-    scale = attributes.number(*LSB_NAMES)
-    model = attributes.text(*MODEL_NAMES) or known.device.model
     stated = replace(
         known,
         device=Device(
-            model,
+            attributes.text(*MODEL_NAMES) or known.device.model,
             attributes.text(*SERIAL_NAMES) or known.device.serial,
             attributes.text(*FIRMWARE_NAMES) or known.device.firmware,
         ),
@@ -540,3 +498,20 @@ def stated_of(attributes: Attributes, known: Stated) -> Stated:
     if moment is not None:
         stated = replace(stated, start=Start(moment[0]), has_offsets=moment[2], counts_from_zero=True)
     return stated
+
+
+def _stated_times(
+    attributes: Attributes, notes: list[str]
+) -> tuple[str | None, tuple[int, bool, bool] | None]:
+    """Return the stated zone and start, and add to the notes what of these cannot be used."""
+    zone_name, start = attributes.text(*ZONE_NAMES), attributes.value(*START_NAMES)
+    zone, moment = known_zone(zone_name), None if start is None else parse_moment(start)
+    if start is not None and moment is None:
+        notes.append(f"the start time {start!r} is not a date and time")
+    if moment is not None and moment[1]:
+        if zone_name is not None and zone != "UTC":
+            notes.append(f"its start is UTC; it names the time zone {zone or zone_name}")
+        return "UTC", moment
+    if zone_name is not None and zone is None:
+        notes.append(f"its time zone {zone_name!r} is not known and was not used")
+    return zone, moment

@@ -65,6 +65,10 @@ LEAST_GYRO_SHARE = 0.99
 NO_GYRO_UNIT = "its unit is not known, give -R gyro_unit=deg/s or -R gyro_unit=rad/s"
 
 
+Floats = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+
 class Fault(IntEnum):
     """The reason why a row cannot be used."""
 
@@ -116,7 +120,11 @@ class Scale:
                 # a power of two moves no bit of a fraction
                 scaled: NDArray[Any] = np.rint(values * np.float32(self.lsb))
             else:
-                scaled = self._scaled(_with_empty(values))
+                scaled = as_floats(values)
+                if self.zero:
+                    scaled = scaled - self.zero
+                if self.per is not None:
+                    scaled = np.rint((scaled if self.per == 1.0 else scaled / self.per) * self.lsb)
         fault = np.zeros(len(values), np.uint8)
         if self.per is None and (broken := (np.rint(scaled) != scaled) & np.isfinite(scaled)).any():
             fault[broken.any(axis=1)] = Fault.FRACTION
@@ -127,14 +135,6 @@ class Scale:
         if fault.any():
             scaled = np.where((fault == Fault.NONE)[:, None], scaled, 0.0)
         return scaled.astype(np.int32), fault
-
-    def _scaled(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        if self.per is None:
-            return values - self.zero if self.zero else values
-        if self.zero:
-            values = values - self.zero
-        in_units = values if self.per == 1.0 else values / self.per
-        return np.rint(in_units * self.lsb)
 
     def _whole(self, values: NDArray[Any]) -> tuple[Counts, NDArray[np.uint8]]:
         """Return whole numbers that are counts; those of 16 bits stay as short."""
@@ -161,25 +161,19 @@ class Scale:
         """
         length = usual_length(values - self.zero) / (self.lsb if self.per is None else self.per)
         if length and not USUAL_G[0] < length < USUAL_G[1]:
-            raise UnreadableError(
-                f"its usual acceleration would be {length:.3g} g, so that its unit is in doubt",
-                path=path,
-                hint=GIVE_UNIT,
-            )
+            what = f"its usual acceleration would be {length:.3g} g, so that its unit is in doubt"
+            raise UnreadableError(what, path=path, hint=GIVE_UNIT)
 
 
-def _with_empty(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Return numbers as decimal fractions, NaN for empty ones."""
+def as_floats(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Return numbers as decimal fractions (n,) or (n, 3), NaN for empty ones."""
+    if values.dtype == FLOAT:
+        return values
     with np.errstate(over="ignore", invalid="ignore"):  # of wider fractions, and of NaN that signal
         found = values.astype(np.float64)
     if values.dtype == np.int64:
         found[values == EMPTY] = np.nan
     return found
-
-
-def as_floats(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Return numbers as decimal fractions (n,) or (n, 3), NaN for empty ones."""
-    return values if values.dtype == FLOAT else _with_empty(values)
 
 
 def common_dtype(group: Group) -> np.dtype[Any]:
@@ -188,11 +182,7 @@ def common_dtype(group: Group) -> np.dtype[Any]:
 
 
 def find_scale(
-    values: NDArray[np.float64],
-    lines: NDArray[np.int64],
-    roles: Roles,
-    source: Source,
-    options: ReadOptions,
+    values: Floats, lines: Numbers, roles: Roles, source: Source, options: ReadOptions
 ) -> tuple[Scale, bool]:
     """Return the scale of accelerations (n, 3), and whether gravity alone decided the unit.
 
@@ -203,37 +193,30 @@ def find_scale(
         UnreadableError: no unit fits or it is not known, or the values lie around another count than 0.
         UsageError: the unit is not known, or counts come without their scale.
     """
-    path, about = source.path, source.stated
-    dtype = common_dtype(roles.xyz)
-    known = values[np.isfinite(values)]
-    whole = dtype.kind in "iu" or bool(len(known) and known.any() and (known == np.rint(known)).all())
+    path, about, dtype = source.path, source.stated, common_dtype(roles.xyz)
+    whole = _are_whole(values, dtype)
     lsb = about.lsb_per_g if options.lsb_per_g is None else options.lsb_per_g
-    by_attribute = about.lsb_per_g is not None and not about.unit_is_inferred
-    are_counts = whole and (options.lsb_per_g is not None or by_attribute)
-    unit = _stated_unit(roles.xyz, are_counts, source, options)
+    unit = _stated_unit(roles.xyz, whole, source, options)
     if about.unit is not None and about.unit_is_inferred and unit in (None, about.unit) and not options.unit:
         scale = _scale_of(about.unit, lsb, about.zero, (dtype, whole))
         scale.check(values, path)
-        if about.unit == COUNTS and not whole:
+        if about.unit == COUNTS:
             _refuse_fractions(values, lines, source)
         return scale, False
     unit = unit or about.unit
     if lsb is None and options.zero is None and unit in (None, COUNTS):
         refuse_other_zero(values, path)
-    stated, unit = unit, unit or (COUNTS if lsb is not None else guess_unit(values, path))
-    zero = about.zero if options.zero is None else options.zero
+    guessed = unit is None and lsb is None
+    unit = guess_unit(values, path) if guessed else unit or COUNTS
     if unit != COUNTS:
-        return _scale_of(unit, None, 0, (dtype, whole)), stated is None
-    if lsb is None:
-        raise UsageError("counts need their scale", path=path, hint=scale_hint(values, options.zero))
-    if not LEAST_LSB <= lsb <= FLOAT_LSB_PER_G * LARGEST_G:
-        raise UnreadableError(f"{lsb:g} counts per g cannot be right", path=path, hint="give --lsb-per-g N")
-    if not whole and len(known) and (known != np.rint(known)).any():
-        return _scale_of_averages(values, lines, (lsb, zero), source), False
-    scale = _scale_of(COUNTS, lsb, zero, (dtype, whole))
-    if options.zero is None and not zero and (found := zero_of(values, lsb, path)) is not None:
-        scale = replace(scale, zero=found, found_zero=True, short=False)
-    return scale, False
+        return _scale_of(unit, None, 0, (dtype, whole)), guessed
+    return _scale_of_counts(values, lines, (lsb, dtype), source, options), False
+
+
+def _are_whole(values: NDArray[np.float64], dtype: np.dtype[Any]) -> bool:
+    """Return True if numbers are whole by their type, or all that are known, unless all are 0."""
+    known = values[np.isfinite(values)]
+    return dtype.kind in "iu" or bool(known.any() and (known == np.rint(known)).all())
 
 
 def _scale_of(unit: str, lsb: float | None, zero: int, numbers: tuple[np.dtype[Any], bool]) -> Scale:
@@ -247,49 +230,59 @@ def _scale_of(unit: str, lsb: float | None, zero: int, numbers: tuple[np.dtype[A
     return Scale(unit, FLOAT_LSB_PER_G, PER_G[unit])
 
 
-def _scale_of_averages(
-    values: NDArray[np.float64], lines: NDArray[np.int64], stated: tuple[float, int], source: Source
+def _scale_of_counts(
+    values: Floats,
+    lines: Numbers,
+    known: tuple[float | None, np.dtype[Any]],
+    source: Source,
+    options: ReadOptions,
 ) -> Scale:
-    """Return the scale of counts with decimal fractions, as averages have.
+    """Return the scale of counts; they have decimal fractions where they are averages.
 
     Args:
-        stated: counts per g, and the count of 0 g.
+        known: counts per g, and their type.
 
     Raises:
-        UnreadableError: they are no such counts, since their length is not that of gravity.
+        UnreadableError: fractions are not averages, since their length is not that of gravity.
+        UsageError: the counts per g are not known.
     """
-    lsb, zero = stated
-    length = usual_length(values - zero) / lsb
-    if USUAL_G[0] < length < USUAL_G[1]:
+    (lsb, dtype), path = known, source.path
+    zero = source.stated.zero if options.zero is None else options.zero
+    if lsb is None:
+        raise UsageError("counts need their scale", path=path, hint=scale_hint(values, options.zero))
+    if not LEAST_LSB <= lsb <= FLOAT_LSB_PER_G * LARGEST_G:
+        raise UnreadableError(f"{lsb:g} counts per g cannot be right", path=path, hint="give --lsb-per-g N")
+    finite = values[np.isfinite(values)]
+    if (finite != np.rint(finite)).any():
+        if not USUAL_G[0] < usual_length(values - zero) / lsb < USUAL_G[1]:
+            _refuse_fractions(values, lines, source)
         return Scale(COUNTS, FLOAT_LSB_PER_G, lsb, zero=zero)
-    _refuse_fractions(values, lines, source)
-    return Scale(COUNTS, lsb, zero=zero)
+    scale = _scale_of(COUNTS, lsb, zero, (dtype, True))
+    if options.zero is None and not zero and (found := zero_of(values, lsb, path)) is not None:
+        scale = replace(scale, zero=found, found_zero=True, short=False)
+    return scale
 
 
 def _refuse_fractions(
-    values: NDArray[np.float64],
-    lines: NDArray[np.int64],
-    source: Source,
-    option: str = f"--unit {PHYSICAL_UNITS}",
+    values: Floats, lines: Numbers, source: Source, option: str = f"--unit {PHYSICAL_UNITS}"
 ) -> None:
     """Raise UnreadableError, which advises an option, if any value (n, 3) is not a whole number of counts."""
     fractions = np.argwhere(np.isfinite(values) & (values != np.rint(values)))
     if len(fractions):
         row, axis = fractions[0].tolist()
-        in_text = source.first_line is not None and row < len(lines)
-        raise UnreadableError(
+        line = int(lines[row]) if source.first_line is not None and row < len(lines) else None
+        what, hint = (
             f"{values[row, axis]:g} is not a whole number of counts",
-            path=source.path,
-            line=int(lines[row]) if in_text else None,
-            hint=f"give the unit of the values with {option}",
+            "give the unit of the values with ",
         )
+        raise UnreadableError(what, path=source.path, line=line, hint=hint + option)
 
 
-def _stated_unit(xyz: Group, are_counts: bool, source: Source, options: ReadOptions) -> str | None:
+def _stated_unit(xyz: Group, whole: bool, source: Source, options: ReadOptions) -> str | None:
     """Return the unit that the user or the columns state, None if neither does.
 
     Args:
-        are_counts: the values are whole, and the counts per g are known.
+        whole: the values are whole, and so counts if the counts per g are stated.
     """
     if options.unit is not None:
         unit = acceleration_unit(options.unit)
@@ -299,26 +292,19 @@ def _stated_unit(xyz: Group, are_counts: bool, source: Source, options: ReadOpti
         if unit != COUNTS and options.zero is not None:
             raise UsageError(f"-R zero is for counts, not for values in {unit}", hint="omit -R zero")
         return unit
-    if options.zero is not None or are_counts:
+    by_attribute = source.stated.lsb_per_g is not None and not source.stated.unit_is_inferred
+    if options.zero is not None or (whole and (options.lsb_per_g is not None or by_attribute)):
         return COUNTS
     for column in xyz:
         if column.unit and acceleration_unit(column.unit) is None:
-            raise UnreadableError(
-                f"the unit {readable(column.unit)!r} of {column.described} is not known",
-                path=source.path,
-                hint=f"give --unit {PHYSICAL_UNITS}, or --unit counts",
-            )
+            what = f"the unit {readable(column.unit)!r} of {column.described} is not known"
+            hint = f"give --unit {PHYSICAL_UNITS}, or --unit counts"
+            raise UnreadableError(what, path=source.path, hint=hint)
     units = {acceleration_unit(column.name.stated) for column in xyz} - {None}
     if len(units) > 1:
         what, hint = "the axes have different units", "give them one unit, or say it with --unit"
         raise UnreadableError(what, path=source.path, line=source.names_line, hint=hint)
     return next(iter(units), None)
-
-
-def turn_scale(unit: str) -> Scale | None:
-    """Return the scale of rotation rates in a unit, written as decimal fractions; None if it is not known."""
-    found = unit_of(unit, Quantity.ROTATION)
-    return None if found is None else Scale("deg/s", GYRO_LSB_PER_DPS, found.per, LARGEST_DPS)
 
 
 def find_turn_scale(gyro: Group, block: Block, source: Source, options: ReadOptions) -> Scale | None:
@@ -338,7 +324,8 @@ def find_turn_scale(gyro: Group, block: Block, source: Source, options: ReadOpti
         return Scale(COUNTS, lsb, None, LARGEST_DPS, short=np.can_cast(common_dtype(gyro), np.int16))
     named = {column.name.stated for column in gyro if unit_of(column.name.stated, Quantity.TIME) is None}
     own = named.pop() if len(named) == 1 else ""
-    return turn_scale(options.gyro_unit or own or source.stated.gyro_unit or "")
+    unit = unit_of(options.gyro_unit or own or source.stated.gyro_unit or "", Quantity.ROTATION)
+    return None if unit is None else Scale("deg/s", GYRO_LSB_PER_DPS, unit.per, LARGEST_DPS)
 
 
 def why_not_read(values: NDArray[np.float64], rates: NDArray[np.float64]) -> str | None:
@@ -366,11 +353,6 @@ def held(values: NDArray[np.int32]) -> NDArray[np.int32]:
         return values
     last = np.maximum.accumulate(np.where(missing, -1, np.arange(len(values))))
     return np.where(last < 0, UNKNOWN, values[last]).astype(np.int32)
-
-
-def described_scale(scale: Scale, guessed: bool) -> str:
-    """Return the note on a unit, and how it was found."""
-    return f"unit: {scale.unit}{' (judged by the length of gravity)' if guessed else ''}"
 
 
 def group_values(block_values: Any, group: Group) -> NDArray[Any]:

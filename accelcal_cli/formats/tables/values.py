@@ -7,7 +7,7 @@ second; these do without.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import date
 from typing import Any
 
@@ -104,10 +104,13 @@ def is_stamp(cell: str, zoned: bool) -> bool:
 def values_of(column: Any, how: As) -> Any:
     """Return a column of pyarrow's type as it is wanted."""
     if how is As.NUMBER:
-        return floats(column)
+        return filled(column, np.float64, np.nan)
     if how is As.CODES:
         return codes_of_texts(column)
-    return clean_texts(whole(column)) if how is As.TEXT else _microseconds(column)
+    if how is As.TEXT:
+        return clean_texts(whole(column))
+    ticks = filled(column, np.int64, EMPTY_NS)
+    return np.where(ticks == EMPTY_NS, NO_TIME, (ticks + 500) // 1000)
 
 
 def read_as(column: Any, how: As) -> tuple[Any, NDArray[np.int64], NDArray[np.int64]]:
@@ -135,7 +138,7 @@ def numbers(cells: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     signs = text == ord("-")
     signs[starts[starts < len(text)]] = False
     doubtful = np.searchsorted(starts, np.flatnonzero(odd | signs), side="right") - 1
-    return _read_apart(cells, As.NUMBER, np.unique(doubtful), _are_numbers)
+    return _read_apart(cells, As.NUMBER, np.unique(doubtful))
 
 
 def moments(cells: Any, zoned: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -150,8 +153,7 @@ def moments(cells: Any, zoned: bool) -> tuple[NDArray[np.int64], NDArray[np.int6
     size = np.minimum(np.diff(_letters(cells)[0]), LONGEST_TIME)
     rare = RARE * np.bincount(size, minlength=1) < len(size)
     doubtful = np.flatnonzero(rare[size] & (size > 0))
-    how = As.ZONED_MOMENT if zoned else As.MOMENT
-    times, rest = _read_apart(cells, how, doubtful, _are_zoned_times if zoned else _are_times)
+    times, rest = _read_apart(cells, As.ZONED_MOMENT if zoned else As.MOMENT, doubtful)
     if not len(rest):
         return times, rest
     import pyarrow.compute as pc
@@ -166,14 +168,11 @@ def moments(cells: Any, zoned: bool) -> tuple[NDArray[np.int64], NDArray[np.int6
     return times, rest[~right]
 
 
-def _read_apart(
-    cells: Any, how: As, doubtful: NDArray[np.int64], known: Callable[[Any], NDArray[np.bool_]]
-) -> tuple[Any, NDArray[np.int64]]:
+def _read_apart(cells: Any, how: As, doubtful: NDArray[np.int64]) -> tuple[Any, NDArray[np.int64]]:
     """Return texts (n,) as numbers or times (n,), and the rows of all others, which are empty.
 
     Args:
         doubtful: rows of which each has to be looked at; all, if Arrow does not understand the others.
-        known: flags the texts that Arrow understands.
     """
     import pyarrow.compute as pc  # takes a tenth of a second, and sound files need none of it
 
@@ -184,31 +183,24 @@ def _read_apart(
         values = _cast(pa.nulls(len(cells), pa.string()), how)
     if len(doubtful):
         others = pc.utf8_trim(cells.take(in_arrow(doubtful)), " \t" if how is As.NUMBER else "")
-        good = known(others)
+        good = _understood(others, how)
         if good.any():
             values[doubtful[good]] = _cast(others.filter(in_arrow(good)), how)
         doubtful = doubtful[~good]
     return values, doubtful
 
 
-def _are_numbers(cells: Any) -> NDArray[np.bool_]:
+def _understood(cells: Any, how: As) -> NDArray[np.bool_]:
+    """Return flags (n,) of the texts of which Arrow makes numbers or times."""
     import pyarrow.compute as pc
 
-    return flags(pc.match_substring_regex(cells, ARROW_NUMBER))
-
-
-def _are_times(cells: Any, zoned: bool = False) -> NDArray[np.bool_]:
-    import pyarrow.compute as pc
-
-    written = flags(pc.match_substring_regex(cells, ARROW_TIMES[zoned]))
+    if how is As.NUMBER:
+        return flags(pc.match_substring_regex(cells, ARROW_NUMBER))
+    written = flags(pc.match_substring_regex(cells, ARROW_TIMES[how is As.ZONED_MOMENT]))
     coded = pc.utf8_slice_codeunits(cells, 0, 10).dictionary_encode()
     days = np.array([*map(_is_day, coded.dictionary.to_pylist())], np.bool_)
     found: NDArray[np.bool_] = written & days[np.from_dlpack(coded.indices)]
     return found
-
-
-def _are_zoned_times(cells: Any) -> NDArray[np.bool_]:
-    return _are_times(cells, zoned=True)
 
 
 def flags(values: Any) -> NDArray[np.bool_]:
@@ -255,11 +247,6 @@ def _is_day(text: str) -> bool:
         return False
 
 
-def _microseconds(column: Any) -> NDArray[np.int64]:
-    whole = filled(column, np.int64, EMPTY_NS)
-    return np.where(whole == EMPTY_NS, NO_TIME, (whole + 500) // 1000)
-
-
 def clean_texts(cells: Any) -> Any:
     """Return texts without blanks around them, null where they then stand for a missing value."""
     import pyarrow.compute as pc
@@ -282,23 +269,16 @@ def codes_of_texts(column: Any) -> CellTexts:
 
 def filled(column: Any, kind: type[np.generic], null: float) -> NDArray[Any]:
     """Return a chunked column of numbers or times of eight bytes, (n,), with `null` where a cell is empty."""
-    parts = [_filled(chunk, kind, null) for chunk in column.chunks if len(chunk)]
+    parts = []
+    for chunk in (one for one in column.chunks if len(one)):
+        values = np.frombuffer(chunk.buffers()[1], kind, len(chunk), 8 * chunk.offset)
+        if chunk.null_count:
+            empty = np.from_dlpack(chunk.is_null().cast(pa.uint8())) > 0
+            values = np.where(empty, np.asarray(null, kind), values)
+        parts.append(values)
     if len(parts) == 1:
         return parts[0]
     return np.concatenate(parts) if parts else np.empty(0, kind)
-
-
-def _filled(chunk: Any, kind: type[np.generic], null: float) -> NDArray[Any]:
-    values = np.frombuffer(chunk.buffers()[1], kind, len(chunk), 8 * chunk.offset)
-    if not chunk.null_count:
-        return values
-    empty = np.from_dlpack(chunk.is_null().cast(pa.uint8())) > 0
-    return np.where(empty, np.asarray(null, kind), values)
-
-
-def floats(column: Any) -> NDArray[np.float64]:
-    """Return a chunked column of doubles with NaN where a cell is empty, (n,)."""
-    return filled(column, np.float64, np.nan)
 
 
 def as_texts(texts: Sequence[str]) -> Any:
@@ -308,14 +288,13 @@ def as_texts(texts: Sequence[str]) -> Any:
 
 def values_of_texts(cells: Any, how: As) -> tuple[Any, NDArray[np.int64]]:
     """Return an array of Arrow's texts (n,) as it is wanted, and the rows of those that do not fit."""
+    cells = clean_texts(cells)
     if how is As.NUMBER:
-        return numbers(clean_texts(cells))
+        return numbers(cells)
     if how in MOMENTS:
-        return moments(clean_texts(cells), how is As.ZONED_MOMENT)
-    none = np.empty(0, np.int64)
-    if how is As.TEXT:
-        return clean_texts(cells), none
-    return codes_of_texts(pa.chunked_array([clean_texts(cells).dictionary_encode()])), none
+        return moments(cells, how is As.ZONED_MOMENT)
+    codes = how is As.CODES
+    return codes_of_texts(pa.chunked_array([cells.dictionary_encode()])) if codes else cells, NO_ROWS
 
 
 def told(column: int, cells: Any, wrong: NDArray[np.int64], what: str) -> dict[int, str]:

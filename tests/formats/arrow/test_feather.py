@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +23,14 @@ from accelcal_cli.formats.tables import FEATHER, PARQUET, arrow, tracks
 from tests.formats.cuts import every_byte, table_cuts
 from tests.formats.make_hdf5 import read as read_of
 from tests.formats.make_parquet import table
-from tests.formats.reading import Read
 from tests.formats.table_values import ROWS, TIMES, values
+
+read = partial(read_of, chunk_samples=250, form=FEATHER)
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "a.feather"
-
-
-def read(path: Path, chunk_samples: int = 250, **options: Any) -> Read:
-    return read_of(path, chunk_samples, FEATHER, **options)
 
 
 def write(path: Path, rows: int = 100, compression: str = "uncompressed", stream: bool = False) -> Path:

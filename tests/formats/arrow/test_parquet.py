@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,20 +27,16 @@ from tests.formats.cuts import every_byte, table_cuts
 from tests.formats.make_hdf5 import START_US, even_times
 from tests.formats.make_hdf5 import read as read_of
 from tests.formats.make_parquet import make, table
-from tests.formats.reading import Read
 from tests.formats.table_values import ROWS, TIMES, values
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
 
 GRAVITY = 9.80665
+read = partial(read_of, chunk_samples=250, form=PARQUET)
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "a.parquet"
-
-
-def read(path: Path, chunk_samples: int = 250, **options: Any) -> Read:
-    return read_of(path, chunk_samples, PARQUET, **options)
 
 
 def write(path: Path, columns: dict[str, Any], metadata: dict[str, str] | None = None, **how: Any) -> Path:
@@ -77,7 +74,7 @@ def test_a_million_rows_in_row_groups_of_1000_and_of_a_million(path: Path) -> No
     found = []
     for rows in (1000, 1_000_000):
         pq.write_table(made, path, row_group_size=rows)
-        found.append(read(path, 100_000))
+        found.append(read(path, chunk_samples=100_000))
     assert (found[0].g == values(1_000_000)).all()
     assert found[0].same_as(found[1])
 
@@ -151,7 +148,7 @@ def test_rows_without_a_value_are_reported_and_break_the_recording(
     columns = {"x": [row[0] for row in rows], "y": y, "z": [row[2] for row in rows]}
     arrays = {name: pa.array(column, kind) for name, column in columns.items()}
     write(path, {"time": times(), **arrays}, {"lsb_per_g": "256", "unit": "counts"}, row_group_size=groups)
-    found = read(path, 64)
+    found = read(path, chunk_samples=64)
     kept = np.delete(np.arange(ROWS), [100, 101, 102])
     assert (found.counts == counts[kept]).all()
     assert [(one.code, one.sample, one.count) for one in found.problems] == [("missing_value", 100, 3)]
@@ -181,15 +178,11 @@ def test_rows_without_a_time_are_left_out(path: Path, unit: str) -> None:
     ids=["us", "ns", "zoned", "ms", "days", "duration"],
 )
 def test_times_of_all_kinds(path: Path, column: Any, zone: str | None, start_us: int | None) -> None:
-    us = TIMES
-    write(path, {"time": column(us), **axes(values())})
+    write(path, {"time": column(TIMES), **axes(values())})
     found = read(path)
-    assert (found.recording.rate_hz, found.recording.timezone, found.recording.start_us) == (
-        50.0,
-        zone,
-        start_us,
-    )
-    assert np.abs(found.times - (us if start_us else us - us[0])).max() <= 10
+    about = found.recording
+    assert (about.rate_hz, about.timezone, about.start_us) == (50.0, zone, start_us)
+    assert np.abs(found.times - (TIMES if start_us else TIMES - TIMES[0])).max() <= 10
     assert found.codes == ([] if start_us else ["no_start_time"])
 
 
@@ -364,11 +357,9 @@ def test_damaged_words_of_ours_make_it_no_raw_recording(calibrated: Path) -> Non
     for text in (b"{", b"[]", b'{"recording": 7, "result": {"outcome": 1, "held_out_mg": "x"}}'):
         pq.write_table(found.replace_schema_metadata({b"accelcal": text}), calibrated)
         with open_recording(calibrated, ReadOptions()) as reader:
-            assert reader.recording.calibrated is not None
-            assert (
-                reader.recording.calibrated.sentence()
-                == "calibrated already, from a recording of unknown name"
-            )
+            said = reader.recording.calibrated
+            assert said is not None
+            assert said.sentence() == "calibrated already, from a recording of unknown name"
 
 
 def test_raw_values_of_a_refused_recording_are_raw(calibrated: Path) -> None:

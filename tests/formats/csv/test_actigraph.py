@@ -235,15 +235,9 @@ def test_real_export_sleeps_when_the_device_says_so(real_data: Path) -> None:
 
 
 def test_verisense_has_the_same_header_and_rates_that_are_not_whole(tmp_path: Path) -> None:
-    header = HEADER.replace("ActiGraph GT3X+ ActiLife", "Verisense IMU Verisense").replace(
-        "30 Hz", "26.041667 Hz"
-    )
-    found = read(written(tmp_path, header + NAMES + "0,0,1\n" * 60))
-    about = found.recording
-    assert (about.rate_hz, about.device.model, about.device.serial) == (
-        26.041667,
-        "Verisense IMU",
-        "NEO1D00000017",
-    )
+    header = HEADER.replace("ActiGraph GT3X+ ActiLife", "Verisense IMU Verisense")
+    found = read(written(tmp_path, header.replace("30 Hz", "26.041667 Hz") + NAMES + "0,0,1\n" * 60))
+    about, device = found.recording, found.recording.device
+    assert (about.rate_hz, device.model, device.serial) == (26.041667, "Verisense IMU", "NEO1D00000017")
     assert about.notes[0] == "an export of Verisense"
     assert (found.problems, found.validity.any()) == ([], False)

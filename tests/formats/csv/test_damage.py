@@ -357,16 +357,8 @@ def test_t17_bad_lines_are_the_same_whatever_the_chunk_size(
 ) -> None:
     monkeypatch.setattr(detect, "HEAD_BYTES", 1000)
     monkeypatch.setattr(csv_lines, "PIECE_BYTES", 200)
-    text = (
-        HEADER
-        + rows(900)
-        + "2024-02-30,0,0,1\n"
-        + rows(50, 901)
-        + line
-        + rows(40, 952)
-        + "x\ny\n"
-        + rows(9, 994)
-    )
+    text = HEADER + rows(900) + "2024-02-30,0,0,1\n" + rows(50, 901) + line + rows(40, 952)
+    text += "x\ny\n" + rows(9, 994)
     found = read(written(tmp_path, text), chunk_samples)
     assert len(found.counts) == 999
     said = [(problem.count, problem.place) for problem in found.problems if problem.code == "bad_line"]

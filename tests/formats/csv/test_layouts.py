@@ -51,11 +51,6 @@ def test_decimal_commas(tmp_path: Path, delimiter: str) -> None:
     "header",
     [
         "Time,X,Y,Z",
-        "timestamp,acc_x,acc_y,acc_z",
-        "Timestamp,Accelerometer X,Accelerometer Y,Accelerometer Z",
-        "datetime,accelX,accelY,accelZ",
-        "time,AccX,AccY,AccZ",
-        "t,ax,ay,az",
         '"time","X-axis","Y-axis","Z-axis"',
         "Sample Time,Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)",
         "# time,x,y,z",

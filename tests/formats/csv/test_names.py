@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from accelcal_cli.core.vocabulary import Quantity
-from accelcal_cli.formats.tables.names import (
-    is_accelerometer_group,
-    is_gyroscope_group,
-    is_other_group,
-    name_of,
-)
+from accelcal_cli.core.vocabulary import ACCELEROMETER, GYROSCOPE, Quantity
+from accelcal_cli.formats.tables.names import is_other_group, name_of
 
 ACC, GYRO, OTHER, NONE = "accelerometer", "gyroscope", "another sensor", "no sensor"
 
@@ -95,10 +90,11 @@ def test_words_axis_unit_and_sensor(
         ("epoc (ms)", 1e3, None),
         ("unix_ns", 1e-3, None),
         ("t", None, None),
-        ("Timestamp UTC", None, "UTC"),
-        ("timestampUTC", None, "UTC"),
-        ("time (+0100)", None, "+01:00"),
-        ("time_gmt", None, "UTC"),
+        *(("Timestamp UTC", None, "UTC"), ("timestampUTC", None, "UTC"), ("TimestampUTC", None, "UTC")),
+        *(("time (UTC)", None, "UTC"), ("utc_time", None, "UTC"), ("time_gmt", None, "UTC")),
+        *(("time (+0100)", None, "+01:00"), ("timestamp (+0530)", None, "+05:30")),
+        *(("time [GMT+1]", None, "+01:00"), ("time (Europe/Berlin)", None, "Europe/Berlin")),
+        ("local time", None, None),
         ("Date", None, None),
     ],
 )
@@ -141,11 +137,14 @@ def test_names_of_what_could_be_an_axis(text: str) -> None:
 
 
 def test_groups_say_which_sensor_they_hold() -> None:
-    assert all(map(is_accelerometer_group, ("acc", "Accelerometer", "raw_acc", "Acceleration [g]")))
-    assert all(map(is_gyroscope_group, ("gyro", "Gyroscope", "angularVelocity")))
+    for words, groups in (
+        (ACCELEROMETER, ("acc", "Accelerometer", "raw_acc", "Acceleration [g]")),
+        (GYROSCOPE, ("gyro", "Gyroscope", "angularVelocity")),
+    ):
+        assert all(name_of(text).is_all(words) for text in groups)
+        assert not any(name_of(text).is_all(words) for text in ("left", "sensors", "data", "acc_left"))
     assert all(map(is_other_group, ("Gyroscope", "magnetometer", "angular_velocity", "Orientation", "quat")))
-    for text in ("left", "sensors", "data", "acc_left"):
-        assert not (is_accelerometer_group(text) or is_gyroscope_group(text) or is_other_group(text))
+    assert not any(map(is_other_group, ("left", "sensors", "data", "acc_left")))
 
 
 def test_columns_of_three_numbers_whose_group_tells_what_they_hold() -> None:

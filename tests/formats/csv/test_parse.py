@@ -23,10 +23,10 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats import open_recording
 from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME
 from accelcal_cli.formats.tables.cells import MISSING
-from accelcal_cli.formats.tables.header import As, CellTexts, Kind
+from accelcal_cli.formats.tables.header import As, Block, CellTexts, Kind
 from accelcal_cli.formats.tables.text.dialect import Dialect, Normaliser
 from accelcal_cli.formats.tables.text.lines import LineCutter, lone_block
-from accelcal_cli.formats.tables.text.parse import LineParser, ParsedLines
+from accelcal_cli.formats.tables.text.parse import LineParser
 from accelcal_cli.formats.tables.text.quotes import MOST_JOINED
 from accelcal_cli.formats.tables.values import NOT_ROWS
 from tests.formats.make_csv import START_US, read, stamp, written
@@ -41,7 +41,7 @@ def dialect(columns: int = 5, delimiter: str = ",", **more: Any) -> Dialect:
     return Dialect(Normaliser(delimiter, **more), kinds, None, None, 1, (), (), 0, 0, False)
 
 
-def parsed(text: str | bytes, layout: Dialect | None = None, wanted: dict[int, As] = WANTED) -> ParsedLines:
+def parsed(text: str | bytes, layout: Dialect | None = None, wanted: dict[int, As] = WANTED) -> Block:
     data = text if isinstance(text, bytes) else text.encode()
     return LineParser(Path("a.csv"), layout or dialect()).parse(lone_block(data, 1, 0), wanted)
 
@@ -55,14 +55,14 @@ def plain(found: Any) -> list[Any]:
     return [None if text is None else tidy(text) for text in texts]
 
 
-def rows_of(*parts: ParsedLines) -> list[tuple[Any, ...]]:
+def rows_of(*parts: Block) -> list[tuple[Any, ...]]:
     """Line and values of every row; the values are None where it is lost."""
     rows = []
     for part in parts:
         columns = [plain(part.values[column]) for column in WANTED]
         for row, (line, *cells) in enumerate(zip(part.line.tolist(), *columns, strict=True)):
-            assert row not in part.lost or cells == [None] * 5
-            rows.append((line, None if row in part.lost else cells))
+            assert row not in part.bad or cells == [None] * 5
+            rows.append((line, None if row in part.bad else cells))
     return rows
 
 
@@ -234,9 +234,9 @@ def test_rows_are_those_of_a_reader_in_plain_python_whatever_the_blocks(
 # Single facts
 
 
-def told(found: ParsedLines) -> dict[int, str]:
+def told(found: Block) -> dict[int, str]:
     """What is wrong with lost rows, by their line."""
-    return {int(found.line[row]): why for row, why in found.lost.items()}
+    return {int(found.line[row]): why for row, why in found.bad.items()}
 
 
 SOUND = "2024-03-04T00:00:00.5,0.5,-1,walk,a\n"
@@ -324,7 +324,7 @@ def test_a_date_inside_a_block_that_others_end_as() -> None:
 @pytest.mark.parametrize("text", ["", "\n", "\r\n \n\n", "   "])
 def test_a_block_without_rows(text: str) -> None:
     found = parsed(text)
-    assert (len(found.line), found.lost) == (0, {})
+    assert (len(found.line), found.bad) == (0, {})
     assert {column: len(plain(values)) for column, values in found.values.items()} == dict.fromkeys(WANTED, 0)
 
 
@@ -348,7 +348,7 @@ def test_a_cell_in_quotes_over_several_lines_is_one_row() -> None:
     assert plain(found.values[1]) == [0.5, 1, 0.5, 3, 0.5]
     assert found.values[3].texts == ("walk", "sat down, then up")
     assert found.values[3].codes.tolist() == [0, 1, 0, -1, 0]
-    assert found.lost == {}
+    assert found.bad == {}
 
 
 LONE = '2024-03-04,1,2,walk,"\n'
@@ -365,7 +365,7 @@ LONE = '2024-03-04,1,2,walk,"\n'
 def test_a_quote_that_is_never_closed_is_a_letter(text: str, lines: int) -> None:
     found = parsed(text)
     assert found.line.tolist() == [*range(1, lines + 1)]
-    assert found.lost == {}
+    assert found.bad == {}
 
 
 def test_a_quote_that_is_never_closed_costs_its_line_at_most() -> None:
@@ -379,7 +379,7 @@ def test_a_cell_reaches_over_so_many_lines(more: int) -> None:
     found = parsed(SOUND + '2024-03-04,1,2,"a' + "\nx" * (more - 1) + '\nz",b\n' + SOUND)
     assert len(found.line) == (3 if more == MOST_JOINED else more + 3)
     assert found.line[-1] == more + 3
-    assert len(found.lost) == (0 if more == MOST_JOINED else more + 1)
+    assert len(found.bad) == (0 if more == MOST_JOINED else more + 1)
 
 
 @pytest.mark.parametrize("chunk_samples", [1, 7, 100_000])

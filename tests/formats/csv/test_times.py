@@ -97,11 +97,6 @@ def test_a_phone_that_ran_for_weeks_is_not_taken_for_a_date(tmp_path: Path, ago:
     assert found.codes == ["no_start_time"]
 
 
-def test_a_mix_of_zones_and_none_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UnreadableError, match="some times have a zone"):
-        with_times(tmp_path, [stamp(0), stamp(10_000) + "Z"] * 9)
-
-
 def test_a_rate_that_contradicts_the_times_is_refused(tmp_path: Path) -> None:
     cells = [stamp(row * 10_000) for row in range(20)]
     with pytest.raises(UnreadableError, match="its times say 100 Hz, not 30 Hz"):
@@ -127,18 +122,14 @@ def test_uneven_stamps_are_used_as_given(tmp_path: Path) -> None:
 
 
 def test_gaps_and_steps_back_are_breaks(tmp_path: Path) -> None:
-    steps = [*range(20), *range(23, 40), *range(35, 60), *range(70, 90)]
+    """A step of three periods is not a gap yet."""
+    steps = [*range(20), *range(23, 40), *range(35, 60), *range(70, 90), *range(92, 99)]
     found = with_times(tmp_path, [stamp(step * 10_000) for step in steps])
     assert found.breaks == [20, 37, 62]
     assert found.codes == ["clock_gap", "clock_back", "clock_gap"]
     assert [problem.sample for problem in found.problems] == [20, 37, 62]
     assert found.problems[0].told == "the time jumps ahead by 0.04 s, before line 22"
     assert found.problems[1].told == "the time goes back by 0.04 s, before line 39"
-
-
-def test_a_step_of_three_periods_is_no_gap(tmp_path: Path) -> None:
-    steps = [*range(20), *range(22, 40)]
-    assert with_times(tmp_path, [stamp(step * 10_000) for step in steps]).breaks == []
 
 
 def test_whole_seconds_are_spread_evenly(tmp_path: Path) -> None:
@@ -194,14 +185,9 @@ def test_spreading_and_gaps_do_not_depend_on_blocks(
 
 
 def test_a_stopped_clock_asks_for_the_rate(tmp_path: Path) -> None:
-    cells = [stamp(0)] * 50
-    repeated = "2024-03-04T00:00:00.000000 in each of the first 50"
-    with pytest.raises(
-        UnreadableError,
-        match=f"the sampling rate cannot be found from the times of its rows: {repeated}; give it with",
-    ):
-        with_times(tmp_path, cells)
-    found = with_times(tmp_path, cells[:20], rate_hz=30.0)
+    with pytest.raises(UnreadableError, match=r"found from the times of its rows: .*50; give it with --rate"):
+        with_times(tmp_path, [stamp(0)] * 50)
+    found = with_times(tmp_path, [stamp(0)] * 20, rate_hz=30.0)
     assert np.array_equal(np.diff(found.times) // 1000, np.full(19, 33))
 
 
@@ -246,7 +232,7 @@ def test_a_z_can_be_overruled_by_force_and_an_offset_cannot(tmp_path: Path) -> N
         ("10000-01-01", None),
         ("9e11", None),
         ("yesterday", None),
-        ("2024-03-04T00:00:00Z", "have a zone"),
+        ("2024-03-04T00:00:00Z", "some times have a zone"),
     ],
 )
 @pytest.mark.parametrize("line", [2, 3, 9, 150])

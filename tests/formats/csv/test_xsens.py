@@ -63,11 +63,8 @@ def test_t16_the_head_of_a_dot_is_used(tmp_path: Path, zone: str, hours: int | N
     first_us = (start - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1)
     assert found.times.tolist() == [first_us + row * 10_000 for row in range(ROWS)]
     about = found.recording
-    assert (about.rate_hz, about.timezone, about.device.serial) == (
-        100.0,
-        "UTC" if zone else None,
-        "left wrist",
-    )
+    zone_of = "UTC" if zone else None
+    assert (about.rate_hz, about.timezone, about.device.serial) == (100.0, zone_of, "left wrist")
     assert about.device.firmware == "3.0.0" and found.codes == []
     assert any("FreeAcc_X" in note for note in about.notes)
     assert np.allclose(found.counts / about.lsb_per_g, VALUES / 9.80665, atol=1e-6)

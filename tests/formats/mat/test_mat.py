@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +21,14 @@ from tests.formats.cuts import every_byte, table_cuts
 from tests.formats.make_hdf5 import START_US
 from tests.formats.make_hdf5 import read as read_of
 from tests.formats.make_mat import CELL, OPAQUE, array, element, file_of, make, matrix, write
-from tests.formats.reading import Read
 from tests.formats.table_values import ROWS, TIMES, values
+
+read = partial(read_of, chunk_samples=250, form=FORMAT)
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "a.mat"
-
-
-def read(path: Path, chunk_samples: int = 250, **options: Any) -> Read:
-    return read_of(path, chunk_samples, FORMAT, **options)
 
 
 @pytest.mark.parametrize("packed", [False, True], ids=["plain", "packed"])
@@ -49,7 +47,7 @@ def test_arrays_in_both_orders_of_bytes(path: Path, shape: str, order: str, pack
     assert (found.times == TIMES).all()
     assert (found.recording.rate_hz, found.recording.device.serial) == (50.0, "A7")
     assert found.problems == []
-    assert found.same_as(read(path, 7))
+    assert found.same_as(read(path, chunk_samples=7))
 
 
 @pytest.mark.parametrize("packed", [False, True], ids=["plain", "packed"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +18,15 @@ from tests.formats.make_hdf5 import START_US
 from tests.formats.make_hdf5 import read as read_of
 from tests.formats.make_npz import archive, make, member, write
 from tests.formats.make_parquet import make as make_parquet
-from tests.formats.reading import Read
 from tests.formats.table_values import ROWS, TIMES, values
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
+
+read = partial(read_of, chunk_samples=250, form=FORMAT)
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "a.npz"
-
-
-def read(path: Path, chunk_samples: int = 250, **options: Any) -> Read:
-    return read_of(path, chunk_samples, FORMAT, **options)
 
 
 @pytest.mark.parametrize("packed", [False, True], ids=["stored", "packed"])
@@ -51,7 +49,7 @@ def test_arrays_of_all_layouts(path: Path, accel: np.ndarray, packed: bool) -> N
     assert (found.times == TIMES).all()
     assert (found.recording.rate_hz, found.recording.timezone) == (50.0, "UTC")
     assert found.problems == []
-    assert found.same_as(read(path, 7))
+    assert found.same_as(read(path, chunk_samples=7))
 
 
 @pytest.mark.parametrize("kind", ["f4", "longdouble"])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -227,16 +227,8 @@ class Dialect:
         comma = self.normaliser.delimiter != ","
         fits = len(cells) == self.columns and have_kinds(cells, self.kinds, comma)
         above = [row[-1].strip() for row in self.sample]
-        return fits and all(part(cells[-1]) >= min(map(part, above)) for part in (len, _decimals))
-
-    def columns_of(self, kind: Kind) -> list[int]:
-        """Return the numbers of the columns of a kind."""
-        return [number for number, other in enumerate(self.kinds) if other is kind]
-
-    def column_name(self, column: int) -> str:
-        """Return a column's number and name, for people."""
-        name = self.names[column] if self.names else ""
-        return f"column {column} ({name!r})" if name else f"column {column}"
+        decimals = [len(cell.replace(",", ".").partition(".")[2]) for cell in (cells[-1], *above)]
+        return fits and len(cells[-1]) >= min(map(len, above)) and decimals[0] >= min(decimals[1:])
 
     def cells(self, column: int) -> list[str]:
         """Return the sample's cells of one column."""
@@ -250,10 +242,6 @@ def have_kinds(cells: Sequence[str], kinds: Sequence[Kind], decimal_comma: bool)
         for cell, kind in zip(cells, kinds, strict=True)
         if kind in (Kind.NUMBER, Kind.TIME)
     )
-
-
-def _decimals(cell: str) -> int:
-    return len(cell.replace(",", ".").partition(".")[2])
 
 
 def find_dialect(head: bytes, preamble: int = 0) -> Dialect | None:
@@ -272,8 +260,10 @@ def find_dialect(head: bytes, preamble: int = 0) -> Dialect | None:
         head = head.replace(b"\r", b"\n")
     whole = head[: head.rfind(b"\n") + 1]
     found = _dialect_of(whole, preamble) or _dialect_of(head, preamble)
-    if found is None or len(found.sample) < SURE_ROWS:
-        found = _without_end(whole, preamble) or found
+    if found is None or len(found.sample) < SURE_ROWS:  # the last lines of a short file may be others
+        lines = whole.splitlines(keepends=True)
+        above = (_dialect_of(b"".join(lines[:-left_out]), preamble) for left_out in (1, 2, 3, 4, 6, 8))
+        found = next((one for one in above if one is not None and len(one.sample) >= LEAST_ROWS), found)
     return replace(found, bare_returns=bare_returns) if found else None
 
 
@@ -288,7 +278,8 @@ def find_deep_dialect(text: bytes, preamble: int = 0) -> Dialect | None:
     top = text[: text.rfind(b"\n", 0, HEAD_BYTES // 2) + 1]
     place = len(top)
     for trial in range(DEEP_TRIALS):
-        if (found := _numbers_in(text, place)) is None:
+        found = next((one for one in NUMBERS.finditer(text, place) if not _is_comment(text, one)), None)
+        if found is None:
             return None
         start = max(len(top), text.rfind(b"\n", 0, max(found.start() - HEAD_BYTES // 8, 0)) + 1)
         stretch = text[start : start + HEAD_BYTES // 2]
@@ -296,50 +287,25 @@ def find_deep_dialect(text: bytes, preamble: int = 0) -> Dialect | None:
         if not (is_text(top) and is_text(stretch)):
             return None
         if (dialect := _dialect_of(top + stretch, preamble)) is not None:
-            return _moved(dialect, len(top), text[len(top) : start])
+            if dialect.offset < len(top):
+                return dialect
+            skipped = text.count(b"\n", len(top), start)
+            return replace(
+                dialect,
+                offset=dialect.offset + start - len(top),
+                lines=tuple(line + skipped for line in dialect.lines),
+                skipped=dialect.skipped + skipped,
+                names_line=dialect.names_line + skipped,
+            )
         last, place = place, min(found.end() + (len(stretch) << trial), len(text) - len(stretch))
         if place <= last:
             return None
     return None
 
 
-def _numbers_in(text: bytes, place: int) -> re.Match[bytes] | None:
-    """Return the next line of numbers that is not a comment."""
-    for found in NUMBERS.finditer(text, place):
-        line = text[text.rfind(b"\n", 0, found.start()) + 1 : found.start()]
-        if not COMMENT.match(decode(line)):
-            return found
-    return None
-
-
-def _moved(dialect: Dialect, top: int, skipped: bytes) -> Dialect:
-    """Return a layout that was found without the bytes behind the beginning, with its places in the file."""
-    if dialect.offset < top:
-        return dialect
-    lines = skipped.count(b"\n")
-    return replace(
-        dialect,
-        offset=dialect.offset + len(skipped),
-        lines=tuple(line + lines for line in dialect.lines),
-        skipped=dialect.skipped + lines,
-        names_line=dialect.names_line + lines,
-    )
-
-
-def _without_end(head: bytes, preamble: int) -> Dialect | None:
-    """Return the layout of the rows of a short file above its last lines, which may be others."""
-    lines = head.splitlines(keepends=True)
-    for left_out in (1, 2, 3, 4, 6, 8):
-        found = _dialect_of(b"".join(lines[:-left_out]), preamble)
-        if found is not None and len(found.sample) >= LEAST_ROWS:
-            return found
-    return None
-
-
-def cells_of(data: bytes, dialect: Dialect, column: int) -> list[str]:
-    """Return one column's cells in some lines."""
-    rows = numbered_rows(data.splitlines(keepends=True), dialect.normaliser, 1, dialect.columns)
-    return [row[column] for _, row in rows if column < len(row)]
+def _is_comment(text: bytes, found: re.Match[bytes]) -> bool:
+    line = text[text.rfind(b"\n", 0, found.start()) + 1 : found.start()]
+    return COMMENT.match(decode(line)) is not None
 
 
 def _dialect_of(head: bytes, preamble: int) -> Dialect | None:
@@ -347,7 +313,10 @@ def _dialect_of(head: bytes, preamble: int) -> Dialect | None:
     lines = head[mark:].splitlines(keepends=True)
     raw_lines, offset = lines[preamble:], mark + sum(map(len, lines[:preamble]))
     normalisers = _normalisers(b"".join(raw_lines))
-    for tail in _tail_sizes(len(raw_lines)):
+    tails = [min(TAIL_LINES, len(raw_lines) // 2 or len(raw_lines))]
+    while len(raw_lines) < 2 * TAIL_LINES and tails[-1] > 1:  # the beginning of a short file may be text
+        tails.append(tails[-1] // 2)
+    for tail in tails:
         layouts = [_DelimiterTrial.of(raw_lines, normaliser, tail) for normaliser in normalisers]
         best = max(layouts, key=lambda layout: layout.score)
         least = 0.0 if tail >= SURE_LINES else 0.5
@@ -356,15 +325,6 @@ def _dialect_of(head: bytes, preamble: int) -> Dialect | None:
                 dialect, skipped=dialect.skipped + preamble, names_line=dialect.names_line + preamble
             )
     return None
-
-
-def _tail_sizes(lines: int) -> Iterator[int]:
-    """Yield how many last lines to judge by: fewer and fewer in a short file, whose beginning may be text."""
-    size = min(TAIL_LINES, lines // 2 or lines)
-    yield size
-    while lines < 2 * TAIL_LINES and size > 1:
-        size //= 2
-        yield size
 
 
 @dataclass(frozen=True, slots=True)
@@ -377,8 +337,12 @@ class _DelimiterTrial:
 
     @classmethod
     def of(cls, raw_lines: list[bytes], normaliser: Normaliser, tail: int) -> _DelimiterTrial:
-        delimiter = normaliser.delimiter
-        rows = _last_rows(raw_lines, normaliser, tail)
+        """Try a delimiter on the last lines that are not blank.
+
+        A comma is treated as that of decimals where these say so, or are whole numbers throughout: a
+        recording may begin with hours of zeros; only commas can then follow that are not understood.
+        """
+        delimiter, rows = normaliser.delimiter, _last_rows(raw_lines, normaliser, tail)
         width, count = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
         if width < 3 or count < least_of(len(rows), 0.9):
             return cls(raw_lines, normaliser, ())
@@ -388,7 +352,9 @@ class _DelimiterTrial:
             share = 0.5 if tail < SURE_LINES else 0.9
             everywhere = [row for row in _rows(raw_lines, normaliser) if len(row) == width]
             kinds = _column_kinds(everywhere, delimiter, share)
-        return cls(raw_lines, _with_decimals(normaliser, rows), kinds)
+        cells = [cell.strip() for row in rows for cell in row]
+        commas = any(map(COMMA_NUMBER.fullmatch, cells)) or not any(map(POINT_NUMBER.fullmatch, cells))
+        return cls(raw_lines, replace(normaliser, decimal_comma=commas and delimiter != ","), kinds)
 
     @property
     def score(self) -> float:
@@ -516,13 +482,3 @@ def _has_comma_fractions(head: bytes) -> bool:
     found = [decimals for _, decimals in COMMA_FRACTION.findall(head)]
     alike = len(found) > 2 and len(set(map(len, found))) == 1 and len(found) == len(SECONDS.findall(head))
     return alike and any(decimals.startswith(b"0") for decimals in found)
-
-
-def _with_decimals(normaliser: Normaliser, rows: list[list[str]]) -> Normaliser:
-    """Take a comma for decimals where these rows say so, or where they are whole numbers throughout.
-
-    A recording may begin with hours of zeros; only commas can then follow that are not understood.
-    """
-    cells = [cell.strip() for row in rows for cell in row]
-    commas = any(map(COMMA_NUMBER.fullmatch, cells)) or not any(map(POINT_NUMBER.fullmatch, cells))
-    return replace(normaliser, decimal_comma=commas and normaliser.delimiter != ",")

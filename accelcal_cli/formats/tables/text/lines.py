@@ -33,14 +33,9 @@ class LineBlock(Piece):
     """Whole lines of a file.
 
     Attributes:
-        data: the lines.
+        data: the lines; lines: how many they are; line: number of the first, from 1.
         tail: the rest of the file behind its last line end; only in the last block.
-        line: number of its first line, from 1.
-        lines: how many lines `data` has.
-        offset: byte at which it begins, in the uncompressed stream.
-        end: byte behind its last line end.
-        end_byte: how far the file on the disk has been read.
-        last: nothing follows.
+        end: byte behind its last line end, in the uncompressed stream.
         broken: the compressed data ended early or is damaged.
         zeros: how many bytes of value 0 follow the tail, where they are too many to be kept.
         heads: the lines up to here in which the names of the columns stand again.
@@ -210,15 +205,11 @@ class RepeatedHeads:
         for number in range(len(lines)):
             if lines[number] == names:
                 self.lines.append(block.line + number)
-                self._blank(lines, number)
+                for up, line in enumerate(reversed(self._head)):  # as far up as it is the same
+                    if number < up or lines[number - up].removeprefix(BYTE_ORDER_MARK) != line:
+                        break
+                    lines[number - up] = b"\n"
         return replace(block, data=b"".join(lines))
-
-    def _blank(self, lines: list[bytes], last: int) -> None:
-        """Empty a repeated head whose last line is here, as far up as it is the same."""
-        for up, line in enumerate(reversed(self._head)):
-            if last < up or lines[last - up].removeprefix(BYTE_ORDER_MARK) != line:
-                break
-            lines[last - up] = b"\n"
 
 
 def _cut(pieces: list[bytes]) -> tuple[bytes, bytes]:

@@ -22,7 +22,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.system import process_is_ours
 from accelcal_cli.formats._stamps import NO_TIME
 from accelcal_cli.formats.tables.cells import BYTE_ORDER_MARK, MISSING, NUMBER, decode, split_line
-from accelcal_cli.formats.tables.header import As, CellTexts
+from accelcal_cli.formats.tables.header import As, Block, CellTexts, Wanted
 from accelcal_cli.formats.tables.text.dialect import Dialect
 from accelcal_cli.formats.tables.text.lines import LineBlock
 from accelcal_cli.formats.tables.text.quotes import QUOTE
@@ -53,24 +53,6 @@ LOST, MENDABLE = -1, -2
 
 
 @dataclass(frozen=True, slots=True)
-class ParsedLines:
-    """The rows of a block, in their order.
-
-    Attributes:
-        line: (n,) number in the file of the first line of each row; blank lines do not count.
-        values: wanted columns by their number. Numbers are float64 (n,), NaN where empty; times int64 (n,)
-            [us], NO_TIME where empty, IMPOSSIBLE where they are written right and do not exist; texts an
-            array of Arrow's strings (n,), null where empty; or `CellTexts`.
-        lost: what is wrong with the lines that are not rows, by their number among the rows, in order. Such a
-            row has no value in any column.
-    """
-
-    line: NDArray[np.int64]
-    values: dict[int, Any]
-    lost: dict[int, str]
-
-
-@dataclass(frozen=True, slots=True)
 class _Reading:
     """The result of one reading of some lines.
 
@@ -96,8 +78,8 @@ class LineParser:
         self._path, self._dialect = path, dialect
         self._damaged = False  # the block before was: how a block is read, not what it gives, hangs on it
 
-    def parse(self, block: LineBlock, wanted: Mapping[int, As]) -> ParsedLines:
-        """Return some columns, at least one, of the rows of a block.
+    def parse(self, block: LineBlock, wanted: Wanted) -> Block:
+        """Return some columns, at least one, of the rows of a block; blank lines do not count.
 
         Raises:
             UnreadableError: no single line is what cannot be parsed.
@@ -110,7 +92,7 @@ class LineParser:
             first, place = np.delete(first, reading.blank), np.delete(place, reading.blank)
         values, lost = reading.values, np.flatnonzero(place < 0)
         if not len(lost):
-            return ParsedLines(lines.numbers(first), values, {})
+            return Block(lines.numbers(first), values, {})
         parts, rows = [values], np.flatnonzero(place == MENDABLE)
         if len(rows):
             texts = self._dialect.quotes.settled(self._thorough(lines.raw(first[rows])), join=False).text
@@ -124,14 +106,13 @@ class LineParser:
         rows = told_of(lost)
         whys = [self._why(line, wanted) for line in self._thorough(lines.raw(first[rows])).split(b"\n")]
         told = dict(zip(rows.tolist(), whys, strict=False))
-        return ParsedLines(lines.numbers(first), values, dict.fromkeys(lost.tolist(), NOT_ROWS) | told)
+        return Block(lines.numbers(first), values, dict.fromkeys(lost.tolist(), NOT_ROWS) | told)
 
     def _thorough(self, lines: Sequence[bytes]) -> bytes:
         """Return lines after every change that lines of the file may need."""
-        normaliser = replace(self._dialect.normaliser, thorough=True)
-        return normaliser(_joined(lines))
+        return replace(self._dialect.normaliser, thorough=True)(b"\n".join([*lines, b""]))
 
-    def _reading(self, text: bytes, wanted: Mapping[int, As], line: int, damaged: bool) -> _Reading:
+    def _reading(self, text: bytes, wanted: Wanted, line: int, damaged: bool) -> _Reading:
         """Return what the lines of a text give.
 
         Args:
@@ -143,23 +124,17 @@ class LineParser:
         try:
             table = None if damaged else self._table(text, wanted, TYPES, ragged)
         except pa.ArrowException:
-            ragged.clear()
             table = None
         if table is not None:
             values = {column: values_of(table[str(column)], how) for column, how in wanted.items()}
         else:
-            try:
-                table = self._table(text, wanted, UNREAD, ragged)
-            except pa.ArrowException as error:
-                what = f"the lines from here on cannot be read ({error})"
-                hint = "correct or remove that line"
-                raise UnreadableError(what, path=self._path, line=line, hint=hint) from error
-            read = {column: read_as(table[str(column)], how) for column, how in wanted.items()}
-            values = {column: found for column, (found, _, _) in read.items()}
-            wrong = np.concatenate([rows for _, rows, _ in read.values()])
-            untidy = np.concatenate([rows for _, _, rows in read.values()])
-        place = np.arange(table.num_rows)
-        normaliser = self._dialect.normaliser
+            ragged.clear()
+            table = self._table_of_texts(text, wanted, line, ragged)
+            values = {}
+            for column, how in wanted.items():
+                values[column], wrong_here, untidy_here = read_as(table[str(column)], how)
+                wrong, untidy = np.append(wrong, wrong_here), np.append(untidy, untidy_here)
+        place, normaliser = np.arange(table.num_rows), self._dialect.normaliser
         place[wrong] = LOST if normaliser.date_order is None else MENDABLE
         place[untidy] = MENDABLE
         if ragged:
@@ -169,9 +144,15 @@ class LineParser:
         blank = [number for number, is_blank in ragged.items() if is_blank]
         return _Reading(place, len(wrong) > 0, blank, table.num_rows, values)
 
-    def _table(
-        self, text: bytes, wanted: Mapping[int, As], types: Mapping[As, Any], ragged: dict[int, bool]
-    ) -> Any:
+    def _table_of_texts(self, text: bytes, wanted: Wanted, line: int, ragged: dict[int, bool]) -> Any:
+        """Return columns as `_table` does, all as texts."""
+        try:
+            return self._table(text, wanted, UNREAD, ragged)
+        except pa.ArrowException as error:
+            what, hint = f"the lines from here on cannot be read ({error})", "correct or remove that line"
+            raise UnreadableError(what, path=self._path, line=line, hint=hint) from error
+
+    def _table(self, text: bytes, wanted: Wanted, types: Mapping[As, Any], ragged: dict[int, bool]) -> Any:
         """Return columns of the lines that have the right number of cells.
 
         They are in the C library's memory: Arrow's own keeps an eighth more of what was freed.
@@ -204,24 +185,20 @@ class LineParser:
         source = pa.BufferReader(text or b"\n")
         return pa_csv.read_csv(source, reading, parsing, converting, memory_pool=pa.system_memory_pool())
 
-    def _why(self, line: bytes, wanted: Mapping[int, As]) -> str:
+    def _why(self, line: bytes, wanted: Wanted) -> str:
         """Return what is wrong with a line that is not a row."""
         text = decode(line.rstrip(b"\r"))
         cells = split_line(text, self._dialect.normaliser.delimiter)
         if len(cells) != self._dialect.columns:
             columns = "1 column" if len(cells) == 1 else f"{len(cells)} columns"
             return f"the line has {columns}, not {self._dialect.columns} ({shortened(text)!r})"
-        for column in sorted(wanted):
-            if not _fits(cells[column], wanted[column]):
-                return wrong_cell(column, cells[column], "time" if wanted[column] in MOMENTS else "number")
+        for column, how in sorted(wanted.items(), key=lambda one: one[0]):
+            cell = cells[column].strip()
+            if how in (As.TEXT, As.CODES) or cell in MISSING:
+                continue
+            if not (is_stamp(cell, how is As.ZONED_MOMENT) if how in MOMENTS else NUMBER.fullmatch(cell)):
+                return wrong_cell(column, cells[column], "time" if how in MOMENTS else "number")
         return f"the line cannot be read ({shortened(text)!r})"
-
-
-def _fits(cell: str, how: As) -> bool:
-    cell = cell.strip()
-    if how in MOMENTS and cell not in MISSING:
-        return is_stamp(cell, how is As.ZONED_MOMENT)
-    return how in (As.TEXT, As.CODES) or cell in MISSING or NUMBER.fullmatch(cell) is not None
 
 
 class _BlockLines:
@@ -287,10 +264,6 @@ def _cut(
     """Return stretches of lines of a text (n,), each without its last end."""
     starts = np.where(first > 0, ends[first - 1] + 1, 0).tolist()
     return [text[start:end] for start, end in zip(starts, ends[last].tolist(), strict=True)]
-
-
-def _joined(lines: Sequence[bytes]) -> bytes:
-    return b"\n".join([*lines, b""])
 
 
 def _line_ends(text: bytes) -> NDArray[np.int64]:

@@ -78,8 +78,10 @@ class Quotes:
                 begin = end - (text[end - 1] == RETURN)
                 out[begin : end + 1] = b" " * (end + 1 - begin)
             if first == last:
-                start, stop = lines.bounds(first)
-                out[start:stop] = self._closed(text[start:stop])
+                (start, stop), line = lines.bounds(first), lines[first]
+                while (place := self._open_quote(line)[0]) >= 0:
+                    line = line[:place] + LETTER + line[place + 1 :]
+                out[start:stop] = line
         return Settled(bytes(out), np.array(joined, np.int64))
 
     def sure_bytes(self, lines: bytes) -> int:
@@ -136,12 +138,6 @@ class Quotes:
             if not place:
                 return -1, cells
             cells += 1
-
-    def _closed(self, line: bytes) -> bytes:
-        """Return a line with the quotes that it does not close as letters."""
-        while (place := self._open_quote(line)[0]) >= 0:
-            line = line[:place] + LETTER + line[place + 1 :]
-        return line
 
     def _doubtful(self, lines: _Lines) -> NDArray[np.int64]:
         """Return the lines whose quotes are not simply one before, and one behind a cell, or doubled."""

@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
+from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import AccelcalError, UnreadableError, counted, printable
 from accelcal_cli.core.formats import GZIP_MAGIC, WIDE_BYTES, ReadOptions, wide_text
 from accelcal_cli.core.recording import CUT_SHORT, Problem, Reader
 from accelcal_cli.formats.tables.bids import bids_description
 from accelcal_cli.formats.tables.cells import MISSING, decode, is_year_first, year_first
-from accelcal_cli.formats.tables.gyroscope import READ_AS, WithGyroscope, can_join
+from accelcal_cli.formats.tables.gyroscope import LONGEST_DELAY_S, READ_AS, WithGyroscope
 from accelcal_cli.formats.tables.header import (
     SAMPLE_ROWS,
-    As,
     Block,
     Column,
+    Cut,
     First,
-    LineIntake,
     Piece,
     Source,
     Start,
     Stated,
+    Wanted,
     refuse_doubtful,
 )
 from accelcal_cli.formats.tables.names import name_of
@@ -84,17 +85,22 @@ class TextSource(Source):
         head = _head(path, HEAD_BYTES)
         stated = bids_description(path) or export_description(head) or Stated()
         refuse_doubtful(stated, options, path)
-        head, self.dialect = _layout(head, stated, path)
-        self._above = head[: self.dialect.offset]
+        head, dialect = _layout(head, stated, path)
+        self.dialect, self._above = dialect, head[: dialect.offset]
         text = self._above[-RATE_BYTES:].decode("latin-1")
         if not stated.title:
-            stated = described_by_names(self.dialect, text, path) or stated
+            stated = described_by_names(dialect, text, path) or stated
             refuse_doubtful(stated, options, path)
-        stated = _with_start(stated, head, path)
+        if PHYPHOX_HEAD.match(head) and (begun := experiment_start(path)) is not None:
+            zero, pauses = begun
+            stated = replace(stated, start=Start(zero), timezone="UTC", counts_from_zero=True, pauses=pauses)
         self.stated = replace(stated, hint_hz=rate_above(text))
-        self._first = RepeatedHeads(self._above).without(_head_block(head, self.dialect))
+        end = head.rfind(b"\n") + 1  # in a file of one unfinished line, that one
+        rows = head[dialect.offset : end if end > dialect.offset else len(head)]
+        self._first = RepeatedHeads(self._above).without(
+            lone_block(rows, dialect.skipped + 1, dialect.offset)
+        )
         self.row_bytes = len(self._first.data) / max(self._first.lines, 1) or 1.0
-        dialect = self.dialect
         self.has_names, self.decimal_comma = dialect.names is not None, dialect.normaliser.decimal_comma
         self.names_line, self.first_line = dialect.names_line, dialect.skipped + 1
         self.columns = columns_of(dialect)
@@ -103,11 +109,11 @@ class TextSource(Source):
         said = f"{above} lines before the header or the first row were not used"
         self.last_notes = (said,) if above > 0 else ()
 
-    def head(self, _wanted: Mapping[int, As]) -> LineBlock:
+    def head(self, _wanted: Wanted) -> LineBlock:
         """See `Source`."""
         return self._first
 
-    def last(self, wanted: Mapping[int, As]) -> LineBlock | None:
+    def last(self, wanted: Wanted) -> LineBlock | None:
         """Return the last lines; None if the file is compressed, or in UTF-16 or the like."""
         with self.path.open("rb") as file:
             mark = file.read(WIDE_BYTES)
@@ -121,12 +127,7 @@ class TextSource(Source):
         return lone_block(b"".join(whole), 1, 0)
 
     def pieces(
-        self,
-        wanted: Mapping[int, As],
-        samples: int,
-        start: int = 0,
-        stop: int | None = None,
-        threads: int = 1,
+        self, wanted: Wanted, samples: int, start: int = 0, stop: int | None = None, threads: int = 1
     ) -> Generator[LineBlock]:
         """See `Source`."""
         dialect, heads = self.dialect, RepeatedHeads(self._above)
@@ -147,11 +148,10 @@ class TextSource(Source):
     def _lines(self) -> LineParser:
         return LineParser(self.path, self.dialect)
 
-    def parse(self, piece: Piece, wanted: Mapping[int, As]) -> Block:
+    def parse(self, piece: Piece, wanted: Wanted) -> Block:
         """See `Source`."""
         assert isinstance(piece, LineBlock)
-        parsed = self._lines.parse(piece, wanted)
-        return Block(parsed.line, parsed.values, parsed.lost)
+        return self._lines.parse(piece, wanted)
 
     def joined(self, pieces: Sequence[Piece]) -> LineBlock:
         """See `Source`."""
@@ -209,59 +209,48 @@ class TextSource(Source):
         return {column: "" if text in MISSING else text for column, text in texts.items()}
 
     def end_problems(self, piece: Piece, samples: int, lost_bytes: int) -> tuple[Problem, ...]:
-        """Return what is wrong with the end: files that were joined, and a last line that is cut off."""
+        """Return what is wrong with the end: files that were joined, and a last line that is cut off.
+
+        More is missing unless the last line has all its cells.
+        """
         assert isinstance(piece, LineBlock)
-        return (*_joined_files(piece.heads, samples), *self._cut_short(piece, samples))
-
-    def _cut_short(self, block: LineBlock, samples: int) -> tuple[Problem, ...]:
-        """Return what is wrong with the end; more is missing unless the last line has all its cells."""
-        text, code = BROKEN_OFF, CUT_SHORT
-        if not block.broken:
-            if not block.tail.strip() and not block.zeros:
-                return ()
-            line = block.line + block.lines
+        problems, heads, left = [], piece.heads, len(piece.tail) + piece.zeros
+        if heads:
+            more = f" and {counted(len(heads) - 1, 'more line')}" if len(heads) > 1 else ""
+            text = f"the names of the columns are repeated in line {heads[0]}{more}: files that were joined"
+            problems.append(Problem("repeated_head", text, None, samples, count=len(heads)))
+        code, text = CUT_SHORT, BROKEN_OFF
+        if not piece.broken:
+            line = piece.line + piece.lines
             text = f"line {line}, the last one, has no end: it may be cut off and was left out"
-            code = NO_LINE_END if self.dialect.is_whole(block.tail) else CUT_SHORT
-            if not block.tail.strip(b"\0"):
-                text = f"the file ends in {block.zeros + len(block.tail)} bytes of zeros, which hold no rows"
-        return (Problem(code, text, block.end, samples, lost_bytes=len(block.tail) + block.zeros),)
+            code = NO_LINE_END if self.dialect.is_whole(piece.tail) else CUT_SHORT
+            if not piece.tail.strip(b"\0"):
+                text = f"the file ends in {left} bytes of zeros, which hold no rows"
+        if piece.broken or piece.tail.strip() or piece.zeros:
+            problems.append(Problem(code, text, piece.end, samples, lost_bytes=left))
+        return tuple(problems)
 
-    def intake(self) -> TextIntake:
+    def intake(self) -> Cut:
         """See `Source`."""
-        return TextIntake(self)
-
-    def growing(self, block: LineBlock, heads: RepeatedHeads) -> LineBlock:
-        """Return a block of a growing file as `pieces` yields those of a file at rest."""
-        return self._whole(block, heads)
-
-    def cutter(self) -> tuple[LineCutter, RepeatedHeads]:
-        """Return what cuts the file into lines from its first row on, and what finds its head again."""
-        dialect = self.dialect
+        dialect, heads, in_utf8 = self.dialect, RepeatedHeads(self._above), InUtf8()
         cutter = LineCutter(self.path, dialect.offset, dialect.skipped + 1, dialect.quotes)
-        return cutter, RepeatedHeads(self._above)
 
+        def cut(data: bytes, last: bool) -> LineBlock | None:
+            data = in_utf8(data)
+            lines = cutter.cut([data.replace(b"\r", b"\n") if dialect.bare_returns else data])
+            block = cutter.block(lines, last)
+            return self._whole(block, heads) if block.data or last else None
 
-class TextIntake(LineIntake):
-    """Cuts the bytes of a growing text file into blocks of whole lines."""
-
-    def __init__(self, source: TextSource) -> None:
-        self._source, self._in_utf8 = source, InUtf8()
-        self._lines, self._heads = source.cutter()
-
-    def cut(self, data: bytes, *, last: bool) -> LineBlock | None:
-        """See `LineIntake`."""
-        data = self._in_utf8(data)
-        lines = self._lines.cut([data.replace(b"\r", b"\n") if self._source.dialect.bare_returns else data])
-        block = self._lines.block(lines, last)
-        return self._source.growing(block, self._heads) if block.data or last else None
+        return cut
 
 
 def columns_of(dialect: Dialect) -> tuple[Column, ...]:
     """Return the columns of a layout."""
     names, units = dialect.names or ("",) * dialect.columns, dialect.units or ("",) * dialect.columns
+    cells = enumerate(zip(names, units, dialect.kinds, strict=True))
     return tuple(
-        Column(number, name_of(name, unit), kind, dialect.column_name(number), unit)
-        for number, (name, unit, kind) in enumerate(zip(names, units, dialect.kinds, strict=True))
+        Column(number, name_of(name, unit), kind, f"column {number}" + f" ({name!r})" * bool(name), unit)
+        for number, (name, unit, kind) in cells
     )
 
 
@@ -277,21 +266,17 @@ def described_by_names(dialect: Dialect, above: str, path: Path) -> Stated | Non
     return names_description(Head(dialect.names, dialect.cells, lines), path.name)
 
 
-def _with_start(stated: Stated, head: bytes, path: Path) -> Stated:
-    """Return the description of an export with the start that a file next to it tells."""
-    if not PHYPHOX_HEAD.match(head) or (start := experiment_start(path)) is None:
-        return stated
-    zero = Start(start.us)
-    return replace(stated, start=zero, timezone="UTC", counts_from_zero=True, pauses=start.pauses)
-
-
 def _head(path: Path, most_bytes: int) -> bytes:
     with LineFile(path) as file:
         return file.read(most_bytes).rstrip(b"\0")
 
 
 def _layout(head: bytes, stated: Stated, path: Path) -> tuple[bytes, Dialect]:
-    """Return the layout of a file, and its beginning up to the rows of numbers; raises UnreadableError."""
+    """Return the beginning of a file up to the rows of numbers, and its layout, with names by the export.
+
+    Raises:
+        UnreadableError: there are no rows, or a sidecar describes another number of columns.
+    """
     dialect = find_dialect(head, stated.preamble)
     if dialect is None:
         head = _head(path, DEEPEST_BYTES)
@@ -300,43 +285,14 @@ def _layout(head: bytes, stated: Stated, path: Path) -> tuple[bytes, Dialect]:
         what = f"holds no rows of three or more numbers in its first {DEEPEST_BYTES >> 20} MB"
         hint = "check that it holds samples, or name its format with --format"
         raise UnreadableError(what, path=path, line=1, hint=hint)
-    if dialect.bare_returns:
-        head = head.replace(b"\r", b"\n")
-    return head, _with_names(dialect, stated, path)
-
-
-def _with_names(dialect: Dialect, stated: Stated, path: Path) -> Dialect:
-    """Return the layout with the names that the export gives to columns without.
-
-    Raises:
-        UnreadableError: a sidecar describes another number of columns.
-    """
-    names = stated.names or ()
+    names, hint = stated.names or (), "correct that file, or take it away"
     if stated.companion is not None and len(names) != dialect.columns:
-        raise UnreadableError(
-            f"has {dialect.columns} columns, and {printable(stated.companion.name)} describes {len(names)}",
-            path=path,
-            line=dialect.names_line,
-            hint="correct that file, or take it away",
-        )
-    unnamed = dialect.names is None and len(names) == dialect.columns
-    return replace(dialect, names=stated.names) if unnamed else dialect
-
-
-def _head_block(head: bytes, dialect: Dialect) -> LineBlock:
-    """Return the whole lines of the head; in a file of one unfinished line, that one."""
-    end = head.rfind(b"\n") + 1
-    end = end if end > dialect.offset else len(head)
-    return lone_block(head[dialect.offset : end], dialect.skipped + 1, dialect.offset)
-
-
-def _joined_files(lines: Sequence[int], samples: int) -> tuple[Problem, ...]:
-    """Return the problem that the names of the columns stand in these lines again."""
-    if not lines:
-        return ()
-    more = f" and {counted(len(lines) - 1, 'more line')}" if len(lines) > 1 else ""
-    text = f"the names of the columns are repeated in line {lines[0]}{more}: files that were joined"
-    return (Problem("repeated_head", text, None, samples, count=len(lines)),)
+        sidecar = printable(stated.companion.name)
+        what = f"has {dialect.columns} columns, and {sidecar} describes {len(names)}"
+        raise UnreadableError(what, path=path, line=dialect.names_line, hint=hint)
+    if dialect.names is None and len(names) == dialect.columns:
+        dialect = replace(dialect, names=stated.names)
+    return head.replace(b"\r", b"\n") if dialect.bare_returns else head, dialect
 
 
 def refuse_other_names(dialect: Dialect, options: ReadOptions, path: Path) -> None:
@@ -371,7 +327,9 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         rates = open_table(TextSource(gyro.path, read_as), read_as)
     except AccelcalError as error:
         return _noted(reader, f"{gyro.path.name} was not used: {error.message}")
-    if not can_join(reader, rates):
+    one, two = reader.recording.start_us, rates.recording.start_us
+    apart_us = abs((one or 0) - (two or 0))
+    if (one is None) != (two is None) or apart_us > LONGEST_DELAY_S * MICROSECONDS:
         return _noted(reader, f"{gyro.path.name} was not used: it did not begin together with {path.name}")
     return WithGyroscope(reader, rates, gyro.path.name, gyro.unit)
 

@@ -45,10 +45,13 @@ def describe(head: Lines) -> Stated:
     maker, model = "Verisense" if verisense else "ActiGraph", made_by[2].rstrip(",;") if made_by else ""
     firmware, dates, rate = (_group(pattern, first) for pattern in (FIRMWARE, DATES, RATE))
     rate_hz = 0.0 if rate is None else float(rate.replace(",", "."))
+    lines = max((number for number, line in enumerate(head[:HEADER_LINES]) if KEY.match(line)), default=0) + 1
+    while lines < len(head) and not head[lines].strip():  # blank ones that some programs write behind it
+        lines += 1
     return Stated(
         title=maker,
         device=Device(f"{maker} {model}", _value(head, "Serial Number:?"), firmware),
-        preamble=_preamble(head),
+        preamble=lines,
         unit="g",
         rate_hz=rate_hz if 0 < rate_hz <= FASTEST_HZ else None,
         start=_start(head),
@@ -57,14 +60,6 @@ def describe(head: Lines) -> Stated:
         doubt=_doubt(head, maker),
         gyro_unit=None if verisense else "deg/s",
     )
-
-
-def _preamble(head: Lines) -> int:
-    """Return the number of lines of the header, with blank ones that some programs write behind it."""
-    lines = max((number for number, line in enumerate(head[:HEADER_LINES]) if KEY.match(line)), default=0) + 1
-    while lines < len(head) and not head[lines].strip():
-        lines += 1
-    return lines
 
 
 def _group(pattern: re.Pattern[str], line: str) -> str | None:

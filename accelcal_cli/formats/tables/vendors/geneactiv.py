@@ -21,6 +21,11 @@ COLUMNS = ("time", "x", "y", "z", "light", "button", "temperature")
 SUMMARY_COLUMNS = 12
 """Columns of a table of epochs."""
 
+SUMMARY = Doubt(
+    "it holds means and sums over epochs, not raw acceleration",
+    "export the raw data; or give --columns and --unit to read it anyway",
+)
+
 
 def recognise(head: Lines) -> bool:
     """Return True if the first line names the device."""
@@ -34,18 +39,23 @@ def describe(head: Lines) -> Stated:
     header = _pairs(head, delimiter)
     first_row = next((number for number, line in enumerate(head) if ROW.match(line)), len(head))
     columns = head[first_row].count(delimiter) + 1 if first_row < len(head) else 0
+    limits = RANGE.match(header.get("Range", ""))
     named = head[first_row - 1].count(delimiter) + 1 == columns > 2
     return Stated(
         title="GENEActiv",
-        device=_device(header),
+        device=Device(
+            f"GENEActiv {header.get('Device Model', '')}".strip(),
+            header.get("Device Unique Serial Code") or None,
+            header.get("Device Firmware Version") or None,
+        ),
         preamble=first_row - named,
         names=COLUMNS if columns == len(COLUMNS) else None,
         unit="g" if header.get("Units", "g") == "g" else None,
         rate_hz=_number(RATE.match(header.get("Measurement Frequency", ""))),
         timezone=stated_zone(header.get("Time Zone", "")),
-        range_g=_range(header.get("Range", "")),
+        range_g=_number(limits) if limits and limits[1] == limits[2] else None,
         notes=header_zone(header.get("Time Zone", ""))[1],
-        doubt=_doubt(columns),
+        doubt=SUMMARY if columns == SUMMARY_COLUMNS else None,
     )
 
 
@@ -60,29 +70,9 @@ def _pairs(head: Lines, delimiter: str) -> dict[str, str]:
     return header
 
 
-def _device(header: dict[str, str]) -> Device:
-    model = f"GENEActiv {header.get('Device Model', '')}".strip()
-    serial, firmware = header.get("Device Unique Serial Code"), header.get("Device Firmware Version")
-    return Device(model, serial or None, firmware or None)
-
-
 def _number(match: re.Match[str] | None) -> float | None:
     number = 0.0 if match is None else float(match[1].replace(",", "."))
     return number if number > 0 else None
-
-
-def _range(text: str) -> float | None:
-    match = RANGE.match(text)
-    return _number(match) if match and match[1] == match[2] else None
-
-
-def _doubt(columns: int) -> Doubt | None:
-    if columns != SUMMARY_COLUMNS:
-        return None
-    return Doubt(
-        "it holds means and sums over epochs, not raw acceleration",
-        "export the raw data; or give --columns and --unit to read it anyway",
-    )
 
 
 VENDOR = Vendor("geneactiv", recognise, describe)

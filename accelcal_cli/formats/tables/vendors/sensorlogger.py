@@ -41,18 +41,13 @@ def describe(head: Head) -> Stated:
     axes = [map(number_of, head.cells(number)) for number in head.numbers(*NAMES[2:]) or ()]
     rows = ([*row] for row in zip(*axes, strict=False))
     known = ([one for one in row if one is not None] for row in rows)
-    lengths = sorted(hypot(*row) for row in known if len(row) == 3)
-    return Stated(title="Sensor Logger", time=head.plain.index("time"), doubt=_doubt(lengths))
-
-
-def _doubt(lengths: list[float]) -> Doubt | None:
-    if len(lengths) < FEWEST_ROWS:
-        return None
-    usual, low = lengths[len(lengths) // 2], lengths[(len(lengths) - 1) // 10]
-    if lengths[-1] - lengths[0] <= CONSTANT * usual:
-        return DIRECTION
-    fits = any(least <= usual <= most for least, most in WITH_GRAVITY)
-    return None if fits and low >= LEAST_SHARE * usual else WITHOUT
+    lengths, doubt = sorted(hypot(*row) for row in known if len(row) == 3), None
+    if len(lengths) >= FEWEST_ROWS:
+        usual, low = lengths[len(lengths) // 2], lengths[(len(lengths) - 1) // 10]
+        fits = any(least <= usual <= most for least, most in WITH_GRAVITY)
+        doubt = None if fits and low >= LEAST_SHARE * usual else WITHOUT
+        doubt = DIRECTION if lengths[-1] - lengths[0] <= CONSTANT * usual else doubt
+    return Stated(title="Sensor Logger", time=head.plain.index("time"), doubt=doubt)
 
 
 VENDOR = Vendor("sensorlogger", recognise, describe, by_names=True)
