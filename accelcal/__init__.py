@@ -25,18 +25,16 @@ if TYPE_CHECKING:
     from accelcal._options import CalibrationOptions, FitOptions, PoseOptions, ReadingOptions, StudyOptions
     from accelcal._results import Calibration, Report, Result
     from accelcal._studies import export, report, simulate, study
-    from accelcal_cli.core.errors import AccelcalError
-    from accelcal_cli.core.reasons import Reason
-    from accelcal_cli.output.words import sentence
+    from accelcal_cli.core.errors import AccelcalError, Reason
+    from accelcal_cli.output.sentences import sentence
 
 _HOMES = {
     "accelcal._api": "Reading Samples apply calibrate effect fit from_poses inspect read",
     "accelcal._options": "CalibrationOptions FitOptions PoseOptions ReadingOptions StudyOptions",
     "accelcal._results": "Calibration Report Result",
     "accelcal._studies": "export report simulate study",
-    "accelcal_cli.core.errors": "AccelcalError",
-    "accelcal_cli.core.reasons": "Reason",
-    "accelcal_cli.output.words": "sentence",
+    "accelcal_cli.core.errors": "AccelcalError Reason",
+    "accelcal_cli.output.sentences": "sentence",
 }
 """Names by the module that has them, imported when one is first used."""
 
@@ -52,7 +50,7 @@ if not TYPE_CHECKING:  # a name that is not there is an error for type checkers,
         for home, names in _HOMES.items():
             if name in names.split():
                 return globals().setdefault(name, getattr(import_module(home), name))
-        from accelcal._hints import no_such_name
+        from accelcal._calling import no_such_name
 
         raise no_such_name(name, __all__)
 

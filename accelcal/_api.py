@@ -119,7 +119,7 @@ class Reading:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            from accelcal._hints import no_such_attribute
+            from accelcal._calling import no_such_attribute
 
             raise no_such_attribute("Reading", name, type(self))
 

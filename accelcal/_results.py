@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelcal._calling import public, speaking_python
-from accelcal._hints import no_such_attribute
+from accelcal._calling import no_such_attribute, public, speaking_python
 from accelcal._sources import AnyPath, Given
 from accelcal_cli.core import calibration as core
-from accelcal_cli.core.errors import UsageError, printable
-from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.errors import Reason, UsageError, printable
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.advice import page_verdict

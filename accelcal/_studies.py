@@ -235,8 +235,8 @@ def export(
         True
     """
     from accelcal_cli.exports.data import ExportOptions
-    from accelcal_cli.exports.forms import COEFFICIENTS, check_form, refuse_other_kind
     from accelcal_cli.exports.rows import WIDEST
+    from accelcal_cli.exports.selection import COEFFICIENTS, check_form, refuse_other_kind
 
     rare = {
         "gzip": gzip,
@@ -295,8 +295,7 @@ def _file(one: Result | AnyPath, folder: Path, *, data: bool) -> Path:
 
 def _coefficients(form: str, paths: Sequence[Path], output: Path | None, *, force: bool) -> str:
     from accelcal_cli.exports import coefficients
-    from accelcal_cli.exports.forms import refuse_outputs
-    from accelcal_cli.exports.selection import select
+    from accelcal_cli.exports.selection import refuse_outputs, select
 
     if output is not None:
         refuse_outputs((output,), paths, force=force)
@@ -345,7 +344,7 @@ def _folder(form: str, paths: Sequence[Path], wanted: ExportOptions, jobs: int |
 def _data(form: str, path: Path, wanted: ExportOptions, *, force: bool) -> str:
     from accelcal_cli.exports.data import export_data, outputs_of
     from accelcal_cli.exports.folder import WRITTEN_AS
-    from accelcal_cli.exports.forms import refuse_outputs
+    from accelcal_cli.exports.selection import refuse_outputs
 
     form = WRITTEN_AS.get(form, form)
     refuse_outputs(outputs_of(form, wanted.output), [path], force=force)
@@ -422,8 +421,8 @@ def simulate(
     Raises:
         AccelcalError: the format cannot hold it, or a file cannot be written.
     """
-    from accelcal_cli.pipeline.simulate import plan_of
-    from accelcal_cli.pipeline.simulate import simulate as written
+    from accelcal_cli.simulate import plan_of
+    from accelcal_cli.simulate import simulate as written
 
     values: dict[str, Any] = {
         "days": days, "rate_hz": rate, "seed": seed, "truth": truth, "errors": errors,

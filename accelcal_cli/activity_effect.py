@@ -11,12 +11,12 @@ from typing import Any
 from accelcal_cli.core.calibration import Transform
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.recording import Recording
-from accelcal_cli.output.words import explained
+from accelcal_cli.output.sentences import explained
 from accelcal_cli.pipeline.activity import TRUE, EffectMeter, Version, drawn_of, versions_of
 from accelcal_cli.pipeline.apply import with_coefficients
 from accelcal_cli.pipeline.calibrate import OwnCalibration, open_run
 from accelcal_cli.pipeline.jobs import Job, Request
-from accelcal_cli.pipeline.simulate import true_parameters
+from accelcal_cli.simulate import true_parameters
 
 
 def effect(path: Path, request: Request, epoch_s: int, source: Path | None = None) -> dict[str, Any]:

@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.declared import from_json
-from accelcal_cli.core.door import is_file, is_folder
-from accelcal_cli.core.errors import UnreadableError, UsageError, printable
+from accelcal_cli.core.errors import UnreadableError, UsageError, printable, significant
 from accelcal_cli.core.identity import SAMPLES, identity
 from accelcal_cli.core.input_files import files_of, is_pattern
-from accelcal_cli.core.reasons import significant
+from accelcal_cli.core.paths import is_file, is_folder
 from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import difference_mg, directions
@@ -38,9 +37,9 @@ from accelcal_cli.pipeline.apply import DonorCoefficients, relation_of
 from accelcal_cli.pipeline.calibrate import Judge, OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.export import calibrated, columns_of, transform_of
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress, sha256
+from accelcal_cli.pipeline.options import POINTS, NamedFile, ReportSettings, settings_from_report
 from accelcal_cli.pipeline.outputs import json_round_trip
 from accelcal_cli.pipeline.pool import PoolCoefficients
-from accelcal_cli.pipeline.report_settings import POINTS, NamedFile, ReportSettings, settings_from_report
 from accelcal_cli.pipeline.windows import fit_points
 from accelcal_cli.six_pose.run import known_orientations
 

@@ -14,7 +14,7 @@ from typing import Any
 import matplotlib as mpl
 import pytest
 
-from accelcal_cli.output.words import OUTCOMES, SENTENCES
+from accelcal_cli.output.sentences import OUTCOMES, SENTENCES
 from tests.cli.run import run
 from tests.cli.studies import results, rows, study_folder
 from tests.conftest import ROOT

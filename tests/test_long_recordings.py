@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accelcal_cli.collect.grid import MAX_POINTS
+from accelcal_cli.collect.cells import MAX_POINTS
 from tests.cli.run import run
 
 Capture = pytest.CaptureFixture[str]

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from accelcal_cli.core.reasons import Reason
-from accelcal_cli.output.words import clause
+from accelcal_cli.core.errors import Reason
+from accelcal_cli.output.sentences import clause
 from tests.cli.run import run
 from tests.schema import check_report
 

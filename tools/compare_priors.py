@@ -25,7 +25,7 @@ from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.judge.verdict import judge
 from accelcal_cli.output.report import significant
 from accelcal_cli.pipeline.procedures import fitting
-from accelcal_cli.studies.prior import Learning
+from accelcal_cli.studies.other_recordings import Learning
 from accelcal_cli.studies.summary import PARAMETERS
 
 BEGIN = datetime(2025, 3, 3, 18)

@@ -17,8 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from accelcal_cli.pipeline.simulate import simulate
-from accelcal_cli.simulate import SimulatedSensor, SimulationPlan
+from accelcal_cli.simulate import SimulatedSensor, SimulationPlan, simulate
 
 BEGIN = datetime(2025, 3, 3, 18)
 MONTHS = 9

@@ -13,11 +13,11 @@ from accelcal_cli.cli import options
 from accelcal_cli.cli.exit_codes import OK, SOME_FAILED, of_all, of_failure, say, show
 from accelcal_cli.cli.help import AnyType, Command
 from accelcal_cli.cli.output import progress_bars
-from accelcal_cli.core.door import is_folder
 from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
+from accelcal_cli.core.paths import is_folder
 from accelcal_cli.core.system import cpus
-from accelcal_cli.exports.forms import COEFFICIENTS, FORMS, check_form, refuse_other_kind, refuse_outputs
 from accelcal_cli.exports.rows import WIDEST
+from accelcal_cli.exports.selection import COEFFICIENTS, FORMS, check_form, refuse_other_kind, refuse_outputs
 from accelcal_cli.output.files import write_text
 from accelcal_cli.pipeline.jobs import PARQUET_SUFFIX, refuse_dash
 

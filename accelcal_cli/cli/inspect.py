@@ -14,11 +14,10 @@ import click
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import aligned, bytes_of, counted_once, progress_bars
-from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
-from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.errors import AccelcalError, Reason, UsageError, counted, printable
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import refuse_unused
-from accelcal_cli.output.words import sentence
+from accelcal_cli.output.sentences import sentence
 from accelcal_cli.pipeline.inspect import Inspection, as_json, failed_json, inspect, inspection_settings
 from accelcal_cli.pipeline.jobs import STDIN, Request
 from accelcal_cli.pipeline.options import read_options

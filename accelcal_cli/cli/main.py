@@ -104,7 +104,7 @@ GONE = {
     "effect": "accelcal calibrate RECORDING --effect --report-only (key `effect` of the report)",
     "quality": "accelcal apply --coefficients NAME.calibration.json RECORDING --report-only",
 }
-"""What to type in place of commands that are gone."""
+"""Commands that are gone, each with what to type in its place."""
 
 
 FIRST_STEPS = """\

@@ -17,10 +17,10 @@ from click.shell_completion import CompletionItem
 
 from accelcal_cli.cli.exit_codes import say
 from accelcal_cli.cli.help import AnyType, Named, NameValue, Rare
-from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import UsageError, counted, did_you_mean
 from accelcal_cli.core.formats import ReadOptions, reading_option, three_names
 from accelcal_cli.core.input_files import may_be_archive, pattern_of
+from accelcal_cli.core.paths import is_file
 from accelcal_cli.core.settings import LEARNT_PRIORS, Option, Setting, Settings, setting_of
 from accelcal_cli.formats import all_encoders, all_formats
 from accelcal_cli.optimize import all_optimizers

@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
-from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.errors import AccelcalError, Reason, UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.output import words
+from accelcal_cli.output import sentences
 from accelcal_cli.output.advice import LIMIT_MG, RAW_SETTLED, doubts
 from accelcal_cli.output.numbers import formatted, mg, percent, times_smaller
 from accelcal_cli.output.sections import ReportView
-from accelcal_cli.output.words import outcome_words, parameters_of
+from accelcal_cli.output.sentences import outcome_words, parameters_of
 from accelcal_cli.pipeline.jobs import (
     PAGE_SUFFIX,
     REPORT_SUFFIX,
@@ -75,7 +74,7 @@ def show_result(
     row |= error_columns(report.calibration_error_mg if calibrated else None)
     refused = report.outcome == Outcome.REFUSED
     start, told = ("What to do", report.advice) if refused else ("Caution", report.cautions)
-    remarks = () if values.get("quiet", False) else [f"{start}: {words.sentence(one)}" for one in told]
+    remarks = () if values.get("quiet", False) else [f"{start}: {sentences.sentence(one)}" for one in told]
     show_row(row, source, written, values, remarks, up_to_date=up_to_date)
 
 
@@ -97,7 +96,7 @@ def show_row(
         up_to_date: whether an earlier run wrote the output.
     """
     if remarks is None:
-        remarks = [f"Caution: {words.sentence(one)}" for one in _doubts(row, values.get("max_error_mg"))]
+        remarks = [f"Caution: {sentences.sentence(one)}" for one in _doubts(row, values.get("max_error_mg"))]
     if _in_words(values):
         where = None if written is None else f"{'Unchanged:' if up_to_date else 'Written to'} {written}"
         exit_codes.show("\n".join([_sentence(row, source, where), *(f"  {one}" for one in remarks)]))
@@ -119,7 +118,7 @@ def say_refused(message: str, source: Path, values: dict[str, Any], *, shown: bo
         shown: the recording's line was printed.
     """
     if not (shown and _in_words(values) and sys.stderr is not None and sys.stderr.isatty()):
-        exit_codes.say(f"{printable(source)}: refused: {words.begun_small(message)}")
+        exit_codes.say(f"{printable(source)}: refused: {sentences.begun_small(message)}")
 
 
 def _fields(row: dict[str, Any], source: Path, written: Path | None) -> str:
@@ -149,7 +148,7 @@ def _sentence(row: dict[str, Any], source: Path, where: str | None) -> str:
         parameters = parameters_of(row["model"])
         start += f" ({parameters})" if outcome == Outcome.BORROWED else f" with {parameters}"
     if outcome == Outcome.REFUSED and row.get("message"):
-        parts.append(words.begun_small(row["message"]).removesuffix("."))
+        parts.append(sentences.begun_small(row["message"]).removesuffix("."))
     elif after is not None:
         parts += _errors(row)
     elif before is not None:
@@ -289,7 +288,7 @@ def run_jobs(
 def _show_failed(source: Path, code: int, message: str, values: dict[str, Any]) -> None:
     """Print the object of a recording that failed, if objects are wanted."""
     if values["as_json"]:
-        from accelcal_cli.output.report_kinds import failed_document
+        from accelcal_cli.output.report import failed_document
 
         exit_codes.show(json.dumps(failed_document(source, code, message)))
 
@@ -349,12 +348,12 @@ def _say_verdict(result: Result, values: dict[str, Any]) -> None:
     if result.outcome is Outcome.REFUSED:
         cut = any(one.code == "cut_short" for one in grave)  # whose sentence has that advice
         ways = [one for one in report.advice if not (cut and one.code == "copy_again")][:2]
-        why = " ".join([report.message, *map(words.sentence, [*grave, *ways])])
+        why = " ".join([report.message, *map(sentences.sentence, [*grave, *ways])])
         say_refused(why, result.job.source, values)
         return
     said = (_in_words(values) or values["verbose"]) and not (values["quiet"] or values["as_json"])
     if grave and not said:  # with the result itself
-        exit_codes.say(f"{printable(result.job.source)}: caution: {' '.join(map(words.sentence, grave))}")
+        exit_codes.say(f"{printable(result.job.source)}: caution: {' '.join(map(sentences.sentence, grave))}")
 
 
 def _comment(result: Result, values: dict[str, Any]) -> None:
@@ -374,6 +373,6 @@ def _comment(result: Result, values: dict[str, Any]) -> None:
             exit_codes.say(f"{name}: {report.message}")
         for trial in report.models_tried:
             held_out = None if trial.after_mg is None else f"{trial.after_mg:.3f} mg held out"
-            error = held_out or words.clause(Reason(trial.reason or "", trial.values))
+            error = held_out or sentences.clause(Reason(trial.reason or "", trial.values))
             prior = " with the prior" if trial.prior is not None else ""
             exit_codes.say(f"{name}: model {trial.model}{prior}: {error}")

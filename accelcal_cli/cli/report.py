@@ -9,8 +9,8 @@ import click
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import FILE
-from accelcal_cli.core.door import is_folder
 from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
+from accelcal_cli.core.paths import is_folder
 from accelcal_cli.pipeline.jobs import real, refuse_dash
 from accelcal_cli.pipeline.outputs import make_folder
 

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import IO
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.core.door import look
 from accelcal_cli.core.errors import AccelcalError, OutputError, UsageError, printable
+from accelcal_cli.core.paths import stat_or_none as look
 from accelcal_cli.core.system import host
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output.files import looking_at, open_plain

@@ -14,8 +14,7 @@ from accelcal_cli.cli.options import ENCODER, FILE, Positive, Within
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import printable
 from accelcal_cli.formats import named_encoder
-from accelcal_cli.pipeline.simulate import plan_of, simulate
-from accelcal_cli.simulate import LARGEST_SEED
+from accelcal_cli.simulate import LARGEST_SEED, plan_of, simulate
 
 LONGEST_DAYS, RATES_HZ = 3660, (0.1, 100_000)
 """Longest recording, ten years, and the rates at which movement can be simulated."""

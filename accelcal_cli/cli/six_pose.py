@@ -11,9 +11,9 @@ import click
 from accelcal_cli.cli import options
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import run_jobs
-from accelcal_cli.core.door import is_folder
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.input_files import is_no_part
+from accelcal_cli.core.paths import is_folder
 from accelcal_cli.core.settings import POSES, PoseSettings
 from accelcal_cli.pipeline.jobs import Request, plan_report, real
 from accelcal_cli.pipeline.options import read_options, with_values

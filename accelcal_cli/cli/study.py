@@ -23,7 +23,7 @@ from accelcal_cli.cli.run_log import LOG, run_log
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.system import workers
-from accelcal_cli.output.words import clause, sentence
+from accelcal_cli.output.sentences import clause, sentence
 from accelcal_cli.pipeline.jobs import refuse_dash
 from accelcal_cli.pipeline.options import json_value
 from accelcal_cli.studies.discovery import Where
@@ -216,7 +216,7 @@ def _document(item: Item, row: dict[str, Any]) -> Any:
     """Return the report of a recording, or the object in its place if it failed."""
     if row["outcome"] != FAILED:
         return json.loads(item.job.report.read_text("utf-8"))
-    from accelcal_cli.output.report_kinds import failed_document
+    from accelcal_cli.output.report import failed_document
 
     found = failed_document(item.source, row["exit_code"], row["message"])
     found["values"]["path"] = printable(item.shown)

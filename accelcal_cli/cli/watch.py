@@ -17,8 +17,8 @@ import click
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.help import Command
 from accelcal_cli.core.calibration import Transform
-from accelcal_cli.core.door import is_file, is_same
 from accelcal_cli.core.errors import UsageError, output_error, printable, unread
+from accelcal_cli.core.paths import is_file, is_same
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.system import ending_signals
 from accelcal_cli.output.files import exists

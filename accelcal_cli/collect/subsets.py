@@ -14,8 +14,7 @@ from math import ceil, floor
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.collect.cells import plausible
-from accelcal_cli.collect.grid import CellSums, to_points
+from accelcal_cli.collect.cells import CellSums, plausible, to_points
 from accelcal_cli.core.points import WEIGHT_ONE, Fates, PointSet, Role, Windows
 from accelcal_cli.core.settings import Settings
 

@@ -19,11 +19,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.collect.cells import CellCollector, plausible
-from accelcal_cli.collect.grid import (
+from accelcal_cli.collect.cells import (
     HARMLESS_SPACE,
     MAX_POINTS,
+    CellCollector,
     CellSums,
+    plausible,
     points_of,
     shared_weights,
     to_points,

@@ -13,7 +13,7 @@ from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from accelcal_cli.core.reasons import significant
+from accelcal_cli.core.errors import significant
 
 SHA256 = "^[0-9a-f]{64}$"
 

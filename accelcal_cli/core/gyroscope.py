@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.declared import Key
-from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.errors import Reason
 from accelcal_cli.core.recording import Counts
 
 EQUATION = "w = S (r - b - c (T - Tref))"

@@ -13,8 +13,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.door import files_below, has_file, is_file, look, open_found, unreadable
 from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.paths import files_below, has_file, is_file, open_found, unreadable
+from accelcal_cli.core.paths import stat_or_none as look
 
 ANY = "*"
 ARCHIVES = (".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tbz2", ".tbz", ".tar.xz", ".txz", ".zip")

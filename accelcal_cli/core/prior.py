@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from accelcal_cli.core.errors import printable
-from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.errors import Reason, printable
 
 MG = 1e-3
 

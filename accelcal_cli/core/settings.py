@@ -1,7 +1,7 @@
 """Every setting of the method: name, unit, default, bounds, source, and its option, declared once.
 
 Command-line options (cli/options.py) and the checks of settings that are read back from a report
-(pipeline/report_settings.py) are made from what is declared here.
+(pipeline/options.py) are made from what is declared here.
 """
 
 from __future__ import annotations

@@ -19,14 +19,13 @@ from threading import Event
 from typing import Any
 
 from accelcal_cli.core.errors import AccelcalError, UsageError
-from accelcal_cli.core.local_time import UTC
 from accelcal_cli.core.parallel import parallel_map
+from accelcal_cli.core.times import UTC
 from accelcal_cli.core.version import __version__
 from accelcal_cli.exports import coefficients
 from accelcal_cli.exports.data import ExportedData, ExportOptions, export_data, r_zone
-from accelcal_cli.exports.forms import refuse_existing
 from accelcal_cli.exports.rows import CalibratedFile, described_file
-from accelcal_cli.exports.selection import Selected
+from accelcal_cli.exports.selection import Selected, refuse_existing
 from accelcal_cli.output.files import write_text
 from accelcal_cli.pipeline.jobs import PARQUET_SUFFIX
 from accelcal_cli.pipeline.outputs import make_folder

@@ -3,23 +3,98 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+import shlex
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.door import files_below, is_file, is_folder
-from accelcal_cli.core.errors import AccelcalError, UnreadableError, UsageError, printable
+from accelcal_cli.core.errors import (
+    AccelcalError,
+    OutputError,
+    UnreadableError,
+    UsageError,
+    did_you_mean,
+    printable,
+)
 from accelcal_cli.core.input_files import is_pattern, matching
+from accelcal_cli.core.paths import files_below, is_file, is_folder
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.exports.coefficients import NO_RECORDING
 from accelcal_cli.output import decisions
-from accelcal_cli.output.files import looking_at
+from accelcal_cli.output.files import NAME as TABLE
+from accelcal_cli.output.files import exists, looking_at, read_columns
 from accelcal_cli.output.report_reading import check_sections, read_document
-from accelcal_cli.output.study_table import NAME as TABLE
-from accelcal_cli.output.study_table import read_columns
-from accelcal_cli.output.words import begun_small
-from accelcal_cli.pipeline.jobs import PARQUET_SUFFIX, REPORT_SUFFIX, parquet_of, report_of
+from accelcal_cli.output.sentences import begun_small
+from accelcal_cli.pipeline.jobs import (
+    PARQUET_SUFFIX,
+    REPORT_SUFFIX,
+    parquet_of,
+    refuse_nameless,
+    refuse_overwriting,
+    report_of,
+)
+
+# The forms of an export, which options go with each, and files that are never replaced unasked.
+
+COEFFICIENTS = ("ggir", "biobank", "omconvert", "json")
+DATA = ("csv", "npz", "mhealth", "bids", "parquet")
+FOLDERS = ("ggir", "biobank", "actipy", "skdh", "csv", "npz", "mhealth", "parquet")
+"""Forms of which a folder of recordings can be made."""
+
+FORMS = tuple(dict.fromkeys((*COEFFICIENTS, "actipy", "skdh", *DATA)))
+
+
+def check_form(form: str, options: Mapping[str, Any], *, folder: bool) -> None:
+    """Raise UsageError if there is no such form, or an option does not go with it.
+
+    Args:
+        options: those that were given, by name; others are None or False.
+        folder: a folder of recordings is wanted.
+    """
+    if form not in FORMS:
+        meant = did_you_mean(form, FORMS)
+        raise UsageError(f"there is no form {form!r}", hint=meant or f"choose one of {', '.join(FORMS)}")
+    if folder:
+        if form not in FOLDERS:
+            hint = f"choose one of {', '.join(FOLDERS)}, or a file with -o"
+            raise UsageError(f"--to {form} writes no folder of recordings", hint=hint)
+        return
+    for name, value in options.items():
+        if value is None or value is False:
+            continue
+        if name in ("gzip", "jobs"):
+            hint = "name one with -d, or omit it"
+            raise UsageError(f"--{name} is for a folder of recordings", hint=hint)
+        if form in COEFFICIENTS:
+            option = f"--{name.replace('_', '-')}"
+            raise UsageError(f"{option} is for data (--to {', '.join(DATA)})", hint="omit it")
+
+
+def refuse_other_kind(path: Path, form: str) -> None:
+    """Raise UsageError for data where a report is needed, or the other way round, naming the other file."""
+    kinds = [(PARQUET_SUFFIX, "calibrated data"), (REPORT_SUFFIX, "a report")]
+    (suffix, needed), (given, _) = kinds[::-1] if form in COEFFICIENTS else kinds
+    if path.name.endswith(given):
+        other = shlex.quote(printable(path.with_name(path.name.removesuffix(given) + suffix)))
+        raise UsageError(f"--to {form} needs {needed}", path=path, hint=f"give {other} instead")
+
+
+def refuse_outputs(outputs: Iterable[Path], inputs: Sequence[Path], *, force: bool) -> None:
+    """Raise UsageError for an output that is an input, OutputError for one that is there already."""
+    for path in outputs:
+        refuse_nameless(path)
+        refuse_overwriting((path,), inputs)
+        if not force:
+            refuse_existing([path])
+
+
+def refuse_existing(outputs: Iterable[Path]) -> None:
+    """Raise OutputError for an output that is there already."""
+    for path in outputs:
+        if exists(path):
+            raise OutputError("is there already", path=path, hint="use --force to replace it")
+
 
 SUMMARY = "study.json"
 READ = ("path", "report", "message", "use", "why", "decided_by", "result")

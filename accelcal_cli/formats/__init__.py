@@ -225,8 +225,7 @@ def open_recording(
         OutputError: there is no room to unpack an archive of parts.
     """
     if has_parts(path):
-        from accelcal_cli.formats._parts.reader import PartsReader, open_parts
-        from accelcal_cli.formats._parts.session import SessionReader
+        from accelcal_cli.formats._parts.reader import PartsReader, SessionReader, open_parts
 
         def open_part(part: Path) -> Reader:
             return _open_file(part, options, unused)

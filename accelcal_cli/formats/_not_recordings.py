@@ -10,9 +10,8 @@ import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from accelcal_cli.core.errors import NoRecordingError, UnreadableError, printable
+from accelcal_cli.core.errors import NoRecordingError, Reason, UnreadableError, printable
 from accelcal_cli.core.formats import Probe, is_text
-from accelcal_cli.core.reasons import Reason
 
 NOT_RAW = "epochs, not raw acceleration"
 LOOKED_AT = 4096

@@ -18,14 +18,21 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, rounded_quotient, three
+from accelcal_cli.core.arithmetic import (
+    FRACTION_BITS,
+    ONE,
+    interval95,
+    mean,
+    rounded_quotient,
+    standard_error,
+    three,
+)
 from accelcal_cli.core.calibration import Calibration, Correction
 from accelcal_cli.core.clock import iso_time
+from accelcal_cli.core.errors import Reason
 from accelcal_cli.core.points import TimedMeans
 from accelcal_cli.core.prior import POPULATION
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Change, ChangeKind, TimeHoldout
-from accelcal_cli.core.statistics import interval95, mean, standard_error
 from accelcal_cli.judge.errors import directions
 
 FOLDS = 5

@@ -14,12 +14,11 @@ from math import fsum
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import ONE
+from accelcal_cli.core.arithmetic import ONE, mean, quantile
 from accelcal_cli.core.calibration import Calibration, calibrated
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import WEIGHT_ONE, Model, PointSet
 from accelcal_cli.core.results import Coverage, ErrorSummary
-from accelcal_cli.core.statistics import mean, quantile
 
 Floats = NDArray[np.float64]
 

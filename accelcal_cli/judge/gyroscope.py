@@ -8,19 +8,215 @@ each turn is corrected by the rates of its own two rests; the bias that is repor
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import asin, cos, degrees, fsum, radians, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import inverse, three
+from accelcal_cli.core.arithmetic import interval95, inverse, mean, quantile, student_t_975, three
 from accelcal_cli.core.calibration import Calibration
-from accelcal_cli.core.gyroscope import Bias, Gyroscope, Rest, RestRates, Triple, Turn, TurnHoldout, Turns
-from accelcal_cli.core.reasons import Reason
-from accelcal_cli.core.statistics import interval95, mean, quantile, student_t_975
-from accelcal_cli.judge.turning import Turned, TurningGravity, raw_steps
+from accelcal_cli.core.errors import Reason
+from accelcal_cli.core.gyroscope import (
+    Bias,
+    Floats,
+    Gyroscope,
+    Rest,
+    RestRates,
+    Triple,
+    Turn,
+    TurnHoldout,
+    Turns,
+)
+
+# Gravity as a gyroscope turns it from one rest to the next, and how that depends on the scale matrix.
+#
+# In the sensor's frame a direction u that is fixed in the room moves as du/dt = u x w (G 4.3). With w
+# constant from one sample to the next, the turn of a step is that of a unit quaternion, here as its
+# matrix by Rodrigues' formula. What S does to the end follows from the same pass: a change dS of the
+# scale matrix moves the end of the turn by Q(T) (u(0) x sum of Q(t)^T dS r(t) dt), where Q(t) has
+# turned u(0) to u(t).
+#
+# All is elementwise, in a fixed order, with sums, products and quotients only (series instead of sine
+# and cosine), so that turns give the same bits on every machine.
+
+BLOCK = 32
+"""Samples that are processed one after the other; blocks of them are processed side by side."""
+
+BATCH_BLOCKS = 4096
+"""Blocks that are processed at a time, so that memory is bounded and fits the processor's cache."""
+
+SERIES = 12
+"""Terms of the series of sin(x) / x and (1 - cos x) / x^2: exact to 1e-13 up to half a turn in a step."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TurnBatch:
+    """Turns cut into blocks.
+
+    Attributes:
+        first: number of the first turn.
+        steps: (BLOCK, 3, t) angle of each step by the raw rate, less the bias [rad]; zero after the end.
+        begins: (p,) number of each turn's first block; blocks: (p,) number of its blocks.
+    """
+
+    first: int
+    steps: Floats
+    begins: NDArray[np.int64]
+    blocks: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turned:
+    """Gravity at the end of n turns.
+
+    Attributes:
+        direction: (n, 3) unit vectors.
+        slope: (n, 3, 9) derivatives with respect to the entries of S, row by row.
+    """
+
+    direction: Floats
+    slope: Floats
+
+
+class TurningGravity:
+    """Turns of a gyroscope, with gravity's direction at their beginning.
+
+    Args:
+        before: (n, 3) unit vectors of the calibrated accelerometer.
+    """
+
+    def __init__(self, turns: Sequence[Turn], before: Floats, dps_per_lsb: Triple) -> None:
+        self._before = before
+        self._batches = list(_batches(turns, dps_per_lsb))
+
+    def __len__(self) -> int:
+        return len(self._before)
+
+    def turned(self, scale: Floats) -> Turned:
+        """Return gravity's direction after each turn.
+
+        Args:
+            scale: S, (3, 3), or (3, 3, n) with one for each turn.
+        """
+        parts = [self._turned(batch, scale) for batch in self._batches]
+        return Turned(
+            np.concatenate([part.direction for part in parts]), np.concatenate([part.slope for part in parts])
+        )
+
+    def _turned(self, batch: _TurnBatch, scale: Floats) -> Turned:
+        turns = slice(batch.first, batch.first + len(batch.begins))
+        own = scale if scale.ndim == 2 else np.repeat(scale[:, :, turns], batch.blocks, axis=2)
+        turn, moment = _joined(batch, *_through_blocks(batch.steps, own))
+        start = self._before[turns].T
+        end = _times(turn, start[:, np.newaxis])[:, 0]
+        across = _times(turn, _cross(start, moment.reshape(3, 9, -1)))
+        return Turned(end.T.copy(), across.transpose(2, 0, 1).copy())
+
+
+def raw_steps(turn: Turn, dps_per_lsb: Triple) -> Floats:
+    """Return angles from each sample to the next by the raw rate less that of the rests [rad], (n + 1, 3).
+
+    The first step begins at rest, the last one ends there: n samples make n + 1 trapezoids.
+    """
+    before, after = turn.before, turn.after
+    padded = np.zeros((len(turn) + 2, 3))
+    for axis in range(3):
+        bias = before.gyro_sums[axis] / before.samples + after.gyro_sums[axis] / after.samples
+        padded[1:-1, axis] = turn.counts[:, axis] - bias / 2
+        padded[:, axis] *= radians(dps_per_lsb[axis]) * (turn.period_us / 1e6)
+    return np.asarray((padded[:-1] + padded[1:]) / 2)
+
+
+def _batches(turns: Sequence[Turn], dps_per_lsb: Triple) -> Iterator[_TurnBatch]:
+    first, steps_of_turns, total = 0, list[Floats](), 0
+    for number, turn in enumerate(turns):
+        steps = raw_steps(turn, dps_per_lsb)
+        blocks = -(-len(steps) // BLOCK)
+        if steps_of_turns and total + blocks > BATCH_BLOCKS:
+            yield _batch(first, steps_of_turns)
+            first, steps_of_turns, total = number, [], 0
+        padded = np.zeros((blocks * BLOCK, 3))
+        padded[: len(steps)] = steps
+        steps_of_turns.append(padded.reshape(blocks, BLOCK, 3))
+        total += blocks
+    if steps_of_turns:
+        yield _batch(first, steps_of_turns)
+
+
+def _batch(first: int, steps_of_turns: list[Floats]) -> _TurnBatch:
+    blocks = np.array([len(one) for one in steps_of_turns], np.int64)
+    steps = np.ascontiguousarray(np.concatenate(steps_of_turns).transpose(1, 2, 0))
+    return _TurnBatch(first, steps, np.cumsum(blocks) - blocks, blocks)
+
+
+def _through_blocks(steps: Floats, scale: Floats) -> tuple[Floats, Floats]:
+    """Return Q of each block, (3, 3, t), and its sum of Q^T (x) r dt, (3, 3, 3, t)."""
+    own = scale[:, :, np.newaxis] if scale.ndim == 2 else scale
+    turn = np.zeros((3, 3, steps.shape[2]))
+    turn[[0, 1, 2], [0, 1, 2]] = 1.0
+    moment = np.zeros((3, *turn.shape))
+    for step in steps:
+        right = own[:, 0] * step[0] + own[:, 1] * step[1] + own[:, 2] * step[2]
+        following = _times(_rotation(right), turn)
+        middle = (turn + following) / 2
+        moment += middle.transpose(1, 0, 2)[:, :, np.newaxis] * step
+        turn = following
+    return turn, moment
+
+
+def _rotation(angle: Floats) -> Floats:
+    """Return matrices (3, 3, t) that turn directions as a rotation of the sensor by angles (3, t) [rad]."""
+    x, y, z = angle
+    squared = x * x + y * y + z * z
+    sine, versine = _series(squared, 1), _series(squared, 2)
+    matrix = versine * (angle[:, np.newaxis] * angle[np.newaxis])
+    cosine = 1.0 - versine * squared
+    for axis in range(3):
+        matrix[axis, axis] += cosine
+        following, last = (axis + 1) % 3, (axis + 2) % 3
+        matrix[following, last] += sine * angle[axis]
+        matrix[last, following] -= sine * angle[axis]
+    return matrix
+
+
+def _series(squared: Floats, first: int) -> Floats:
+    """Return sin(x) / x (first = 1) or (1 - cos x) / x^2 (first = 2) of x^2."""
+    total = np.ones_like(squared)
+    for term in range(SERIES, 0, -1):
+        total = 1.0 - squared / ((2 * term + first - 1) * (2 * term + first)) * total
+    return total if first == 1 else total / 2
+
+
+def _joined(batch: _TurnBatch, turn: Floats, moment: Floats) -> tuple[Floats, Floats]:
+    """Combine blocks to whole turns: Q (3, 3, p), and the sums (3, 3, 3, p)."""
+    number = len(batch.begins)
+    whole, total = np.zeros((3, 3, number)), np.zeros((3, 3, 3, number))
+    whole[[0, 1, 2], [0, 1, 2]] = 1.0
+    for place in range(int(batch.blocks.max())):
+        going = np.flatnonzero(batch.blocks > place)
+        block = batch.begins[going] + place
+        so_far = whole[:, :, going]
+        part = _times(so_far.transpose(1, 0, 2), moment[:, :, :, block].reshape(3, 9, -1))
+        total[:, :, :, going] += part.reshape(3, 3, 3, -1)
+        whole[:, :, going] = _times(turn[:, :, block], so_far)
+    return whole, total
+
+
+def _times(left: Floats, right: Floats) -> Floats:
+    """Return matrix products (3, 3, t) (3, m, t), term by term."""
+    parts = (left[:, index, np.newaxis] * right[np.newaxis, index] for index in range(3))
+    first, second, third = parts
+    return np.asarray(first + second + third)
+
+
+def _cross(left: Floats, right: Floats) -> Floats:
+    """Return the cross products (3, t) x (3, m, t) for each of m."""
+    return np.stack(
+        [left[(a + 1) % 3] * right[(a + 2) % 3] - left[(a + 2) % 3] * right[(a + 1) % 3] for a in range(3)]
+    )
+
 
 LEAST_TURN_DEG = 20.0
 """Smallest angle [degrees] between gravity before and after a turn that is used."""
@@ -63,7 +259,6 @@ STRETCHES = 10
 ROUNDS = 20
 """Most rounds of reweighting when a line is fitted to the rates at rest."""
 
-Floats = NDArray[np.float64]
 
 Line = tuple[float, float]
 """Rate at the reference temperature, and its slope."""
@@ -404,3 +599,95 @@ def _weighted_errors(off: Sequence[Floats], weights: Floats) -> Floats:
     total, number = fsum(weights.tolist()), len(weights)
     squares = [fsum((weights * weights * one * one).tolist()) for one in off]
     return np.array([sqrt(square * number / (number - 1)) / total for square in squares])
+
+
+# The scale of a gyroscope from whole revolutions about the vertical, in a session of known
+# orientations.
+#
+# Ferraris, Grimaldi and Parvis (1995) turn a sensor by whole revolutions about each of its axes,
+# which stays upright: the integral of the rate is then a multiple of 360 degrees along gravity,
+# whatever the speed. Gravity, which does not move, says nothing of these turns, so they are apart
+# from those that `judge/gyroscope.py` fits. The turns from one face to another, which this fit does
+# not use, judge it.
+
+WHOLE_DEG = 360.0
+OFF_SHARE = 0.1
+"""Share of a revolution by which the raw integral may be off: sensors are off by a few percent."""
+
+SAME_DEG = 8.0
+"""Largest angle [degrees] between gravity before and after a revolution."""
+
+UPRIGHT_DEG = 15.0
+"""Largest angle [degrees] between the axis of a revolution and gravity."""
+
+LEAST_TURNS = 3
+"""Fewest turns from face to face that judge the scale."""
+
+
+def judge_revolutions(
+    found: Turns, calibration: Calibration | None, least_range_c: float | None
+) -> Gyroscope | None:
+    """Return the verdict by whole revolutions; None if there are none about each axis.
+
+    Args:
+        calibration, least_range_c: see `judge_gyroscope`.
+    """
+    bias = bias_on_grid(found, least_range_c)
+    if bias is None or calibration is None:
+        return None
+    integrals, wanted = _revolutions(found, calibration)
+    if not len(integrals):
+        return None
+    unit = integrals / np.sqrt((integrals * integrals).sum(axis=1, keepdims=True))
+    moments = sum(np.multiply.outer(one, one) for one in unit) / len(unit)
+    if np.linalg.eigvalsh(moments)[0] < LEAST_SHARE:
+        return None
+    scale = _fitted_revolutions(integrals, wanted)
+    pairs = wide_turns(found, calibration)
+    holdout = None
+    if len(pairs.turns) >= LEAST_TURNS:
+        gravity = TurningGravity(pairs.turns, pairs.before, found.dps_per_lsb)
+        holdout = turn_errors(gravity.turned(np.eye(3)), gravity.turned(scale), pairs.after)
+    values = {
+        "revolutions": len(integrals),
+        "turns": len(pairs.turns),
+        "before_deg": None if holdout is None else holdout.before,
+        "after_deg": None if holdout is None else holdout.after,
+    }
+    reason = Reason.of("gyroscope_by_revolutions", **values)
+    known = replace(refused(reason, len(integrals), found, bias), holdout=holdout)
+    if holdout is not None and holdout.mean_after > holdout.mean_before:
+        return replace(known, reason=Reason.of("scale_no_better", before_deg=holdout.mean_before))
+    return replace(known, outcome="calibrated", scale=rows_of(np.rint(scale * GRID) / GRID))
+
+
+def _revolutions(found: Turns, calibration: Calibration) -> tuple[Floats, Floats]:
+    """Return the integrals (n, 3) [degrees] of whole revolutions by the raw rate, and the true ones."""
+    before, after = gravity_around(found, calibration)
+    integrals, wanted = [], []
+    for turn, start, end in zip(found.turns, before, after, strict=True):
+        steps = raw_steps(turn, found.dps_per_lsb)
+        integral = np.array([degrees(fsum(steps[:, axis].tolist())) for axis in range(3)])
+        length, along = sqrt(float((integral * integral).sum())), float((integral * start).sum())
+        whole = WHOLE_DEG * round(length / WHOLE_DEG)
+        same = float((start * end).sum()) >= cos(radians(SAME_DEG))
+        upright = abs(along) >= cos(radians(UPRIGHT_DEG)) * length
+        if whole and same and upright and abs(length - whole) <= OFF_SHARE * whole:
+            middle = start + end
+            integrals.append(integral)
+            upward = middle / sqrt(float((middle * middle).sum()))
+            wanted.append((whole if along > 0 else -whole) * upward)
+    return np.array(integrals).reshape(-1, 3), np.array(wanted).reshape(-1, 3)
+
+
+def _fitted_revolutions(integrals: Floats, wanted: Floats) -> Floats:
+    """Return S of least squares: S times the integrals is what they should be."""
+    both = sum(np.multiply.outer(one, other) for one, other in zip(wanted, integrals, strict=True))
+    own = sum(np.multiply.outer(one, one) for one in integrals)
+    inverted = inverse(np.asarray(own).tolist())
+    return np.array(
+        [
+            [fsum(row[k] * inverted[k][column] for k in range(3)) for column in range(3)]
+            for row in np.asarray(both).tolist()
+        ]
+    )

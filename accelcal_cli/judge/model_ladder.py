@@ -13,16 +13,14 @@ from math import cos, inf, radians
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE
+from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, clustered_error, interval95, mean
 from accelcal_cli.core.calibration import IDENTITY, Calibration
-from accelcal_cli.core.errors import DivergedError
+from accelcal_cli.core.errors import DivergedError, Reason
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import MODELS, Fit, Model, PenalizedFitter, PointSet
 from accelcal_cli.core.prior import POPULATION, Prior
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Coverage, Holdout, Trial, sides_not_up
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.core.statistics import clustered_error, interval95, mean
 from accelcal_cli.judge import errors
 
 FitFunction = Callable[[Sequence[PointSet], Model], list[Fit]]

@@ -23,9 +23,11 @@ from math import log, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import ONE, inverse, three
-from accelcal_cli.core.calibration import IDENTITY, PARAMETER_NAMES
+from accelcal_cli.core.arithmetic import ONE, inverse, quantile, three
+from accelcal_cli.core.calibration import IDENTITY, PARAMETER_NAMES, Calibration, in_standard_g
+from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import (
+    MODELS,
     PENALTY_BITS,
     WEIGHT_ONE,
     Fit,
@@ -38,7 +40,6 @@ from accelcal_cli.core.points import (
 )
 from accelcal_cli.core.prior import Prior
 from accelcal_cli.core.results import Outcome, SphereError
-from accelcal_cli.core.statistics import quantile
 from accelcal_cli.judge.errors import directions, jacobian, worst_direction_mg
 from accelcal_cli.judge.model_ladder import FitFunction
 
@@ -532,3 +533,39 @@ def _lengths(raw: Floats, parameters: tuple[int, ...]) -> Floats:
     x, y, z = (raw[:, axis] + p[6 + axis] for axis in range(3))
     ax, ay, az = p[0] * x, p[3] * x + p[1] * y, p[4] * x + p[5] * y + p[2] * z
     return np.asarray(np.sqrt(ax * ax + ay * ay + az * az))
+
+
+# Calibrations in standard g: of a fit, and of sensors that its posterior holds plausible.
+#
+# What is computed from calibrated values is as uncertain as the calibration: the same computation
+# with each of many plausible calibrations shows by how much, also where it is far from linear, as
+# ENMO is at rest.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnSensors:
+    """The sensors of a posterior of points in units of local gravity; see `PlausibleSensors`.
+
+    A bend of the response, which no coefficients correct, takes no part.
+    """
+
+    known: Posterior
+    points: PointSet
+    gravity: Gravity
+
+    def draws(self, number: int, seed: int) -> list[Calibration]:
+        """See `PlausibleSensors`."""
+        drawn = drawn_sensors(self.known, self.points, number, seed)
+        return [_in_standard_units(self.known.model, one, self.points, self.gravity) for one in drawn]
+
+
+def calibration_of_fit(model: str, fit: Fit, points: PointSet, gravity: Gravity) -> Calibration:
+    """Return the calibration of a fit to points in units of local gravity, in standard g."""
+    return _in_standard_units(MODELS[model], fit.parameters, points, gravity)
+
+
+def _in_standard_units(
+    model: Model, parameters: tuple[int, ...], points: PointSet, gravity: Gravity
+) -> Calibration:
+    scale = points.temperature if model.has_temperature else None
+    return Calibration(model.name, in_standard_g(parameters, gravity.local_g()), scale, gravity)

@@ -16,11 +16,11 @@ from math import fsum
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import interval95, mean, weighted_percentile
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import PointSet, TimedMeans
 from accelcal_cli.core.results import Change
-from accelcal_cli.core.statistics import interval95, mean, weighted_percentile
 from accelcal_cli.judge.change import LEAST_MG, ComparedErrors
 from accelcal_cli.judge.errors import applied
 

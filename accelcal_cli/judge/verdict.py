@@ -19,32 +19,416 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import ONE, interval95, mean, standard_error, student_t_probability, three
 from accelcal_cli.core.calibration import IDENTITY
-from accelcal_cli.core.errors import DivergedError
+from accelcal_cli.core.errors import DivergedError, Reason
 from accelcal_cli.core.gravity import Gravity
-from accelcal_cli.core.points import MODELS, Fit, Model, PenalizedFitter, PointSet, Saturated
+from accelcal_cli.core.points import (
+    MODELS,
+    PENALTY_BITS,
+    WEIGHT_ONE,
+    Fit,
+    Model,
+    PenalizedFitter,
+    PointSet,
+    Saturated,
+)
 from accelcal_cli.core.prior import POPULATION
-from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Recording
 from accelcal_cli.core.results import (
+    NEAR_ONE_G,
     Coverage,
+    Facts,
     FitErrors,
     Holdout,
     Judgement,
+    Misfit,
+    MisfitKind,
     Outcome,
+    Rest,
     Trial,
     WithoutMisalignment,
     sides_not_up,
 )
 from accelcal_cli.core.settings import DEFAULT, PAPER, Settings
-from accelcal_cli.core.statistics import interval95, mean
+from accelcal_cli.core.vocabulary import PER_G, USUAL_UNITS
 from accelcal_cli.judge import model_ladder
-from accelcal_cli.judge.draws import DrawnSensors, calibration_of_fit
-from accelcal_cli.judge.errors import Uncertainty, deviations_mg, per_posture, uncertainty
+from accelcal_cli.judge.errors import (
+    Uncertainty,
+    deviations_mg,
+    jacobian,
+    per_posture,
+    residuals,
+    uncertainty,
+)
 from accelcal_cli.judge.errors import coverage as coverage_of
-from accelcal_cli.judge.misfit import MisfitSearch
-from accelcal_cli.judge.model_ladder import FEWEST_POSTURES, Fitting, Sample, blocked, postures
-from accelcal_cli.judge.posterior import Posterior, outcome_by_error, posterior, speaks_against, sphere_errors
-from accelcal_cli.judge.refusal import LONGER, NOTHING_STILL
+from accelcal_cli.judge.model_ladder import FEWEST_POSTURES, Fitting, Sample, blocked, folds, postures
+from accelcal_cli.judge.posterior import (
+    Bend,
+    DrawnSensors,
+    Posterior,
+    calibration_of_fit,
+    largest_error_mg,
+    noise,
+    outcome_by_error,
+    posterior,
+    speaks_against,
+    sphere_errors,
+)
+
+# Reasons of refusals: damage, no stillness, or rest that a wrong unit, scale, type or column
+# explains.
+#
+# A sensor's own errors leave rest within a few tenths of 1 g, and a wrist turns all three axes.
+# `odd_rest` says how a recording differs from that and what would explain it; the advice to record
+# longer is left out then.
+
+LONGER = Reason("record_longer")
+NOTHING_STILL = Reason("nothing_still")
+FAR_FROM_1_G = Reason("still_far_from_1_g")
+
+WIDEST_G = 0.5
+"""Range of |a| at rest [g], 5th to 95th percentile, that no sensor's offsets reach."""
+
+STUCK_G, TURNED_G = 0.02, 0.5
+"""Range [g] within which an axis is stuck, if another axis turns at rest by more than the second [g]."""
+
+UNITS = {PER_G[unit]: (unit, "g") for unit in USUAL_UNITS if unit != "g"} | {
+    1 / PER_G[unit]: ("g", unit) for unit in USUAL_UNITS if unit != "g"
+}
+"""Unit of the values and the unit that they were read as, by what rest then measures [g]."""
+
+UNIT_TOLERANCE = 0.15
+"""Relative distance from an entry of UNITS within which it explains what rest measures."""
+
+NOISE_TIMES = 4
+"""Times the limit up to which the quietest window may be rest that a noisy sensor measured."""
+
+
+def nothing_still(facts: Facts, recording: Recording, settings: Settings) -> tuple[Reason, Reason]:
+    """Return the refusal that says what the quietest window measures, and advice."""
+    quietest, length_s = facts.quietest, settings.segment_seconds
+    if quietest is None and facts.counts.filled_samples > facts.samples / 2:
+        share = 100 * facts.counts.filled_samples / facts.samples
+        return Reason.of("nothing_but_filled", filled_percent=share), Reason("check_sensor")
+    if quietest is None:
+        return Reason.of("nothing_measured", seconds=length_s), Reason("shorter_windows_or_longer_gaps")
+    spread_g = quietest.spread / recording.lsb_per_g
+    deviation_g = quietest.deviation / recording.lsb_per_g
+    range_g, limit_g = settings.stillness_threshold_g, settings.stillness_deviation_g
+    values: dict[str, Any] = {"windows": facts.windows, "seconds": length_s}
+    if range_g is not None and spread_g >= range_g:
+        values |= {"quietest": "range", "measured_g": spread_g, "limit_g": range_g}
+    else:
+        values |= {"quietest": "deviation", "measured_g": deviation_g, "limit_g": limit_g}
+    noisy = limit_g is not None and deviation_g < NOISE_TIMES * limit_g
+    return Reason.of("nothing_still", **values), Reason("adaptive_rule" if noisy else "shorter_windows")
+
+
+def strict_if_odd(settings: Settings, facts: Facts, recording: Recording) -> Settings:
+    """Return the settings to judge by: nothing is provisional if rest is odd, whose cause can be removed."""
+    return settings if _odd_rest_of(facts, recording) is None else replace(settings, strict=True)
+
+
+def _odd_rest_of(facts: Facts, recording: Recording) -> Reason | None:
+    return odd_rest(facts.rest, recording.lsb_per_g, decimal=recording.lsb_per_g >= FLOAT_LSB_PER_G)
+
+
+def odd_rest(rest: Rest, lsb_per_g: float, *, decimal: bool) -> Reason | None:
+    """Return what is odd about rest and what would explain it, or None.
+
+    Args:
+        lsb_per_g: counts per g that were assumed.
+        decimal: True if the file has decimal numbers in a unit, not counts.
+    """
+    if not rest.windows:
+        return _wrong_size(rest.samples_median_g, "samples", lsb_per_g, decimal)
+    if rest.alike:
+        return Reason.of("axes_alike", axes=rest.alike)
+    odd = _stuck_axis(rest) or _wrong_size(rest.median_g, "rest", lsb_per_g, decimal)
+    if odd is None and rest.p95_g - rest.p5_g >= WIDEST_G:
+        return Reason.of("rest_scatters", low_g=rest.p5_g, high_g=rest.p95_g)
+    return odd
+
+
+def _stuck_axis(rest: Rest) -> Reason | None:
+    spans = {
+        axis: high - low for axis, low, high in zip("xyz", rest.axis_min_g, rest.axis_max_g, strict=True)
+    }
+    stuck = [axis for axis, span in spans.items() if span < STUCK_G]
+    turned = {axis: span for axis, span in spans.items() if span > TURNED_G}
+    if not stuck or not turned:
+        return None
+    at_g = round(rest.axis_min_g["xyz".index(stuck[0])], 2) + 0.0
+    return Reason.of("axis_stuck", axis=stuck[0], at_g=at_g, others=list(turned), by_g=list(turned.values()))
+
+
+def _wrong_size(median_g: float | None, of: str, lsb_per_g: float, decimal: bool) -> Reason | None:
+    low, high = NEAR_ONE_G
+    if median_g is None or low < median_g < high:
+        return None
+    if not median_g:
+        return Reason.of("gravity_is_zero", of=of)
+    unit = next((pair for g, pair in UNITS.items() if abs(median_g / g - 1) < UNIT_TOLERANCE), None)
+    if unit is not None:
+        return Reason.of("wrong_unit", of=of, median_g=median_g, unit=unit[0], read_as=unit[1])
+    if decimal:
+        return Reason.of("not_1_g", of=of, median_g=median_g)
+    values = {"median_g": median_g, "lsb_per_g": lsb_per_g, "fits": lsb_per_g * median_g}
+    return Reason.of("wrong_counts_per_g", of=of, **values)
+
+
+WRONG_SIZE = ("gravity_is_zero", "wrong_unit", "not_1_g", "wrong_counts_per_g")
+"""Codes of rest that is far from 1 g."""
+
+
+def advised(verdict: Judgement, facts: Facts, recording: Recording, settings: Settings) -> Judgement:
+    """Return a refusal with numbers, and advice that fits odd rest or a file that was cut short."""
+    if verdict.outcome is not Outcome.REFUSED:
+        return verdict
+    odd = _odd_rest_of(facts, recording)
+    if odd is not None and verdict.reason.code == "provisional":
+        values = {name: verdict.reason.values[name] for name in ("error_mg", "low_mg", "high_mg", "limit_mg")}
+        reason = Reason.of("calibration_error_over_limit", **values)
+        if odd.code in WRONG_SIZE:
+            reason = Reason.of(FAR_FROM_1_G.code, median_g=facts.rest.median_g)
+        verdict = replace(verdict, reason=reason)
+    if odd is not None and odd.code in WRONG_SIZE:
+        return replace(verdict, notes=(*verdict.notes, odd), advice=())
+    if verdict.reason == NOTHING_STILL:
+        reason, advice = nothing_still(facts, recording, settings)
+        verdict = replace(verdict, reason=reason, advice=(advice, LONGER))
+    elif verdict.reason == FAR_FROM_1_G:
+        reason = Reason.of(FAR_FROM_1_G.code, median_g=facts.rest.median_g)
+        verdict = replace(verdict, reason=reason, advice=(Reason("check_unit"),))
+    if odd is not None:
+        return replace(verdict, notes=(*verdict.notes, odd), advice=())
+    if facts.cut_short:
+        return replace(verdict, advice=(Reason("copy_again"), *verdict.advice))
+    return verdict
+
+
+def damage_verdict(facts: Facts, max_percent: float, coverage: Coverage) -> Judgement | None:
+    """Return the refusal of a recording that lost more than `max_percent` to damage, or None.
+
+    What is missing does not count: it says nothing against what is there.
+    """
+    share = facts.damaged_percent()
+    if share <= max_percent:
+        return None
+    why = Reason.of("damaged", lost_percent=share, lost_bytes=facts.damaged_bytes, limit_percent=max_percent)
+    advice = (Reason("copy_again"), Reason("allow_damage"))
+    return Judgement(Outcome.REFUSED, why, coverage, (), advice=advice)
+
+
+# Misfits: behaviour of a sensor that the twelve parameters cannot describe, found on held-out
+# postures.
+#
+# A response that is bent, scales that change with temperature, offsets that do so on a curve, or that
+# depend on the posture before: the fit absorbs the part that looks like its own parameters, and the
+# rest looks like scatter of the postures, which underestimates the error where the wrist has not
+# been. Each misfit is added to the fit in turn, linearly about the calibration, and believed if it is
+# significant in enough postures, if held-out postures confirm it, and if parts of the postures show
+# it, too.
+
+LEAST_MG = 3.0
+"""Size [mg] that a misfit must reach in some direction to be believed."""
+
+LEAST_FALL = 0.15
+"""Share by which the error on held-out postures must fall."""
+
+CHANCE = 0.02
+"""Probability of such a fall by chance (Student's t, of either sign) above which it is not believed: five
+kinds are looked for in each recording."""
+
+FEWEST_FOR_MISFIT = 12
+"""Postures that a misfit needs to be believed: fewer hardly determine parameters and misfit together."""
+
+SURE = 2.0
+"""Standard errors that a misfit must exceed on some axis."""
+
+SURE_WITHOUT_A_FOLD, SURE_OF_A_HALF = 1.25, 0.5
+"""Standard errors that it must exceed on the same side of that axis by four folds of five, and by each half
+of the postures; chosen by simulation (docs/change.md)."""
+
+POWERS: dict[MisfitKind, int] = {"quadratic": 2, "cubic": 3}
+"""Power of the acceleration in each kind of bend."""
+
+WIDTH_BEND, WIDTH_GAIN_PER_C, WIDTH_CURVE_G_PER_C2, WIDTH_PREVIOUS = 0.01, 5e-4, 2e-4, 0.01
+"""Usual sizes, as scale parameters of priors; those of bends and of the previous posture are for 1 g."""
+
+ROUNDS = 3
+"""Rounds in which the noise is estimated again, together with a misfit."""
+
+_OFFSETS = slice(6, 9)
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MisfitHypothesis:
+    """A misfit that a sensor may have, corrected by c on x, y, z.
+
+    Attributes:
+        columns: (n, 3) d(|a|^2 - 1)/dc at each point.
+        width: scale parameter of the prior of each c.
+        unit, factor: the misfit itself is -c times the factor, in this unit.
+    """
+
+    kind: MisfitKind
+    columns: Floats
+    width: float
+    unit: str
+    factor: float
+
+
+class MisfitSearch:
+    """Looks for misfits in the points of a recording.
+
+    Args:
+        label: (n,) posture number of each point.
+        known: the fit to these points.
+        number: number of folds.
+    """
+
+    def __init__(self, points: PointSet, label: NDArray[np.int64], known: Posterior, number: int) -> None:
+        self._points, self._label, self._known = points, label, known
+        self._fold = folds(label, number)
+        self._tau = None if points.tau is None else points.tau / ONE
+        parameters, self._free = known.found.fit.parameters, list(known.model.free)
+        self._all = jacobian(points.xyz_g(), self._tau, parameters)
+        self._rows = self._all[:, self._free]
+        self._error = -residuals(points.xyz_g(), self._tau, parameters)
+        self._weights = points.weights / WEIGHT_ONE
+        self._postures = int(label.max()) + 1
+        centre = [(known.penalty.centre[index] - parameters[index]) / ONE for index in self._free]
+        self._centre = np.array(centre)
+        self._still = self._held_out(None)
+
+    def misfits(self) -> tuple[Misfit, ...]:
+        """Return all kinds of misfits that the points allow to be tested, found or not."""
+        return tuple(self._misfit(hypothesis) for hypothesis in self._hypotheses())
+
+    def truth(self, found: tuple[Misfit, ...]) -> Posterior:
+        """Return the posterior of the sensor, with the bend if one was found."""
+        bends = [one for one in found if one.found and one.kind in POWERS]
+        if not bends:
+            return self._known
+        kind = min(bends, key=lambda one: one.after_mg).kind
+        return _bent(kind, *self._together(next(one for one in self._hypotheses() if one.kind == kind)))
+
+    def _hypotheses(self) -> Iterator[MisfitHypothesis]:
+        offsets, points = self._all[:, _OFFSETS], self._points
+        g = points.xyz_g()
+        for kind, power in POWERS.items():
+            yield MisfitHypothesis(kind, offsets * g**power, WIDTH_BEND, "percent at 1 g", 100)
+        if self._known.model.has_temperature and self._tau is not None and points.temperature is not None:
+            tau, span = self._tau[:, np.newaxis], points.temperature.span_c
+            by_gain = offsets * g * tau
+            yield MisfitHypothesis(
+                "gain by temperature", by_gain, WIDTH_GAIN_PER_C * span, "percent per degree C", 100 / span
+            )
+            curve, width = offsets * tau * tau, WIDTH_CURVE_G_PER_C2 * span * span
+            yield MisfitHypothesis(
+                "curved by temperature", curve, width, "mg per square degree C", 1000 / (span * span)
+            )
+        if points.previous is not None:
+            before = offsets * (points.previous / ONE)
+            yield MisfitHypothesis("previous posture", before, WIDTH_PREVIOUS, "mg per g", 1000)
+
+    def _misfit(self, hypothesis: MisfitHypothesis) -> Misfit:
+        after = self._held_out(hypothesis)
+        together, c = self._together(hypothesis)
+        errors = np.sqrt(np.diag(np.array(together.covariance))[-3:])
+        largest = float(500 * np.abs(hypothesis.columns @ c).max())
+        if hypothesis.kind in POWERS:
+            largest = largest_error_mg(_bent(hypothesis.kind, together, c), self._known.found.fit.parameters)
+        significant = self._postures >= FEWEST_FOR_MISFIT and self._lasts(hypothesis, together, c, errors)
+        return Misfit(
+            hypothesis.kind,
+            hypothesis.unit,
+            three((-hypothesis.factor * c).tolist()),
+            three((hypothesis.factor * errors).tolist()),
+            mean(self._still),
+            mean(after),
+            largest,
+            significant and largest >= LEAST_MG and _falls(self._still, after),
+        )
+
+    def _lasts(self, hypothesis: MisfitHypothesis, together: Posterior, c: Floats, errors: Floats) -> bool:
+        """Return True if some axis is far from 0 by all postures, and on the same side by parts of them."""
+        side, far = np.sign(c), np.abs(c) > SURE * errors
+        parts = [(self._fold != fold, SURE_WITHOUT_A_FOLD) for fold in sorted(set(self._fold.tolist()))]
+        parts += [(self._label % 2 == half, SURE_OF_A_HALF) for half in (0, 1)]
+        for which, times in parts:
+            moved, around = self._fit(hypothesis, which, together.noise_g)
+            own = np.sqrt(self._unit(together.noise_g) * np.diag(np.linalg.inv(around))[-3:])
+            far &= side * moved[-3:] > times * own
+        return bool(far.any())
+
+    def _together(self, hypothesis: MisfitHypothesis) -> tuple[Posterior, Floats]:
+        """Fit parameters and misfit together; return their posterior, with the noise that is left, and c."""
+        known, everything = self._known, np.ones(len(self._label), np.bool_)
+        noise_g = known.noise_g
+        full = np.column_stack([self._rows, hypothesis.columns])
+        for _ in range(ROUNDS):
+            moved, around = self._fit(hypothesis, everything, noise_g)
+            left = self._error - full @ moved
+            squares = float((self._weights * left * left).sum()) / float(self._weights.sum())
+            curvature = (full * self._weights[:, np.newaxis]).T @ full
+            used = float(np.trace(np.linalg.solve(around, curvature)))
+            noise_g = noise(used, squares, self._postures, POPULATION)
+        covariance = self._unit(noise_g) * np.linalg.inv(around)
+        parameters = list(known.found.fit.parameters)
+        for index, value in zip(self._free, moved.tolist(), strict=False):
+            parameters[index] += round(value * ONE)
+        fitted = replace(known.found, fit=replace(known.found.fit, parameters=tuple(parameters)))
+        rows = tuple(map(tuple, covariance.tolist()))
+        joint = replace(known, found=fitted, noise_g=noise_g, covariance=rows)
+        return joint, np.asarray(moved[-3:])
+
+    def _unit(self, noise_g: float) -> float:
+        """Return the variance of |a|^2 of a point of weight 1: each posture is one observation."""
+        return 4 * noise_g * noise_g / self._postures * float(self._weights.sum())
+
+    def _held_out(self, hypothesis: MisfitHypothesis | None) -> list[float]:
+        """Return the mean error of each posture [mg] by a fit of the other folds."""
+        full = self._rows if hypothesis is None else np.column_stack([self._rows, hypothesis.columns])
+        left = np.empty(len(self._label))
+        for fold in sorted(set(self._fold.tolist())):
+            out = self._fold == fold
+            moved, _ = self._fit(hypothesis, ~out, self._known.noise_g)
+            left[out] = self._error[out] - full[out] @ moved
+        errors = np.bincount(self._label, 500 * np.abs(left) * self._weights)
+        by_posture: list[float] = (errors / np.bincount(self._label, self._weights)).tolist()
+        return by_posture
+
+    def _fit(
+        self, hypothesis: MisfitHypothesis | None, which: NDArray[np.bool_], noise_g: float
+    ) -> tuple[Floats, Floats]:
+        """Return the change of the parameters and c, and the curvature with their priors."""
+        known, full, centre = self._known, self._rows, self._centre
+        penalty = np.array([known.penalty.strength[index] for index in self._free])
+        strength = penalty / (1 << PENALTY_BITS) * (noise_g / known.noise_g) ** 2
+        if hypothesis is not None:
+            full = np.column_stack([full, hypothesis.columns])
+            own = self._unit(noise_g) / (hypothesis.width * hypothesis.width)
+            strength, centre = np.append(strength, [own] * 3), np.append(centre, [0.0] * 3)
+        weighted = full[which] * self._weights[which, np.newaxis]
+        around = weighted.T @ full[which] + np.diag(strength)
+        return np.linalg.solve(around, weighted.T @ self._error[which] + strength * centre), around
+
+
+def _falls(before: list[float], after: list[float]) -> bool:
+    """Return True if the errors of postures [mg] fall clearly, and by a share of LEAST_FALL or more."""
+    fall = [one - other for one, other in zip(before, after, strict=True)]
+    by_chance = student_t_probability(mean(fall) / max(standard_error(fall), 1e-9), len(fall) - 1)
+    return by_chance <= CHANCE and mean(fall) >= LEAST_FALL * mean(before)
+
+
+def _bent(kind: MisfitKind, together: Posterior, c: Floats) -> Posterior:
+    return replace(together, bend=Bend(POWERS[kind], three(c.tolist())))
+
 
 SIMPLER = {"9": "6", "9T": "6T"}
 """Models with misalignment, and what is left of each without it."""

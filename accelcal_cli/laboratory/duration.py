@@ -21,12 +21,12 @@ import numpy as np
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import aligned, each_recording, refuse_both
+from accelcal_cli.core.arithmetic import mean, quantile
 from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.core.statistics import mean, quantile
 from accelcal_cli.judge.errors import apart_mg
 from accelcal_cli.laboratory.segments import (
     Stillness,
@@ -39,8 +39,7 @@ from accelcal_cli.laboratory.segments import (
 )
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.numbers import formatted
-from accelcal_cli.output.study_words import kind_of
-from accelcal_cli.output.words import explained
+from accelcal_cli.output.sentences import explained, kind_of
 from accelcal_cli.pipeline.jobs import ProgressMaker
 from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 from accelcal_cli.pipeline.procedures import fitting

@@ -25,17 +25,24 @@ from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import METHOD, Positive, Within, gravity_options
 from accelcal_cli.cli.output import aligned, progress_bars
+from accelcal_cli.core.arithmetic import mean
 from accelcal_cli.core.calibration import Calibration, in_standard_g
-from accelcal_cli.core.errors import DivergedError, UsageError
+from accelcal_cli.core.errors import DivergedError, UsageError, significant
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
 from accelcal_cli.core.gyroscope import Rest, RestRates, Turn, Turns
 from accelcal_cli.core.identity import identity
-from accelcal_cli.core.reasons import significant
-from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.errors import directions
-from accelcal_cli.judge.gyroscope import judge_gyroscope
-from accelcal_cli.judge.turning import TurningGravity
-from accelcal_cli.laboratory.cases import ALL, Case, CasePlan, Method, as_points, make_case, measured, methods
+from accelcal_cli.judge.gyroscope import TurningGravity, judge_gyroscope
+from accelcal_cli.laboratory.simulation import (
+    ALL,
+    Case,
+    CasePlan,
+    Method,
+    as_points,
+    make_case,
+    measured,
+    methods,
+)
 from accelcal_cli.output.numbers import figure
 from accelcal_cli.pipeline.options import chosen_gravity
 from accelcal_cli.simulate import draw_gyroscope, unit

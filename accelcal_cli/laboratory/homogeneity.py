@@ -33,10 +33,9 @@ from accelcal_cli.core.recording import Chunk, Validity
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.numbers import figure, formatted
-from accelcal_cli.output.words import explained
-from accelcal_cli.pipeline.activity import LEAST_MEASURED, versions_of
+from accelcal_cli.output.sentences import explained
+from accelcal_cli.pipeline.activity import LEAST_MEASURED, MG, fixed, lengths, versions_of
 from accelcal_cli.pipeline.calibrate import OwnCalibration, RecordingRun, open_run
-from accelcal_cli.pipeline.epochs import MG, fixed, lengths
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress
 from accelcal_cli.pipeline.options import chosen_settings, read_options
 

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import aligned, each_recording, refuse_both
-from accelcal_cli.core.arithmetic import ONE
+from accelcal_cli.core.arithmetic import ONE, mean
 from accelcal_cli.core.calibration import IDENTITY, Calibration, TemperatureScale
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import STILLNESS, Settings, with_stillness
-from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.errors import deviations_mg, per_posture
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.output.files import csv_text
@@ -33,8 +32,8 @@ from accelcal_cli.output.numbers import formatted
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 from accelcal_cli.pipeline.options import fit_settings, read_options, recording_options
 from accelcal_cli.pipeline.procedures import fitting, make_method
-from accelcal_cli.pipeline.simulate import TrueParameters, true_parameters
 from accelcal_cli.pipeline.survey import open_marked, survey
+from accelcal_cli.simulate import TrueParameters, true_parameters
 
 RAW = "raw"
 """Name of no calibration in the place of a rule's."""

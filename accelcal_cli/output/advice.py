@@ -5,20 +5,67 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 from typing import Any, Literal
 
 from accelcal_cli.core.clock import iso_time
-from accelcal_cli.core.local_time import NO_START
-from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.errors import Reason
+from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import NEAR_ONE_G, Facts, Judgement, Outcome, sides_not_up
 from accelcal_cli.core.settings import DEFAULT, PAPER
-from accelcal_cli.output import words
-from accelcal_cli.output.known_faults import of_device
+from accelcal_cli.core.times import NO_START
+from accelcal_cli.output import sentences
 from accelcal_cli.output.methods import held_out_sentence
 from accelcal_cli.output.numbers import number
 from accelcal_cli.output.sections import ReportView, report_view
+
+# Faults of devices that their makers have published, as data: which recordings may have them.
+#
+# `known_faults.json` has an object for each: `name` as the maker calls it, `model` of the device (or
+# null), `serial` with which serial numbers begin (or nothing), versions of `firmware` (empty: all),
+# dates between which the devices were `shipped` (or null), the `fault` in words, and its public
+# `source`. Only what is published stands there.
+
+
+@dataclass(frozen=True, slots=True)
+class KnownFault:
+    """A published fault; see the module."""
+
+    name: str
+    model: str | None
+    serial: str
+    firmware: Sequence[str]
+    shipped: Sequence[str] | None
+    fault: str
+    source: str
+
+    def concerns(self, device: Device) -> bool:
+        """Return True if a device may have the fault, by its model, serial number and firmware."""
+        of_model = self.model in (None, device.model) and (device.serial or "").startswith(self.serial)
+        return of_model and (not self.firmware or device.firmware in self.firmware)
+
+    def caution(self) -> Reason:
+        """Return the caution of a recording that may have the fault."""
+        begun, ended = self.shipped or (None, None)
+        when = {"shipped_from": begun, "shipped_to": ended}
+        return Reason.of("known_fault", name=self.name, fault=self.fault, **when, source=self.source)
+
+
+def of_device(device: Device) -> list[Reason]:
+    """Return the cautions of the published faults that a device may have."""
+    return [one.caution() for one in known_faults() if one.concerns(device)]
+
+
+@cache
+def known_faults() -> tuple[KnownFault, ...]:
+    """Return all published faults."""
+    text = resources.files("accelcal_cli.output").joinpath("known_faults.json").read_text("utf-8")
+    return tuple(KnownFault(**one) for one in json.loads(text))
+
 
 LIMIT_MG = DEFAULT.max_error_mg
 """Limit [mg] of the 95 % interval of a good result, where a report's settings do not say."""
@@ -65,7 +112,7 @@ def completed(report: dict[str, Any], judgement: Judgement) -> dict[str, Any]:
     for one in (*judgement.advice, *_advice(view)):
         ways.setdefault(one.code, one)
     return report | {
-        "message": words.message(view),
+        "message": sentences.message(view),
         "cautions": [one.as_json() for one in found],
         "advice": [one.as_json() for one in ways.values()],
     }
@@ -217,24 +264,24 @@ class PageVerdict:
 
 def page_verdict(report: ReportView) -> PageVerdict:
     """Return the verdict on a recording."""
-    meaning, reason = words.outcome_words(report.outcome), words.message(report)
+    meaning, reason = sentences.outcome_words(report.outcome), sentences.message(report)
     if report.outcome == Outcome.REFUSED:
         headline = "Refused: this recording could not be calibrated."
-        return PageVerdict("bad", headline, reason, (meaning.to_do, *map(words.sentence, report.advice)))
+        return PageVerdict("bad", headline, reason, (meaning.to_do, *map(sentences.sentence, report.advice)))
     doubtful, details = is_doubtful(report), ""
     if (
         report.reason == "calibrated"
         and report.calibration_error_mg is not None
         and report.holdout is not None
     ):
-        details = " ".join((held_out_sentence(report.holdout), *map(words.sentence, report.notes)))
+        details = " ".join((held_out_sentence(report.holdout), *map(sentences.sentence, report.notes)))
     opening = f"{'Use with care' if doubtful else 'Good'}: {meaning.headline or meaning.result}"
     return PageVerdict(
         "care" if doubtful else "good",
         f"{opening}.",
         details or reason,
-        (meaning.to_do, *map(words.sentence, report.cautions)),
-        (words.error_sentence(report), *_meaning_of_error(report)),
+        (meaning.to_do, *map(sentences.sentence, report.cautions)),
+        (sentences.error_sentence(report), *_meaning_of_error(report)),
     )
 
 

@@ -16,10 +16,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
-from accelcal_cli.core.door import open_found
-from accelcal_cli.core.errors import FORMULA, UnreadableError, printable
-from accelcal_cli.core.reasons import Reason
-from accelcal_cli.output.words import sentence
+from accelcal_cli.core.errors import FORMULA, Reason, UnreadableError, printable
+from accelcal_cli.core.paths import open_found
+from accelcal_cli.output.sentences import sentence
 
 NAME = "decisions.csv"
 COLUMNS = ("recording", "use", "note", "who", "when", "result")

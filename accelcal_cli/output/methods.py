@@ -7,7 +7,7 @@ from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.numbers import number
 from accelcal_cli.output.sections import CalibrationSection, HoldoutSection, KnownOrientations, ReportView
-from accelcal_cli.output.words import corrections_of, smaller_by
+from accelcal_cli.output.sentences import corrections_of, smaller_by
 
 SOFTWARE = """@software{{accelcal,
   title = {{accelcal: autocalibration of raw accelerometer recordings}},

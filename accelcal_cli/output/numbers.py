@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import floor, log10
 
-from accelcal_cli.core.reasons import significant
+from accelcal_cli.core.errors import significant
 
 
 def number(value: float | None, digits: int = 3) -> str:

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.identity import OLD_REGISTRY, REGISTRY, REPORT, identity, refuse_other
+from accelcal_cli.core.paths import is_file
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.coefficients import Coefficients, coefficients_in
 from accelcal_cli.output.files import json_text, parsed, write_text

@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.declared import from_json, schema_of
-from accelcal_cli.core.door import look
 from accelcal_cli.core.errors import UnreadableError, unread
 from accelcal_cli.core.formats import EVERY_ROW
 from accelcal_cli.core.identity import REPORT, is_ours, refuse_other
+from accelcal_cli.core.paths import stat_or_none as look
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.files import looking_at, parsed
 from accelcal_cli.output.sections import RecordingSection, ReportView

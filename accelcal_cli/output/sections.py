@@ -12,10 +12,10 @@ from typing import Annotated, Any
 
 from accelcal_cli.core.arithmetic import FRACTION_BITS
 from accelcal_cli.core.declared import SHA256, Key, from_json
+from accelcal_cli.core.errors import Reason
 from accelcal_cli.core.gyroscope import TurnHoldout
 from accelcal_cli.core.identity import REPORT, SCHEMA_VERSION
 from accelcal_cli.core.points import Operations
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Device, FactoryCalibration, ThermometerWord
 from accelcal_cli.core.results import ErrorSummary, Misfit, Outcome, TimeHoldout
 

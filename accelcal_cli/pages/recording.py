@@ -1,7 +1,7 @@
 """The page of one recording, made of its report and its `NAME.quality.json` alone.
 
 The same two files make the same bytes. Each part of the page is a function here that makes its tables; the
-figures are in `figures.py`, sentences in `output/words.py`, the order of all in `templates/recording.html`.
+figures are in `figures.py`, the sentences in `output/sentences.py`, the order in `templates/recording.html`.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ import contextlib
 from collections.abc import Mapping
 from typing import Any
 
-from accelcal_cli.core.errors import counted
-from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.errors import Reason, counted
 from accelcal_cli.output.advice import page_verdict
 from accelcal_cli.output.methods import bibtex, methods_paragraph, references
 from accelcal_cli.output.numbers import millionths, number
@@ -24,10 +23,9 @@ from accelcal_cli.output.sections import (
     Roll,
     report_view,
 )
-from accelcal_cli.output.words import PARAMETERS, clause, corrections_of, sentence
-from accelcal_cli.pages.figures import NEAR, figures_of
+from accelcal_cli.output.sentences import PARAMETERS, clause, corrections_of, sentence
+from accelcal_cli.pages.figures import NEAR, UnfitError, figures_of, hourly_table, time_series
 from accelcal_cli.pages.rendering import PageTable, Rows, rendered, rendered_fragment
-from accelcal_cli.pages.time_series import UnfitError, hourly_table, time_series
 
 AGAIN = "figures that need it are missing. Calibrate again with --force to have them."
 NO_FILE = f"There is no NAME.quality.json next to the report: {AGAIN}"

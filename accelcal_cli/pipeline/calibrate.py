@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.subsets import PaperCollector
-from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.errors import OutputError, Reason
 from accelcal_cli.core.parallel import background_result
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.prior import LearntPrior
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.results import Coverage, Facts, Judgement, Outcome
 from accelcal_cli.core.settings import (
@@ -37,8 +36,7 @@ from accelcal_cli.core.settings import (
 from accelcal_cli.judge.change import change_reason
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import postures
-from accelcal_cli.judge.refusal import advised, damage_verdict, strict_if_odd
-from accelcal_cli.judge.verdict import judge_calibrated
+from accelcal_cli.judge.verdict import advised, damage_verdict, judge_calibrated, strict_if_odd
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.coefficients import prior_json
 from accelcal_cli.output.files import metadata_of, replacing, write_text
@@ -46,8 +44,14 @@ from accelcal_cli.output.quality import QualityInput, dumps_quality, quality_jso
 from accelcal_cli.output.report import ReportInput, draws_json, gyroscope_json, integers_json
 from accelcal_cli.pipeline import export, jobs, outputs, procedures, survey
 from accelcal_cli.pipeline.activity import EPOCH_S, EffectMeter, drawn_of, versions_of
-from accelcal_cli.pipeline.facts import FactsObserver, Timeline, along_time, timeline_of
-from accelcal_cli.pipeline.gyroscope import Turning, gyroscope_of
+from accelcal_cli.pipeline.facts import (
+    FactsObserver,
+    Timeline,
+    Turning,
+    along_time,
+    gyroscope_of,
+    timeline_of,
+)
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.options import named_as_stated
 from accelcal_cli.pipeline.windows import WindowLog

@@ -12,30 +12,28 @@ import numpy as np
 
 from accelcal_cli.core import declared
 from accelcal_cli.core.clock import iso_time
-from accelcal_cli.core.errors import printable
+from accelcal_cli.core.errors import Reason, printable
 from accelcal_cli.core.identity import identity
-from accelcal_cli.core.local_time import zone_changes, zone_of_times
 from accelcal_cli.core.points import WindowCounts
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import DEFAULT, NO_PRIOR, Settings
+from accelcal_cli.core.times import zone_changes, zone_of_times
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import postures
-from accelcal_cli.judge.refusal import advised, damage_verdict, strict_if_odd
-from accelcal_cli.judge.verdict import judge_calibrated
+from accelcal_cli.judge.verdict import advised, damage_verdict, judge_calibrated, strict_if_odd
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.advice import of_file, of_rows
 from accelcal_cli.output.report import (
     clock_section,
+    failure_code,
     holdout_section,
     losses,
     notes_json,
     problem_section,
     rest_section,
 )
-from accelcal_cli.output.report_kinds import failure_code
-from accelcal_cli.output.words import explained
+from accelcal_cli.output.sentences import explained
 from accelcal_cli.pipeline.facts import FactsObserver
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.pipeline.options import chosen_settings, named_as_stated

@@ -16,10 +16,11 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from accelcal_cli.core.door import is_file, is_folder, look
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable, unread
 from accelcal_cli.core.formats import EACH, IF_GIVEN, UNUSED, ReadOptions, without
 from accelcal_cli.core.input_files import ANY, ARCHIVES, files_of, is_pattern
+from accelcal_cli.core.paths import is_file, is_folder
+from accelcal_cli.core.paths import stat_or_none as look
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
 from accelcal_cli.core.system import cpus, temporary_folder

@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.declared import as_json
-from accelcal_cli.core.door import is_there
 from accelcal_cli.core.errors import OutputError, printable
 from accelcal_cli.core.input_files import files_of, size_of
+from accelcal_cli.core.paths import is_there
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import SIX_POSE, VARIED, PoseSettings
 from accelcal_cli.core.version import __version__

@@ -14,17 +14,16 @@ from typing import Any
 
 from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.core.declared import from_json
-from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.errors import Reason, UsageError, printable
 from accelcal_cli.core.formats import unused_note, without
 from accelcal_cli.core.points import WindowCounts
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Judgement, Outcome
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.model_ladder import held_out
 from accelcal_cli.judge.verdict import SEEN, worse
 from accelcal_cli.output.coefficients import calibration_of
-from accelcal_cli.output.report_kinds import TAKEN, Member, PoolInput, build_pool, of_member
+from accelcal_cli.output.report import TAKEN, Member, PoolInput, build_pool, of_member
 from accelcal_cli.output.report_reading import Document, check_sections
 from accelcal_cli.output.sections import PoolSection, WindowUse
 from accelcal_cli.pipeline import procedures

@@ -15,17 +15,22 @@ import numpy as np
 from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.collect.subsets import PaperCollector
 from accelcal_cli.core.calibration import Correction
-from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.errors import Reason, UsageError
 from accelcal_cli.core.points import Fates, Optimizer, PointSet, TimedMeans, WindowCounts, Windows
 from accelcal_cli.core.prior import POPULATION, Prior
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Change, Facts, Judgement
 from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS, NEVER, NO_PRIOR, PAPER, Settings
 from accelcal_cli.judge.change import ChangeSearch
 from accelcal_cli.judge.model_ladder import Fitting
-from accelcal_cli.judge.refusal import FAR_FROM_1_G, NOTHING_STILL
-from accelcal_cli.judge.verdict import FEWEST_CONTROL_POINTS, judge, judge_paper, with_errors_before
+from accelcal_cli.judge.verdict import (
+    FAR_FROM_1_G,
+    FEWEST_CONTROL_POINTS,
+    NOTHING_STILL,
+    judge,
+    judge_paper,
+    with_errors_before,
+)
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.sections import WindowUse
 from accelcal_cli.pipeline.survey import Observer

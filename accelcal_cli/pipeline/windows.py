@@ -9,19 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from accelcal_cli.core.arithmetic import mean
 from accelcal_cli.core.calibration import IDENTITY
-from accelcal_cli.core.errors import UnreadableError, UsageError, printable
+from accelcal_cli.core.errors import Reason, UnreadableError, UsageError, printable
 from accelcal_cli.core.identity import WINDOWS
 from accelcal_cli.core.points import PointSet
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.settings import EffectiveSettings, Settings
-from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.errors import deviations_mg
 from accelcal_cli.judge.model_ladder import folds, postures
 from accelcal_cli.judge.verdict import judge
 from accelcal_cli.output import report as reports
-from accelcal_cli.output.report import ReportInput
-from accelcal_cli.output.report_kinds import PointsInput, build_points
+from accelcal_cli.output.report import PointsInput, ReportInput, build_points
 from accelcal_cli.pipeline.jobs import PARQUET, Job, refuse_dash, refuse_overwriting, sha256
 from accelcal_cli.pipeline.procedures import Method, Procedure, fitting, optimizer_json
 from accelcal_cli.pipeline.survey import StillWindows

@@ -27,34 +27,41 @@ from accelcal_cli.core.arithmetic import ONE, three
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import utc_offset_s
 from accelcal_cli.core.declared import as_json, json_or_null
-from accelcal_cli.core.door import is_file, is_folder
-from accelcal_cli.core.errors import DivergedError, UnreadableError, UsageError, printable
+from accelcal_cli.core.errors import DivergedError, Reason, UnreadableError, UsageError, printable
 from accelcal_cli.core.input_files import files_of, is_no_part, pattern_of
-from accelcal_cli.core.local_time import NO_START
+from accelcal_cli.core.paths import is_file, is_folder
 from accelcal_cli.core.points import Windows
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, PlacedFile, Recording, Validity
 from accelcal_cli.core.settings import PoseSettings
+from accelcal_cli.core.times import NO_START
 from accelcal_cli.output import sections
-from accelcal_cli.output.words import sentence
+from accelcal_cli.output.sentences import sentence
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import STDIN, Job, ProgressMaker, Request, Result, no_progress, real
 from accelcal_cli.pipeline.procedures import CellProcedure, Method, local_lsb_per_g
 from accelcal_cli.pipeline.survey import StillWindows
 from accelcal_cli.segment import chosen_rule, short_gaps, window_length
 from accelcal_cli.segment.segmenter import TimedSegmenter
-from accelcal_cli.six_pose.listing import (
+from accelcal_cli.six_pose.poses import (
     LinePlace,
     ListedPose,
     Origin,
+    Session,
     Span,
+    find_faces,
+    find_listed,
     parse_moment,
     read_list,
     span_of,
 )
-from accelcal_cli.six_pose.poses import Session, find_faces, find_listed
-from accelcal_cli.six_pose.solve import check_range, fixed_gain, six_pose_fit
-from accelcal_cli.six_pose.verdict import judge_six_pose, known_json, poses_json
+from accelcal_cli.six_pose.solve import (
+    check_range,
+    fixed_gain,
+    judge_six_pose,
+    known_json,
+    poses_json,
+    six_pose_fit,
+)
 
 OPTIMIZER = {"name": "least-squares", "arithmetic": "float", "settings": {}}
 AXES = "xyz"

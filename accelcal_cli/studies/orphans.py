@@ -13,15 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.door import files_below, is_there, may_be_away
-from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, counted, printable
-from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.errors import OutputError, Reason, UnreadableError, UsageError, counted, printable
+from accelcal_cli.core.paths import files_below, is_there, may_be_away
 from accelcal_cli.output.report_reading import load_report, sensor_of
-from accelcal_cli.output.words import sentence
+from accelcal_cli.output.sentences import sentence
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.outputs import gone_from, place_of_report, remove_all
 from accelcal_cli.studies.discovery import Where, places
-from accelcal_cli.studies.pooling import PREFIX
+from accelcal_cli.studies.other_recordings import PREFIX
 from accelcal_cli.studies.sensors import report_of_all
 from accelcal_cli.studies.summary import Content, content
 

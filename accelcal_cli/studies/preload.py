@@ -14,12 +14,12 @@ import accelcal_cli.studies.task
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.formats import load_all
 from accelcal_cli.optimize import named_optimizer
-from accelcal_cli.output.known_faults import known_faults
+from accelcal_cli.output.advice import known_faults
 from accelcal_cli.output.report_reading import report_schema
 from accelcal_cli.pipeline.outputs import provenance
 
 load_all()
-pa.enable_signal_handlers(False)  # as in `formats/tables/text/parse.py`
+pa.enable_signal_handlers(False)  # as in `formats/tables/text/source.py`
 READY = (
     np.random,
     zoneinfo,

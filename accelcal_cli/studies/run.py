@@ -16,23 +16,26 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from accelcal_cli.core.door import is_folder, is_there, matching
 from accelcal_cli.core.errors import LockedError, OutputError, UsageError, counted, printable
+from accelcal_cli.core.paths import is_folder, is_there, matching
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.decisions import Merged
 from accelcal_cli.output.files import disk_errors, looking_at, sweep, sweep_left
-from accelcal_cli.output.study_words import copied
-from accelcal_cli.output.words import clause
+from accelcal_cli.output.sentences import clause, copied
 from accelcal_cli.pipeline.outputs import withdraw
 from accelcal_cli.studies import lock, summary
-from accelcal_cli.studies.borrowing import BORROWING
 from accelcal_cli.studies.discovery import SUMMARY, Left, as_if_alone, places, refuse_foreign
-from accelcal_cli.studies.executors import done_by, done_here, must_stay, work_for
+from accelcal_cli.studies.executors import ProcessPool, done_by, done_here, must_stay, sweep_folders, work_for
 from accelcal_cli.studies.lock import Lease
 from accelcal_cli.studies.orphans import Orphan, orphans, prune, refuse_too_many
-from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, remove_pools
-from accelcal_cli.studies.prior import LEARNING, without_prior
-from accelcal_cli.studies.process_pool import ProcessPool, sweep_folders
+from accelcal_cli.studies.other_recordings import (
+    APPLY_POOLS,
+    BORROWING,
+    LEARNING,
+    POOLING,
+    remove_pools,
+    without_prior,
+)
 from accelcal_cli.studies.records import (
     FAILED,
     OWN,
@@ -53,13 +56,14 @@ from accelcal_cli.studies.rounds import (
     common_of,
     ledger_of,
     plan,
+    said_after,
+    said_before,
     workers_of,
 )
 from accelcal_cli.studies.sensors import SensorsTask, listed
 from accelcal_cli.studies.study import REPLACING, Study
 from accelcal_cli.studies.summary import Summary
 from accelcal_cli.studies.task import BUG, NO_MEMORY, CalibrationTask, Task, TaskResult, calibrated
-from accelcal_cli.studies.upgrades import said_after, said_before
 
 LOG = logging.getLogger("accelcal")
 """Receives what happens, for `--log` and for programs that listen."""

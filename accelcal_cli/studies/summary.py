@@ -15,22 +15,21 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from accelcal_cli.core.calibration import PARAMETER_NAMES
-from accelcal_cli.core.errors import counted, printable
+from accelcal_cli.core.errors import Reason, counted, printable
 from accelcal_cli.core.identity import STUDY, identity
-from accelcal_cli.core.local_time import UNKNOWN, UTC
 from accelcal_cli.core.points import MODELS
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import METADATA_KEY
 from accelcal_cli.core.results import Outcome
+from accelcal_cli.core.times import UNKNOWN, UTC
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output import files
 from accelcal_cli.output.advice import MILD, page_verdict
 from accelcal_cli.output.decisions import Merged
 from accelcal_cli.output.files import json_text, replacing, write_text
-from accelcal_cli.output.report_kinds import failure_code
+from accelcal_cli.output.report import failure_code
 from accelcal_cli.output.report_reading import sensor_of
 from accelcal_cli.output.sections import CalibrationSection, CoverageSection, ReportView, report_view
-from accelcal_cli.output.words import sentence
+from accelcal_cli.output.sentences import sentence
 from accelcal_cli.studies.columns import (
     ALL,
     AXES,

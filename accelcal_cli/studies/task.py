@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
-from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import (
     AccelcalError,
     OutputError,
@@ -22,10 +21,11 @@ from accelcal_cli.core.errors import (
     printable,
 )
 from accelcal_cli.core.formats import EACH
+from accelcal_cli.core.paths import is_file
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.quality import wear_hours
 from accelcal_cli.output.report_reading import load_our_json
-from accelcal_cli.output.study_words import kept
+from accelcal_cli.output.sentences import kept
 from accelcal_cli.pipeline.jobs import FileStamp, Job, Progress, Request, Result, file_stamp
 from accelcal_cli.pipeline.outputs import applied_by_hand
 from accelcal_cli.pipeline.registry import calibrate

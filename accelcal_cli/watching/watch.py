@@ -19,7 +19,6 @@ from typing import Any
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.declared import as_json, json_or_null
-from accelcal_cli.core.door import is_file
 from accelcal_cli.core.errors import (
     AccelcalError,
     OutputError,
@@ -28,6 +27,7 @@ from accelcal_cli.core.errors import (
     output_error,
 )
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions
+from accelcal_cli.core.paths import is_file
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import Chunk, Intake, Reader, Recording
 from accelcal_cli.core.results import Judgement
@@ -38,11 +38,11 @@ from accelcal_cli.judge.change import change_reason
 from accelcal_cli.judge.quality import check
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import looking_at
-from accelcal_cli.output.words import explained, sentence
+from accelcal_cli.output.sentences import explained, sentence
 from accelcal_cli.pipeline import procedures, survey
+from accelcal_cli.pipeline.apply import compared_along_time
 from accelcal_cli.pipeline.calibrate import OwnCalibration, surveyed, with_collection_time
 from accelcal_cli.pipeline.facts import FactsObserver
-from accelcal_cli.pipeline.quality import compared_along_time
 
 STEP_BYTES = 1 << 13
 """Length of a step, in which bytes are taken in: where events can happen does not depend on the input."""

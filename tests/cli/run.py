@@ -18,8 +18,8 @@ import pytest
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.main import cli
-from accelcal_cli.core.reasons import Reason
-from accelcal_cli.output.words import sentence
+from accelcal_cli.core.errors import Reason
+from accelcal_cli.output.sentences import sentence
 from tests.schema import check_report
 
 Capture = pytest.CaptureFixture[str]

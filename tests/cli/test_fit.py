@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accelcal_cli.output.words import begun_small
+from accelcal_cli.output.sentences import begun_small
 from tests.cli.run import codes, run, told
 from tests.recordings import GAIN, OFFSET_G, directions
 from tests.schema import check_report

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
-from accelcal_cli.output.report_kinds import FAILURES
+from accelcal_cli.output.report import FAILURES
 from accelcal_cli.output.report_reading import report_schema
 from tests.cli.run import Ran, run
 from tests.recordings import directions, still_counts, write_raw

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from accelcal_cli.output.words import SENTENCES
+from accelcal_cli.output.sentences import SENTENCES
 from tests.cli.run import run
 from tests.cli.test_fit import rows, sensed
 from tests.recordings import directions

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from accelcal_cli.pipeline.jobs import Request, file_stamp, plan
-from accelcal_cli.studies.borrowing import pools
+from accelcal_cli.studies.other_recordings import pools
 from accelcal_cli.studies.records import Item
 from accelcal_cli.studies.summary import copies
 from accelcal_cli.studies.task import CalibrationTask, Common, calibrated

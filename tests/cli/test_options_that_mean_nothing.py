@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.output.report_kinds import Member
+from accelcal_cli.output.report import Member
 from accelcal_cli.pipeline.jobs import Request, sha256
 from accelcal_cli.pipeline.pool import pool
 from tests.cli.run import assert_one_line, report_of, run

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from accelcal_cli.cli.output import counted_once, show_row
-from accelcal_cli.core.reasons import Reason
-from accelcal_cli.output import words
+from accelcal_cli.core.errors import Reason
+from accelcal_cli.output import sentences
 from tests.cli.run import captured, codes, run, told
 from tests.recordings import LSB_PER_G, directions, good_csv, good_raw, still_counts, write_raw
 
@@ -121,7 +121,7 @@ def terminal(*words: object) -> list[str]:
 def test_a_side_that_was_never_up_is_a_caution(tmp_path: Path) -> None:
     poses = directions(60)
     path = write_raw(tmp_path / "up.raw", still_counts(poses[poses[:, 0] > 0.35]))
-    said = f"Caution: {words.sentence(Reason.of('sides_unchecked', sides=['-x']))}"
+    said = f"Caution: {sentences.sentence(Reason.of('sides_unchecked', sides=['-x']))}"
     sentence, *rest = terminal("calibrate", path, "--report-only")
     assert sentence.startswith(f"{path}: calibrated with nine parameters: ") and rest == [f"  {said}"]
     assert terminal("calibrate", path, "--report-only", "-q", "--force") == [sentence]
@@ -137,7 +137,7 @@ def test_a_refusal_is_said_once_with_a_way_on(tmp_path: Path) -> None:
     report = json.loads((tmp_path / "three.calibration.json").read_text())
     why = Reason(report["reason"], report["values"])
     assert why.code == "provisional" and report["outcome"] == "refused"
-    assert refusal == f"{path}: refused: {words.clause(why)}"
+    assert refusal == f"{path}: refused: {sentences.clause(why)}"
     expected = ["omit_strict", "more_orientations", "rest_on_sides", "other_coefficients"]
     assert codes(report["advice"]) == expected
     assert ways == [f"  What to do: {told(report, code)}" for code in codes(report["advice"])]
@@ -164,13 +164,13 @@ def test_no_stillness_is_told_with_its_numbers(tmp_path: Path, noise_g: float, s
     assert f"the quietest of 360 windows of 5 s {said}" in refusal
     first = "shorter_windows" if noise_g > 0.1 else "adaptive_rule"
     advice = (first, "record_longer", "record_again", "other_coefficients")
-    assert ways == [f"  What to do: {words.sentence(Reason(code))}" for code in advice]
+    assert ways == [f"  What to do: {sentences.sentence(Reason(code))}" for code in advice]
 
 
 def test_windows_longer_than_the_recording_are_told(tmp_path: Path) -> None:
     ran = run("calibrate", good_raw(tmp_path), "--segment-seconds", 3000)
-    why = words.clause(Reason.of("nothing_measured", seconds=3000))
-    assert f"refused: {why}. {words.sentence(Reason('shorter_windows_or_longer_gaps'))}" in ran.err
+    why = sentences.clause(Reason.of("nothing_measured", seconds=3000))
+    assert f"refused: {why}. {sentences.sentence(Reason('shorter_windows_or_longer_gaps'))}" in ran.err
 
 
 def test_points_of_another_tool_cannot_be_borrowed_for(tmp_path: Path) -> None:

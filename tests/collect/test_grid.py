@@ -15,10 +15,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accelcal_cli.collect import grid
-from accelcal_cli.collect.cells import CellCollector
-from accelcal_cli.collect.grid import (
+from accelcal_cli.collect import cells
+from accelcal_cli.collect.cells import (
     MAX_POINTS,
+    CellCollector,
     Cells,
     CellSums,
     Grid,
@@ -53,19 +53,21 @@ SCALE = Fraction(2047, 8)
 )  # fmt: skip
 def test_the_place_of_a_cell_is_that_of_its_mean(means: list[Any], temperature: bool) -> None:
     """By the definition; the sums of what lies in a cell lie there, too, and a copy holds the same."""
-    cells = Cells(Grid(SCALE, 20, int(temperature)))
+    filled = Cells(Grid(SCALE, 20, int(temperature)))
     for counts, samples, milli, constant, block in means:
         sums = [value * samples + samples // 2 for value in counts]
         place = [value * 20 // (SCALE * samples) for value in sums]
         degree = milli // 1000 if temperature else 0
-        add_sums(cells, (*place, degree, int(constant), block), [1, samples, *sums, milli * samples, 0, 0, 0])
-    for held in (cells, cells.with_blocks(lambda block: block >> 1), copy.deepcopy(cells)):
+        add_sums(
+            filled, (*place, degree, int(constant), block), [1, samples, *sums, milli * samples, 0, 0, 0]
+        )
+    for held in (filled, filled.with_blocks(lambda block: block >> 1), copy.deepcopy(filled)):
         found = np.array([*held.values()], np.int64).reshape(-1, 9)
         keys = held.grid.keys(found[:, 1], found[:, 2:5], found[:, 5])
         assert keys.tolist() == [[*key[:4]] for key in held]
         assert held.orientations() == len({tuple(part // 2 for part in key[:3]) for key in held})
-    copied = copy.deepcopy(cells)
-    assert (list(copied.items()), copied.grid) == (list(cells.items()), cells.grid)
+    copied = copy.deepcopy(filled)
+    assert (list(copied.items()), copied.grid) == (list(filled.items()), filled.grid)
 
 
 @pytest.mark.parametrize("temperature", [False, True])
@@ -84,20 +86,20 @@ def test_a_copy_of_a_collector_goes_on_by_itself(temperature: bool, items: Windo
 def test_the_first_block_is_forgotten_and_the_next_one_is_the_first() -> None:
     grid = Grid(SCALE, 20, degrees=0)
     value = [1, 8, 2000, 0, 0, 0, 0, 0, 0]
-    cells = Cells(grid)
+    filled = Cells(grid)
     for block in (0, 1, 2):
-        add_sums(cells, (19, 0, 0, 0, 0, block), value)
-    assert [key[5] for key in cells.with_blocks(lambda block: block - 1)] == [0, 1]
-    assert cells.with_blocks(lambda block: block >> 1)[19, 0, 0, 0, 0, 0] == [2 * one for one in value]
+        add_sums(filled, (19, 0, 0, 0, 0, block), value)
+    assert [key[5] for key in filled.with_blocks(lambda block: block - 1)] == [0, 1]
+    assert filled.with_blocks(lambda block: block >> 1)[19, 0, 0, 0, 0, 0] == [2 * one for one in value]
 
 
 @given(st.lists(st.tuples(*[st.integers(-3, 3)] * 4), max_size=40), st.integers(0, 40))
 def test_orientations_that_were_counted_before_are_counted_once(keys: list[Any], looked: int) -> None:
-    cells = Cells(Grid(SCALE, 20, degrees=1))
+    filled = Cells(Grid(SCALE, 20, degrees=1))
     for number, (x, y, z, degree) in enumerate(keys, 1):
-        add_sums(cells, (x, y, z, degree, 0, 0), [1, 8, 2000, 0, 0, 0, 0, 0, 0])
+        add_sums(filled, (x, y, z, degree, 0, 0), [1, 8, 2000, 0, 0, 0, 0, 0, 0])
         if number >= looked:
-            assert cells.orientations() == len({(x // 2, y // 2, z // 2) for x, y, z, _ in keys[:number]})
+            assert filled.orientations() == len({(x // 2, y // 2, z // 2) for x, y, z, _ in keys[:number]})
 
 
 LSB_PER_G, SAMPLES = 1000.0, 100
@@ -139,12 +141,12 @@ def wrist(number: int) -> np.ndarray:
 def test_it_is_the_last_window_of_the_posture_before(batch: int) -> None:
     means, one = wrist(400), PreviousPosture()
     parts = [means[start : start + batch] for start in range(0, len(means), batch)]
-    cells = [np.floor(part / 100).astype(np.int64) for part in parts]
-    found = np.concatenate([one.of(rests(part), cell) for part, cell in zip(parts, cells, strict=True)])
-    at_once = PreviousPosture().of(rests(means), np.concatenate(cells))
+    filled = [np.floor(part / 100).astype(np.int64) for part in parts]
+    found = np.concatenate([one.of(rests(part), cell) for part, cell in zip(parts, filled, strict=True)])
+    at_once = PreviousPosture().of(rests(means), np.concatenate(filled))
     assert found.tolist() == at_once.tolist()
     within = np.abs(found - by_definition(means)).max(axis=1)
-    assert (within <= 20).all(), "cells are runs of windows whose first and last are looked at"
+    assert (within <= 20).all(), "filled are runs of windows whose first and last are looked at"
     assert (within == 0).mean() > 0.9
 
 
@@ -152,11 +154,11 @@ def test_a_run_in_one_cell_goes_on_in_the_next_batch() -> None:
     """Windows at 60, 0.5, 13 and 16.8 degrees and at 90: the third and fourth are of the second's cell."""
     angles = np.radians([60, 0.5, 13.0, 16.8, 90])
     means = np.rint(1000 * np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=1))
-    cells = np.array([[0], [1], [1], [1], [2]])
-    whole = PreviousPosture().of(rests(means), cells).tolist()
+    filled = np.array([[0], [1], [1], [1], [2]])
+    whole = PreviousPosture().of(rests(means), filled).tolist()
     for cut in range(1, 5):
         one = PreviousPosture()
-        parts = [one.of(rests(means[part]), cells[part]).tolist() for part in (slice(cut), slice(cut, 5))]
+        parts = [one.of(rests(means[part]), filled[part]).tolist() for part in (slice(cut), slice(cut, 5))]
         assert parts[0] + parts[1] == whole
     assert whole[4] == means[3].tolist()
 
@@ -284,7 +286,7 @@ def test_wider_cells_lose_no_window_and_lie_where_these_do(
     items = many_cells()
     held = collected(items)
     assert len(held.points()) == NUMBER
-    monkeypatch.setattr(grid, "MAX_POINTS", limit)
+    monkeypatch.setattr(cells, "MAX_POINTS", limit)
     points = held.points()
     assert 8 <= len(points) <= limit
     number, means = held.fates(items).point, items.sums / (256 * LENGTH)
@@ -298,13 +300,13 @@ def test_wider_cells_lose_no_window_and_lie_where_these_do(
 
 def test_two_directions_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of (1, 0, 0) for two samples and (0, 1, 0) for one: between them, and as long as they are."""
-    monkeypatch.setattr(grid, "MAX_POINTS", 1)
-    cells = {
+    monkeypatch.setattr(cells, "MAX_POINTS", 1)
+    filled = {
         (0, 1, 0, 0): CellSums(1, 2, (512, 0, 0), 2 * 20_000, (2 * 64, 0, 0)),
         (1, 0, 0, 0): CellSums(1, 1, (0, 256, 0), 26_000, (4 * 64, 0, 0)),
     }
     keys, points = points_of(
-        cells, width_for(cells), lambda held: [WEIGHT_ONE] * len(held), 256.0, temperature=True
+        filled, width_for(filled), lambda held: [WEIGHT_ONE] * len(held), 256.0, temperature=True
     )
     assert keys == [(0, 0, 0, 0)]
     assert points.xyz_g()[0] == pytest.approx(np.array([2, 1, 0]) / np.sqrt(5), abs=4 / ONE)
@@ -319,22 +321,22 @@ def test_temperatures_are_joined_before_orientations(monkeypatch: pytest.MonkeyP
     held = collected(items, temperature=True)
     alone = plain(collected(items).points())[0]
     for limit, degrees in ((16, 16), (15, 8), (7, 4), (3, 3)):
-        monkeypatch.setattr(grid, "MAX_POINTS", limit * NUMBER)
+        monkeypatch.setattr(cells, "MAX_POINTS", limit * NUMBER)
         points = held.points()
         assert len(points) == degrees * NUMBER
         assert points.windows.sum() == 16 * NUMBER
         assert points.xyz[::degrees].tolist() == alone
-    monkeypatch.setattr(grid, "MAX_POINTS", 3 * NUMBER - 1)
+    monkeypatch.setattr(cells, "MAX_POINTS", 3 * NUMBER - 1)
     assert len({tuple(key[:3]) for key in wide_keys(items)}) < NUMBER, "eight degrees are the most"
 
 
 def wide_keys(items: Windows) -> list[tuple[int, ...]]:
     """Cells as wide as they have to be, of windows at 20 to 35 degrees."""
     sums = (items.sums * 20 // (256 * LENGTH)).tolist()
-    cells = {(*place, 20 + n % 16): CellSums(1, 1, (0, 0, 256)) for n, place in enumerate(sums)}
-    width = width_for(cells)
-    assert width.degrees <= grid.FEW_DEGREES
-    return [*{width.of(key) for key in cells}]
+    filled = {(*place, 20 + n % 16): CellSums(1, 1, (0, 0, 256)) for n, place in enumerate(sums)}
+    width = width_for(filled)
+    assert width.degrees <= cells.FEW_DEGREES
+    return [*{width.of(key) for key in filled}]
 
 
 @pytest.mark.parametrize(
@@ -343,7 +345,7 @@ def wide_keys(items: Windows) -> list[tuple[int, ...]]:
 def test_slopes_stay_known_where_each_direction_has_all_temperatures(
     number: int, tmp_path: Path, capsys: Capture
 ) -> None:
-    """Each at 16 to 31 degrees: too many cells, of one mean temperature; of many, wide from the start."""
+    """Each at 16 to 31 degrees: too many filled, of one mean temperature; of many, wide from the start."""
     warm = np.tile(np.arange(16.5, 32), number)
     slopes = np.array([0.001, -0.001, 0.0005])
     g = np.repeat(directions(number), 16, axis=0) - np.outer(warm - 26, slopes)
@@ -355,7 +357,7 @@ def test_slopes_stay_known_where_each_direction_has_all_temperatures(
 
 
 def test_merged_collectors_are_made_wider_like_the_batch(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grid, "MAX_POINTS", 100)
+    monkeypatch.setattr(cells, "MAX_POINTS", 100)
     items = many_cells()
     odd = np.arange(NUMBER) % 2 == 1
     merged = collected(items.select(odd))
@@ -374,23 +376,23 @@ def test_many_temperatures_end_as_few_enough_points() -> None:
 
 
 def test_what_lies_apart_for_other_reasons_stays_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Numbers before the last four, as of postures, keep cells apart, however wide these become."""
-    monkeypatch.setattr(grid, "MAX_POINTS", 100)
+    """Numbers before the last four, as of postures, keep filled apart, however wide these become."""
+    monkeypatch.setattr(cells, "MAX_POINTS", 100)
     sums = np.rint(directions(200) * 256).astype(int).tolist()
-    cells = {
+    filled = {
         (n % 2, *(v // 13 for v in g), n): CellSums(1, 1, (g[0], g[1], g[2])) for n, g in enumerate(sums)
     }
-    width = width_for(cells)
-    keys, points = points_of(cells, width, lambda held: [WEIGHT_ONE] * len(held), 256.0, temperature=False)
+    width = width_for(filled)
+    keys, points = points_of(filled, width, lambda held: [WEIGHT_ONE] * len(held), 256.0, temperature=False)
     assert 16 < len(keys) <= 100, "16 would be octants"
     first = np.array([key[0] for key in keys]) == 0
     assert points.windows[first].sum() == points.windows[~first].sum() == 100
 
 
 def test_the_widest_cells_are_taken_where_all_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grid, "MAX_POINTS", 3)
-    cells = [(posture, 0, 0, 0, 0) for posture in range(9)]
-    assert width_for(cells) == Width(grid.MOST_SPACE, grid.ALL_DEGREES)
+    monkeypatch.setattr(cells, "MAX_POINTS", 3)
+    filled = [(posture, 0, 0, 0, 0) for posture in range(9)]
+    assert width_for(filled) == Width(cells.MOST_SPACE, cells.ALL_DEGREES)
 
 
 @pytest.mark.parametrize("temperature", [False, True])

@@ -18,7 +18,7 @@ from accelcal_cli.cli import exit_codes
 from accelcal_cli.core import system
 from accelcal_cli.core.system import cpus, keep_freed_memory, lives_on_windows
 from accelcal_cli.output import files
-from accelcal_cli.studies import process_pool
+from accelcal_cli.studies import executors
 
 Patch = pytest.MonkeyPatch
 PACKAGE = Path(exit_codes.__file__).parent.parent
@@ -161,8 +161,8 @@ def doubled(number: int, report_progress: Any) -> int:
 @pytest.mark.nightly
 def test_workers_can_begin_from_nothing(monkeypatch: Patch) -> None:
     """As they do on macOS and Windows, which have no server to fork from."""
-    monkeypatch.setattr(process_pool, "has_fork_server", lambda: False)
-    pool = process_pool.ProcessPool(doubled, 2)
+    monkeypatch.setattr(executors, "has_fork_server", lambda: False)
+    pool = executors.ProcessPool(doubled, 2)
     assert sorted(ended.result for ended in pool.run([1, 2, 3])) == [2, 4, 6]
 
 

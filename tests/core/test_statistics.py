@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import special
 
-from accelcal_cli.core.statistics import (
+from accelcal_cli.core.arithmetic import (
     STUDENT_T_975,
     clustered_error,
     interval95,

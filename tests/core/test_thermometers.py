@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.thermometers import (
-    CELSIUS,
-    FAHRENHEIT,
-    KELVIN,
-    MILLI,
-    find_thermometer,
-    unit_by_values,
-)
+from accelcal_cli.core.vocabulary import CELSIUS, FAHRENHEIT, KELVIN, MILLI, find_thermometer, unit_by_values
 from accelcal_cli.formats import open_recording
 from tests.formats.make_csv import read, written
 

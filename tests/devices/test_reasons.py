@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import special
 
-from accelcal_cli.devices.findings import DeviceReview
-from accelcal_cli.output.study_words import of_device
+from accelcal_cli.devices.review import DeviceReview
+from accelcal_cli.output.sentences import of_device
 from tests.devices.made import drifting, fitted, good_devices, refused, reviewed
 
 

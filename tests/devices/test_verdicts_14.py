@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from accelcal_cli.devices.findings import DeviceReview
-from accelcal_cli.output.study_words import of_device
+from accelcal_cli.devices.review import DeviceReview
+from accelcal_cli.output.sentences import of_device
 from tests.cli.run import run
 from tests.devices.made import FITTED, drifting, fitted, good_devices, refused, reviewed, write
 

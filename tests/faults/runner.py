@@ -32,7 +32,7 @@ COMMANDS = (
 )  # fmt: skip
 LOADED = (
     "accelcal_cli.studies.preload", "accelcal_cli.exports.data", "accelcal_cli.pages.write",
-    "accelcal_cli.pipeline.simulate", "accelcal_cli.watching.row_stream", "h5py", "pyarrow.csv", "pandas",
+    "accelcal_cli.simulate", "accelcal_cli.watching.row_stream", "h5py", "pyarrow.csv", "pandas",
     *(f"accelcal_cli.cli.{name}" for name in COMMANDS),
 )  # fmt: skip
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
-from accelcal_cli.formats._unsigned import FOUND_ZERO, sphere_of_rest, zero_of
+from accelcal_cli.formats.tables.units import FOUND_ZERO, sphere_of_rest, zero_of
 from tests.cli.run import exit_code
 from tests.formats.make_csv import read, written
 from tests.recordings import directions

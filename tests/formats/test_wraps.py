@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accelcal_cli.formats._stamps import LOST, NO_TIME
-from accelcal_cli.formats._wraps import DAY_US, HOUR_US, RunningOn, Wraps, find_wraps
+from accelcal_cli.formats._stamps import DAY_US, HOUR_US, LOST, NO_TIME, RunningOn, Wraps, find_wraps
 from tests.formats.make_csv import read, written
 
 MIDNIGHT_US = 1_709_510_400_000_000

@@ -11,11 +11,11 @@ import pytest
 
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Calibration, TemperatureScale
+from accelcal_cli.core.errors import significant
 from accelcal_cli.core.points import TimedMeans
-from accelcal_cli.core.reasons import significant
 from accelcal_cli.core.results import Change
 from accelcal_cli.judge.change import ChangeSearch, change_reason
-from accelcal_cli.output.words import sentence
+from accelcal_cli.output.sentences import sentence
 
 GAIN = np.array([[1.02, 0.0, 0.0], [0.012, 0.985, 0.0], [-0.008, 0.006, 1.01]])
 OFFSET_G = np.array([0.03, -0.02, 0.045])

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY, Calibration, Correction, TemperatureScale
+from accelcal_cli.core.errors import Reason
 from accelcal_cli.core.gyroscope import Bias, Gyroscope, Rest, RestRates, Turn, Turns
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.judge import gyroscope
 from accelcal_cli.judge.gyroscope import judge_gyroscope
 from tests.judge.test_turning import by_quaternions

@@ -9,13 +9,12 @@ import pytest
 
 from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.collect.table import read_table, windows_of
-from accelcal_cli.core.arithmetic import ONE
+from accelcal_cli.core.arithmetic import ONE, interval95, mean
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.points import MODELS, Fit, Model, PointSet
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Holdout
 from accelcal_cli.core.settings import DEFAULT
-from accelcal_cli.core.statistics import interval95, mean
 from accelcal_cli.judge.errors import deviations_mg, per_posture, summary
 from accelcal_cli.judge.model_ladder import FitFunction, Sample, control, folds, postures
 from accelcal_cli.judge.model_ladder import blocked as blocked_sample

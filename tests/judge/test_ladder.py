@@ -11,9 +11,8 @@ import pytest
 
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import TemperatureScale
-from accelcal_cli.core.errors import FixedPointOverflowError
+from accelcal_cli.core.errors import FixedPointOverflowError, Reason
 from accelcal_cli.core.points import MODELS, Fit, Model, PointSet
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Coverage, Trial, sides_not_up
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.judge.errors import coverage, slope_information

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.errors import Reason
 from accelcal_cli.core.results import Rest
-from accelcal_cli.judge.refusal import odd_rest
+from accelcal_cli.judge.verdict import odd_rest
 
 SOUND = Rest(
     windows=100, median_g=1.02, p5_g=0.9, p95_g=1.1, axis_min_g=(-1.0, -0.9, -1.1),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from accelcal_cli.core.gyroscope import Turn, Turns
-from accelcal_cli.judge.revolutions import judge_revolutions
+from accelcal_cli.judge.gyroscope import judge_revolutions
 from tests.judge.test_gyroscope import BIAS, LSB, PERFECT, PERIOD_US, SCALE, made, rest
 
 

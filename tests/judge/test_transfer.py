@@ -7,9 +7,9 @@ import pytest
 
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Calibration, TemperatureScale
+from accelcal_cli.core.errors import Reason
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Holdout
 from accelcal_cli.judge.errors import applied, difference_mg, directions, temperatures_c
 from accelcal_cli.judge.model_ladder import held_out, of_postures

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from accelcal_cli.core.gyroscope import Rest, Turn
-from accelcal_cli.judge.turning import BATCH_BLOCKS, BLOCK, TurningGravity
+from accelcal_cli.judge.gyroscope import BATCH_BLOCKS, BLOCK, TurningGravity
 
 QUIET = Rest(0, 100, (0, 0, 256 * 100), (0, 0, 0), None)
 PLAIN = (1.0, 1.0, 1.0)

@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from accelcal_cli.core.arithmetic import ONE
+from accelcal_cli.core.arithmetic import ONE, mean
 from accelcal_cli.core.calibration import IDENTITY
+from accelcal_cli.core.errors import Reason, significant
 from accelcal_cli.core.points import MODELS, PointSet
-from accelcal_cli.core.reasons import Reason, significant
 from accelcal_cli.core.results import Judgement, Outcome, SphereError
 from accelcal_cli.core.settings import DEFAULT, PAPER, Settings
-from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.errors import deviations_mg, per_posture, uncertainty
 from accelcal_cli.judge.model_ladder import LADDER, FitFunction, Fitting, postures
 from accelcal_cli.judge.posterior import outcome_by_error
@@ -21,7 +20,7 @@ from accelcal_cli.judge.verdict import judge, judge_paper
 from accelcal_cli.laboratory.optimizers.regressions import ELLIPSOID_MODELS, fit_ellipsoid
 from accelcal_cli.optimize import fixed32
 from accelcal_cli.output.numbers import mg
-from accelcal_cli.output.words import sentence
+from accelcal_cli.output.sentences import sentence
 from tests.judge.made import NINE, OFFSET, SIX, WARM, clusters, spread
 from tests.optimize.oracle import (
     IDEAL,

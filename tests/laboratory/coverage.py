@@ -19,8 +19,14 @@ from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.results import Judgement, Outcome
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.judge.model_ladder import Fitting
-from accelcal_cli.laboratory.segments import Stillness, collected
-from accelcal_cli.laboratory.sensors import Population, Track, WornSensor, sphere_error_mg
+from accelcal_cli.laboratory.segments import (
+    Population,
+    Stillness,
+    Track,
+    WornSensor,
+    collected,
+    sphere_error_mg,
+)
 from accelcal_cli.pipeline.procedures import fitting
 from accelcal_cli.simulate import unit
 

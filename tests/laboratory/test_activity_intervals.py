@@ -20,7 +20,7 @@ from accelcal_cli.activity_effect import effect
 from accelcal_cli.core.clock import UniformClock, rate_fraction
 from accelcal_cli.core.recording import Chunk
 from accelcal_cli.formats import named_encoder
-from accelcal_cli.laboratory.sensors import Population
+from accelcal_cli.laboratory.segments import Population
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.simulate import SimulatedSensor, SimulationPlan, describe
 

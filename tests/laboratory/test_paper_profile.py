@@ -20,8 +20,14 @@ from accelcal_cli.core.settings import PAPER, Settings, with_stillness
 from accelcal_cli.laboratory.methods import collected
 from accelcal_cli.pipeline.jobs import no_progress
 from accelcal_cli.pipeline.procedures import fitting
-from accelcal_cli.pipeline.simulate import TrueParameters, simulate, true_parameters
-from accelcal_cli.simulate import SimulatedSensor, SimulationPlan, draw_gain_and_offset
+from accelcal_cli.simulate import (
+    SimulatedSensor,
+    SimulationPlan,
+    TrueParameters,
+    draw_gain_and_offset,
+    simulate,
+    true_parameters,
+)
 from tests.cli.run import run_process
 from tests.laboratory.test_methods import rows_of
 from tests.optimize.oracle import directions

@@ -15,19 +15,17 @@ from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.laboratory.segments import (
+    Population,
     Segment,
     Simulation,
     Stillness,
-    rests_of,
-    simulated,
-    stillness_of_table,
-)
-from accelcal_cli.laboratory.sensors import (
-    Population,
     Track,
     WornSensor,
     bouts,
+    rests_of,
+    simulated,
     sphere_error_mg,
+    stillness_of_table,
     track,
 )
 from tests.cli.run import run

@@ -16,7 +16,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.settings import DEFAULT, STILLNESS
 from accelcal_cli.laboratory.stillness import RAW, Comparison, compare, on_scale, true_errors
-from accelcal_cli.pipeline.simulate import TrueParameters
+from accelcal_cli.simulate import TrueParameters
 from tests.cli.run import assert_one_line, run
 from tests.recordings import GAIN, OFFSET_G, good_csv, good_raw, still_counts, worst_errors, write_csv
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.errors import Reason
 from accelcal_cli.core.results import Coverage, Judgement, Outcome
 from accelcal_cli.output.advice import completed, doubts, is_doubtful, page_verdict
 from accelcal_cli.output.sections import ReportView, report_view
-from accelcal_cli.output.words import message
+from accelcal_cli.output.sentences import message
 from tests.device_recordings import donor
 from tests.schema import check_report
 

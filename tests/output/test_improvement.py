@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ratio_uncertainty95
 from accelcal_cli.core.declared import json_or_null
 from accelcal_cli.core.results import Holdout
-from accelcal_cli.core.statistics import ratio_uncertainty95
 from accelcal_cli.judge.model_ladder import of_postures
 from accelcal_cli.output.report import improvement
 from tests.cli.run import run_process

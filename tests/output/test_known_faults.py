@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.recording import Device
-from accelcal_cli.output.known_faults import known_faults, of_device
+from accelcal_cli.output.advice import known_faults, of_device
 from tests.cli.run import exit_code
 from tests.recordings import directions, still_counts
 

@@ -11,11 +11,18 @@ from typing import Any
 import pytest
 
 import accelcal_cli
-from accelcal_cli.core.reasons import Reason
+from accelcal_cli.core.errors import Reason
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.numbers import figure, formatted, mg, number, percent, times_smaller, with_error
-from accelcal_cli.output.study_words import DEVICES, changed
-from accelcal_cli.output.words import OUTCOMES, SENTENCES, clause, outcome_words, sentence
+from accelcal_cli.output.sentences import (
+    DEVICES,
+    OUTCOMES,
+    SENTENCES,
+    changed,
+    clause,
+    outcome_words,
+    sentence,
+)
 
 
 @pytest.mark.parametrize(
@@ -367,7 +374,7 @@ def emitted(pattern: str = "**/*.py", without: str = "devices") -> Iterator[tupl
 
 
 PACKAGE = Path(accelcal_cli.__file__).parent
-REASONS_FROM = ("accelcal_cli.core.reasons", "accelcal_cli.core.results")
+REASONS_FROM = ("accelcal_cli.core.errors", "accelcal_cli.core.results")
 EMITTED = sorted(emitted(), key=lambda one: (one[0], sorted(one[1]), one[2]))
 
 

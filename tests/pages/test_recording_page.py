@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from accelcal_cli.core.reasons import Reason
-from accelcal_cli.output.words import outcome_words, sentence
+from accelcal_cli.core.errors import Reason
+from accelcal_cli.output.sentences import outcome_words, sentence
 from accelcal_cli.pages.recording import page
 from tests.cli.run import exit_code
 from tests.cli.test_change import jumping

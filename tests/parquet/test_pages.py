@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from accelcal_cli.core.clock import CACHED, steps_of
-from accelcal_cli.parquet.pages import (
+from accelcal_cli.parquet.sink import (
     DELTA_BLOCK,
     LEVEL,
     MAGIC,
@@ -22,13 +22,15 @@ from accelcal_cli.parquet.pages import (
     PAGE_ROWS,
     SPLIT_LEVEL,
     ColumnChunk,
+    Footer,
+    RowGroup,
     delta_chunk,
     dictionary_chunk,
+    encode_by_pyarrow,
     float_chunk,
     paired,
     places,
 )
-from accelcal_cli.parquet.row_groups import Footer, RowGroup, encode_by_pyarrow
 
 DICTIONARY_PAGE, DATA_PAGE = b"\x15\x04", b"\x15\x00"
 """How pages begin: field 1, an integer, is the kind, 2 or 0 (parquet.thrift, zigzag)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from accelcal_cli.parquet import thrift
+from accelcal_cli.parquet import sink
 
 BYTES = bytes([
     0x15, 0x54,  # field 1, i32: zigzag 42
@@ -15,31 +15,31 @@ BYTES = bytes([
 ])  # fmt: skip
 """By hand, after thrift-compact-protocol.md."""
 
-FIELDS: thrift.Struct = [
-    (1, thrift.I32, 42),
-    (2, thrift.BINARY, b"hi"),
-    (3, thrift.LIST, (thrift.I32, [-1, -2])),
-    (4, thrift.STRUCT, [(1, thrift.I64, 64)]),
+FIELDS: sink.Struct = [
+    (1, sink.I32, 42),
+    (2, sink.BINARY, b"hi"),
+    (3, sink.LIST, (sink.I32, [-1, -2])),
+    (4, sink.STRUCT, [(1, sink.I64, 64)]),
 ]
 
 
 def test_a_structure_by_hand() -> None:
-    assert thrift.read(BYTES) == FIELDS
-    assert thrift.written(FIELDS) == BYTES
+    assert sink.read(BYTES) == FIELDS
+    assert sink.written(FIELDS) == BYTES
 
 
 @pytest.mark.parametrize("length", range(len(BYTES)))
 def test_a_structure_that_is_cut_short_is_none(length: int) -> None:
     with pytest.raises(IndexError):
-        thrift.read(BYTES[:length])
+        sink.read(BYTES[:length])
 
 
 def test_a_whole_number_has_64_bits() -> None:
-    assert thrift.read(b"\x16" + b"\xff" * 9 + b"\x01\x00") == [(1, thrift.I64, -(1 << 63))]
+    assert sink.read(b"\x16" + b"\xff" * 9 + b"\x01\x00") == [(1, sink.I64, -(1 << 63))]
     with pytest.raises(ValueError):
-        thrift.read(b"\x16" + b"\xff" * 1000 + b"\x01\x00")
+        sink.read(b"\x16" + b"\xff" * 1000 + b"\x01\x00")
 
 
 def test_a_list_that_claims_more_than_there_is_ends() -> None:
     with pytest.raises(IndexError):
-        thrift.read(bytes([0x19, 0xF7, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x7F]))
+        sink.read(bytes([0x19, 0xF7, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x7F]))

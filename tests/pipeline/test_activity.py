@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accelcal_cli.pipeline.activity import MG, Activity, ActivityMeter, EpochCutter
-from accelcal_cli.pipeline.drawn_activity import Affine
+from accelcal_cli.pipeline.activity import MG, Activity, ActivityMeter, Affine, EpochCutter
 
 SECOND = 1_000_000
 

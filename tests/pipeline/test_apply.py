@@ -10,9 +10,8 @@ from typing import cast
 import pytest
 
 from accelcal_cli.core.calibration import Calibration, TemperatureScale
-from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.errors import Reason, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import ErrorSummary, Holdout, Judgement
 from accelcal_cli.core.settings import DEFAULT, PAPER, PoseSettings

@@ -19,7 +19,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.gyroscope import Turns
 from accelcal_cli.judge.gyroscope import judge_gyroscope
-from accelcal_cli.pipeline.gyroscope import Turning
+from accelcal_cli.pipeline.facts import Turning
 from accelcal_cli.pipeline.survey import open_marked
 from tests.cli.run import exit_code, nightly, run
 from tests.formats.make_hdf5 import write

@@ -23,7 +23,7 @@ from accelcal_cli.core.settings import (
 )
 from accelcal_cli.output.report_reading import Document
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.pipeline.report_settings import ReportSettings, settings_from_report
+from accelcal_cli.pipeline.options import ReportSettings, settings_from_report
 from accelcal_cli.segment.adaptive import MOVING, NEVER
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.pipeline.simulate import true_parameters
+from accelcal_cli.simulate import true_parameters
 
 GAIN = [[1.5, 0.0, 0.0], [0.25, 1.0, 0.0], [0.0, -0.125, 0.75]]
 

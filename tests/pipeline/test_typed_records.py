@@ -11,7 +11,7 @@ import pytest
 
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import DEFAULT, PAPER, Settings
-from accelcal_cli.pipeline.report_settings import restored
+from accelcal_cli.pipeline.options import restored
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from accelcal_cli.core.arithmetic import ONE, to_fixed
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.six_pose.listing import Origin
-from accelcal_cli.six_pose.poses import FACES, Session, find_faces
+from accelcal_cli.six_pose.poses import FACES, Origin, Session, find_faces
 from tests.six_pose.made import UP, turned
 
 LSB = 1000.0

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.six_pose.listing import Origin, read_list
-from accelcal_cli.six_pose.poses import Session, find_listed
+from accelcal_cli.six_pose.poses import Origin, Session, find_listed, read_list
 from tests.six_pose.made import write_list
 from tests.six_pose.test_faces import LSB, windows
 

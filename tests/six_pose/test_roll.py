@@ -11,11 +11,10 @@ import pytest
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import UniformClock
-from accelcal_cli.core.errors import DivergedError, UsageError
+from accelcal_cli.core.errors import DivergedError, Reason, UsageError
 from accelcal_cli.core.gravity import STANDARD
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Chunk, Validity
-from accelcal_cli.six_pose.listing import Origin
+from accelcal_cli.six_pose.poses import Origin
 from accelcal_cli.six_pose.run import RollResult, RollSums, judge_roll, rolls_of, span_of_roll, sums_of
 from tests.six_pose.made import K, O
 

@@ -10,13 +10,19 @@ import pytest
 from scipy import stats
 
 from accelcal_cli.core.arithmetic import ONE
-from accelcal_cli.core.errors import DivergedError
+from accelcal_cli.core.errors import DivergedError, Reason
 from accelcal_cli.core.gravity import STANDARD
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.six_pose.solve import condition_number, six_pose_fit, solve, uncertainty
-from accelcal_cli.six_pose.verdict import judge_six_pose, known_json, poses_json
+from accelcal_cli.six_pose.solve import (
+    condition_number,
+    judge_six_pose,
+    known_json,
+    poses_json,
+    six_pose_fit,
+    solve,
+    uncertainty,
+)
 from tests.six_pose.known import poses_of, session_of, stacked
 from tests.six_pose.made import UP, K, O
 

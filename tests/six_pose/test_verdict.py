@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.calibration import IDENTITY
-from accelcal_cli.core.reasons import Reason, significant
+from accelcal_cli.core.errors import Reason, significant
 from accelcal_cli.core.results import Judgement, Outcome
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.six_pose.poses import Session, SixPoseFit, VectorErrors
-from accelcal_cli.six_pose.solve import six_pose_fit
-from accelcal_cli.six_pose.verdict import judge_six_pose
+from accelcal_cli.six_pose.solve import judge_six_pose, six_pose_fit
 from tests.six_pose.known import poses_of, session_of
 from tests.six_pose.made import UP, K, O, turned
 

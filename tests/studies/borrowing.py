@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from accelcal_cli.pipeline.jobs import no_progress
-from accelcal_cli.pipeline.simulate import simulate
-from accelcal_cli.simulate import SimulatedSensor, SimulationPlan, draw_gain_and_offset
+from accelcal_cli.simulate import SimulatedSensor, SimulationPlan, draw_gain_and_offset, simulate
 from tests.cli.run import report_of
 
 RATE_HZ, LSB_PER_G = 12.0, 256.0

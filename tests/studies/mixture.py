@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from accelcal_cli.pipeline.simulate import simulate
-from accelcal_cli.simulate import SimulatedSensor, SimulationPlan, draw_gain_and_offset
+from accelcal_cli.simulate import SimulatedSensor, SimulationPlan, draw_gain_and_offset, simulate
 
 RATES = {"flash": 10.0, "raw": 10.0, "csv": 10.0, "cwa": 12.5, "geneactiv": 10.0, "gt3x": 30.0, "hdf5": 10.0}
 """All that can be written, at the lowest rate that the device knows."""

@@ -5,10 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.studies.borrowing import borrowed
-from accelcal_cli.studies.borrowing import tasks as borrowing_tasks
 from accelcal_cli.studies.discovery import Where
-from accelcal_cli.studies.pooling import make_pool, pool_tasks, pooled, pooled_tasks
+from accelcal_cli.studies.other_recordings import (
+    borrowed,
+    borrowing_tasks,
+    make_pool,
+    pool_tasks,
+    pooled,
+    pooled_tasks,
+)
 from accelcal_cli.studies.records import Ledger, RecordingState
 from accelcal_cli.studies.rounds import StudyState, plan
 from accelcal_cli.studies.study import Study

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from accelcal_cli.studies.borrowing import donors, identity, pools
+from accelcal_cli.studies.other_recordings import donors, identity, pools
 from accelcal_cli.studies.summary import copies
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 import accelcal_cli
-from accelcal_cli.core import door
+from accelcal_cli.core import paths
 from accelcal_cli.core.errors import UnreadableError
 from tests.cli.run import Ran, run
 from tests.recordings import directions, still_counts, write_raw
@@ -26,12 +26,12 @@ ASKING = {
     "is_file", "exists", "is_dir", "is_symlink", "is_fifo", "lstat", "samefile", "resolve", "rglob", "glob"
 }  # fmt: skip
 ELSEWHERE = {
-    "core/door.py": "the door itself",
+    "core/paths.py": "the door itself",
     "core/system.py": "/proc",
     "core/input_files.py": "parts by a pattern, whose caller turns the error into one of ours",
     "studies/executors.py": "the package's own code",
     "pages/write.py": "the package's own templates",
-    "formats/_parts/members.py": "members of archives",
+    "formats/_parts/archive.py": "members of archives",
     "formats/tables/hdf5.py": "attributes of datasets",
 }
 
@@ -188,11 +188,11 @@ def test_h4_a_pipe_in_place_of_a_file_of_the_study_is_said(name: str, tmp_path: 
 def test_the_door_tells_what_is_there(tmp_path: Path) -> None:
     file = tmp_path / "a"
     file.write_text("x")
-    assert door.is_file(file) and not door.is_folder(file) and not door.is_link(file)
-    assert door.is_folder(tmp_path) and not door.is_file(tmp_path)
+    assert paths.is_file(file) and not paths.is_folder(file) and not paths.is_link(file)
+    assert paths.is_folder(tmp_path) and not paths.is_file(tmp_path)
     long = tmp_path / ("n" * 300)
-    assert not door.is_file(long) and door.look(long) is None and not door.is_there(long)
-    assert not door.is_file(Path("a\0b"))
-    assert door.is_same(file, tmp_path / "." / "a") and not door.is_same(file, tmp_path)
+    assert not paths.is_file(long) and paths.stat_or_none(long) is None and not paths.is_there(long)
+    assert not paths.is_file(Path("a\0b"))
+    assert paths.is_same(file, tmp_path / "." / "a") and not paths.is_same(file, tmp_path)
     with pytest.raises(UnreadableError, match="not a plain file"):
-        door.open_found(tmp_path)
+        paths.open_found(tmp_path)

@@ -50,9 +50,7 @@ def test_a_long_path_of_temporary_files_is_fine(tmp_path: Path, monkeypatch: pyt
 
 
 def test_the_next_run_removes_what_a_killed_one_left(tmp_path: Path, temporaries: Path) -> None:
-    script = (
-        "from accelcal_cli.studies.process_pool import forkserver_folder\nwith forkserver_folder(): input()"
-    )
+    script = "from accelcal_cli.studies.executors import forkserver_folder\nwith forkserver_folder(): input()"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     killed, living = (
         subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, env=environment)

@@ -16,7 +16,7 @@ from accelcal_cli.studies.records import ProgressCallback
 ROOT = Path(__file__).resolve().parent.parent.parent
 MAIN = """
 import os
-from accelcal_cli.studies.process_pool import ProcessPool
+from accelcal_cli.studies.executors import ProcessPool
 from tests.studies.test_in_process import main_of_worker
 
 with open("runs", "a") as file:
@@ -45,7 +45,7 @@ def test_p2_workers_do_not_run_the_program_again(how: str, tmp_path: Path) -> No
     if how == "spawn":
         text = (
             "import accelcal_cli.core.system as s\ns.has_fork_server = lambda: False\n"
-            "import accelcal_cli.studies.process_pool as p\np.has_fork_server = lambda: False\n" + text
+            "import accelcal_cli.studies.executors as p\np.has_fork_server = lambda: False\n" + text
         )
     (tmp_path / "program.py").write_text(text)
     words = {"stdin": ["-"], "module": ["-m", "program"]}.get(how, ["program.py"])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from accelcal_cli.studies import process_pool
+from accelcal_cli.studies import executors
 from tests.cli.run import Ran
 from tests.cli.studies import results, rows, run_in
 from tests.studies.mixture import mixture
@@ -60,7 +60,7 @@ def test_a_rerun_does_nothing_and_starts_no_worker(done: Done, monkeypatch: pyte
     """What it then takes, test_many.py measures."""
     files = [path for path in done.out.rglob("*") if path.is_file() and not path.name.startswith("study.")]
     before, held = {path: path.stat().st_mtime_ns for path in files}, results(done.out)
-    monkeypatch.delattr(process_pool, "forkserver_folder")
+    monkeypatch.delattr(executors, "forkserver_folder")
     again = study(done.folder, done.out)
     assert (again.code, sorted(again.lines)) == (1, sorted(done.ran.lines))
     assert f"{len(done.truth)} unchanged" in again.err

@@ -16,7 +16,7 @@ import pytest
 
 from accelcal_cli.core.errors import spreadsheet_cell
 from accelcal_cli.core.system import folder_start, new_folder
-from accelcal_cli.studies import process_pool
+from accelcal_cli.studies import executors
 from tests.cli.run import run
 from tests.cli.studies import rows, study, study_folder
 from tests.recordings import directions, good_csv, still_counts
@@ -178,9 +178,9 @@ def killed_while_unpacking(task: Any, _report: Any) -> None:
 
 
 def test_h16_the_folder_of_a_stopped_worker_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process_pool, "GRACE_S", 0.1)
+    monkeypatch.setattr(executors, "GRACE_S", 0.1)
     before = {path.name for path in Path(tempfile.gettempdir()).glob("accelcal-*")}
-    pool = process_pool.ProcessPool(killed_while_unpacking, 1, timeout_s=2.0)
+    pool = executors.ProcessPool(killed_while_unpacking, 1, timeout_s=2.0)
     (ended,) = pool.run([1])
     assert "was stopped" in str(ended.fault)
     left = {path.name for path in Path(tempfile.gettempdir()).glob("accelcal-*")} - before

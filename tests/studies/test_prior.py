@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.prior import LearntPrior
-from accelcal_cli.studies.prior import Learning
+from accelcal_cli.studies.other_recordings import Learning
 from accelcal_cli.studies.summary import PARAMETERS
 from tests.cli.run import Ran, assert_one_line, run, verify
 from tests.cli.studies import results, rows, study_in

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from accelcal_cli.studies import process_pool
-from accelcal_cli.studies.process_pool import ProcessPool
+from accelcal_cli.studies import executors
+from accelcal_cli.studies.executors import ProcessPool
 from accelcal_cli.studies.records import Finished, ProgressCallback
 from tests.studies.processes import Clock, soon
 
@@ -39,7 +39,7 @@ def work(task: tuple[str, Any], told: ProgressCallback) -> Any:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    monkeypatch.setattr(process_pool, "time", clock)
+    monkeypatch.setattr(executors, "time", clock)
     return clock
 
 
@@ -100,7 +100,7 @@ def test_no_worker_is_left_when_the_iteration_is_given_up(tmp_path: Path) -> Non
 
 ALONE = """
 import sys
-from accelcal_cli.studies.process_pool import ProcessPool
+from accelcal_cli.studies.executors import ProcessPool
 from tests.studies.test_process_pool import work
 if __name__ == "__main__":
     list(ProcessPool(work, 1).run([("orphan", sys.argv[1])]))

@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 
-from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.errors import Reason, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.studies import rounds as planning
 from accelcal_cli.studies.discovery import Where

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.version import __version__
-from accelcal_cli.studies.upgrades import distance_mg
+from accelcal_cli.studies.rounds import distance_mg
 from tests.cli.run import Ran, run
 from tests.cli.studies import change_ledger, study_folder
 

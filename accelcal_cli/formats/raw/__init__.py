@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from accelcal_cli.core.door import has_file, is_file
 from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe, ReadOptions
+from accelcal_cli.core.paths import has_file, is_file
 
 SUFFIX = ".layout.toml"
 FOLDER_NAME = "layout.toml"

@@ -20,12 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.errors import NoRecordingError, UnreadableError
+from accelcal_cli.core.errors import NoRecordingError, Reason, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import Calibrated, Device, Problem
+from accelcal_cli.core.times import ORDERS, read_date
 from accelcal_cli.core.vocabulary import normalized
-from accelcal_cli.core.written_times import ORDERS, read_date
 from accelcal_cli.formats.tables.names import Name
 
 SAMPLE_ROWS = 200

@@ -22,10 +22,11 @@ from accelcal_cli.core.errors import UnreadableError, UsageError, counted
 from accelcal_cli.core.formats import EACH, ReadOptions
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.vocabulary import PER_G, acceleration_unit
-from accelcal_cli.formats.tables.hdf5 import Hdf5Source, as_track
-from accelcal_cli.formats.tables.hdf5_file import (
+from accelcal_cli.formats.tables.hdf5 import (
     H5PY_ERRORS,
+    Hdf5Source,
     NodeAttributes,
+    as_track,
     attributes_of,
     members,
     open_hdf5,

@@ -12,12 +12,19 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from accelcal_cli.core.errors import NoRecordingError, UnreadableError, UsageError
+from accelcal_cli.core.errors import NoRecordingError, Reason, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.reasons import Reason
-from accelcal_cli.core.thermometers import BARE, HeatUnit, find_thermometer
-from accelcal_cli.core.vocabulary import ACCELEROMETER, BARE_ACCELEROMETER, GYROSCOPE, NOT_RAW, normalized
-from accelcal_cli.core.written_times import is_date, is_digits_of_day
+from accelcal_cli.core.times import is_date, is_digits_of_day
+from accelcal_cli.core.vocabulary import (
+    ACCELEROMETER,
+    BARE,
+    BARE_ACCELEROMETER,
+    GYROSCOPE,
+    NOT_RAW,
+    HeatUnit,
+    find_thermometer,
+    normalized,
+)
 from accelcal_cli.formats._not_recordings import epochs_by_names
 from accelcal_cli.formats.tables.cells import DATE_ALONE, TIME_OF_DAY, number_of, present
 from accelcal_cli.formats.tables.header import Column, Kind, Source, readable, shown

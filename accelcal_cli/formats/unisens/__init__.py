@@ -9,9 +9,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from accelcal_cli.core.door import is_file, open_found
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe
+from accelcal_cli.core.paths import is_file, open_found
 
 DESCRIPTION = "unisens.xml"
 ROOT = re.compile(rb"<(?:\w+:)?unisens\b")

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import StartTime, rate_fraction
-from accelcal_cli.core.door import is_file, open_found
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
+from accelcal_cli.core.paths import is_file, open_found
 from accelcal_cli.core.recording import (
     FLOAT_LSB_PER_G,
     LARGEST_LSB_PER_G,
@@ -32,6 +32,7 @@ from accelcal_cli.core.recording import (
     Recording,
     first_row,
 )
+from accelcal_cli.core.times import iso_start
 from accelcal_cli.core.vocabulary import (
     ACCELERATION_UNITS,
     PER_G,
@@ -40,7 +41,6 @@ from accelcal_cli.core.vocabulary import (
     acceleration_unit,
     unit_of,
 )
-from accelcal_cli.core.written_times import iso_start
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._frames import FrameFile, FrameReader, Frames
 from accelcal_cli.formats._gravity import usual_length

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Chunk, Recording
-from accelcal_cli.formats.geneactiv.decode import Factory, factory_scale
+from accelcal_cli.formats.geneactiv.reader import Factory, factory_scale
 from tests.formats.geneactiv.oracle import exact_g
 from tests.formats.geneactiv.test_geneactiv import joined, opened, random_counts
 from tests.formats.make_geneactiv import Page, digits, header, pages, written

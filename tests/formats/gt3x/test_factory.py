@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import Reason, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.reasons import Reason
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import find_format
-from accelcal_cli.output.words import sentence
+from accelcal_cli.output.sentences import sentence
 from accelcal_cli.pipeline import survey
 from tests.cli.run import run, verify
 from tests.formats.gt3x.reading import opened, random_counts, whole

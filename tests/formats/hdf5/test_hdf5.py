@@ -17,8 +17,7 @@ from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.formats import find_format
 from accelcal_cli.formats.tables import HDF5, tracks
 from accelcal_cli.formats.tables import hdf5 as hdf5_reader
-from accelcal_cli.formats.tables.hdf5 import TextDataset
-from accelcal_cli.formats.tables.hdf5_file import attributes_of, heaps_are_sound, open_hdf5
+from accelcal_cli.formats.tables.hdf5 import TextDataset, attributes_of, heaps_are_sound, open_hdf5
 from accelcal_cli.formats.tables.header import readable
 from tests.cli.run import run
 from tests.formats.cuts import cuts, every_byte

@@ -18,7 +18,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.core.recording import joined
 from accelcal_cli.formats import all_formats, open_recording
-from accelcal_cli.formats._parts import archive, members
+from accelcal_cli.formats._parts import archive
 from accelcal_cli.formats._parts.archive import first_names, unpack
 from tests.cli.run import run
 from tests.cli.studies import rows, study
@@ -217,13 +217,13 @@ def test_h2_global_headers_are_counted_and_read_in_passing(
     end = header("a.csv", b"0", len(ROWS)) + ROWS.encode().ljust(-(-len(ROWS) // 512) * 512, b"\0")
     path.write_bytes(one * 30 + end + bytes(1024))
     assert [file.read_text() for file in unpack(path, tmp_path, lambda _name: True).files] == [ROWS]
-    monkeypatch.setattr(members, "MOST_MEMBERS", 20)
+    monkeypatch.setattr(archive, "MOST_MEMBERS", 20)
     with pytest.raises(UnreadableError, match="has more than 20 members"):
         unpack(path, tmp_path, lambda _name: True)
 
 
 def test_h3_members_of_any_kind_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(members, "MOST_MEMBERS", 50)
+    monkeypatch.setattr(archive, "MOST_MEMBERS", 50)
     for kind in (b"5", b"2", b"3", b"6", b"V"):
         path = tmp_path / "a.tar"
         path.write_bytes(header("d", kind) * 60 + bytes(1024))
@@ -330,7 +330,7 @@ def test_h12_a_dictionary_of_xz_is_bounded(tmp_path: Path, monkeypatch: pytest.M
     (tmp_path / "a.tar.xz").write_bytes(data + lzma.compress(b"") + bytes(4))
     assert list(first_names(tmp_path / "a.tar.xz", 5)) == ["a.csv"]
     assert len(unpack(tmp_path / "a.tar.xz", tmp_path, lambda _name: True).files) == 1
-    monkeypatch.setattr(members, "LZMA_MEMORY", 1 << 16)
+    monkeypatch.setattr(archive, "LZMA_MEMORY", 1 << 16)
     with pytest.raises(UnreadableError, match=r"nothing can be unpacked .Memory usage limit"):
         unpack(tmp_path / "a.tar.xz", tmp_path, lambda _name: True)
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.core.errors import OutputError, UnreadableError
-from accelcal_cli.formats._parts import archive, members
+from accelcal_cli.formats._parts import archive
 from accelcal_cli.formats._parts.archive import first_names, unpack
 
 MEGABYTE = 1 << 20
@@ -95,7 +95,7 @@ def test_a_thread_that_unpacks_ahead_changes_nothing(
     tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of an archive that is cut short, or damaged, anywhere."""
-    monkeypatch.setattr(members, "COPIED_BYTES", 100)
+    monkeypatch.setattr(archive, "COPIED_BYTES", 100)
     texts = {"a.csv": b"1,2,3\n" * 120, "b.csv": b"", "c.csv": random.Random(1).randbytes(500)}
     path = tmp_path / f"a{suffix}"
     if suffix == ".zip":
@@ -140,7 +140,7 @@ def test_a_header_that_claims_to_be_long_is_not_read(tmp_path: Path, kind: bytes
 
 
 def test_an_archive_of_too_many_members_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(members, "MOST_MEMBERS", 3)
+    monkeypatch.setattr(archive, "MOST_MEMBERS", 3)
     path = tmp_path / "a.zip"
     with zipfile.ZipFile(path, "w") as made:
         for number in range(4):
@@ -166,7 +166,7 @@ def test_a_zip_directory_that_is_too_long_is_not_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = zip_bomb(tmp_path / "a")
-    monkeypatch.setattr(members, "LARGEST_DIRECTORY", 64)
+    monkeypatch.setattr(archive, "LARGEST_DIRECTORY", 64)
     with pytest.raises(UnreadableError, match="the directory is too long"):
         unpack(path, tmp_path, lambda _name: True)
 
@@ -204,7 +204,7 @@ def test_an_archive_that_the_disk_does_not_give_is_not_damaged(
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     path = zip_bomb(tmp_path / "a")
-    monkeypatch.setattr(members.Inflater, "take", fails)
+    monkeypatch.setattr(archive.Inflater, "take", fails)
     with pytest.raises(UnreadableError, match=r"cannot be read .Input/output error"):
         unpack(path, tmp_path, lambda _name: True)
 

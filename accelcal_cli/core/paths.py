@@ -23,7 +23,7 @@ NOT_PLAIN = "is a pipe, a device or a folder, not a plain file"
 CHECK_DISK = "check its permissions and its disk"
 
 
-def look(path: Path, *, follow: bool = True) -> os.stat_result | None:
+def stat_or_none(path: Path, *, follow: bool = True) -> os.stat_result | None:
     """Return what is at a path; None if there is nothing, or can be nothing of that name.
 
     Args:
@@ -63,7 +63,7 @@ def is_link(path: Path) -> bool:
 def is_there(path: Path) -> bool:
     """Return True if anything is at a path, or if the disk cannot tell: then it must not be taken as gone."""
     try:
-        return look(path, follow=False) is not None
+        return stat_or_none(path, follow=False) is not None
     except OSError:
         return True
 
@@ -80,7 +80,7 @@ def may_be_away(path: Path) -> bool:
 
 def _seen(path: Path, *, follow: bool = True) -> os.stat_result | None:
     try:
-        return look(path, follow=follow)
+        return stat_or_none(path, follow=follow)
     except OSError:
         return None
 
@@ -92,7 +92,7 @@ def has_file(path: Path) -> bool:
         UnreadableError: the disk does not answer, and to continue without it might read a recording wrongly.
     """
     try:
-        found = look(path)
+        found = stat_or_none(path)
     except OSError as error:
         raise unreadable(error, path) from error
     return found is not None and stat.S_ISREG(found.st_mode)

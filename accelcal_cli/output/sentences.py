@@ -1,21 +1,188 @@
-"""Words for people about a report: numbers, what an outcome means, what to beware of, and what to do.
+"""Every sentence for people, made from codes with values: of a recording, a study, its files and devices.
 
-Sentences for the terminal and for pages. All of them follow from the report; nothing is judged here.
-"""
+Nothing is judged here, and no program reads what is said."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from string import Formatter
 from typing import Any
 
-from accelcal_cli.core.errors import counted, listed, printable
-from accelcal_cli.core.reasons import Reason
-from accelcal_cli.output.file_words import FILES
-from accelcal_cli.output.numbers import mg, number, times_smaller
+from accelcal_cli.core.errors import Reason, counted, listed, printable
+from accelcal_cli.output.numbers import mg, number, times_smaller, with_error
 from accelcal_cli.output.sections import HoldoutSection, ReportView
+
+# Words for people about a study: what is found of its devices, and of its recordings among others.
+#
+# Sentences stand here and in `words.py`, which has those about one recording; nothing is judged here.
+
+DEVICES = {
+    "two_sensors": "{label} differs by {size} between {paths[0]} and {paths[1]}: two sensors under one "
+    "serial?",
+    "device_step": "{label} changes by {size} from {dates[0]} to {dates[1]}",
+    "device_drift": "{label} drifts by {size} a month{doubt}",
+    "device_level": "{label} is {size} (limit {limit:g} {unit})",
+    "device_held_out": "held-out error {held_out_mg:.1f} mg (similar devices: {usual_mg:.1f} mg)",
+    "device_refused": "{number} of {recordings} recordings refused or borrowed{elsewhere}",
+    "device_damaged": "damage in {number} of {recordings} recordings, up to {lost_percent:.2g} % lost"
+    "{elsewhere}",
+    "device_not_known": "not known yet{best}; a recording of a day, at rest in many orientations, would tell",
+}
+"""Findings about a device, by code."""
+
+SIZES = ("change", "per_month", "value")
+"""Names of the value that a finding is about and that has an `error` and a `unit`."""
+
+
+def of_device(reason: Reason) -> str:
+    """Return what was found of a device; of a code that is not known, the code itself."""
+    form = DEVICES.get(reason.code)
+    return (
+        reason.code if form is None else printable(form.format(**{**reason.values, **_parts(reason.values)}))
+    )
+
+
+def _parts(values: Values) -> Values:
+    """Return parts of sentences that depend on several values."""
+    parts = {"label": str(values.get("parameter")).replace("_", " ")}
+    for name in SIZES:
+        if name in values:
+            parts["size"] = f"{with_error(values[name], values['error'])} {values['unit']}"
+    uncertain = "per_month" in values and not values["certain"]
+    parts["doubt"] = f" (not certain from {values['recordings']} recordings)" if uncertain else ""
+    usual, high = values.get("elsewhere_percent"), values.get("least_high_mg")
+    parts["elsewhere"] = "" if usual is None else f" (other devices: {usual:.0f} %)"
+    parts["best"] = "" if high is None else f": the best recording may be {mg(high)} mg off"
+    return {**parts, "dates": [(start or "")[:10] for start in values.get("starts", ())]}
+
+
+KEPT = {
+    "not_pooled": "Not pooled",
+    "borrowed_nothing": "Borrowed nothing",
+    "prior_not_learnt": "Kept with the prior of the population",
+}
+"""Why a recording keeps its own result although a later round was to replace it, by code."""
+
+
+def kept(message: str, code: str, why: str) -> str:
+    """Add to a message why its result stays."""
+    return f"{message} {KEPT[code]}: {begun_small(why)}"
+
+
+def copied(first: str) -> str:
+    """Say that a recording has the bytes of another, whose path is given."""
+    return f"a copy of {first}, which counts once"
+
+
+def in_words(code: str) -> str:
+    """Return a code as words."""
+    return code.replace("_", " ")
+
+
+def uncertain(error_mg: float | None, high_mg: float | None) -> str:
+    """Say how large an uncertain calibration error may be."""
+    if error_mg is None or high_mg is None:
+        return "its error over all orientations is not certain"
+    return f"{error_mg:.1f} mg over all orientations, but perhaps {high_mg:.1f} mg (95 %)"
+
+
+def lost(percent: float) -> str:
+    """Say how much of a file is lost."""
+    return f"{percent:.2g} % of the file is lost"
+
+
+def changed(kind: str, at: str | None, size_mg: float | None) -> str:
+    """Say how a sensor changed while it recorded."""
+    return sentence(Reason("sensor_changed", {"kind": kind, "at": at, "size_mg": size_mg or 0.0}))
+
+
+def not_described(kinds: str) -> str:
+    """Say which kinds of misfit were found."""
+    return f"found: {kinds}"
+
+
+SITES = ("wrist", "hip", "waist", "back", "sacrum", "thigh", "ankle", "chest", "arm", "leg", "foot")
+"""Wear sites that are known if the name of a recording, or of its folder, has the word."""
+
+
+def kind_of(path: str, model: str | None) -> str:
+    """Return a device's model and the wear site, as far as the name of the file or of its folder has it."""
+    words = re.split(r"[^a-z]+", "/".join(path.lower().replace("\\", "/").split("/")[-2:]))
+    site = next((site for site in SITES if site in words), None)
+    return ", ".join(filter(None, (printable(model or ""), site))) or "any device"
+
+
+# Sentences about the files of a study: why one is left out, no longer belongs to it, or was decided
+# on.
+#
+# Part of `SENTENCES` in `words.py`, where they are made from reasons.
+
+FormOfValues = str | Callable[[Mapping[str, Any]], str]
+"""A sentence with names of values in braces, or a function of the values.
+
+The values are those of a reason in `study.json`, which may have been changed by others.
+"""
+
+
+DECIDED = {"yes": "to use it", "with care": "to use it with care", "no": "not to use it"}
+
+
+def _decided(values: Mapping[str, Any]) -> str:
+    """Say what a person decided about a recording, and the person's note."""
+    who_and_when = ", ".join(filter(None, (values["who"], values["when"])))
+    note = f": {values['note'].rstrip('.')}" if values["note"] else ""
+    by = f" ({who_and_when})" if who_and_when else ""
+    return f"A person decided {DECIDED[values['decided']]}{by}{note}."
+
+
+def _no_decision(values: Mapping[str, Any]) -> str:
+    """Say what is wrong with a row of decisions."""
+    if values["column"] == "recording":
+        return f"Row {values['row']} names no recording."
+    return f"In row {values['row']}, use is '{values['cell']}', which is not yes, with care or no."
+
+
+FILES: dict[str, FormOfValues] = {
+    # why a file of a study is left out
+    "unfinished_copy": "It is a download or a copy that is not finished ({suffix}).",
+    "excluded": "It is excluded by {by}.",
+    "belongs_to_another": "It belongs to the recording {name}.",
+    "not_a_file": "It is a pipe or a device, not a file.",
+    "not_looked_into": "It could not be looked into ({fault}).",
+    "archive_without_recordings": "No file in the archive is named like a recording.",
+    "epochs": "It holds {whose} epochs, not raw acceleration.",
+    "database": "It is an SQLite database, from which the recording can be exported as text (CSV).",
+    "still_windows": "It holds means of still windows, which accelcal fit takes.",
+    "no_acceleration": "Nothing in it is acceleration.",
+    "other_quantities": lambda values: (
+        f"It is a table of other quantities: {', '.join(map(str, values['columns']))}."
+    ),
+    "no_numbers": "It is text without rows of three or more numbers.",
+    "no_format": "Its content matches no format.",
+    # results whose recording is gone
+    "recording_gone": "Its recording {source} is gone.",
+    "recording_renamed": "Its recording {source} is now called {now}.",
+    "sensor_gone": "The sensor {sensor} is no longer in its file {source}.",
+    # what a person decided
+    "decided_by_a_person": _decided,
+    "decision_outdated": "The result of {recording} has changed since row {row} decided {decided}. "
+    "The more cautious of both counts: {use}.",
+    "decision_unreadable": _no_decision,
+    "decision_without_recording": "Row {row} names {recording}, which is not a recording of the study.",
+    "decisions_contradict": "Rows {rows:list} contradict each other on {recording}. The most cautious of "
+    "them counts: {use}.",
+    "decisions_more": "{number:n more finding} about rows.",
+}
+"""Sentences by code; words in braces are values of the reason."""
+
+
+# Words for people about a report: numbers, what an outcome means, what to beware of, and what to do.
+#
+# Sentences for the terminal and for pages. All of them follow from the report; nothing is judged
+# here.
 
 Values = Mapping[str, Any]
 
