@@ -186,7 +186,7 @@ def reproduced(
         unused=made_with.unused,
         parts=True,
         joined=True,
-        as_given=True,
+        ignore_sidecars=True,
     )
     with open_run(Job(recording, recording, document.path), request, progress) as run:
         data = run.count_beyond(run.result(judge_of(run, document)).data)
@@ -208,7 +208,7 @@ def judge_of(run: RecordingRun, document: Document) -> Judge:
         return PoolCoefficients(request.settings, pool)
     if donor is None:
         return OwnCalibration(request.settings, learnt_prior_of(document, request.settings.prior))
-    relation = relation_of(donor, run.reader.recording, run.bytes_at, request)
+    relation = relation_of(donor, run.reader.recording, run.path_to_read, request)
     return DonorCoefficients(request.settings, donor, relation)
 
 

@@ -24,7 +24,7 @@ from accelcal_cli.core.paths import is_file
 from accelcal_cli.core.settings import LEARNT_PRIORS, Option, Setting, Settings, setting_of
 from accelcal_cli.formats import all_encoders, all_formats
 from accelcal_cli.optimize import all_optimizers
-from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, Request, real
+from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, Request, resolved_path
 from accelcal_cli.pipeline.options import (
     FolderRules,
     chosen_settings,
@@ -414,7 +414,7 @@ parts_option = click.option("--parts", is_flag=True, help="RECORDING is a folder
 
 def recordings_of(recordings: tuple[Path, ...], values: dict[str, Any]) -> list[Path]:
     """Return the recordings, several files with --parts as one; raises what `pattern_of` raises."""
-    recordings = tuple(real(one) if one.name in ("", "..") else one for one in recordings)
+    recordings = tuple(resolved_path(one) if one.name in ("", "..") else one for one in recordings)
     recordings = _without_results(recordings)
     several = values["parts"] and len(recordings) > 1
     files = several and all(is_file(one) and not may_be_archive(one) for one in recordings)

@@ -11,7 +11,7 @@ from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.options import FILE
 from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
 from accelcal_cli.core.paths import is_folder
-from accelcal_cli.pipeline.jobs import real, refuse_dash
+from accelcal_cli.pipeline.jobs import refuse_dash, resolved_path
 from accelcal_cli.pipeline.outputs import make_folder
 
 
@@ -85,9 +85,9 @@ def _places(reports: tuple[Path, ...], folder: Path | None) -> list[tuple[Path, 
             raise UsageError("is a folder", path=report, hint="give it alone, or name reports")
         page = page_of(report)
         page = page if folder is None else folder / page.name
-        if real(page) in owners:
-            other = owners[real(page)]
+        if resolved_path(page) in owners:
+            other = owners[resolved_path(page)]
             raise UsageError(f"{other} and {report} would both write {page}", hint="make them one by one")
-        owners[real(page)] = report
+        owners[resolved_path(page)] = report
         places.append((report, page))
     return places

@@ -15,7 +15,7 @@ from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.input_files import is_no_part
 from accelcal_cli.core.paths import is_folder
 from accelcal_cli.core.settings import POSES, PoseSettings
-from accelcal_cli.pipeline.jobs import Request, plan_report, real
+from accelcal_cli.pipeline.jobs import Request, plan_report, resolved_path
 from accelcal_cli.pipeline.options import read_options, with_values
 from accelcal_cli.six_pose.run import session_of, six_pose
 
@@ -82,6 +82,10 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
 def _refuse_among(report: Path, session: Path) -> None:
     """Raise UsageError for a report that would be treated as a file of the session."""
-    if is_folder(session) and real(session) in real(report).parents and not is_no_part(report):
+    if (
+        is_folder(session)
+        and resolved_path(session) in resolved_path(report).parents
+        and not is_no_part(report)
+    ):
         hint = "give a name outside, or one that ends in .calibration.json"
         raise UsageError(f"{printable(report)} would be among the files of the session", hint=hint)

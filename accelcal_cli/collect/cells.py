@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, rounded_quotient, three, weighted_percentile
 from accelcal_cli.core.calibration import Correction, TemperatureScale
-from accelcal_cli.core.points import WEIGHT_ONE, Fates, PointSet, Role, Saturated, Windows
+from accelcal_cli.core.points import WEIGHT_ONE, PointSet, Role, Saturated, Windows, WindowUses
 from accelcal_cli.core.settings import Settings
 
 # Cells of orientation and temperature: what was measured in each, and the points of a fit made of
@@ -567,7 +567,7 @@ class CellCollector:
         """Return the axes that saturate, in units of local gravity."""
         return self.saturation.found(self.lsb_per_g)
 
-    def fates(self, windows: Windows) -> Fates:
+    def window_uses(self, windows: Windows) -> WindowUses:
         """Return what became of windows that were added; call after the last one."""
         role, point = np.full(len(windows), Role.IMPLAUSIBLE), np.full(len(windows), -1)
         near_1_g = np.flatnonzero(plausible(windows, self.lsb_per_g, self.settings))
@@ -584,7 +584,7 @@ class CellCollector:
                 role[place] = left_out[tuple(key)]
             else:
                 role[place], point[place] = Role.FIT, number[tuple(key)]
-        return Fates(role, point)
+        return WindowUses(role, point)
 
     def _fitted(self) -> dict[Key, Value]:
         """Return the cells that make points."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.cells import CellSums, plausible, to_points
-from accelcal_cli.core.points import WEIGHT_ONE, Fates, PointSet, Role, Windows
+from accelcal_cli.core.points import WEIGHT_ONE, PointSet, Role, Windows, WindowUses
 from accelcal_cli.core.settings import Settings
 
 INTERVALS_G = (
@@ -153,12 +153,12 @@ class PaperCollector:
         """Return the number of points of both sets."""
         return len(self._taken)
 
-    def fates(self, windows: Windows) -> Fates:
+    def window_uses(self, windows: Windows) -> WindowUses:
         """Return what became of windows that were added, without the numbers of their points."""
         roles = [self._role_of_sample.get(first, Role.NOT_TAKEN) for first in windows.first_sample.tolist()]
         role = np.array(roles, np.int64)
         role[~plausible(windows, self.lsb_per_g, self.settings)] = Role.IMPLAUSIBLE
-        return Fates(role, np.full(len(windows), -1))
+        return WindowUses(role, np.full(len(windows), -1))
 
     def _place(self, mean: Mean) -> tuple[Role, list[CellSums] | None]:
         """Return the role of a mean, and the subset of the first or else the second set that takes it."""

@@ -170,7 +170,7 @@ Saturated = tuple[tuple[int, float], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fates:
+class WindowUses:
     """Uses that were made of m still windows.
 
     Attributes:

@@ -142,7 +142,7 @@ class Posterior:
         """Return the mean | |a| - 1 g | that the scatter of rests makes, without any error of the sensor."""
         return 1000 * self.noise_g * sqrt(2 / pi)
 
-    def far_off(self) -> list[str]:
+    def parameters_outside_prior(self) -> list[str]:
         """Return the names of scales and offsets beyond FAR widths of the prior."""
         found, centre = self.found.fit.parameters, self.penalty.centre
         kinds = [index for index in self.model.free if index in _SCALES_AND_OFFSETS]

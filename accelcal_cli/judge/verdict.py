@@ -125,7 +125,7 @@ def nothing_still(facts: Facts, recording: Recording, settings: Settings) -> tup
     return Reason.of("nothing_still", **values), Reason("adaptive_rule" if noisy else "shorter_windows")
 
 
-def strict_if_odd(settings: Settings, facts: Facts, recording: Recording) -> Settings:
+def refuse_provisional_if_rest_is_odd(settings: Settings, facts: Facts, recording: Recording) -> Settings:
     """Return the settings to judge by: nothing is provisional if rest is odd, whose cause can be removed."""
     return settings if _odd_rest_of(facts, recording) is None else replace(settings, strict=True)
 
@@ -182,7 +182,7 @@ WRONG_SIZE = ("gravity_is_zero", "wrong_unit", "not_1_g", "wrong_counts_per_g")
 """Codes of rest that is far from 1 g."""
 
 
-def advised(verdict: Judgement, facts: Facts, recording: Recording, settings: Settings) -> Judgement:
+def with_advice(verdict: Judgement, facts: Facts, recording: Recording, settings: Settings) -> Judgement:
     """Return a refusal with numbers, and advice that fits odd rest or a file that was cut short."""
     if verdict.outcome is not Outcome.REFUSED:
         return verdict
@@ -484,7 +484,7 @@ def judge(
                 verdict = _complete(verdict, chosen.model, chosen.fit, points, label, gravity)
         else:
             verdict, truth = _most_probable(sample, trials, coverage, how, how.penalized)
-        verdict = with_simpler(verdict, sample, how, truth)
+        verdict = add_fit_without_misalignment(verdict, sample, how, truth)
     return replace(verdict, cautions=(*verdict.cautions, *_doubts(verdict, how.settings)))
 
 
@@ -539,7 +539,7 @@ def _most_probable(
     truth = search.truth(misfits)
     judged = (fitted.parameters, IDENTITY)
     sphere, before = sphere_errors(points, label, truth, judged, coverage.saturated)
-    far = known.far_off()
+    far = known.parameters_outside_prior()
     verdict = Judgement(
         Outcome.REFUSED,
         DIVERGES,
@@ -700,7 +700,7 @@ def judge_paper(
     holdout = None if unsure else model_ladder.control(control_points, fitted.parameters)
     trial = Trial(name, holdout, unsure, fitted)
     verdict = _verdict_of_paper(trial, _with_precision(coverage, known), settings)
-    verdict = _everywhere(verdict, fit_points.joined(control_points), how)
+    verdict = _refuse_if_uncertain_on_sphere(verdict, fit_points.joined(control_points), how)
     if verdict.outcome is Outcome.REFUSED:
         return verdict
     label = np.arange(len(fit_points), dtype=np.int64)
@@ -708,7 +708,7 @@ def judge_paper(
     return with_simpler_of_paper(completed, fit_points, control_points, how)
 
 
-def _everywhere(verdict: Judgement, points: PointSet, how: Fitting) -> Judgement:
+def _refuse_if_uncertain_on_sphere(verdict: Judgement, points: PointSet, how: Fitting) -> Judgement:
     """Add the error of F's fit over all orientations, and refuse a fit for which it is too large.
 
     Args:
@@ -867,7 +867,7 @@ def better(borrowed: Holdout, own: Holdout) -> bool:
     return interval95([own_after - borrowed_after for (_, borrowed_after), (_, own_after) in pairs])[0] > 0
 
 
-def worse(holdout: Holdout, usual_mg: float, limit_mg: float) -> Reason | None:
+def reason_pool_does_not_fit(holdout: Holdout, usual_mg: float, limit_mg: float) -> Reason | None:
     """Return why a pool's coefficients do not fit a recording, or None.
 
     Args:
@@ -882,7 +882,7 @@ def worse(holdout: Holdout, usual_mg: float, limit_mg: float) -> Reason | None:
     return Reason.of("over_limit_here", **values, limit_mg=limit_mg) if after >= limit_mg else None
 
 
-def with_simpler(
+def add_fit_without_misalignment(
     verdict: Judgement, sample: Sample, how: Fitting, truth: Posterior | None = None
 ) -> Judgement:
     """Add to a verdict what the same points give without misalignment, held out on the same postures.

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import MICROSECONDS, iso_time
-from accelcal_cli.core.points import Fates, Role, Windows
+from accelcal_cli.core.points import Role, Windows, WindowUses
 from accelcal_cli.core.recording import METADATA_KEY
 from accelcal_cli.core.times import UTC
 from accelcal_cli.output.files import open_plain, replacing, write_csv
@@ -52,7 +52,7 @@ class WindowTable:
     Attributes:
         windows: with their times.
         lsb_per_g: counts per standard g.
-        fates: of the windows.
+        window_uses: of the windows.
         posture, fold: (m,) of each window's point, the fold being the one that held it out; -1 for none.
         calibration: None if the recording was refused.
         utc_offset_s: that the device's clock is ahead of UTC; None if its zone is not known.
@@ -60,7 +60,7 @@ class WindowTable:
 
     windows: Windows
     lsb_per_g: float
-    fates: Fates
+    window_uses: WindowUses
     posture: NDArray[np.int64]
     fold: NDArray[np.int64]
     calibration: Calibration | None
@@ -73,7 +73,7 @@ class WindowTable:
             yield replace(
                 self,
                 windows=self.windows.select(here),
-                fates=Fates(self.fates.role[here], self.fates.point[here]),
+                window_uses=WindowUses(self.window_uses.role[here], self.window_uses.point[here]),
                 posture=self.posture[here],
                 fold=self.fold[here],
             )
@@ -97,8 +97,8 @@ class WindowTable:
             **{f"spread_{name}": spread_g[:, axis] for axis, name in enumerate(AXES)},
             "temperature_c": heat,
             "counts_per_g": np.full(len(windows), self.lsb_per_g),
-            "role": np.array(ROLE_NAMES)[self.fates.role],
-            "point": self.fates.point,
+            "role": np.array(ROLE_NAMES)[self.window_uses.role],
+            "point": self.window_uses.point,
             "posture": self.posture,
             "fold": self.fold,
             "raw_g": _lengths(mean_g),

@@ -48,7 +48,7 @@ WINDOWS = {
     "temperature_left_out": "left out: impossible temperature",
     "saturated_left_out": "left out: near where an axis saturates",
 }
-"""Fates of windows, by their keys in the report."""
+"""WindowUses of windows, by their keys in the report."""
 
 ACTIVITY = {
     "enmo_mg": "ENMO [mg]",

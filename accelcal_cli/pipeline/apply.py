@@ -177,7 +177,7 @@ def with_coefficients(run: RecordingRun, donor: Coefficients) -> tuple[Recording
     if recording.calibrated is not None:
         hint = "apply them to the raw recording"
         raise UsageError(f"is {recording.calibrated.sentence()}", path=recording.path, hint=hint)
-    relation = checked_relation(donor, recording, run.bytes_at, request)
+    relation = checked_relation(donor, recording, run.path_to_read, request)
     settings = settings_for(donor, relation, request.recording_settings)
     need_temperature(at_reference(donor.calibration, settings), recording, has=recording.has_temperature)
     request = replace(request, settings=settings, coefficients=donor)
@@ -260,14 +260,16 @@ class DonorCoefficients(Judge):
         return {"calibration": section, **{name: report.get(name) for name in copied}}
 
 
-def checked_relation(donor: Coefficients, recording: Recording, bytes_at: Path, request: Request) -> Relation:
+def checked_relation(
+    donor: Coefficients, recording: Recording, path_to_read: Path, request: Request
+) -> Relation:
     """Return how a recording is related to the coefficients, if they may be applied to it.
 
     Raises:
         UsageError: they are not of the same device, or it is not known, and the user did not say
             that this does not matter; or they are its own, but not as they would be applied.
     """
-    relation = relation_of(donor, recording, bytes_at, request)
+    relation = relation_of(donor, recording, path_to_read, request)
     if relation is Relation.OWN:
         _refuse_changes(donor, recording, request.recording_settings)
         return relation
@@ -282,12 +284,12 @@ def checked_relation(donor: Coefficients, recording: Recording, bytes_at: Path, 
     return relation
 
 
-def relation_of(donor: Coefficients, recording: Recording, bytes_at: Path, request: Request) -> Relation:
+def relation_of(donor: Coefficients, recording: Recording, path_to_read: Path, request: Request) -> Relation:
     """Return how a recording is related to coefficients."""
     report, then = donor.document.report, donor.document.recording
-    if then.bytes != size_of(bytes_at) and "coefficients" not in report:
+    if then.bytes != size_of(path_to_read) and "coefficients" not in report:
         return Relation.OTHER
-    if jobs.sha256(bytes_at) != donor.origin.sha256:
+    if jobs.sha256(path_to_read) != donor.origin.sha256:
         return Relation.OTHER
     own = then.sha256 == donor.origin.sha256 and not _is_read_otherwise(donor.document, recording, request)
     return Relation.OWN if own else Relation.REREAD
@@ -396,7 +398,7 @@ def need_temperature(calibration: Calibration, recording: Recording, *, has: boo
 def keep_coefficients(path: Path, planned: Sequence[Job]) -> None:
     """Raise UsageError if a job would overwrite the file that its coefficients come from."""
     for job in planned:
-        if jobs.real(path) in {jobs.real(target) for target in job.outputs}:
+        if jobs.resolved_path(path) in {jobs.resolved_path(target) for target in job.outputs}:
             raise UsageError(
                 "holds the coefficients and would be overwritten",
                 path=path,

@@ -36,7 +36,12 @@ from accelcal_cli.core.settings import (
 from accelcal_cli.judge.change import change_reason
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import postures
-from accelcal_cli.judge.verdict import advised, damage_verdict, judge_calibrated, strict_if_odd
+from accelcal_cli.judge.verdict import (
+    damage_verdict,
+    judge_calibrated,
+    refuse_provisional_if_rest_is_odd,
+    with_advice,
+)
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.coefficients import prior_json
 from accelcal_cli.output.files import metadata_of, replacing, write_text
@@ -53,7 +58,7 @@ from accelcal_cli.pipeline.facts import (
     timeline_of,
 )
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
-from accelcal_cli.pipeline.options import named_as_stated
+from accelcal_cli.pipeline.options import name_options_as_in_file
 from accelcal_cli.pipeline.windows import WindowLog
 
 SURVEYED_AT_ONCE, CALIBRATED_AT_ONCE = 4, 2
@@ -132,7 +137,7 @@ class Survey:
     damage: Judgement | None
 
 
-def surveyed(
+def summarise_first_pass(
     recording: Recording, facts: Facts, method: procedures.Method, settings: Settings | PoseSettings
 ) -> tuple[Survey, NDArray[np.int64]]:
     """Return the findings of a first pass that is over, and the number of each point's posture."""
@@ -201,9 +206,9 @@ class OwnCalibration(Judge):
             how = procedures.fitting(replace(self.settings, prior=NO_PRIOR))
             judgement = judge_calibrated(found.points, how, recording.calibrated.sentence())
         else:
-            settings = strict_if_odd(self.settings, found.facts, recording)
+            settings = refuse_provisional_if_rest_is_odd(self.settings, found.facts, recording)
             how = procedures.fitting(settings, None if learnt is None else learnt.prior)
-            judgement = advised(procedure.judge(how), found.facts, recording, self.settings)
+            judgement = with_advice(procedure.judge(how), found.facts, recording, self.settings)
             judgement = self._with_notes(judgement, found)
         if isinstance(procedure, procedures.PaperProcedure):
             judgement = with_collection_time(judgement, procedure.collector, recording)
@@ -256,7 +261,7 @@ def open_run(
     said, request = request.choices_of(path), request.for_recording(path)
     session = isinstance(request.settings, PoseSettings)
     with (
-        named_as_stated(said),
+        name_options_as_in_file(said),
         survey.open_marked(
             path, request.options, request.threads, request.unused, session=session, joined=request.joined
         ) as reader,
@@ -299,7 +304,7 @@ class RecordingRun:
     """One open recording, what is asked for, and where the results go.
 
     Attributes:
-        bytes_at: where the recording's bytes are; the job's source except standard input.
+        path_to_read: where the recording's bytes are; the job's source except standard input.
         before: its stamp before it was opened; None if it may change while it is read.
     """
 
@@ -307,7 +312,7 @@ class RecordingRun:
     request: Request
     progress: ProgressMaker
     reader: Reader
-    bytes_at: Path
+    path_to_read: Path
     before: FileStamp | None = None
 
     def complete(self, judge: Judge) -> Result:
@@ -321,12 +326,12 @@ class RecordingRun:
         jobs.refuse_overwriting((*job.outputs, *self._windows), read)
         outputs.prepare(job, self._windows, force=self.request.force)
         if not self.request.force:
-            existing = outputs.up_to_date(self.job, self.bytes_at, self.reader.recording, self.request)
+            existing = outputs.up_to_date(self.job, self.path_to_read, self.reader.recording, self.request)
             if existing is not None and self.request.windows is None:
                 return existing
         found = self.result(judge, logged=self.request.windows is not None)
         if found.log is not None and self.request.windows is not None:
-            jobs.check_unchanged(self.bytes_at, self.before)
+            jobs.check_unchanged(self.path_to_read, self.before)
             found.log.write(self.request.windows, found.data, found.points)
         return self.write(found, integers_json(found.data, found.points) if self.request.integers else None)
 
@@ -373,8 +378,8 @@ class RecordingRun:
         others = [one for one in (log, timeline, turns) if one is not None]
         facts = self.survey(method, *others)
         long = recording.total_bytes >= HASHED_IN_BACKGROUND
-        with background_result(partial(jobs.sha256, self.bytes_at), long=long) as digest:
-            found, posture = surveyed(recording, facts, method, self.request.settings)
+        with background_result(partial(jobs.sha256, self.path_to_read), long=long) as digest:
+            found, posture = summarise_first_pass(recording, facts, method, self.request.settings)
             raw, verdict = found.points, judge.verdict(self, found)
             points = method.procedure.result()  # of a sensor that changed they are put right
             gyroscope = None if turns is None else gyroscope_of(turns, verdict.judgement, judge.settings)
@@ -415,7 +420,7 @@ class RecordingRun:
             OutputError: a file cannot be written.
         """
         data, metadata = found.data, reports.parquet_metadata(found.data)
-        jobs.check_unchanged(self.bytes_at, self.before)
+        jobs.check_unchanged(self.path_to_read, self.before)
         kept = outputs.keeps(data.judgement.calibration is not None, self.request)
         written = self.job.uncalibrated if kept else self.job.parquet if writes_parquet(data) else None
         if written is None:
@@ -462,7 +467,7 @@ class RecordingRun:
         with replacing(path) as temporary, ParquetSink(temporary, path, columns, schema, threads) as sink:
             over = export.write_calibrated(data, chunks, sink, threads, shown)
             sink.close()
-            jobs.check_unchanged(self.bytes_at, self.before)
+            jobs.check_unchanged(self.path_to_read, self.before)
             outputs.remove(self.job.report)
             return over
 

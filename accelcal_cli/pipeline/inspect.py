@@ -21,7 +21,12 @@ from accelcal_cli.core.settings import DEFAULT, NO_PRIOR, Settings
 from accelcal_cli.core.times import zone_changes, zone_of_times
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import postures
-from accelcal_cli.judge.verdict import advised, damage_verdict, judge_calibrated, strict_if_odd
+from accelcal_cli.judge.verdict import (
+    damage_verdict,
+    judge_calibrated,
+    refuse_provisional_if_rest_is_odd,
+    with_advice,
+)
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.advice import of_file, of_rows
 from accelcal_cli.output.report import (
@@ -36,7 +41,7 @@ from accelcal_cli.output.report import (
 from accelcal_cli.output.sentences import explained
 from accelcal_cli.pipeline.facts import FactsObserver
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.pipeline.options import chosen_settings, named_as_stated
+from accelcal_cli.pipeline.options import chosen_settings, name_options_as_in_file
 from accelcal_cli.pipeline.procedures import fitting, make_method
 from accelcal_cli.pipeline.survey import Observer, open_marked, survey
 
@@ -134,7 +139,7 @@ def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
     said, settings = request.choices_of(path), request.recording_settings
     request = request.for_recording(path)
     opened = partial(open_marked, path, request.options, unused=request.unused, joined=request.joined)
-    with named_as_stated(said), opened() as reader:
+    with name_options_as_in_file(said), opened() as reader:
         recording = reader.recording
         full |= recording.total_bytes <= SMALL_BYTES
         method = make_method(recording, settings)
@@ -147,14 +152,14 @@ def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
     points = method.procedure.result()
     covered = coverage(points, postures(points, settings.posture_degrees))
     damage = damage_verdict(facts, settings.max_damage_percent, covered)
-    fitter = fitting(replace(strict_if_odd(settings, facts, recording), prior=NO_PRIOR))
+    fitter = fitting(replace(refuse_provisional_if_rest_is_odd(settings, facts, recording), prior=NO_PRIOR))
     if settings.prior != NO_PRIOR:  # by the default optimizer, where pieces are fitted by a quicker one
         fitter = replace(fitter, penalized=fitting(DEFAULT).penalized)
     prediction = damage
     if prediction is None and recording.calibrated is not None:
         prediction = judge_calibrated(points, fitter, recording.calibrated.sentence())
     if prediction is None:
-        prediction = advised(method.procedure.judge(fitter), facts, recording, settings)
+        prediction = with_advice(method.procedure.judge(fitter), facts, recording, settings)
     facts = facts if whole else _to_its_end(facts, recording)
     return Inspection(recording, facts, method.segmenter.counts, prediction, whole, values.result())
 

@@ -116,7 +116,7 @@ def report_of(parquet: Path) -> Path:
     return parquet.with_name(name.removesuffix(PARQUET) + REPORT_SUFFIX)
 
 
-def real(path: Path) -> Path:
+def resolved_path(path: Path) -> Path:
     """Return the absolute path without links.
 
     A loop of links, a path in a working folder that is gone, and a name that no file can have are kept.
@@ -207,9 +207,9 @@ def refuse_misnamed(output: Path, suffix: str) -> None:
 
 def refuse_overwriting(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
     """Raise UsageError if an output would take the place of a file that is read."""
-    places = {real(path) for path in outputs}
+    places = {resolved_path(path) for path in outputs}
     for path in inputs:
-        if path is not None and real(path) in places:
+        if path is not None and resolved_path(path) in places:
             raise UsageError(f"{printable(path)} would be overwritten by the output", hint="use -o or -d")
 
 
@@ -229,14 +229,14 @@ def _job(source: Path, output_dir: Path | None, output: Path | None) -> Job:
 def _refuse_collisions(jobs: list[Job]) -> None:
     owners: dict[Path, Path] = {}
     for job in jobs:
-        target = real(job.report)
+        target = resolved_path(job.report)
         if target in owners:
             raise UsageError(
                 f"{owners[target]} and {job.source} would both write {job.report}",
                 hint="calibrate them separately with -d, or rename one",
             )
         owners[target] = job.source
-        if job.source != STDIN and real(job.source) in (target, real(job.parquet)):
+        if job.source != STDIN and resolved_path(job.source) in (target, resolved_path(job.parquet)):
             raise UsageError(f"{job.source} would be overwritten by its own output", hint="use -o or -d")
 
 
@@ -333,8 +333,8 @@ class Request:
         rules: reading options by name, of `study.toml`.
         parts: a folder or a pattern stands for the parts of one recording.
         joined: so do the recordings in an archive, whatever their names.
-        replaces_gone: a result of a recording that is gone gives way to that of another in its folder.
-        as_given: the reading options are all that counts; what files next to the recording state does not.
+        may_replace_result_of_deleted: a result of a recording that is gone gives way to that of another.
+        ignore_sidecars: what files next to the recording state does not count, only the reading options do.
         each: the sensor that stands for `each`: in a study one of the file's, None in a file of one.
     """
 
@@ -359,8 +359,8 @@ class Request:
     rules: tuple[FolderRules, ...] = ()
     parts: bool = False
     joined: bool = False
-    as_given: bool = False
-    replaces_gone: bool = False
+    ignore_sidecars: bool = False
+    may_replace_result_of_deleted: bool = False
     each: str | None = EACH
 
     def options_of(self, path: Path) -> ReadOptions:
@@ -369,7 +369,7 @@ class Request:
 
     def choices_of(self, path: Path) -> dict[str, StatedOption]:
         """Return what files next to a recording state; raises UsageError if it contradicts the options."""
-        said = {} if self.as_given else stated_options(path, self.rules, self.options.layout)
+        said = {} if self.ignore_sidecars else stated_options(path, self.rules, self.options.layout)
         if "sensor" in said and said["sensor"].value == EACH:
             given = self.options.one_sensor or self.each  # one of them, if one is named
             said["sensor"] = replace(said["sensor"], value=given)
@@ -400,7 +400,9 @@ class Request:
             raise UsageError("--sensor each works in a study", path=path, hint=hint)
         unused = unused_options(path, options) if self.several or said else ()
         unused = tuple(name for name in unused if self.several or name in said)
-        return replace(self, options=without(options, unused), unused=unused or self.unused, as_given=True)
+        return replace(
+            self, options=without(options, unused), unused=unused or self.unused, ignore_sidecars=True
+        )
 
     def for_jobs(self, planned: Sequence[Job]) -> Request:
         """Return the request for several recordings; raises UsageError for options without any meaning."""

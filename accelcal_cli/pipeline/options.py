@@ -676,7 +676,7 @@ class StatedOption:
 
 
 @contextmanager
-def named_as_stated(said: Mapping[str, StatedOption]) -> Iterator[None]:
+def name_options_as_in_file(said: Mapping[str, StatedOption]) -> Iterator[None]:
     """Let an error of the block name an option that a file states as it stands there, with the file.
 
     `--timezone`, which nobody typed, becomes `timezone (study.toml)`, and `-R zero=512` `zero=512`.
@@ -807,7 +807,7 @@ def recording_options(path: Path, options: ReadOptions, rules: Sequence[FolderRu
     return with_stated(options, stated_options(path, rules, options.layout), path)
 
 
-def stated_stamp(choices: Mapping[str, StatedOption]) -> tuple[int, int]:
+def sidecar_fingerprint(choices: Mapping[str, StatedOption]) -> tuple[int, int]:
     """Return the number of stated options, and a hash of them; a layout counts with size and last change."""
     values = {name: json_value(choice.value) for name, choice in sorted(choices.items())}
     layout = choices.get("layout")

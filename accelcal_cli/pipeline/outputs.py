@@ -37,7 +37,15 @@ from accelcal_cli.output.report_reading import (
 )
 from accelcal_cli.output.sections import Provenance
 from accelcal_cli.output.windows import is_window_table
-from accelcal_cli.pipeline.jobs import PARQUET_SUFFIX, UNCALIBRATED_SUFFIX, Job, Request, Result, real, sha256
+from accelcal_cli.pipeline.jobs import (
+    PARQUET_SUFFIX,
+    UNCALIBRATED_SUFFIX,
+    Job,
+    Request,
+    Result,
+    resolved_path,
+    sha256,
+)
 
 PACKAGES = ("numpy", "pyarrow", "h5py", "click")
 """Packages whose versions the provenance names."""
@@ -112,7 +120,7 @@ def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -
     report = load_report(job.report) if exists(job.report) else None
     if report is None:
         return None
-    if not (request.replaces_gone and _was_replaced(report, job)):
+    if not (request.may_replace_result_of_deleted and _was_replaced(report, job)):
         _refuse_other(job, source, report)
     if not _matches(report, recording, request):
         _refuse_replacing(job, source, report, request)
@@ -125,7 +133,7 @@ def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -
         return None
     if any(problem["code"] == LACKING for problem in report["file_health"]["problems"]):
         return None
-    renamed = request.replaces_gone and report["recording"]["path"] != file_name(job.source)
+    renamed = request.may_replace_result_of_deleted and report["recording"]["path"] != file_name(job.source)
     return existing if not renamed and _is_of(report, source) else None
 
 
@@ -171,7 +179,7 @@ def _are_a_pair(report: dict[str, Any], metadata: dict[str, Any]) -> bool:
 def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:
     """Raise OutputError if a report stands for another recording, neither moved nor changed."""
     recorded = report["recording"]
-    if place_of_report(report) in {real(Path(printable(path))) for path in (job.source, source)}:
+    if place_of_report(report) in {resolved_path(Path(printable(path))) for path in (job.source, source)}:
         return
     if recorded["sha256"] != sha256(source):
         raise OutputError(
@@ -184,10 +192,10 @@ def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:
 def _was_replaced(report: dict[str, Any], job: Job) -> bool:
     """Return True if the recording of a report is gone, and another file of its folder has its outputs."""
     place = place_of_report(report)
-    return place.parent == real(job.source).parent and not is_there(place)
+    return place.parent == resolved_path(job.source).parent and not is_there(place)
 
 
-def gone_from(report: dict[str, Any]) -> Path | None:
+def missing_source_of(report: dict[str, Any]) -> Path | None:
     """Return where the recording of a report was if it is gone; None if it is there or nobody can tell.
 
     A path is looked for from the working folder of then and from that of now. Nothing is known about standard
@@ -197,7 +205,7 @@ def gone_from(report: dict[str, Any]) -> Path | None:
         UnreadableError: a folder of parts cannot be listed.
     """
     said = file_place(report, "recording") or _said_place(report)
-    place = real(Path(said))
+    place = resolved_path(Path(said))
     if said == "-" or ESCAPED.search(place.relative_to(place.anchor).as_posix()):
         return None
     there = any(is_there(one) or files_of(one) for one in (place, place_of_report(report)))
@@ -206,7 +214,7 @@ def gone_from(report: dict[str, Any]) -> Path | None:
 
 def place_of_report(report: dict[str, Any]) -> Path:
     """Return where the recording of a report was."""
-    return real(Path(_said_place(report)))
+    return resolved_path(Path(_said_place(report)))
 
 
 def _said_place(report: dict[str, Any]) -> str:
@@ -286,7 +294,7 @@ def withdraw(job: Job, sensor: str | None = None) -> None:
     report = load_report(job.report) if exists(job.report) else None
     if report is None or _made_by(report) != CALIBRATE or (sensor is not None and sensor_of(report)):
         return
-    if place_of_report(report) == real(Path(printable(job.source))):
+    if place_of_report(report) == resolved_path(Path(printable(job.source))):
         remove_all(job)
 
 
@@ -369,7 +377,7 @@ def with_provenance(report: dict[str, Any], command: tuple[str, ...], **files: P
         files: what it was made of, by name, as typed in the working folder; the report itself has no folders.
     """
     where = {name: printable(path) for name, path in files.items() if path is not None}
-    seen_from = where | {"folder": printable(real(Path()))} if where else None
+    seen_from = where | {"folder": printable(resolved_path(Path()))} if where else None
     return {**report, "provenance": as_json(provenance(command, seen_from))}
 
 

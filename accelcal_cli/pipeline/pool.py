@@ -21,7 +21,7 @@ from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Judgement, Outcome
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.model_ladder import held_out
-from accelcal_cli.judge.verdict import SEEN, worse
+from accelcal_cli.judge.verdict import SEEN, reason_pool_does_not_fit
 from accelcal_cli.output.coefficients import calibration_of
 from accelcal_cli.output.report import TAKEN, Member, PoolInput, build_pool, of_member
 from accelcal_cli.output.report_reading import Document, check_sections
@@ -124,7 +124,10 @@ def _misfits(fitted: _Fitted, settings: Settings) -> dict[_Part, Reason]:
         points, degrees = part.collector.points(), settings.posture_degrees
         holdout = held_out(points, calibration, settings.gravity, degrees, SEEN)
         usual_mg = verdict.holdout.after.median
-        if holdout is not None and (why := worse(holdout, usual_mg, settings.max_error_mg)) is not None:
+        if (
+            holdout is not None
+            and (why := reason_pool_does_not_fit(holdout, usual_mg, settings.max_error_mg)) is not None
+        ):
             found[part] = why
     return found
 
@@ -189,7 +192,11 @@ def apply_pool(
                 return Reason.of("left_out_of_pool", why=Reason(member.reason, member.values))
         usual_mg = document.report["holdout"]["after_mg"]["median"]
         limit_mg = found.data.settings.method.max_error_mg
-        why = None if judgement.holdout is None else worse(judgement.holdout, usual_mg, limit_mg)
+        why = (
+            None
+            if judgement.holdout is None
+            else reason_pool_does_not_fit(judgement.holdout, usual_mg, limit_mg)
+        )
         return why or run.write(found)
 
 

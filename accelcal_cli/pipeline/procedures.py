@@ -16,7 +16,7 @@ from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.collect.subsets import PaperCollector
 from accelcal_cli.core.calibration import Correction
 from accelcal_cli.core.errors import Reason, UsageError
-from accelcal_cli.core.points import Fates, Optimizer, PointSet, TimedMeans, WindowCounts, Windows
+from accelcal_cli.core.points import Optimizer, PointSet, TimedMeans, WindowCounts, Windows, WindowUses
 from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Change, Facts, Judgement
@@ -95,7 +95,7 @@ class Procedure(Observer):
         """Return the number of known orientations; with more of them a fit is better."""
         raise NotImplementedError
 
-    def fates(self, windows: Windows) -> Fates:
+    def window_uses(self, windows: Windows) -> WindowUses:
         """Return what became of each of the windows that were taken in."""
         raise NotImplementedError
 
@@ -183,9 +183,9 @@ class CellProcedure(Procedure):
         constant = 0 if cells.constant_used else cells.constant
         return window_use(counts, cells.implausible, constant, cells.far_temperature, cells.saturated)
 
-    def fates(self, windows: Windows) -> Fates:
+    def window_uses(self, windows: Windows) -> WindowUses:
         """See `Procedure`."""
-        return self.collector.fates(windows)
+        return self.collector.window_uses(windows)
 
 
 class TimedCellProcedure(CellProcedure):
@@ -318,9 +318,9 @@ class PaperProcedure(Procedure):
         judged = not held.fit.missing() and sum(map(sum, held.control.filled())) >= FEWEST_CONTROL_POINTS
         return len(held) if judged else 0
 
-    def fates(self, windows: Windows) -> Fates:
+    def window_uses(self, windows: Windows) -> WindowUses:
         """See `Procedure`."""
-        return self.collector.fates(windows)
+        return self.collector.window_uses(windows)
 
 
 class SubsetCounter(Observer):
@@ -340,12 +340,12 @@ def window_use(
     counts: WindowCounts, implausible: int, constant: int, far: int = 0, saturated: int = 0
 ) -> WindowUse:
     """Return how many windows were used, or left out and why, from counts of segmenter and collector."""
-    fates = asdict(counts)
+    window_uses = asdict(counts)
     return WindowUse(
-        **{name: number for name, number in fates.items() if name != "still"},
+        **{name: number for name, number in window_uses.items() if name != "still"},
         implausible=implausible,
         constant_left_out=constant,
         temperature_left_out=far,
         saturated_left_out=saturated,
-        used=fates["still"] - implausible - constant - far - saturated,
+        used=window_uses["still"] - implausible - constant - far - saturated,
     )

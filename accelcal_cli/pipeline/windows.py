@@ -77,17 +77,17 @@ class WindowLog(StillWindows):
 
         windows, settings = self.result(), data.settings.method
         assert isinstance(settings, Settings)
-        fates = self.procedure.fates(windows)
+        window_uses = self.procedure.window_uses(windows)
         label = postures(points, settings.posture_degrees)
-        known = fates.point >= 0
+        known = window_uses.point >= 0
         posture, fold = (np.full(len(windows), -1) for _ in range(2))
-        posture[known] = label[fates.point[known]]
+        posture[known] = label[window_uses.point[known]]
         if data.judgement.holdout is not None:
             fold[known] = folds(posture[known], settings.folds)
         return WindowTable(
             windows,
             data.recording.lsb_per_g,
-            fates,
+            window_uses,
             posture,
             fold,
             data.judgement.calibration,

@@ -37,7 +37,7 @@ from accelcal_cli.core.times import NO_START
 from accelcal_cli.output import sections
 from accelcal_cli.output.sentences import sentence
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
-from accelcal_cli.pipeline.jobs import STDIN, Job, ProgressMaker, Request, Result, no_progress, real
+from accelcal_cli.pipeline.jobs import STDIN, Job, ProgressMaker, Request, Result, no_progress, resolved_path
 from accelcal_cli.pipeline.procedures import CellProcedure, Method, local_lsb_per_g
 from accelcal_cli.pipeline.survey import StillWindows
 from accelcal_cli.segment import chosen_rule, short_gaps, window_length
@@ -109,10 +109,14 @@ def session_of(recordings: Sequence[Path], poses: Path | None = None) -> Path:
     """
     path = recordings[0]
     if len(recordings) == 1:
-        path = real(path) if path.name in ("", "..") else path
+        path = resolved_path(path) if path.name in ("", "..") else path
     else:
         path = _pattern(recordings, poses)
-    if poses is not None and not is_no_part(poses) and real(poses) in map(real, files_of(path) or ()):
+    if (
+        poses is not None
+        and not is_no_part(poses)
+        and resolved_path(poses) in map(resolved_path, files_of(path) or ())
+    ):
         hint = "call it poses.csv, or keep it elsewhere"
         raise UsageError("the list of poses lies among the files of the session", path=poses, hint=hint)
     return path

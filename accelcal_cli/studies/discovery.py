@@ -153,7 +153,7 @@ def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force:
     for path in (out / f"{base}{suffix}" for suffix in (*SUMMARY, ".ledger")):
         if not is_there(path) or _is_study_file(path):
             continue
-        if not force or jobs.real(path) in set(map(jobs.real, recordings)):
+        if not force or jobs.resolved_path(path) in set(map(jobs.resolved_path, recordings)):
             raise OutputError(
                 "would be overwritten by the study's summary, but was not written by accelcal",
                 path=path,
@@ -210,7 +210,7 @@ def files(where: Where, notes: list[str], left: Left | None = None) -> list[Item
     Raises:
         UsageError: one of them is not a folder, or two would share one place under OUT.
     """
-    links = _Links([jobs.real(folder) for folder in where.folders], notes)
+    links = _Links([jobs.resolved_path(folder) for folder in where.folders], notes)
     left = {} if left is None else left
     found = [item for folder, place in places(where) for item in _folder(where, folder, place, links, left)]
     return sorted(_apart([*_with_sets(where, found)]), key=lambda item: item.name)
@@ -268,7 +268,7 @@ class _Links:
         """Return True to go into a folder, which then counts as searched."""
         if not is_link(folder):
             return True
-        target = jobs.real(folder)
+        target = jobs.resolved_path(folder)
         for root in self.roots:
             if target.is_relative_to(root) or root.is_relative_to(target):
                 self.notes.append(f"the link {folder} is not followed: {target} is gone through as it is")
@@ -286,7 +286,7 @@ def _apart(items: list[Item]) -> Iterator[Item]:
         yield replace(item, job=job_at(source, report.with_name(source.name))) if beside else item
 
 
-def as_if_alone(item: Item) -> jobs.Job:
+def job_without_others(item: Item) -> jobs.Job:
     """Return the job that a recording has if no other one of its folder shares its STEM."""
     return job_at(item.source, item.job.report.parent / jobs.stem(item.source))
 
@@ -302,8 +302,8 @@ def below_out(where: Where) -> list[Item]:
     items: list[Item] = []
     every = replace(where, include=(), exclude=())
     for folder, place in places(where):
-        if jobs.real(folder) in jobs.real(where.out).parents and is_folder(where.out):
-            out = jobs.real(where.out).relative_to(jobs.real(folder))
+        if jobs.resolved_path(folder) in jobs.resolved_path(where.out).parents and is_folder(where.out):
+            out = jobs.resolved_path(where.out).relative_to(jobs.resolved_path(folder))
             for item in _folder(every, folder / out, f"{place}{out.as_posix()}/", _Links([], []), {}):
                 below = item.name.removeprefix(place)
                 included = not where.include or fits_pattern(below, where.include)
@@ -321,7 +321,7 @@ def places(where: Where) -> list[tuple[Path, str]]:
             raise UsageError("is not a folder", path=folder, hint="give the folder of the recordings")
     if len(where.folders) == 1:
         return [(where.folders[0], "")]
-    names = [jobs.real(folder).name for folder in where.folders]
+    names = [jobs.resolved_path(folder).name for folder in where.folders]
     twice = sorted(name for name in set(names) if names.count(name) > 1)
     if twice:
         raise UsageError(
@@ -331,10 +331,10 @@ def places(where: Where) -> list[tuple[Path, str]]:
 
 
 def _folder(where: Where, folder: Path, place: str, links: _Links, left: Left) -> Iterator[Item]:
-    out = jobs.real(where.out)
+    out = jobs.resolved_path(where.out)
     unlisted: list[OSError] = []
     for base, folders, names in files_below(folder, unlisted, follow=True):
-        at_out = jobs.real(base) == out
+        at_out = jobs.resolved_path(base) == out
         folders[:] = _subfolders(base, folders, out, links)
         if base != folder and at_out:
             folders.clear()
@@ -358,8 +358,8 @@ def _folder(where: Where, folder: Path, place: str, links: _Links, left: Left) -
 def _subfolders(base: Path, names: list[str], out: Path, links: _Links) -> list[str]:
     """Return the subfolders to go into, in order: not hidden ones, nor OUT unless it is `base` itself."""
     shown = sorted(name for name in names if name[0] != ".")
-    if jobs.real(base) != out:
-        shown = [name for name in shown if jobs.real(base / name) != out]
+    if jobs.resolved_path(base) != out:
+        shown = [name for name in shown if jobs.resolved_path(base / name) != out]
     return [name for name in shown if links.follows(base / name)]
 
 

@@ -370,7 +370,7 @@ TASK_TRIES = 2
 """Number of times that a task is given to an executor before it fails."""
 
 
-def must_stay() -> bool:
+def may_not_start_processes() -> bool:
     """Return True if this process cannot start others: a worker of a pool of multiprocessing or of Dask."""
     return bool(multiprocessing.current_process().daemon)
 

@@ -18,7 +18,7 @@ from accelcal_cli.core.paths import files_below, is_there, may_be_away
 from accelcal_cli.output.report_reading import load_report, sensor_of
 from accelcal_cli.output.sentences import sentence
 from accelcal_cli.pipeline import jobs
-from accelcal_cli.pipeline.outputs import gone_from, place_of_report, remove_all
+from accelcal_cli.pipeline.outputs import missing_source_of, place_of_report, remove_all
 from accelcal_cli.studies.discovery import Where, places
 from accelcal_cli.studies.other_recordings import PREFIX
 from accelcal_cli.studies.sensors import report_of_all
@@ -72,7 +72,7 @@ def _why(
     """Return why nothing belongs to a report any more; None if something does, or nobody can tell."""
     try:
         report = load_report(path)
-        source = None if report is None else gone_from(report)
+        source = None if report is None else missing_source_of(report)
     except (OutputError, UnreadableError):
         return None
     if report is None or source is None:
@@ -90,14 +90,14 @@ def _sensor_gone(path: Path, report: dict[str, Any], wholes: Mapping[Path, Path]
     sensor = sensor_of(report)
     whole = None if sensor is None else report_of_all(path, sensor)
     source = None if whole is None else wholes.get(whole)
-    if sensor is None or source is None or place_of_report(report) != jobs.real(source):
+    if sensor is None or source is None or place_of_report(report) != jobs.resolved_path(source):
         return None
     return Reason.of("sensor_gone", source=printable(source.name), sensor=printable(sensor))
 
 
 def _is_elsewhere(source: Path, below: Path, where: Where) -> bool:
     """Return True if a recording was in no folder of the study, or is at the place of its result there."""
-    if not any(source.is_relative_to(jobs.real(folder)) for folder in where.folders):
+    if not any(source.is_relative_to(jobs.resolved_path(folder)) for folder in where.folders):
         return True
     name = below.with_name(source.name).as_posix()
     spots = [folder / name.removeprefix(place) for folder, place in places(where) if name.startswith(place)]

@@ -31,7 +31,7 @@ from accelcal_cli.output.files import looking_at
 from accelcal_cli.output.numbers import mg
 from accelcal_cli.output.report_reading import load_our_json
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.pipeline.options import STUDY_FILE, FolderRules, stated_stamp, with_stated
+from accelcal_cli.pipeline.options import STUDY_FILE, FolderRules, sidecar_fingerprint, with_stated
 from accelcal_cli.studies import summary
 from accelcal_cli.studies.discovery import Left, below_out, files, why_left_out, without_collisions
 from accelcal_cli.studies.records import Entry, Item, Ledger, RecordingState, TaskFunction
@@ -105,7 +105,7 @@ def why_again(last: Entry | None, item: Item, asked: str, options: list[str]) ->
     return "failed before" if last.failed or last.again else "an output is missing"
 
 
-def said_before(why: Mapping[str, str]) -> list[str]:
+def upgrade_notice(why: Mapping[str, str]) -> list[str]:
     """Return a line for each reason why several results are made again: another version, or other options."""
     reasons = Counter(one for one in why.values() if one.startswith(("made by", "--", OTHER_OPTIONS)))
     return [
@@ -113,7 +113,9 @@ def said_before(why: Mapping[str, str]) -> list[str]:
     ]
 
 
-def said_after(before: Mapping[str, Mapping[str, Any]], after: Mapping[str, Mapping[str, Any]]) -> str | None:
+def changed_coefficients_notice(
+    before: Mapping[str, Mapping[str, Any]], after: Mapping[str, Mapping[str, Any]]
+) -> str | None:
     """Return a line on how results changed that were made again; None if there are none.
 
     Args:
@@ -216,7 +218,9 @@ class Round:
 def common_of(study: Study, recordings: int = MANY) -> Common:
     """Return what the tasks of a study share; how many threads an executor has is its own affair."""
     threads = 1 if study.executor is not None else system.threads(workers_of(study, recordings))
-    return Common(study.out, replace(study.request, threads=threads, replaces_gone=True), study.asked())
+    return Common(
+        study.out, replace(study.request, threads=threads, may_replace_result_of_deleted=True), study.asked()
+    )
 
 
 def workers_of(study: Study, recordings: int) -> int:
@@ -536,7 +540,7 @@ def as_stated(item: Item, request: Request) -> Item:
         return item
     if not choices:
         return item
-    return replace(item, stamps=(*item.stamps, stated_stamp(choices)), choices=tuple(choices.values()))
+    return replace(item, stamps=(*item.stamps, sidecar_fingerprint(choices)), choices=tuple(choices.values()))
 
 
 def unfit_patterns(rules: Sequence[FolderRules], items: Sequence[Item]) -> list[str]:

@@ -24,8 +24,15 @@ from accelcal_cli.output.files import disk_errors, looking_at, sweep, sweep_left
 from accelcal_cli.output.sentences import clause, copied
 from accelcal_cli.pipeline.outputs import withdraw
 from accelcal_cli.studies import lock, summary
-from accelcal_cli.studies.discovery import SUMMARY, Left, as_if_alone, places, refuse_foreign
-from accelcal_cli.studies.executors import ProcessPool, done_by, done_here, must_stay, sweep_folders, work_for
+from accelcal_cli.studies.discovery import SUMMARY, Left, job_without_others, places, refuse_foreign
+from accelcal_cli.studies.executors import (
+    ProcessPool,
+    done_by,
+    done_here,
+    may_not_start_processes,
+    sweep_folders,
+    work_for,
+)
 from accelcal_cli.studies.lock import Lease
 from accelcal_cli.studies.orphans import Orphan, orphans, prune, refuse_too_many
 from accelcal_cli.studies.other_recordings import (
@@ -53,11 +60,11 @@ from accelcal_cli.studies.rounds import (
     Round,
     RoundTask,
     StudyState,
+    changed_coefficients_notice,
     common_of,
     ledger_of,
     plan,
-    said_after,
-    said_before,
+    upgrade_notice,
     workers_of,
 )
 from accelcal_cli.studies.sensors import SensorsTask, listed
@@ -196,7 +203,7 @@ class StudyRun:
         if study.collect and plan.waiting and not plan.done:
             text = f"no results of {counted(len(plan.waiting), 'recording')} were found for these options"
             raise UsageError(text, hint="run the parts first, or give --collect the options used for them")
-        for text in (*plan.notes, *said_before(plan.why)):
+        for text in (*plan.notes, *upgrade_notice(plan.why)):
             self._observer.note(printable(text))
         if study.prune:
             _refuse_pruning(plan, _orphans(plan, ()))
@@ -220,7 +227,7 @@ class StudyRun:
         study, plan = self.study, self.plan
         rows, decisions = self._rows(plan.kept)
         made = {name: one.last.row or {} for name, one in self.known.recordings.items()}
-        if (change := said_after(plan.before, made)) is not None:
+        if (change := changed_coefficients_notice(plan.before, made)) is not None:
             self._observer.note(printable(change))
         for text in () if decisions is None else decisions.lines():
             self._observer.note(text)
@@ -319,7 +326,7 @@ class StudyRun:
             self._own(item, TaskResult(entry, up_to_date=reported))
         self.lease.confirm()
         for item in plan.todo:
-            if item.job != (alone := as_if_alone(item)):
+            if item.job != (alone := job_without_others(item)):
                 withdraw(alone, item.sensor)
         self._calibrate(plan.todo)
         for name, first in summary.copies(self.known.own_rows()).items():
@@ -461,7 +468,7 @@ def _done(
     if study.executor is not None and work is calibrated:
         with study.executor() as executor:
             yield from done_by(executor, work_for(study), tasks, on_progress)
-    elif study.in_process or must_stay():
+    elif study.in_process or may_not_start_processes():
         yield from done_here(work, tasks, on_progress)
     else:
         number = workers_of(study, len(tasks))

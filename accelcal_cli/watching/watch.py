@@ -41,7 +41,7 @@ from accelcal_cli.output.files import looking_at
 from accelcal_cli.output.sentences import explained, sentence
 from accelcal_cli.pipeline import procedures, survey
 from accelcal_cli.pipeline.apply import compared_along_time
-from accelcal_cli.pipeline.calibrate import OwnCalibration, surveyed, with_collection_time
+from accelcal_cli.pipeline.calibrate import OwnCalibration, summarise_first_pass, with_collection_time
 from accelcal_cli.pipeline.facts import FactsObserver
 
 STEP_BYTES = 1 << 13
@@ -233,7 +233,7 @@ class LivePass:
     def judged(self, settings: Settings) -> Judgement:
         """Return the judgement of `calibrate`; call after the last bytes."""
         facts = self.method.completed(self._facts.result())
-        found, _ = surveyed(self.recording, facts, self.method, settings)
+        found, _ = summarise_first_pass(self.recording, facts, self.method, settings)
         judgement = OwnCalibration(settings).verdict(None, found).judgement
         return with_collection_time(judgement, self._subsets, self.recording)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.pipeline.options import StatedOption, named_as_stated
+from accelcal_cli.pipeline.options import StatedOption, name_options_as_in_file
 from tests.cli.run import run
 from tests.recordings import LSB_PER_G, directions, good_raw, still_counts
 
@@ -43,7 +43,7 @@ def test_u13_an_option_of_a_file_is_named_with_the_file(tmp_path: Path, name: st
 
 def test_u13_only_the_whole_name_of_an_option_is_one() -> None:
     said = {"rate_hz": StatedOption("rate_hz", 25.0, "study.toml")}
-    with pytest.raises(UsageError) as caught, named_as_stated(said):
+    with pytest.raises(UsageError) as caught, name_options_as_in_file(said):
         raise UsageError("--rate, --rate-x and --rate are", hint="omit --rate")
     assert (
         str(caught.value) == "rate (study.toml), --rate-x and rate (study.toml) are; omit rate (study.toml)"

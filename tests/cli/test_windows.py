@@ -26,8 +26,8 @@ def made(path: Path, table: Path, *words: object) -> tuple[Ran, dict]:
 
 def still(report: dict) -> int:
     """How many windows were still, by the report."""
-    fates = ("used", "implausible", "constant_left_out", "temperature_left_out", "saturated_left_out")
-    return sum(report["fit"]["windows"][fate] for fate in fates)
+    window_uses = ("used", "implausible", "constant_left_out", "temperature_left_out", "saturated_left_out")
+    return sum(report["fit"]["windows"][fate] for fate in window_uses)
 
 
 def read(path: Path) -> pd.DataFrame:

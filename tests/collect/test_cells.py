@@ -277,8 +277,8 @@ def test_int16_and_int32_recordings_of_one_wear_give_identical_points() -> None:
         lsb_per_g = float(256 << shift)
         rule = still_rule((0, 1, 2), 0.12, 0.013, lsb_per_g)
         stream = Stream(counts.astype(kind) << shift, temperature_mc=warm)
-        found, fates = segmented(stream, 50, rule, (1, 777, 3001))
-        assert 0 < fates.still < fates.complete
+        found, window_uses = segmented(stream, 50, rule, (1, 777, 3001))
+        assert 0 < window_uses.still < window_uses.complete
         _, sums, spread, heat = zip(*found, strict=True)
         points.append(plain(collected(windows(50, sums, spread, heat), lsb_per_g, temperature=True).points()))
     assert points[0] == points[1]

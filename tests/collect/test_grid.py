@@ -289,7 +289,7 @@ def test_wider_cells_lose_no_window_and_lie_where_these_do(
     monkeypatch.setattr(cells, "MAX_POINTS", limit)
     points = held.points()
     assert 8 <= len(points) <= limit
-    number, means = held.fates(items).point, items.sums / (256 * LENGTH)
+    number, means = held.window_uses(items).point, items.sums / (256 * LENGTH)
     for point, place in enumerate(points.xyz_g()):
         parts = means[number == point]
         assert len(parts) == points.windows[point] > 0

@@ -251,7 +251,7 @@ def test_both_sets_get_what_they_need_before_either_takes_more() -> None:
         assert not held.fit.missing()
     counts = [[3] * 3] * 3
     assert (held.fit.filled(), held.control.filled()) == (counts, counts)
-    roles = held.fates(made).role.reshape(9, 7).T.tolist()
+    roles = held.window_uses(made).role.reshape(9, 7).T.tolist()
     fit, control, neither = int(Role.FIT), int(Role.CONTROL), int(Role.NOT_TAKEN)
     order = [fit, control, fit, fit, control, control, neither]
     assert roles == [[role] * 9 for role in order]
@@ -269,4 +269,4 @@ def test_windows_that_no_subset_wants_change_nothing(means: list[tuple[int, int,
     assert at_once.full_after == singly.full_after
     assert at_once.fit.filled() == singly.fit.filled()
     assert at_once.control.filled() == singly.control.filled()
-    assert (at_once.fates(made).role == singly.fates(made).role).all()
+    assert (at_once.window_uses(made).role == singly.window_uses(made).role).all()

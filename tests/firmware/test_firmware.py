@@ -33,7 +33,7 @@ from tests.segment.streams import Stream
 SAMPLE, UNMEASURED, BREAK = range(3)
 UNUSABLE, MOVING = 1, 2
 ROLES = {3: Role.IMPLAUSIBLE, 4: Role.NOT_TAKEN, 5: Role.FIT, 6: Role.CONTROL}
-"""Fates of windows in accelcal.h, and the package's."""
+"""WindowUses of windows in accelcal.h, and the package's."""
 
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 SAMPLES = sorted(path.name for path in (ROOT / "sample_data").iterdir() if not path.name.endswith(".json"))
@@ -120,7 +120,7 @@ def by_the_package(recording: Recording, chunks: Iterable[Chunk]) -> tuple[Made,
 
     survey(seen(), method.segmenter, [method.procedure, still])
     windows: Windows = still.result()
-    roles = method.procedure.fates(windows).role
+    roles = method.procedure.window_uses(windows).role
     counts, collector = method.segmenter.counts, method.procedure.collector
     made = Made(
         list(zip(windows.first_sample.tolist(), roles.tolist(), strict=True)),
@@ -156,14 +156,14 @@ def by_the_header(driver: Driver, recording: Recording, records: bytes) -> Made:
     assert lsb == int(lsb)
     length = make_method(recording, PAPER).segmenter.length
     said = driver(records, length, int(lsb), int(scale * lsb))
-    fates = [(int(line[1]), int(line[2])) for line in said if line[0] == "window"]
+    window_uses = [(int(line[1]), int(line[2])) for line in said if line[0] == "window"]
     numbers = {
         name: [list(map(int, rest)) for key, *rest in said if key == name] for name in ("fit", "control")
     }
     found = [list(map(int, rest)) for name, *rest in said if name == "parameters"]
     return Made(
-        [(first, ROLES[fate]) for fate, first in fates if fate in ROLES],
-        (sum(fate == MOVING for fate, _ in fates), sum(fate == UNUSABLE for fate, _ in fates)),
+        [(first, ROLES[fate]) for fate, first in window_uses if fate in ROLES],
+        (sum(fate == MOVING for fate, _ in window_uses), sum(fate == UNUSABLE for fate, _ in window_uses)),
         numbers["fit"],
         numbers["control"],
         found[0] if found else [] if ["diverged"] in said else None,

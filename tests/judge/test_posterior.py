@@ -193,7 +193,7 @@ def test_verdicts_5_a_sensor_that_is_far_off_is_less_certain_where_nothing_was_s
         known = of(held)
         found.append((known, *sphere(known, held, known.found.fit.parameters)))
     (usual, mean, _), (odd, wider, (low, high)) = found
-    assert not usual.far_off() and {"ox", "oy", "oz"} & set(odd.far_off())
+    assert not usual.parameters_outside_prior() and {"ox", "oy", "oz"} & set(odd.parameters_outside_prior())
     assert wider > 1.5 * mean
     assert low < true_error_mg(far, odd) < high
 

@@ -13,7 +13,7 @@ from accelcal_cli.core.points import WEIGHT_ONE, PointSet
 from accelcal_cli.core.results import Holdout
 from accelcal_cli.judge.errors import applied, difference_mg, directions, temperatures_c
 from accelcal_cli.judge.model_ladder import held_out, of_postures
-from accelcal_cli.judge.verdict import SEEN, better, worse
+from accelcal_cli.judge.verdict import SEEN, better, reason_pool_does_not_fit
 from tests.optimize.oracle import points
 
 PLAIN = (ONE, ONE, ONE) + (0,) * 9
@@ -121,6 +121,6 @@ def test_larger_than_before_and_than_three_times_the_usual_and_a_mg_or_beyond_th
     before: float, after: float, code: str | None, compared: dict[str, float]
 ) -> None:
     held = of_postures(SEEN, 4, ((before, after), (before, after)))
-    found = worse(held, usual_mg=1.0, limit_mg=10.0)
+    found = reason_pool_does_not_fit(held, usual_mg=1.0, limit_mg=10.0)
     values = {"before_mg": before, "after_mg": after, "orientations": 2, **compared}
     assert found == (None if code is None else Reason(code, values))
