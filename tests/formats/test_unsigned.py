@@ -113,3 +113,12 @@ def test_t10_its_calibration_is_right_with_offsets_of_almost_half_a_g(
     calibration = json.loads((tmp_path / "a.calibration.json").read_text())["calibration"]
     assert np.diag(calibration["gain"]) == pytest.approx(1 / GAIN, abs=1e-3)
     assert calibration["offset_g"] == pytest.approx(-offset_g, abs=1e-3)
+
+
+def test_numbers_beyond_any_converter_do_not_hide_its_zero(tmp_path: Path) -> None:
+    counts = converted(512, 102, 10).astype(object)
+    counts[::97, 1] = 1 << 600
+    path = as_csv(tmp_path, counts)
+    with pytest.raises(UnreadableError) as caught:
+        read(path)
+    assert "512" in str(caught.value)

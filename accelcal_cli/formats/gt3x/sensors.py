@@ -70,7 +70,7 @@ from accelcal_cli.formats.gt3x.records import RecordBatch, Records
 MATRIX, LINE, IN_DEGREES = 2, 1, 0
 """Known methods: of the acceleration, of the temperature, and our own for a temperature in degrees."""
 
-LEAST_COUNTS, MOST_COUNTS = 10.0, 1e6
+LEAST_PER_G, MOST_PER_G = 10.0, 1e6
 """Smallest and largest number of counts per g of an axis."""
 
 FARTHEST_OFFSET = 32_768.0
@@ -186,7 +186,7 @@ def _sensible(
 ) -> FactoryAcceleration:
     along = [sensitivity[axis + axis] * 0.01 for axis in "XYZ"]
     across = [sensitivity[pair] * 0.01 + 250 for pair in ("XY", "XZ", "YZ")]
-    possible = all(LEAST_COUNTS <= value <= MOST_COUNTS for value in along + across)
+    possible = all(LEAST_PER_G <= value <= MOST_PER_G for value in along + across)
     if not possible or any(abs(value) > FARTHEST_OFFSET for value in offset):
         raise _unusable("makes no sense", path)
     x, y, z = (1.0 / value for value in along)

@@ -57,6 +57,9 @@ ABOUT_1_G, FAR_FROM_1_G = (0.75, 1.3), (0.5, 2.0)
 MIDDLES, EXACT = tuple(1 << bits for bits in range(6, 31)), 1000
 """Middles of the ranges of converters, and radius [counts] from which on all digits are shown."""
 
+MOST_COUNTS = (1 << 31) - 1
+"""Largest count of a converter; a number beyond it is none."""
+
 FOUND_ZERO = "0 g is at {} counts, around which rest lies (-R zero says it)"
 
 Floats = NDArray[np.float64]
@@ -80,7 +83,7 @@ def sphere_of_rest(values: Floats) -> Sphere | None:
     """Return the sphere on which rest lies away from 0; None unless rows (n, 3) are counts that show it."""
     if not are_unsigned(values):
         return None
-    values = values[np.isfinite(values).all(axis=1) & values.any(axis=1)]
+    values = values[(np.abs(values) <= MOST_COUNTS).all(axis=1) & values.any(axis=1)]
     blocks = values[: len(values) // BLOCK * BLOCK].reshape(-1, BLOCK, 3)
     if not len(blocks):
         return None

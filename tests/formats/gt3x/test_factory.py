@@ -137,6 +137,7 @@ def test_calibrated_counts_stay_as_they_are(tmp_path: Path, values: dict | None)
         ({"sensitivityXZ_50": "a"}, "does not say what 50 Hz needs"),
         ({"sensitivityXX_50": float("nan")}, "does not say what 50 Hz needs"),
         ({"sensitivityXX_50": 0}, "makes no sense"),
+        ({"sensitivityYY_50": 1.01e8}, "makes no sense"),
         ({"sensitivityYZ_50": -25_000}, "makes no sense"),
         ({"offsetX_50": 1e300}, "makes no sense"),
     ],
