@@ -15,7 +15,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parent.parent / "accelcal_cli"
 LAYER = {
     "core": 0, "parquet": 1, "formats": 2, "segment": 2, "collect": 2, "optimize": 2, "judge": 2,
-    "simulate": 2, "output": 2, "pipeline": 3, "six_pose": 4, "watching": 4, "activity_effect": 4,
+    "output": 2, "pipeline": 3, "six_pose": 4, "watching": 4, "simulate": 4, "activity_effect": 5,
     "exports": 4, "studies": 4, "verify": 5, "devices": 5, "pages": 6, "cli": 8, "laboratory": 9,
     "__main__": 9, "": 9,
 }  # fmt: skip
@@ -216,14 +216,14 @@ def test_a_file_is_a_subject() -> None:
 
 
 BUDGET = {
-    "core": 6_800, "formats": 25_950, "formats/tables": 10_700, "segment": 800, "collect": 1_950,
-    "optimize": 950, "judge": 3_750, "parquet": 1_050, "pipeline": 6_050, "output": 5_200,
-    "six_pose": 1_950, "exports": 1_800, "devices": 1_500, "studies": 4_900, "pages": 3_000,
-    "watching": 650, "laboratory": 4_350, "cli": 3_600,
+    "core": 6_550, "formats": 23_450, "formats/tables": 10_350, "segment": 800, "collect": 1_850,
+    "optimize": 900, "judge": 3_550, "parquet": 1_000, "pipeline": 5_700, "output": 5_200,
+    "six_pose": 1_800, "exports": 1_750, "devices": 1_400, "studies": 4_650, "pages": 2_850,
+    "watching": 600, "laboratory": 4_050, "cli": 3_550,
 }  # fmt: skip
 """Most lines of a folder: what goes beyond has to take something away."""
 
-ALL_LINES, TEST_LINES = 76_800, 73_000
+ALL_LINES, TEST_LINES = 72_400, 70_600
 """Most lines of both packages together, and of the tests."""
 
 

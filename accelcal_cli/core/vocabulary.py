@@ -124,7 +124,7 @@ TEMPERATURES: Mapping[float, tuple[str, ...]] = {
 """Names of units of temperature, by how much of them is 1 degree Celsius."""
 
 OTHER_TEMPERATURES = ("f", "degf", "°f", "fahrenheit", "degreesfahrenheit", "k", "degk", "kelvin")
-"""Names of units of temperature with another zero (`core/vocabulary.py`)."""
+"""Names of units of temperature with another zero."""
 
 PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 """How many of each unit of time are one second."""

@@ -1,7 +1,7 @@
 """The JSON report: its sections (`sections.py`) made of what was found and judged, one function each.
 
-`build` makes the report of a recording; those of a table of points and of a pool (report_kinds.py) share
-its sections. `integers_json` is the fit as integers: points in, coefficients out, for firmware and for a
+`build` makes the report of a recording; those of a table of points and of a pool share its
+sections. `integers_json` is the fit as integers: points in, coefficients out, for firmware and for a
 check bit by bit.
 """
 

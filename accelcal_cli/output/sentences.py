@@ -17,7 +17,7 @@ from accelcal_cli.output.sections import HoldoutSection, ReportView
 
 # Words for people about a study: what is found of its devices, and of its recordings among others.
 #
-# Sentences stand here and in `words.py`, which has those about one recording; nothing is judged here.
+# Nothing is judged here.
 
 DEVICES = {
     "two_sensors": "{label} differs by {size} between {paths[0]} and {paths[1]}: two sensors under one "
@@ -118,7 +118,7 @@ def kind_of(path: str, model: str | None) -> str:
 # Sentences about the files of a study: why one is left out, no longer belongs to it, or was decided
 # on.
 #
-# Part of `SENTENCES` in `words.py`, where they are made from reasons.
+# Part of `SENTENCES`.
 
 FormOfValues = str | Callable[[Mapping[str, Any]], str]
 """A sentence with names of values in braces, or a function of the values.

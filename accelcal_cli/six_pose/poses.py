@@ -1,7 +1,7 @@
 """The poses of a session, found among its still windows: either listed in a file, or the six faces.
 
 Still windows of one orientation become a state, their mean in fixed-point g; a state whose true acceleration
-is known is a pose. A list (`listing.py`) says when the device rested, and its true acceleration then. A
+is known is a pose. A list says when the device rested, and its true acceleration then. A
 session may be in several files, such as one for each face.
 
 Bragge et al. write z = K a + O for the output of a sensor under an acceleration a. Their K is the inverse of

@@ -16,6 +16,7 @@ import signal
 import sys
 import tempfile
 import threading
+from dataclasses import replace
 from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 
@@ -51,8 +52,8 @@ def main() -> None:
     for name in LOADED:
         importlib.import_module(name)
     pa.array([0]).cast(pa.int8())  # Arrow's allocator sets a gigabyte of addresses aside
-    made = outputs.provenance(["accelcal"]) | {"time": START}
-    outputs.provenance = lambda _command: made
+    made = replace(outputs.provenance(["accelcal"]), time=START)
+    outputs.provenance = lambda _command, files=None: replace(made, files=files)
     if "ACCELCAL_FORKED" in os.environ:
         _fork_workers()
     folder = Path(sys.argv[1])

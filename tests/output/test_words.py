@@ -359,6 +359,8 @@ def emitted(pattern: str = "**/*.py", without: str = "devices") -> Iterator[tupl
             if isinstance(node, ast.ImportFrom) and node.module in REASONS_FROM
             for name in node.names
         }
+        if path == PACKAGE / "core/errors.py":
+            imported.add("Reason")
         for node in ast.walk(tree):
             if not isinstance(node, ast.Call):
                 continue

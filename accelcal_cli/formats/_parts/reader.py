@@ -3,7 +3,7 @@
 The parts of a recording are joined in the order of their times: a missing part is a gap, a repeated one is
 read once, and one that cannot be read is reported. An archive may hold one recording alone, which is read by
 its own reader, or an export of which one file is the recording; around several it is refused unless they are
-parts. The files of a session (`session.py`) are recordings of their own.
+parts. The files of a session are recordings of their own.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def open_parts(
     """Open a recording of several files: a folder, a pattern, or an archive.
 
     Args:
-        kind: the class of reader, `PartsReader` or `SessionReader` (`session.py`).
+        kind: the class of reader, `PartsReader` or `SessionReader`.
         threads: how many may work at a time on unpacking an archive.
         joined: the recordings in an archive are parts of one, whatever their names.
         belongs_to: see `Format`.

@@ -2,7 +2,7 @@
 
 A *source* is a file of named columns of any kind: text, Arrow, HDF5, NumPy, MATLAB. It gives `Block`s of the
 columns that are wanted, in the order of the rows; all that these mean is decided by the chain of `roles.py`,
-`clock.py`, `units.py`, `sensors.py`, `rows.py` and `chunks.py`, which is the same for all sources.
+`clock.py`, `units.py`, `sensors.py` and `reader.py`, which is the same for all sources.
 """
 
 from __future__ import annotations

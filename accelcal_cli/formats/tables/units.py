@@ -58,7 +58,7 @@ MIDDLES, EXACT = tuple(1 << bits for bits in range(6, 31)), 1000
 """Middles of the ranges of converters, and radius [counts] from which on all digits are shown."""
 
 MOST_COUNTS = (1 << 31) - 1
-"""Largest count of a converter; a number beyond it is none."""
+"""Largest count of a converter; a larger number is not a count."""
 
 FOUND_ZERO = "0 g is at {} counts, around which rest lies (-R zero says it)"
 
