@@ -110,6 +110,8 @@ def no_such_option(name: str, known: list[str]) -> TypeError:
     return TypeError("; ".join(filter(None, [f"there is no option {name!r}", said])))
 
 
+# How the public functions are called.
+
 P = ParamSpec("P")
 R = TypeVar("R")
 

@@ -17,18 +17,9 @@ from accelcal_cli.cli.help import Command, Named, NameValue
 from accelcal_cli.cli.options import FILE, Positive, Within
 from accelcal_cli.cli.output import aligned, refuse_both
 from accelcal_cli.core.errors import UsageError, counted, printable
-from accelcal_cli.devices.review import (
-    DeviceReview,
-    Review,
-    Rules,
-    Trend,
-    Verdict,
-    as_json,
-    columns,
-    review,
-    row,
-)
+from accelcal_cli.devices.review import DeviceReview, Review, Verdict, as_json, columns, review, row
 from accelcal_cli.devices.table import OFFSETS, PARAMETERS, Kind, Usage, added
+from accelcal_cli.devices.trends import Rules, Trend
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.numbers import formatted, with_error
 from accelcal_cli.output.registry import is_registry

@@ -343,6 +343,8 @@ def _alike(one: Vector, other: Vector) -> bool:
     return dot > 0 and dot * dot * whole >= share * norms
 
 
+# The default collector.
+
 MAX_TIMED, MAX_BLOCKS = 1 << 15, 1 << 9
 """Most cells of all blocks of time, and most blocks; beyond them, blocks become twice as long."""
 

@@ -1,7 +1,7 @@
 """Clocks of devices: their offsets from UTC, and the times of samples in whole microseconds.
 
 A device's clock is set once and then runs on: it keeps the offset from UTC that its zone had when the
-recording began, whatever daylight saving does in the meantime (`core/times.py`).
+recording began, whatever daylight saving does in the meantime (`core/local_time.py`).
 
 Sample times are computed only when they are needed: a `Clock` answers `times(start, stop)` for rows of one
 chunk. All arithmetic is integer, so that the time of a sample does not depend on where its chunk begins.

@@ -53,6 +53,8 @@ def _json_value(value: Any) -> Any:
     return value
 
 
+# The errors that users see, each kind with its exit code, and helpers that put values into messages.
+
 NO_BYTES = re.compile("[\ud800-\udc7f\udd00-\udfff]")
 """Halves of characters that stand for no byte of a file name; JSON text may hold them."""
 

@@ -18,9 +18,9 @@ from typing import Any
 
 from accelcal_cli.core.clock import FIRST_US, LAST_US, MICROSECONDS
 from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError, UsageError, listed, unread
+from accelcal_cli.core.local_time import Retiming, retimed
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.settings import Option, setting, setting_of
-from accelcal_cli.core.times import Retiming, retimed
 from accelcal_cli.core.vocabulary import UNIT_CHOICES
 
 HEAD_BYTES = 65_536

@@ -171,7 +171,7 @@ class Recording:
         start_us: time of the first sample, microseconds since 1970 on the device's clock; None
             if the file has none (times then count from 1970-01-01).
         timezone: zone of the times, None if they are local times of an unknown zone. A reader states what
-            the file says; `core/times.py` decides.
+            the file says; `core/local_time.py` decides.
         has_offsets: True if its times had offsets from UTC, and were converted to UTC.
         stamped: True if its rows have times of their own, such as a computer writes, whose clock may follow
             daylight saving; the clock of a device does not.

@@ -13,9 +13,9 @@ from accelcal_cli.core.calibration import Calibration, Correction
 from accelcal_cli.core.clock import ClockReset
 from accelcal_cli.core.declared import Key
 from accelcal_cli.core.errors import Reason
+from accelcal_cli.core.local_time import ZoneChange
 from accelcal_cli.core.points import Fit, Penalty, Quietest, Saturated
 from accelcal_cli.core.recording import Problem
-from accelcal_cli.core.times import ZoneChange
 
 
 class Outcome(StrEnum):

@@ -87,6 +87,8 @@ def why_none(tool: str, recording: RecordingSection) -> str:
     return f"{NAMES[tool]} reads no temperature from {recording.format} files, or that of another thermometer"
 
 
+# Coefficients for tools that know scales, offsets and slopes, but no misalignment.
+
 ALIGNED = ("0", "3", "6", "3T", "6T")
 """Models without misalignment, which are exported as they are."""
 

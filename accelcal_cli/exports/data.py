@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, StampClock, Stretches
 from accelcal_cli.core.errors import UnreadableError, UsageError, output_error, printable
 from accelcal_cli.core.gravity import STANDARD_GRAVITY
-from accelcal_cli.core.times import UTC
+from accelcal_cli.core.local_time import UTC
 from accelcal_cli.exports.rows import (
     LARGEST_RATIO,
     LEAST_RATIO,

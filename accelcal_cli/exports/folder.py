@@ -19,8 +19,8 @@ from threading import Event
 from typing import Any
 
 from accelcal_cli.core.errors import AccelcalError, UsageError
+from accelcal_cli.core.local_time import UTC
 from accelcal_cli.core.parallel import parallel_map
-from accelcal_cli.core.times import UTC
 from accelcal_cli.core.version import __version__
 from accelcal_cli.exports import coefficients
 from accelcal_cli.exports.data import ExportedData, ExportOptions, export_data, r_zone

@@ -34,10 +34,10 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, StampClock
 from accelcal_cli.core.errors import UnreadableError, printable
 from accelcal_cli.core.identity import SAMPLES, refuse_other
+from accelcal_cli.core.local_time import UTC
 from accelcal_cli.core.paths import is_file
 from accelcal_cli.core.recording import Validity
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.core.times import UTC
 from accelcal_cli.output.files import metadata_of, stored_schema
 from accelcal_cli.output.report_reading import section
 

@@ -96,6 +96,8 @@ def refuse_existing(outputs: Iterable[Path]) -> None:
             raise OutputError("is there already", path=path, hint="use --force to replace it")
 
 
+# Finds the recordings that paths stand for.
+
 SUMMARY = "study.json"
 READ = ("path", "report", "message", "use", "why", "decided_by", "result")
 """Columns of a study's table."""

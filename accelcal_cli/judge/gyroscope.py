@@ -218,6 +218,8 @@ def _cross(left: Floats, right: Floats) -> Floats:
     )
 
 
+# The verdict on a gyroscope.
+
 LEAST_TURN_DEG = 20.0
 """Smallest angle [degrees] between gravity before and after a turn that is used."""
 

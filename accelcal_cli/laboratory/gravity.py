@@ -33,16 +33,7 @@ from accelcal_cli.core.gyroscope import Rest, RestRates, Turn, Turns
 from accelcal_cli.core.identity import identity
 from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.gyroscope import TurningGravity, judge_gyroscope
-from accelcal_cli.laboratory.simulation import (
-    ALL,
-    Case,
-    CasePlan,
-    Method,
-    as_points,
-    make_case,
-    measured,
-    methods,
-)
+from accelcal_cli.laboratory.cases import ALL, Case, CasePlan, Method, as_points, make_case, measured, methods
 from accelcal_cli.output.numbers import figure
 from accelcal_cli.pipeline.options import chosen_gravity
 from accelcal_cli.simulate import draw_gyroscope, unit

@@ -23,8 +23,8 @@ from accelcal_cli.core.errors import AccelcalError, DivergedError, UsageError, c
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.settings import NO_PRIOR, PAPER, Settings, other_rules, rule_options
+from accelcal_cli.laboratory.cases import GROUPS, DescentNumbers, trace
 from accelcal_cli.laboratory.segments import Stillness, stillness
-from accelcal_cli.laboratory.simulation import GROUPS, DescentNumbers, trace
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.output.files import csv_text, write_text
 from accelcal_cli.output.numbers import formatted, number, percent
@@ -194,6 +194,8 @@ def _convergence(steps: Real) -> list[Sketch]:
 
 _NAMES = {"scale": ("x", "y", "z"), "misalignment": ("yx", "zx", "zy"), "offset": ("x", "y", "z")}
 
+
+# `accelcal evaluate methods`.
 
 TABLE_3_OF_F = (
     ("the authors' method", 25.1, 3.06, 820),

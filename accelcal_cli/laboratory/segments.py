@@ -170,6 +170,8 @@ def sphere_error_mg(sensor: WornSensor, gain: Floats, offset_g: Floats, local_g:
     return 1000 * float(np.abs(deviation).mean())
 
 
+# `accelcal evaluate segments`.
+
 REST = "the rest of the recording"
 """Name of the held-out data in messages."""
 HOUR_S = 3600.0

@@ -14,10 +14,10 @@ from typing import Any, Literal
 
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import Reason
+from accelcal_cli.core.local_time import NO_START
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import NEAR_ONE_G, Facts, Judgement, Outcome, sides_not_up
 from accelcal_cli.core.settings import DEFAULT, PAPER
-from accelcal_cli.core.times import NO_START
 from accelcal_cli.output import sentences
 from accelcal_cli.output.methods import held_out_sentence
 from accelcal_cli.output.numbers import number
@@ -66,6 +66,8 @@ def known_faults() -> tuple[KnownFault, ...]:
     text = resources.files("accelcal_cli.output").joinpath("known_faults.json").read_text("utf-8")
     return tuple(KnownFault(**one) for one in json.loads(text))
 
+
+# Cautions and advice that follow from a report.
 
 LIMIT_MG = DEFAULT.max_error_mg
 """Limit [mg] of the 95 % interval of a good result, where a report's settings do not say."""

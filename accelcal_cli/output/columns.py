@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from accelcal_cli.core.calibration import RawRows, Transform
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.gyroscope import Gyroscope
+from accelcal_cli.core.local_time import UNKNOWN, UTC
 from accelcal_cli.core.recording import METADATA_KEY, NOT_CALIBRATED, Chunk, Recording
 from accelcal_cli.core.results import Facts
-from accelcal_cli.core.times import UNKNOWN, UTC
 from accelcal_cli.parquet import Axes, Column, Numbers
 
 TIME_ZONE_KEY = b"time_zone"

@@ -22,11 +22,11 @@ from accelcal_cli.core.declared import as_json, from_json
 from accelcal_cli.core.errors import Reason, printable
 from accelcal_cli.core.gyroscope import EQUATION, Gyroscope
 from accelcal_cli.core.identity import DRAWS, INTEGERS, REPORT, SAMPLES, identity
+from accelcal_cli.core.local_time import zone_of_times
 from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, PointSet, predicted_seconds
 from accelcal_cli.core.recording import Problem, Recording
 from accelcal_cli.core.results import Facts, Holdout, Judgement
 from accelcal_cli.core.settings import EffectiveSettings
-from accelcal_cli.core.times import zone_of_times
 from accelcal_cli.output import sections
 from accelcal_cli.output.advice import completed, of_rows
 from accelcal_cli.output.coefficients import coefficients_json

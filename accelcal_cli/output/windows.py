@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import MICROSECONDS, iso_time
+from accelcal_cli.core.local_time import UTC
 from accelcal_cli.core.points import Role, Windows, WindowUses
 from accelcal_cli.core.recording import METADATA_KEY
-from accelcal_cli.core.times import UTC
 from accelcal_cli.output.files import open_plain, replacing, write_csv
 
 if TYPE_CHECKING:

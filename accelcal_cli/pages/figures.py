@@ -290,6 +290,8 @@ def _worn_cell(part: Sequence[bool | None]) -> str:
     return "yes" if True in known else "no" if False in known else "–"
 
 
+# The figures of one recording's page.
+
 BARS = 40
 LEAST_MG, LARGEST_MG = 0.01, 1e4
 """Ends of a scale of powers of ten, at which errors [mg] beyond it are drawn."""

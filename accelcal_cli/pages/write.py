@@ -21,8 +21,9 @@ from accelcal_cli.core.errors import UnreadableError, printable
 from accelcal_cli.core.paths import files_below, is_file, open_found
 from accelcal_cli.core.version import __version__
 from accelcal_cli.devices import table
-from accelcal_cli.devices.review import DeviceReview, Rules, review
+from accelcal_cli.devices.review import DeviceReview, review
 from accelcal_cli.devices.table import Kind
+from accelcal_cli.devices.trends import Rules
 from accelcal_cli.output.files import NAME, is_page, read_columns, refuse_foreign, write_text
 from accelcal_cli.output.report_reading import (
     check_sections,
@@ -34,7 +35,7 @@ from accelcal_cli.output.report_reading import (
 )
 from accelcal_cli.output.sentences import in_words, of_device
 from accelcal_cli.pages import recording, study
-from accelcal_cli.pages.study import MOST_STRIPS, Drift, states_of
+from accelcal_cli.pages.study_figures import MOST_STRIPS, Drift, states_of
 from accelcal_cli.pipeline.jobs import PAGE_SUFFIX, QUALITY_SUFFIX, REPORT_SUFFIX, Job, refuse_overwriting
 
 STUDY_PAGE = "study.html"

@@ -4,15 +4,8 @@
 its modules, and importing it loads pyarrow, which takes as long as all of accelcal.
 """
 
-from accelcal_cli.parquet.sink import (
-    Axes,
-    Column,
-    ColumnValues,
-    Memory,
-    Numbers,
-    ParquetSink,
-    row_group_offsets,
-)
+from accelcal_cli.parquet.pages import row_group_offsets
+from accelcal_cli.parquet.sink import Axes, Column, ColumnValues, Memory, Numbers, ParquetSink
 from accelcal_cli.parquet.source import ParquetSource, read_schema
 
 __all__ = [

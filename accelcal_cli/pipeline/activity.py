@@ -315,6 +315,8 @@ def ends(values: NDArray[Any]) -> NDArray[Any]:
     return np.stack([values.min(axis=0), values.max(axis=0)])
 
 
+# Measures of activity by epoch, and what a calibration changes in them, in one pass.
+
 EPOCH_S = 5
 """Default length [s] of an epoch, as in GGIR and in most of the sources."""
 

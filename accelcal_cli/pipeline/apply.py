@@ -122,6 +122,8 @@ def cautions_along_time(
     return ()
 
 
+# Known coefficients applied to a recording.
+
 READING = ("unit", "columns", "sensor", "lsb_per_g", "zero", "layout_sha256")
 """Reading options that change the values themselves."""
 

@@ -18,11 +18,11 @@ from accelcal_cli.core.arithmetic import mean
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import MICROSECONDS, RESET_US, Stretches, utc_offset_s
 from accelcal_cli.core.gyroscope import Gyroscope, Turns
+from accelcal_cli.core.local_time import FOLLOWED, ZoneChange, zone_changes
 from accelcal_cli.core.points import PointSet, TimedMeans, Windows
 from accelcal_cli.core.recording import CUT_SHORT, Chunk, Problem, Recording, Validity
 from accelcal_cli.core.results import Facts, Gap, Judgement, Jumps, SampleCounts, TimeRows
 from accelcal_cli.core.settings import DEFAULT, Settings
-from accelcal_cli.core.times import FOLLOWED, ZoneChange, zone_changes
 from accelcal_cli.judge.errors import deviations_mg as deviations_of_points
 from accelcal_cli.judge.errors import per_posture, temperatures_c
 from accelcal_cli.judge.gyroscope import judge_gyroscope, judge_revolutions

@@ -14,11 +14,11 @@ from accelcal_cli.core import declared
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import Reason, printable
 from accelcal_cli.core.identity import identity
+from accelcal_cli.core.local_time import zone_changes, zone_of_times
 from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import DEFAULT, NO_PRIOR, Settings
-from accelcal_cli.core.times import zone_changes, zone_of_times
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.verdict import (

@@ -312,6 +312,8 @@ def _typed_value(values: Mapping[str, Any], name: str, kind: type, *, default: A
     return value
 
 
+# Options, as the command line, the Python API and files name them, made into the records that the work uses.
+
 STUDY_FILE = "study.toml"
 LARGEST_FILE = 1 << 20
 """Most bytes of a file that states options."""

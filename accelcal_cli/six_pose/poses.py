@@ -313,6 +313,8 @@ def _device_us(moment: Moment, item: ListedPose, origin: Origin) -> int:
     return local_us - zone // _MICROSECOND + origin.offset_s * 1_000_000
 
 
+# The poses of a session, found among its still windows.
+
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 """The six faces, each named by the axis that shows about +1 g or -1 g on it."""
 

@@ -29,11 +29,11 @@ from accelcal_cli.core.clock import utc_offset_s
 from accelcal_cli.core.declared import as_json, json_or_null
 from accelcal_cli.core.errors import DivergedError, Reason, UnreadableError, UsageError, printable
 from accelcal_cli.core.input_files import files_of, is_no_part, pattern_of
+from accelcal_cli.core.local_time import NO_START
 from accelcal_cli.core.paths import is_file, is_folder
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import Chunk, PlacedFile, Recording, Validity
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.core.times import NO_START
 from accelcal_cli.output import sections
 from accelcal_cli.output.sentences import sentence
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run

@@ -131,6 +131,8 @@ def _suffixes(formats: tuple[Format, ...]) -> set[str]:
     return {suffix for one in formats for suffix in one.suffixes}
 
 
+# The files of a study and which of them are recordings; files that a study itself wrote.
+
 NAMES = re.compile(r"study(\.\d+-of-\d+)?\.(csv|json|parquet|ledger|lock)")
 """Names of the files that a study writes into OUT itself."""
 

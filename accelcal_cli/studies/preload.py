@@ -19,7 +19,7 @@ from accelcal_cli.output.report_reading import report_schema
 from accelcal_cli.pipeline.outputs import provenance
 
 load_all()
-pa.enable_signal_handlers(False)  # as in `formats/tables/text/source.py`
+pa.enable_signal_handlers(False)  # as in `formats/tables/text/lines.py`
 READY = (
     np.random,
     zoneinfo,

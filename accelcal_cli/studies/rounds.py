@@ -157,6 +157,8 @@ def _equation(row: Mapping[str, Any]) -> tuple[Any, Any] | None:
     return np.array(gain, float), np.array(offset, float)
 
 
+# The work of a study.
+
 MANY = 1 << 20
 """A number of recordings that keeps all workers busy."""
 

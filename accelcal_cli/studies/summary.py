@@ -17,10 +17,10 @@ from typing import IO, TYPE_CHECKING, Any
 from accelcal_cli.core.calibration import PARAMETER_NAMES
 from accelcal_cli.core.errors import Reason, counted, printable
 from accelcal_cli.core.identity import STUDY, identity
+from accelcal_cli.core.local_time import UNKNOWN, UTC
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.recording import METADATA_KEY
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.core.times import UNKNOWN, UTC
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output import files
 from accelcal_cli.output.advice import MILD, page_verdict

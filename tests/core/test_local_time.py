@@ -9,8 +9,8 @@ import pytest
 
 from accelcal_cli.core.clock import utc_offset_s
 from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.local_time import ZoneChange, in_its_zone, zone_changes
 from accelcal_cli.core.recording import Recording
-from accelcal_cli.core.times import ZoneChange, in_its_zone, zone_changes
 
 WINTER, SUMMER = "2024-01-15T12:00", "2024-07-15T12:00"
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from accelcal_cli.core.formats import as_utf8, wide_text
-from accelcal_cli.core.times import written_start
 from accelcal_cli.core.vocabulary import find_thermometer
+from accelcal_cli.core.written_times import written_start
 
 TEXT = "time,x,y,z\n2024-03-04T10:00:00.000,0.1,-0.2,0.97\n" * 8
 

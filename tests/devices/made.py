@@ -14,7 +14,8 @@ import pyarrow.parquet as pq
 
 from accelcal_cli.core.identity import STUDY, identity
 from accelcal_cli.core.recording import METADATA_KEY
-from accelcal_cli.devices.review import DeviceReview, Rules, review
+from accelcal_cli.devices.review import DeviceReview, review
+from accelcal_cli.devices.trends import Rules
 from accelcal_cli.studies.columns import ALL, NAMES
 
 BEGIN = datetime(2024, 3, 4, 12)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accelcal_cli.devices.review import Measured, lines, means
+from accelcal_cli.devices.trends import Measured, lines, means
 
 
 def one(values: object, errors: object, days: object) -> Measured:

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accelcal_cli.devices.review import TEMPERATURE_DOUBT_C, at_one_temperature
 from accelcal_cli.devices.table import read
+from accelcal_cli.devices.trends import TEMPERATURE_DOUBT_C, at_one_temperature
 from tests.devices.made import NOW_S, fitted, write
 
 WARM = {"slope_x_g_per_c": 0.002, "slope_y_g_per_c": -0.001, "slope_z_g_per_c": 0.0, "offset_x_g": 0.01}

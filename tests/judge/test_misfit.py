@@ -11,10 +11,10 @@ from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Misfit, SphereError
-from accelcal_cli.judge import verdict
+from accelcal_cli.judge import misfit
+from accelcal_cli.judge.misfit import MisfitSearch
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.posterior import Posterior, posterior, sphere_errors
-from accelcal_cli.judge.verdict import MisfitSearch
 from accelcal_cli.optimize.fixed32 import OPTIMIZER
 from tests.judge.made import NINE, WARM
 from tests.optimize.oracle import directions, drawn_errors, measured, points, random_directions
@@ -163,9 +163,9 @@ def test_verdicts_4_no_axis_beyond_its_standard_errors_is_no_misfit(monkeypatch:
     held = worn(3, 25, 40, bend=0.02)
     square = misfits(held)["quadratic"]
     certain = max(np.abs(square.size) / np.array(square.standard_errors))
-    monkeypatch.setattr(verdict, "SURE", certain * 1.01)
+    monkeypatch.setattr(misfit, "SURE", certain * 1.01)
     assert square.found and not found(held)
-    monkeypatch.setattr(verdict, "SURE", certain * 0.99)
+    monkeypatch.setattr(misfit, "SURE", certain * 0.99)
     assert "quadratic" in found(held)
 
 

@@ -7,7 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from accelcal_cli.core.arithmetic import ONE
-from accelcal_cli.laboratory.simulation import CasePlan, expected_errors, fisher_information, make_case
+from accelcal_cli.laboratory.cases import CasePlan, make_case
+from accelcal_cli.laboratory.simulation import expected_errors, fisher_information
 from tests.optimize.oracle import calibrated, measured
 
 

@@ -10,7 +10,7 @@ import pytest
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.points import WEIGHT_ONE
-from accelcal_cli.laboratory.simulation import Case, CasePlan, Selection, make_case
+from accelcal_cli.laboratory.cases import Case, CasePlan, Selection, make_case
 from tests.optimize.oracle import calibrated
 
 BANDS = ((-1.25, -0.75), (-0.25, 0.25), (0.75, 1.25))

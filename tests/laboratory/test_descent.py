@@ -11,18 +11,17 @@ from scipy.optimize import minimize
 
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.laboratory.simulation import (
+from accelcal_cli.laboratory.cases import (
     CasePlan,
     DescentNumbers,
     Objective,
-    Protocol,
     convergence,
     descent,
-    in_gauge,
     make_case,
     methods,
     trace,
 )
+from accelcal_cli.laboratory.simulation import Protocol, in_gauge
 from accelcal_cli.laboratory.simulation import run as simulated
 from accelcal_cli.pipeline.jobs import no_progress
 from tests.cli.run import run

@@ -8,8 +8,8 @@ import pytest
 
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
+from accelcal_cli.laboratory.cases import CasePlan, methods
 from accelcal_cli.laboratory.gravity import Residuals, gravity_residuals, turn_residuals
-from accelcal_cli.laboratory.simulation import CasePlan, methods
 
 LOCAL, STANDARD = 9.81676, 9.80665
 SHIFT = (LOCAL**2 - STANDARD**2) ** 2

@@ -7,7 +7,7 @@ import importlib.util
 import pytest
 
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.laboratory.simulation import USUAL, methods
+from accelcal_cli.laboratory.cases import USUAL, methods
 from accelcal_cli.optimize import all_optimizers
 from accelcal_cli.optimize.fixed32 import DEFAULT, PAPER
 
@@ -37,7 +37,7 @@ def test_all_are_all_and_their_paper_settings_where_these_differ() -> None:
 
 def test_all_without_scipy_leaves_out_what_needs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "accelcal_cli.laboratory.simulation.find_spec",
+        "accelcal_cli.laboratory.cases.find_spec",
         lambda name: None if name == "scipy" else importlib.util.find_spec(name),
     )
     missing = {item.name for item in all_optimizers()} - set(labels("all"))

@@ -12,18 +12,8 @@ from scipy.optimize import least_squares
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.points import Fit, Model, Operations, PointSet
-from accelcal_cli.laboratory.simulation import (
-    TABLE_2,
-    CasePlan,
-    ErrorTable,
-    Method,
-    Protocol,
-    Scores,
-    expected_errors,
-    make_case,
-    methods,
-    run,
-)
+from accelcal_cli.laboratory.cases import CasePlan, Method, make_case, methods
+from accelcal_cli.laboratory.simulation import TABLE_2, ErrorTable, Protocol, Scores, expected_errors, run
 from accelcal_cli.pipeline.jobs import no_progress
 from tests.optimize.oracle import residual
 

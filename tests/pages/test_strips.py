@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from accelcal_cli.pages.study import STRIPS_LEFT as LEFT
-from accelcal_cli.pages.study import STRIPS_WIDTH as WIDTH
-from accelcal_cli.pages.study import states_of, strips
+from accelcal_cli.pages.study_figures import STRIPS_LEFT as LEFT
+from accelcal_cli.pages.study_figures import STRIPS_WIDTH as WIDTH
+from accelcal_cli.pages.study_figures import states_of, strips
 
 ROWS: dict[str, list[Any]] = {
     "samples": [100, 100, 100, 100, 0, 100, 100],

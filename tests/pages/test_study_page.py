@@ -12,8 +12,9 @@ import pytest
 
 from accelcal_cli.output import sentences
 from accelcal_cli.output.sentences import outcome_words
-from accelcal_cli.pages import study
-from accelcal_cli.pages.study import WANTED, DeviceLine, StudyContent, Wear, by_wear, page
+from accelcal_cli.pages import study_figures
+from accelcal_cli.pages.study import WANTED, DeviceLine, StudyContent, page
+from accelcal_cli.pages.study_figures import Wear, by_wear
 from accelcal_cli.pages.write import write_study_pages
 from tests.cli.run import Ran, assert_one_line, run
 from tests.devices.made import drifting, fitted, good_devices, write
@@ -59,7 +60,7 @@ def content(*rows: dict[str, Any], **more: Any) -> StudyContent:
 def device(
     name: str, verdict: str = "good", drift: float | None = None, reasons: tuple[str, ...] = ()
 ) -> DeviceLine:
-    offset = None if drift is None else study.Drift(drift, 0.1, abs(drift) > 1)
+    offset = None if drift is None else study_figures.Drift(drift, 0.1, abs(drift) > 1)
     return DeviceLine(
         name, verdict, reasons, 8, 7, 1, "2025-01-06T09:30", "2025-08-04T09:30", 0.5, offset, None
     )
@@ -242,14 +243,14 @@ def test_the_same_content_gives_the_same_page() -> None:
 
 
 def test_an_axis_goes_from_step_to_step() -> None:
-    axis = study.LogAxis.of([3.0, 40.0], 0, 140)
+    axis = study_figures.LogAxis.of([3.0, 40.0], 0, 140)
     assert (axis.low_mg, axis.high_mg) == (2.0, 50.0)
     assert [tick.label for tick in axis.ticks] == ["2", "5", "10", "20", "50"]
     assert (axis.at(2.0), axis.at(10.0), axis.at(50.0), axis.at(1e9)) == (0.0, 70.0, 140.0, 140.0)
 
 
 def test_dots_lie_where_their_errors_are() -> None:
-    scatter = study.Scatter.of([(10.0, 0.1), None, (100.0, 1.0)])
+    scatter = study_figures.Scatter.of([(10.0, 0.1), None, (100.0, 1.0)])
     assert (scatter.x.low_mg, scatter.x.high_mg) == (10.0, 200.0)
     assert scatter.places[0] == (56.0, scatter.y.at(0.1)) and scatter.places[1] is None
     assert scatter.y.at(0.1) == 356.0
@@ -259,11 +260,11 @@ def test_dots_lie_where_their_errors_are() -> None:
 
 
 def test_drifts_are_drawn_the_fastest_first_with_their_limits() -> None:
-    figure = study.drifts(
+    figure = study_figures.drifts(
         [
-            ("slow", study.Drift(0.5, 0.1, False)),
+            ("slow", study_figures.Drift(0.5, 0.1, False)),
             ("none", None),
-            ("fast", study.Drift(-4, 0.2, True)),
+            ("fast", study_figures.Drift(-4, 0.2, True)),
         ],
         2.0,
     )
@@ -273,7 +274,7 @@ def test_drifts_are_drawn_the_fastest_first_with_their_limits() -> None:
     assert figure.rows[0].x - figure.rows[0].low == pytest.approx(
         figure.rows[0].high - figure.rows[0].x, abs=0.11
     )
-    assert study.drifts([("none", None)], 2.0) is None
+    assert study_figures.drifts([("none", None)], 2.0) is None
 
 
 def test_the_devices_of_a_study_are_those_of_the_review(tmp_path: Path) -> None:
@@ -423,7 +424,7 @@ def test_bars_by_month_have_all_recordings_with_a_date() -> None:
     """Heights add up to the numbers, counted here."""
     starts = ["2025-01-06T09:30:00", "2025-01-31T00:00:00", "2025-03-01T00:00:00", None, "what"]
     outcomes = ["calibrated", "refused", "calibrated", "calibrated", "failed"]
-    months = study.by_month(starts, outcomes, ["calibrated", "refused"])
+    months = study_figures.by_month(starts, outcomes, ["calibrated", "refused"])
     assert months is not None and months.omitted == 2
     drawn = [(one.text, one.height) for one in months.bars]
     assert drawn == [
@@ -434,22 +435,22 @@ def test_bars_by_month_have_all_recordings_with_a_date() -> None:
     bottom, above = months.bars[:2]
     assert above.y + above.height == bottom.y and months.bars[2].y == bottom.y
     assert [tick.label for tick in months.ticks] == ["2025-01", "2025-02", "2025-03"]
-    assert study.by_month(starts[:2], outcomes[:2], []) is None
+    assert study_figures.by_month(starts[:2], outcomes[:2], []) is None
 
 
 def test_a_clock_that_was_never_set_does_not_hide_the_months_of_others() -> None:
     """Of 70 months the last 60 are drawn; years that no study has are not among them."""
     starts = [f"{2019 + month // 12}-{month % 12 + 1:02d}-01T00:00:00" for month in range(70)]
     odd = ["1980-01-01T00:00:00", "2079-06-01T00:00:00"]
-    months = study.by_month(starts + odd, ["calibrated"] * 72, ["calibrated"])
+    months = study_figures.by_month(starts + odd, ["calibrated"] * 72, ["calibrated"])
     assert months is not None and len(months.bars) == 60 and months.omitted == 12
     assert months.ticks[0].label == "2019-11"
 
 
 def test_the_line_of_the_limit_is_where_the_axis_says() -> None:
-    scatter = study.Scatter.of([(40.0, 0.5), (30.0, 20.0)])
+    scatter = study_figures.Scatter.of([(40.0, 0.5), (30.0, 20.0)])
     assert scatter.limit(10.0) == f"M{scatter.x.begin} {scatter.y.at(10.0)}H{scatter.x.end}"
-    assert study.Scatter.of([(4.0, 0.5)]).limit(100.0) == ""
+    assert study_figures.Scatter.of([(4.0, 0.5)]).limit(100.0) == ""
 
 
 def test_51_3_hours_of_wear_have_a_figure_and_a_table_by_device_and_site() -> None:

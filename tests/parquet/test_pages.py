@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from accelcal_cli.core.clock import CACHED, steps_of
-from accelcal_cli.parquet.sink import (
+from accelcal_cli.parquet.pages import (
     DELTA_BLOCK,
     LEVEL,
     MAGIC,

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accelcal_cli.parquet.sink import MAGIC, Footer, RowGroup, encode_by_pyarrow
+from accelcal_cli.parquet.pages import MAGIC, Footer, RowGroup, encode_by_pyarrow
 
 COLUMNS = [
     pa.field("time", pa.timestamp("us", "UTC"), False),

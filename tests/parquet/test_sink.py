@@ -26,8 +26,8 @@ from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Facts, SampleCounts
 from accelcal_cli.output.columns import NO_RATE, NO_TEMPERATURE_MC, recording_columns, schema_of
 from accelcal_cli.output.files import refuse_foreign, written_by_us
-from accelcal_cli.parquet import Column, Memory, Numbers, ParquetSink, sink
-from accelcal_cli.parquet.sink import PAGE_ROWS
+from accelcal_cli.parquet import Column, Memory, Numbers, ParquetSink, pages, sink
+from accelcal_cli.parquet.pages import PAGE_ROWS
 
 
 def arrays(number: int, *, temperature: bool = True, gyroscope: bool = True) -> list[np.ndarray]:
@@ -173,8 +173,8 @@ def test_fractions_that_repeat_are_written_as_they_are(tmp_path: Path, repeat: i
     write(tmp_path / "a", columns(temperature=False, gyroscope=False, utc=False), held, [0, 100_000])
     column = pq.ParquetFile(tmp_path / "a").metadata.row_group(0).column(2)
     assert encoding in column.encodings
-    page = sink.read((tmp_path / "a").read_bytes()[column.data_page_offset :])
-    assert sink.value_of(sink.value_of(page, 5), 1) == PAGE_ROWS == 65536
+    page = pages.read((tmp_path / "a").read_bytes()[column.data_page_offset :])
+    assert pages.value_of(pages.value_of(page, 5), 1) == PAGE_ROWS == 65536
 
 
 def test_a_foreign_file_is_refused_and_ours_is_not(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from accelcal_cli.parquet import sink
+from accelcal_cli.parquet import pages
 
 BYTES = bytes([
     0x15, 0x54,  # field 1, i32: zigzag 42
@@ -15,31 +15,31 @@ BYTES = bytes([
 ])  # fmt: skip
 """By hand, after thrift-compact-protocol.md."""
 
-FIELDS: sink.Struct = [
-    (1, sink.I32, 42),
-    (2, sink.BINARY, b"hi"),
-    (3, sink.LIST, (sink.I32, [-1, -2])),
-    (4, sink.STRUCT, [(1, sink.I64, 64)]),
+FIELDS: pages.Struct = [
+    (1, pages.I32, 42),
+    (2, pages.BINARY, b"hi"),
+    (3, pages.LIST, (pages.I32, [-1, -2])),
+    (4, pages.STRUCT, [(1, pages.I64, 64)]),
 ]
 
 
 def test_a_structure_by_hand() -> None:
-    assert sink.read(BYTES) == FIELDS
-    assert sink.written(FIELDS) == BYTES
+    assert pages.read(BYTES) == FIELDS
+    assert pages.written(FIELDS) == BYTES
 
 
 @pytest.mark.parametrize("length", range(len(BYTES)))
 def test_a_structure_that_is_cut_short_is_none(length: int) -> None:
     with pytest.raises(IndexError):
-        sink.read(BYTES[:length])
+        pages.read(BYTES[:length])
 
 
 def test_a_whole_number_has_64_bits() -> None:
-    assert sink.read(b"\x16" + b"\xff" * 9 + b"\x01\x00") == [(1, sink.I64, -(1 << 63))]
+    assert pages.read(b"\x16" + b"\xff" * 9 + b"\x01\x00") == [(1, pages.I64, -(1 << 63))]
     with pytest.raises(ValueError):
-        sink.read(b"\x16" + b"\xff" * 1000 + b"\x01\x00")
+        pages.read(b"\x16" + b"\xff" * 1000 + b"\x01\x00")
 
 
 def test_a_list_that_claims_more_than_there_is_ends() -> None:
     with pytest.raises(IndexError):
-        sink.read(bytes([0x19, 0xF7, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x7F]))
+        pages.read(bytes([0x19, 0xF7, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x7F]))

@@ -394,6 +394,8 @@ class _ZipData:
         return self.entry.compress_size
 
 
+# Archives of recordings.
+
 LONGEST_NAME = 200
 """Most bytes in a file's name; file systems take 255."""
 

@@ -41,10 +41,10 @@ from accelcal_cli.core.input_files import (
     pattern_of_siblings,
     size_of,
 )
+from accelcal_cli.core.local_time import NO_START
 from accelcal_cli.core.paths import is_file, is_folder
 from accelcal_cli.core.recording import CUT_SHORT, Chunk, PlacedFile, Problem, Reader, Recording
 from accelcal_cli.core.system import new_folder, remove_folder
-from accelcal_cli.core.times import NO_START
 from accelcal_cli.formats._parts import archive
 from accelcal_cli.formats._parts.archive import PartFiles
 from accelcal_cli.formats._stamps import GAP_PERIODS

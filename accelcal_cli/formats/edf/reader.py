@@ -457,6 +457,8 @@ def _temperature(header: Header, path: Path) -> tuple[Signal, float, float] | No
     return None
 
 
+# Reads EDF and BDF files.
+
 ONSET = re.compile(rb"([+-])(\d{1,9})(?:\.(\d{0,9}))?\x14", re.ASCII)
 """First annotation of each record: seconds from the start at which the record begins."""
 

@@ -31,7 +31,7 @@ from accelcal_cli.core.recording import (
     clipped_at,
     first_row,
 )
-from accelcal_cli.core.times import header_zone
+from accelcal_cli.core.written_times import header_zone
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.files import PageFile, ScannedPages
 from accelcal_cli.formats._pages.pages import GOOD, LENGTH, NO_PAGE, TEXT, Decoded, PageBlock

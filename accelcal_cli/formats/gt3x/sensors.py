@@ -274,6 +274,8 @@ class Thermometer:
         return np.asarray(np.repeat(known[np.searchsorted(places, records.start)], rows))
 
 
+# The sensors of a device.
+
 USUAL_RATE, UNEVEN = 100, 0.1
 """Samples in a second if a schema says 0, and the deviation of the IMU's own clock as a part of its rate."""
 

@@ -118,7 +118,7 @@ def _dialect_of(head: bytes) -> Dialect | None:
 def _deep_dialect(path: Path, _size: int) -> Dialect | None:
     """Return the layout of a table whose numbers begin late; a file is asked about several times."""
     from accelcal_cli.formats.tables.text.dialect import DEEPEST_BYTES, find_deep_dialect
-    from accelcal_cli.formats.tables.text.source import LineFile
+    from accelcal_cli.formats.tables.text.lines import LineFile
 
     try:
         with LineFile(path) as file:

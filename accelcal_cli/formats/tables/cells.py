@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import FIRST_US, LAST_US
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.times import (
+from accelcal_cli.core.vocabulary import find_unit
+from accelcal_cli.core.written_times import (
     DIGITS_ALONE,
     ORDERS,
     SHAPES,
@@ -31,11 +32,10 @@ from accelcal_cli.core.times import (
     surroundings,
     undated,
 )
-from accelcal_cli.core.vocabulary import find_unit
 from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME
 from accelcal_cli.formats.tables.header import Kind, Source, unclear_date
 
-# Reads columns of times that people wrote, many cells at a time (`core/times.py` knows the
+# Reads columns of times that people wrote, many cells at a time (`core/written_times.py` knows the
 # forms).
 #
 # Numbers of the time of day are taken from the cells by Arrow; what stands around them is read once
@@ -216,6 +216,8 @@ def strptime_form(text: str) -> Written:
         raise ValueError("a directive is used twice") from error
     return Written(f"^{pattern}$", directives=tuple(directives))
 
+
+# Understands cells of text.
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 MISSING = frozenset({

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import FIRST_US, LAST_US, MICROSECONDS, iso_time
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
-from accelcal_cli.core.times import (
+from accelcal_cli.core.written_times import (
     AMBIGUOUS,
     READ,
     Surroundings,

@@ -280,6 +280,8 @@ def attributes_of(file: Any, path: str) -> NodeAttributes:
     return NodeAttributes(file, ["/" + "/".join(parts[:depth]) for depth in range(len(parts), -1, -1)])
 
 
+# Reads HDF5 files of laboratories as tables; docs/tables.md lists what is understood.
+
 MATLAB_EMPTY, MATLAB_OBJECT = b"MATLAB_empty", b"MATLAB_object_decode"
 """Attributes of MATLAB's empty arrays, and of its tables, dates and other objects: their numbers are lengths
 of axes, or say where the content is."""

@@ -2,7 +2,7 @@
 
 A *source* is a file of named columns of any kind: text, Arrow, HDF5, NumPy, MATLAB. It gives `Block`s of the
 columns that are wanted, in the order of the rows; all that these mean is decided by the chain of `roles.py`,
-`clock.py`, `units.py`, `sensors.py` and `reader.py`, which is the same for all sources.
+`clock.py`, `units.py`, `sensors.py` and `rows.py`, which is the same for all sources.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import NoRecordingError, Reason, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Calibrated, Device, Problem
-from accelcal_cli.core.times import ORDERS, read_date
 from accelcal_cli.core.vocabulary import normalized
+from accelcal_cli.core.written_times import ORDERS, read_date
 from accelcal_cli.formats.tables.names import Name
 
 SAMPLE_ROWS = 200

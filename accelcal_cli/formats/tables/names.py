@@ -11,7 +11,6 @@ from functools import lru_cache
 from itertools import pairwise
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.times import stated_zone
 from accelcal_cli.core.vocabulary import (
     ABOUT_PEOPLE,
     ACCELEROMETER,
@@ -29,6 +28,7 @@ from accelcal_cli.core.vocabulary import (
     unit_of,
 )
 from accelcal_cli.core.vocabulary import TEMPERATURE_UNITS as HEAT_UNITS
+from accelcal_cli.core.written_times import stated_zone
 
 AXES = ("x", "y", "z")
 SHORT_ACCELEROMETER, SHORT_GYROSCOPE = frozenset({"a"}), frozenset({"g", "w"})

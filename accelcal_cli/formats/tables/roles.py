@@ -14,7 +14,6 @@ from itertools import pairwise
 
 from accelcal_cli.core.errors import NoRecordingError, Reason, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.times import is_date, is_digits_of_day
 from accelcal_cli.core.vocabulary import (
     ACCELEROMETER,
     BARE,
@@ -25,6 +24,7 @@ from accelcal_cli.core.vocabulary import (
     find_thermometer,
     normalized,
 )
+from accelcal_cli.core.written_times import is_date, is_digits_of_day
 from accelcal_cli.formats._not_recordings import epochs_by_names
 from accelcal_cli.formats.tables.cells import DATE_ALONE, TIME_OF_DAY, number_of, present
 from accelcal_cli.formats.tables.header import Column, Kind, Source, readable, shown

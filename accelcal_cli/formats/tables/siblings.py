@@ -28,7 +28,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.input_files import read_text
 from accelcal_cli.core.paths import has_file, is_file, matching, open_found
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Chunk, Counts, Device, Reader
-from accelcal_cli.core.times import written_start
+from accelcal_cli.core.written_times import written_start
 from accelcal_cli.formats.tables.clock import FASTEST_HZ
 from accelcal_cli.formats.tables.header import Start, Stated
 from accelcal_cli.formats.tables.names import AXES

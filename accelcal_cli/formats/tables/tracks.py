@@ -21,8 +21,8 @@ from accelcal_cli.core.clock import utc_offset_s
 from accelcal_cli.core.errors import AccelcalError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Problem
-from accelcal_cli.core.times import written_start
 from accelcal_cli.core.vocabulary import GIVE_UNIT, PER_SECOND, acceleration_unit, find_unit
+from accelcal_cli.core.written_times import written_start
 from accelcal_cli.formats.tables.cells import KIND_SHARE, column_kind
 from accelcal_cli.formats.tables.header import (
     FLOAT,

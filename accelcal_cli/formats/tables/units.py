@@ -167,6 +167,8 @@ def _off_zero(sphere: Sphere, path: Path, lsb_per_g: float | None = None) -> Unr
     )
 
 
+# How the numbers of columns become whole counts.
+
 LARGEST_G = 127.0
 """Values beyond this [g] are damage."""
 

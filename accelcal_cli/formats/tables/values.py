@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from accelcal_cli.core.times import COLONS
+from accelcal_cli.core.written_times import COLONS
 from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME
 from accelcal_cli.formats.tables.cells import MISSING, Written
 from accelcal_cli.formats.tables.header import As, CellTexts

@@ -32,7 +32,6 @@ from accelcal_cli.core.recording import (
     Recording,
     first_row,
 )
-from accelcal_cli.core.times import iso_start
 from accelcal_cli.core.vocabulary import (
     ACCELERATION_UNITS,
     PER_G,
@@ -41,6 +40,7 @@ from accelcal_cli.core.vocabulary import (
     acceleration_unit,
     unit_of,
 )
+from accelcal_cli.core.written_times import iso_start
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._frames import FrameFile, FrameReader, Frames
 from accelcal_cli.formats._gravity import usual_length

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Channels, Chunk, Device, Intake, Problem, Reader, Recording, Validity
-from accelcal_cli.core.times import iso_start
+from accelcal_cli.core.written_times import iso_start
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._frames import AFTER_BYTES, FIRST_ROWS, FrameFile, FrameIntake, FrameReader, Frames
 from accelcal_cli.formats._rows import MISSING, first_values

@@ -21,7 +21,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import open_recording
 from accelcal_cli.formats.tables import PARQUET
-from accelcal_cli.parquet import sink
+from accelcal_cli.parquet import pages
 from tests.cli.run import exit_code, run, run_process
 from tests.formats.cuts import every_byte, table_cuts
 from tests.formats.make_hdf5 import START_US, even_times
@@ -406,11 +406,11 @@ def test_a_footer_at_which_pyarrow_aborts_costs_a_row_group(path: Path, column: 
     begin = pq.read_metadata(path).row_group(1).column(0).dictionary_page_offset
     data = path.read_bytes()
     length = int.from_bytes(data[-8:-4], "little")
-    footer = sink.read(data[-8 - length : -8])
-    meta = sink.value_of(sink.value_of(sink.value_of(footer, 4)[1], 1)[column], 3)
-    levels = (2, sink.LIST, (sink.I64, [0] * 4))
-    meta[:] = [*(field for field in meta if field[0] < 16), (16, sink.STRUCT, [levels])]
-    made = sink.written(footer)
+    footer = pages.read(data[-8 - length : -8])
+    meta = pages.value_of(pages.value_of(pages.value_of(footer, 4)[1], 1)[column], 3)
+    levels = (2, pages.LIST, (pages.I64, [0] * 4))
+    meta[:] = [*(field for field in meta if field[0] < 16), (16, pages.STRUCT, [levels])]
+    made = pages.written(footer)
     path.write_bytes(data[: -8 - length] + made + len(made).to_bytes(4, "little") + data[-4:])
     ran = run_process("calibrate", path, "-d", path.parent, "--report-only", "--json", "-q")
     assert ran.code == 4, ran.err

@@ -11,8 +11,8 @@ import pytest
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats import open_recording
-from accelcal_cli.formats.tables import reader as csv_rows
-from accelcal_cli.formats.tables.text import source as csv_lines
+from accelcal_cli.formats.tables import rows as csv_rows
+from accelcal_cli.formats.tables.text import lines as csv_lines
 from accelcal_cli.formats.tables.text import source as detect
 from tests.cli.run import exit_code
 from tests.formats.cuts import cuts, every_byte

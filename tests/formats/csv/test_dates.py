@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.times import order_in, read_date
+from accelcal_cli.core.written_times import order_in, read_date
 from accelcal_cli.formats.tables.cells import date_texts, find_order, year_first
-from accelcal_cli.formats.tables.text import source as csv_lines
+from accelcal_cli.formats.tables.text import lines as csv_lines
 from tests.formats.make_csv import read, written
 from tests.formats.reading import Read
 

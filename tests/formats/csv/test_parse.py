@@ -25,7 +25,7 @@ from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME
 from accelcal_cli.formats.tables.cells import MISSING
 from accelcal_cli.formats.tables.header import As, Block, CellTexts, Kind
 from accelcal_cli.formats.tables.text.dialect import MOST_JOINED, Dialect, Normaliser
-from accelcal_cli.formats.tables.text.source import LineCutter, LineParser, lone_block
+from accelcal_cli.formats.tables.text.lines import LineCutter, LineParser, lone_block
 from accelcal_cli.formats.tables.values import NOT_ROWS
 from tests.formats.make_csv import START_US, read, stamp, written
 

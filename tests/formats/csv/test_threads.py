@@ -11,8 +11,8 @@ import pytest
 
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats import open_recording
-from accelcal_cli.formats.tables.reader import MOST_JOINED
-from accelcal_cli.formats.tables.text import source as csv_lines
+from accelcal_cli.formats.tables.rows import MOST_JOINED
+from accelcal_cli.formats.tables.text import lines as csv_lines
 from accelcal_cli.formats.tables.text import source as csv_reader
 from tests.formats.make_csv import stamp, written
 

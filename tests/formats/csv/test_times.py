@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
-from accelcal_cli.formats.tables.text import source as csv_lines
+from accelcal_cli.formats.tables.text import lines as csv_lines
 from accelcal_cli.formats.tables.text import source as csv_reader
 from tests.formats.make_csv import START_US, read, stamp, written
 from tests.formats.reading import Read

@@ -12,7 +12,7 @@ import pytest
 
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import UnreadableError, UsageError
-from accelcal_cli.core.times import is_date, is_time, month_of, stated_zone, written_start
+from accelcal_cli.core.written_times import is_date, is_time, month_of, stated_zone, written_start
 from accelcal_cli.formats.tables.text.dialect import Normaliser
 from tests.cli.run import exit_code
 from tests.formats.make_csv import read, written

@@ -209,6 +209,8 @@ def _behind_closing(line: bytes, place: int) -> int:
     return -1
 
 
+# The layout of a text file of numbers.
+
 DELIMITERS = (",", ";", "\t", "|", " ")
 COMMENT = re.compile(r"^\s*(#+|%+|//)\s*")
 SPLIT_DATE = re.compile(rb"(\d{4}[-/]\d\d[-/]\d\d) (?=\d\d:\d\d)")

@@ -18,7 +18,7 @@ import re
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.recording import Device
-from accelcal_cli.core.times import ORDERS, order_in, read_date
+from accelcal_cli.core.written_times import ORDERS, order_in, read_date
 from accelcal_cli.formats.tables.vendors import Doubt, Lines, Start, Stated, Vendor
 
 HEADER_LINES = 15

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 
 from accelcal_cli.core.recording import Device
-from accelcal_cli.core.times import header_zone, stated_zone
+from accelcal_cli.core.written_times import header_zone, stated_zone
 from accelcal_cli.formats.tables.vendors import Doubt, Lines, Stated, Vendor
 
 FIRST = re.compile(r"\W*Device Type[^\S\t]*([,;\t])\s*GENEActiv", re.IGNORECASE)

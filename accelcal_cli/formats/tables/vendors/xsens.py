@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 
 from accelcal_cli.core.recording import Device
-from accelcal_cli.core.times import written_start
+from accelcal_cli.core.written_times import written_start
 from accelcal_cli.formats.tables.clock import TICK_US, rate_above
 from accelcal_cli.formats.tables.vendors import Head, Start, Stated, Vendor
 
