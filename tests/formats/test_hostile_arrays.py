@@ -25,7 +25,7 @@ from tests.formats.make_npz import archive, member
 from tests.formats.reading import Read
 from tests.formats.table_values import ROWS, values
 
-MOST_BYTES, MOST_SECONDS = 100_000_000, 8.0
+MOST_BYTES, MOST_SECONDS = 100_000_000, 2.0
 
 
 def read(path: Path, **options: Any) -> Read:

@@ -23,7 +23,7 @@ from accelcal_cli.formats.tables.tracks import TEXT, OpenRows, Track, TrackSourc
 
 HEAD_BYTES, LONGEST_NAME = 128, 1024
 PIECE_BYTES = 1 << 16
-"""Most bytes that are unpacked at once, and kept of each packed array: there may be a thousand."""
+"""Most bytes that are unpacked at once, and kept of each array: there may be a thousand."""
 
 HIGHEST_RATIO = 1100
 """Deflate makes at most 1032 bytes of one."""
@@ -98,8 +98,20 @@ class StoredBytes:
     is_true: Callable[[], bool] = lambda: True
 
     def reader(self) -> Read:
-        """Return what reads the bytes; what is packed, in order."""
-        return self.stored if self.pieces is None else Unpacking(self.pieces).read
+        """Return what reads the bytes: in order what is packed, small pieces out of a larger one that is kept."""
+        if self.pieces is not None:
+            return Unpacking(self.pieces).read
+        kept_at, kept = 0, b""
+
+        def read(place: int, count: int) -> bytes:
+            nonlocal kept_at, kept
+            if count >= PIECE_BYTES:
+                return self.stored(place, count)
+            if not kept_at <= place <= place + count <= kept_at + len(kept):
+                kept_at, kept = place, self.stored(place, PIECE_BYTES)
+            return kept[place - kept_at : place - kept_at + count]
+
+        return read
 
     def stored(self, place: int, count: int) -> bytes:
         """Return bytes of the file; see `Read`."""
