@@ -298,11 +298,8 @@ def _most_probable(
     slopes = model_ladder.temperature_range_c(points) >= settings.min_temperature_range_c
     name = "9T" if slopes else "9"
     try:
-        number, unlike = coverage.distinct_orientations, False
-        known = posterior(points, number, MODELS[name], how.prior, penalized)
-        if how.prior is not POPULATION:
-            usual = posterior(points, number, MODELS[name], POPULATION, penalized)
-            unlike = speaks_against(known, usual, (how.prior, POPULATION), points)
+        known = posterior(points, coverage.distinct_orientations, MODELS[name], how.prior, penalized)
+        unlike = how.prior is not POPULATION and _contradicts_prior(known, sample, coverage, how, penalized)
         holdout, _ = blocked(sample, MODELS[name], known.fitter(penalized), settings.folds)
     except DivergedError:
         return Judgement(Outcome.REFUSED, DIVERGES, coverage, trials, advice=(LONGER,)), None
@@ -338,10 +335,23 @@ def _most_probable(
     if outcome is Outcome.REFUSED:
         return verdict, truth
     completed = _complete(verdict, name, fitted, points, label, settings.gravity)
-    # the errors of the posterior, not those of least squares
-    errors = _in_standard_g(known.standard_errors(), settings.gravity)
-    coverage = replace(completed.coverage, worst_direction_mg=known.worst_direction_mg())
-    return replace(completed, standard_errors=errors, coverage=coverage, penalty=known.penalty), truth
+    return _with_posterior(completed, known, settings.gravity), truth
+
+
+def _contradicts_prior(
+    known: Posterior, sample: Sample, coverage: Coverage, how: Fitting, penalized: PenalizedFitter
+) -> bool:
+    """Return True if the points speak against the prior that was used, and for the one of all sensors."""
+    points = sample.points
+    usual = posterior(points, coverage.distinct_orientations, known.model, POPULATION, penalized)
+    return speaks_against(known, usual, (how.prior, POPULATION), points)
+
+
+def _with_posterior(verdict: Judgement, known: Posterior, gravity: Gravity) -> Judgement:
+    """Replace the errors of least squares by those of the posterior, and add its penalty."""
+    errors = _in_standard_g(known.standard_errors(), gravity)
+    coverage = replace(verdict.coverage, worst_direction_mg=known.worst_direction_mg())
+    return replace(verdict, standard_errors=errors, coverage=coverage, penalty=known.penalty)
 
 
 def judge_calibrated(points: PointSet, how: Fitting, origin: str) -> Judgement:

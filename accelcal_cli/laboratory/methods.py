@@ -287,6 +287,7 @@ def _row(path: Path, procedure: Procedure, settings: Settings) -> MethodRow:
     points, model = procedure.result(), MODELS[verdict.calibration.model]
     start = perf_counter()
     fitter.fit((points,), model)
+    seconds = perf_counter() - start
     return replace(
         row,
         model=model.name,
@@ -296,7 +297,7 @@ def _row(path: Path, procedure: Procedure, settings: Settings) -> MethodRow:
         iterations=fit.iterations,
         additions=fit.operations.additions or None,
         multiplications=fit.operations.multiplications or None,
-        seconds=perf_counter() - start,
+        seconds=seconds,
     )
 
 

@@ -239,10 +239,7 @@ class ParquetSink:
         """Encode a row group; runs on any thread."""
         arrays = {column.name: array[: group.rows] for column, array in group.memory}
         chunks = _dictionary_chunks(self._others, arrays)
-        time, steps = self._time.name, joined_steps(group.steps) if group.steps else None
-        if (chunk := None if steps is None else delta_chunk(time, steps)) is None:
-            chunk = self._pyarrow_chunk(time, np.empty(0, np.int64) if steps is None else steps.times())
-        chunks[time] = chunk
+        chunks[self._time.name] = self._time_chunk(joined_steps(group.steps) if group.steps else None)
         for column in self._others:
             if column.name not in chunks:
                 values, numbers = arrays[column.name], column.numbers
@@ -253,6 +250,12 @@ class ParquetSink:
                 encode = float_chunk if single else self._pyarrow_chunk
                 chunks[column.name] = encode(column.name, values)
         return RowGroup([chunks[column.name] for column in self._columns], group.rows), group.results
+
+    def _time_chunk(self, steps: TimeSteps | None) -> ColumnChunk:
+        """Encode the times of a row group; None if there are no rows."""
+        if steps is not None and (chunk := delta_chunk(self._time.name, steps)) is not None:
+            return chunk
+        return self._pyarrow_chunk(self._time.name, np.empty(0, np.int64) if steps is None else steps.times())
 
     def _pyarrow_chunk(self, name: str, values: NDArray[Any]) -> ColumnChunk:
         """Encode a column that `pages` does not; `pa.array` would load pandas."""

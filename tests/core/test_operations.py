@@ -32,6 +32,14 @@ def test_the_papers_case_by_hand(name: str, arithmetic: Arithmetic, by_hand: flo
     assert found[name] == pytest.approx(by_hand, rel=1e-12)
 
 
+def test_the_times_of_section_2c() -> None:
+    whole, real = predicted_seconds(PAPER, "integer"), predicted_seconds(PAPER, "float")
+    assert whole is not None and real is not None
+    assert round(whole["ATmega328"], 2) == 0.70
+    assert whole["ARM Cortex-M3"] < 0.040
+    assert real["ARM Cortex-M4"] < 0.030
+
+
 def test_additions_and_multiplications_cost_their_own() -> None:
     added = predicted_seconds(Operations(16_000_000, 0), "integer")
     multiplied = predicted_seconds(Operations(0, 16_000_000), "integer")

@@ -127,6 +127,13 @@ def test_states_end_at_breaks_unmeasured_rows_and_their_cap() -> None:
     assert (counts.clipped, counts.moving) == (1, 1)
 
 
+def test_what_is_left_of_a_window_before_a_break_is_not_used() -> None:
+    found, counts = batched(Stream(rest(10, 3), breaks=(5 * N + 20,)), N, AdaptiveRule(N, LSB_PER_G, NUMBERS))
+    firsts = [first for windows in found for first in windows.first_sample.tolist()]
+    assert firsts == [0, 5 * N + 20]
+    assert counts.complete == 9
+
+
 def test_a_state_ends_where_the_posture_changes() -> None:
     stream = Stream(np.concatenate([rest(10, 3), rest(10, 3, (0.05, 0, 1))]))
     assert states(stream)[0] == [(0, 10), (10, 10)]

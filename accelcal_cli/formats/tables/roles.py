@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -91,10 +92,8 @@ def find_roles(source: Source, options: ReadOptions, cells: Cells) -> Roles:
     xyz = find_acceleration(source, options, cells)
     for column in xyz:
         if column.kind is not Kind.NUMBER:
-            what, hint = (
-                f"{column.described} does not hold numbers",
-                "name the columns of x, y and z with --columns",
-            )
+            what = f"{column.described} does not hold numbers"
+            hint = "name the columns of x, y and z with --columns"
             raise UnreadableError(what, path=source.path, line=source.first_line, hint=hint)
     home = xyz[0].group
     near = [one for one in source.columns if one.rows == xyz[0].rows and one not in xyz]
@@ -126,8 +125,8 @@ def find_acceleration(source: Source, options: ReadOptions, cells: Cells) -> Gro
     if options.unit is None and source.place_word != "line":  # of text that is asked before
         epochs = epochs_by_names(column.name.text for column in source.columns)
         if epochs is not None:
-            about = {"path": source.path, "hint": epochs.hint}
-            raise NoRecordingError(f"holds {epochs.what}", reason=epochs.reason, **about)
+            what, hint = f"holds {epochs.what}", epochs.hint
+            raise NoRecordingError(what, path=source.path, hint=hint, reason=epochs.reason)
     sensor = options.one_sensor if names_group(source, options.one_sensor) else None
     found = [group for group in _named_axes(source) if sensor is None or _is_in(group[0], sensor)]
     if len(found) > 1:
@@ -140,18 +139,14 @@ def find_acceleration(source: Source, options: ReadOptions, cells: Cells) -> Gro
 
 def _several_groups(found: Sequence[Group], source: Source) -> UnreadableError:
     """Return the error that names groups for --columns: by paths, or by number if others share these."""
-    paths = [column.path for column in source.columns]
-    names = [
-        ",".join(
-            one.path if all(paths.count(other.path) == 1 for other in group) else str(one.number)
-            for one in group
-        )
-        for group in found
-    ]
+    paths, names = Counter(column.path for column in source.columns), []
+    for group in found[:LISTED]:
+        own = all(paths[column.path] == 1 for column in group)
+        names.append(",".join(column.path if own else str(column.number) for column in group))
     groups = [group[0].group.strip("/") for group in found]
     return UnreadableError(
-        f"several groups of columns are named like an accelerometer's: {'; '.join(names[:LISTED])}"
-        + "; ..." * (len(names) > LISTED),
+        f"several groups of columns are named like an accelerometer's: {'; '.join(names)}"
+        + "; ..." * (len(found) > LISTED),
         path=source.path,
         hint=f"choose one, such as --columns {shlex.quote(names[0])}",
         sensors=groups if all(groups) and len({*groups}) == len(groups) else (),
@@ -400,6 +395,8 @@ def _times_among(level: Sequence[Column], cells: Cells) -> list[tuple[Column, Co
 
 def _without_dates(columns: list[Column], cells: Cells) -> list[Column]:
     """Return columns without those of dates alone, which next to others are not the times of rows."""
+    if len(columns) < 2:
+        return columns
     dates = [one for one in columns if one.kind is Kind.TIME]
     dates = [one for one in dates if all(map(DATE_ALONE.fullmatch, present(cells(one))))]
     return [one for one in columns if one not in dates] or columns
@@ -511,7 +508,10 @@ def _dividing(free: Sequence[Column], cells: Cells) -> tuple[Column, ...]:
     named = [one for one in free if one.width == 1 and meaning_of(one.name.text) is not Meaning.MEASURED]
     if len(named) > MOST_DIVIDING:
         named = sorted(named, key=lambda one: meaning_of(one.name.text), reverse=True)[:MOST_DIVIDING]
-    whole = (
-        one for one in named if one.kind is not Kind.NUMBER or all(map(WHOLE.fullmatch, present(cells(one))))
-    )
-    return tuple(one for one in whole if one.kind in (Kind.NUMBER, Kind.TEXT))
+    return tuple(column for column in named if _may_divide(column, cells))
+
+
+def _may_divide(column: Column, cells: Cells) -> bool:
+    if column.kind is not Kind.NUMBER:
+        return column.kind is Kind.TEXT
+    return all(map(WHOLE.fullmatch, present(cells(column))))

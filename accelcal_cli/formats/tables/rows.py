@@ -543,10 +543,11 @@ class Assembler:
         borders = [len(counts) * part // pieces for part in range(pieces + 1)]
         for start, stop in pairwise(borders):
             part = slice(start, stop)
-            clock: Clock = UniformClock(
-                self._start_us, int(kept.row[start]) if len(kept.row) else 0, self._rate
-            )
-            clock = clock if kept.time_us is None else StampClock(kept.time_us[part])
+            if kept.time_us is None:
+                row = int(kept.row[start]) if len(kept.row) else 0
+                clock: Clock = UniformClock(self._start_us, row, self._rate)
+            else:
+                clock = StampClock(kept.time_us[part])
             yield Chunk(
                 self.samples,
                 counts[part],

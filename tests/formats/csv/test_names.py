@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from accelcal_cli.core.vocabulary import ACCELEROMETER, GYROSCOPE, Quantity
+from accelcal_cli.core.vocabulary import GYROSCOPE, Quantity
 from accelcal_cli.formats.tables.names import is_other_group, name_of
+from accelcal_cli.formats.tables.roles import ACCELEROMETERS
 
 ACC, GYRO, OTHER, NONE = "accelerometer", "gyroscope", "another sensor", "no sensor"
 
@@ -138,7 +139,7 @@ def test_names_of_what_could_be_an_axis(text: str) -> None:
 
 def test_groups_say_which_sensor_they_hold() -> None:
     for words, groups in (
-        (ACCELEROMETER, ("acc", "Accelerometer", "raw_acc", "Acceleration [g]")),
+        (ACCELEROMETERS, ("acc", "Accelerometer", "raw_acc", "Acceleration [g]", "xyz")),
         (GYROSCOPE, ("gyro", "Gyroscope", "angularVelocity")),
     ):
         assert all(name_of(text).is_all(words) for text in groups)
