@@ -341,9 +341,10 @@ def stream(plan: SimulationPlan, truth: Truth) -> Iterator[Chunk]:
         temperature = temperature_c(done, number, plan.rate_hz, worn=bout.worn)
         counts = plan.sensor.counts(bout.acceleration[:number], temperature, noise)
         still = np.flatnonzero(bout.still[:number])
-        for start in range(int(still[0]), number - length + 1, length) if len(still) else ():
-            part = slice(start, start + length)
-            truth.see(counts[part], temperature[part], plan.sensor)
+        if len(still):
+            for start in range(int(still[0]), number - length + 1, length):
+                part = slice(start, start + length)
+                truth.see(counts[part], temperature[part], plan.sensor)
         yield Chunk(
             done,
             counts,

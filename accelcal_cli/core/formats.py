@@ -154,7 +154,10 @@ COLUMNS = ("columns", "gyro_columns")
 
 
 def three_names(value: Any) -> list[str] | None:
-    """Return three columns, of a list or a text with commas; a single one thrice; None for another number."""
+    """Return three columns, of a list or a text with commas; a single one thrice.
+
+    None for another number of columns, or if a name is empty.
+    """
     parts = [str(part).strip() for part in (value.split(",") if isinstance(value, str) else value)]
     names = parts * 3 if len(parts) == 1 else parts
     return names if len(names) == 3 and all(names) else None

@@ -103,10 +103,8 @@ def compare(
             survey(reader.chunks(chunk_samples), method.segmenter, (method.procedure,), shown)
             use, points = method.procedure.window_use(method.segmenter.counts), method.procedure.result()
             still_s = (use.used + use.joined) * method.segmenter.length / recording.rate_hz
-            label, judgement = (
-                postures(points, chosen.posture_degrees),
-                method.procedure.judge(fitting(chosen)),
-            )
+            label = postures(points, chosen.posture_degrees)
+            judgement = method.procedure.judge(fitting(chosen))
             found.append(RuleResult(rule, use.used, still_s, points, label, judgement))
     return Comparison(tuple(found), truth)
 

@@ -350,10 +350,8 @@ def _no_time(known: Sequence[Cell], path: Path) -> UnreadableError:
 def _refuse_mixed(zoned: Sequence[bool], known: Sequence[Cell], path: Path) -> None:
     if len(set(zoned)) == 2:
         _, line = known[zoned.index(min((False, True), key=zoned.count))]
-        what, hint = (
-            "some times have a zone and some do not",
-            "write all of them with Z or an offset, or none",
-        )
+        what = "some times have a zone and some do not"
+        hint = "write all of them with Z or an offset, or none"
         raise UnreadableError(what, path=path, line=line, hint=hint)
 
 
@@ -361,10 +359,11 @@ def _written_format(form: Written, known: Sequence[Cell], zone: str | None, path
     """Return the format of cells of a form, whose dates and zones must be of one kind."""
     found = _read_cells(form, known, path)
     vague = next(filter(None, (one.vague for one in found)), None)
-    offsets, named = vague is None and found[0].offset_s is not None, found[0].place or ""
-    known_place = bool(named and stated_zone(named))
+    offsets = vague is None and found[0].offset_s is not None
+    place = found[0].place if found[0].place and stated_zone(found[0].place) else None
     how = "" if vague is None else VAGUE.format(vague, AMBIGUOUS[vague])
-    how += f" (written in {named}, read by the offsets)" * (known_place and offsets)
+    if place and offsets:
+        how += f" (written in {place}, read by the offsets)"
     how += " (times of day without a date)" * (not found[0].dated)
     how += " (years of the Buddhist calendar)" * any(has_buddhist_year(text) for text, _ in known)
     return TimeFormat(
@@ -373,7 +372,7 @@ def _written_format(form: Written, known: Sequence[Cell], zone: str | None, path
         since_1970=found[0].dated,
         has_offsets=offsets and any(one.offset_s for one in found),
         written=replace(form, offsets=offsets, vague=vague is not None),
-        zone=None if offsets else zone or named * known_place or None,
+        zone=None if offsets else zone or place,
         how=how,
     )
 
@@ -421,10 +420,8 @@ def _number_format(
         how = f", in {UNIT_NAMES[unit_us]}" + " since 1970" * (not column.is_clock)
         return TimeFormat(unit_us, is_local=column.is_clock, how=how)
     step, middle = _usual_step(values), sorted(values)[len(values) // 2]
-    rate_hz, units = (
-        _useful_rate(step, column.name, source, options),
-        UNITS_US if unit_us is None else (unit_us,),
-    )
+    rate_hz = _useful_rate(step, column.name, source, options)
+    units = UNITS_US if unit_us is None else (unit_us,)
     fitting = _fitting_units(step, rate_hz, column.name)
     since = [unit for unit in units if _is_epoch(middle * unit) and step * unit <= LONGEST_PERIOD_US]
     sure = [unit for unit in since if unit in fitting]

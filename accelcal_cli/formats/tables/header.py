@@ -53,10 +53,13 @@ class As(Enum):
     """Numbers (n,) or (n, 3), NaN where a cell is empty."""
 
     MOMENT = "moment"
-    """ISO times without a zone, as whole microseconds (n,)."""
+    """ISO times without a zone, as whole microseconds (n,), NO_TIME where a cell is empty.
+
+    IMPOSSIBLE stands for a time that does not exist.
+    """
 
     ZONED_MOMENT = "zoned moment"
-    """ISO times with Z or an offset, as whole microseconds (n,) in UTC."""
+    """ISO times with Z or an offset, as MOMENT, in UTC."""
 
     TEXT = "text"
     """Texts, an array of Arrow (n,), null where a cell is empty."""

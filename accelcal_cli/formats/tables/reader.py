@@ -5,7 +5,7 @@ The names and forms that are understood are listed in docs/csv-files.md and docs
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,7 +18,7 @@ from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Chunk, Intake, Reader, Recording
 from accelcal_cli.core.vocabulary import HeatUnit, unit_by_values
-from accelcal_cli.formats._stamps import IMPOSSIBLE, RunningOn, spread
+from accelcal_cli.formats._stamps import IMPOSSIBLE, Pace, RunningOn, Wraps, spread
 from accelcal_cli.formats.tables.clock import TableClock, find_clock, find_pace, wraps_of
 from accelcal_cli.formats.tables.header import (
     As,
@@ -53,6 +53,7 @@ from accelcal_cli.formats.tables.units import (
     FOUND_ZERO,
     NO_GYRO_UNIT,
     UNKNOWN,
+    Scale,
     as_floats,
     common_dtype,
     find_scale,
@@ -137,33 +138,47 @@ class _Understood:
         watch = self._watch(block, times)
         values = as_floats(group_values(block.values, roles.xyz))
         scale, guessed = find_scale(self._more_values(values), block.line, roles, source, options)
-        # the usual distance [rows] between rows with values
-        places = np.flatnonzero(~np.isnan(values).any(axis=1))
-        stride = max(1, int(np.median(np.diff(places)))) if len(places) > 1 else 1
-        measured = times if times is None or stride == 1 else times[places]
+        stride = _usual_stride(values)
+        measured = times if times is None or stride == 1 else times[~np.isnan(values).any(axis=1)]
         pace = find_pace(measured, source, options)
         (heat, heat_notes), (turns, turn_notes) = self._heat(block), self._turns(block, values)
-        stated, start_us = source.stated, None
-        if clock is None and stated.start is not None:
-            start_us = stated.start.us(options.date_format or stated.date_order, source.path)
-        read = roles.xyz, scale, clock, pace, heat, turns, stated.marks, self.chosen
-        layout = Layout(*read, wraps, stated.repeats_idle, stride, start_us)
+        layout = self._layout(scale, pace, (heat, turns), wraps, stride)
         source.check(layout.wanted)
         source.row_bytes = source.row_bytes_of(layout.wanted) * len(whole) / max(len(block), 1)
-        notes = (
+        return Plan(source, layout, self._notes(layout, heat_notes, turn_notes, guessed=guessed), watch)
+
+    def _layout(
+        self, scale: Scale, pace: Pace, channels: tuple[Heat | None, Turns | None], wraps: Wraps, stride: int
+    ) -> Layout:
+        """Return what is read, and how; `channels` are the temperature and the rotation rates."""
+        stated, start_us = self.source.stated, None
+        heat, turns = channels
+        if self.clock is None and stated.start is not None:
+            start_us = stated.start.us(self.options.date_format or stated.date_order, self.source.path)
+        return Layout(
+            xyz=self.roles.xyz, scale=scale, clock=self.clock, pace=pace, heat=heat, turns=turns,
+            marks=stated.marks, chosen=self.chosen, wraps=wraps, repeats_idle=stated.repeats_idle,
+            stride=stride, start_us=start_us,
+        )  # fmt: skip
+
+    def _notes(
+        self, layout: Layout, heat_notes: Sequence[str], turn_notes: Sequence[str], *, guessed: bool
+    ) -> tuple[str, ...]:
+        """Return what the report says of how the table is read."""
+        stated, scale, stride = self.source.stated, layout.scale, layout.stride
+        return (
             *[f"an export of {stated.title}"] * bool(stated.title),
             *stated.notes,
-            f"x, y, z: {', '.join(column.described for column in roles.xyz)}",
+            f"x, y, z: {', '.join(column.described for column in layout.xyz)}",
             f"unit: {scale.unit}{' (judged by the length of gravity)' * guessed}",
             *[FOUND_ZERO.format(scale.zero)] * scale.found_zero,
             *self._time_notes(),
             *heat_notes,
             *[SPARSE.format(stride)] * (stride > 1),
             *turn_notes,
-            *pace.notes,
-            *source.last_notes,
+            *layout.pace.notes,
+            *self.source.last_notes,
         )
-        return Plan(source, layout, notes, watch)
 
     @property
     def _wanted(self) -> dict[int, As]:
@@ -247,6 +262,12 @@ class _Understood:
         if stated.pauses:
             notes.append(f"{counted(stated.pauses, 'pause')} of the experiment are not in its times")
         return notes + ([self.chosen.note] if self.chosen is not None else [])
+
+
+def _usual_stride(values: NDArray[np.float64]) -> int:
+    """Return the usual distance [rows] between rows (n, 3) with values, 1 where they follow one another."""
+    places = np.flatnonzero(~np.isnan(values).any(axis=1))
+    return max(1, int(np.median(np.diff(places)))) if len(places) > 1 else 1
 
 
 def only(block: Block, rows: NDArray[np.int64]) -> Block:
@@ -423,7 +444,10 @@ class TableIntake(Intake):
 
 
 def open_table(source: Source, options: ReadOptions) -> TableReader:
-    """Return the reader of a table; raises what `find_plan` does, and a UsageError for a scale below 0."""
+    """Return the reader of a table.
+
+    Raises what `find_plan` does, and a UsageError for a rate or scale that is not a positive number.
+    """
     for name, value in (("--rate", options.rate_hz), ("--lsb-per-g", options.lsb_per_g)):
         if value is not None and not 0 < value < np.inf:
             what, hint = f"{name} {value:g} is not a positive number", "give it as a number such as 100"

@@ -427,10 +427,8 @@ class SensorWatch:
 
     def _values(self, column: int) -> Counter[str]:
         """Return the values of a column in the rows that are read, with how many have each."""
-        asked, rows = (
-            {column: As.CODES} | ({} if self._chosen is None else self._chosen.wanted),
-            Counter[str](),
-        )
+        asked = {column: As.CODES} | ({} if self._chosen is None else self._chosen.wanted)
+        rows = Counter[str]()
         for piece in self._source.pieces(asked, SEARCH_ROWS):
             block = self._source.parse(piece, asked)
             texts, codes = block.values[column]

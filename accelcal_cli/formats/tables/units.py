@@ -405,11 +405,9 @@ def _refuse_fractions(
     if len(fractions):
         row, axis = fractions[0].tolist()
         line = int(lines[row]) if source.first_line is not None and row < len(lines) else None
-        what, hint = (
-            f"{values[row, axis]:g} is not a whole number of counts",
-            "give the unit of the values with ",
-        )
-        raise UnreadableError(what, path=source.path, line=line, hint=hint + option)
+        what = f"{values[row, axis]:g} is not a whole number of counts"
+        hint = f"give the unit of the values with {option}"
+        raise UnreadableError(what, path=source.path, line=line, hint=hint)
 
 
 def _stated_unit(xyz: Group, whole: bool, source: Source, options: ReadOptions) -> str | None:

@@ -291,10 +291,11 @@ def _layout(head: bytes, stated: Stated, path: Path) -> tuple[bytes, Dialect]:
         what = f"holds no rows of three or more numbers in its first {DEEPEST_BYTES >> 20} MB"
         hint = "check that it holds samples, or name its format with --format"
         raise UnreadableError(what, path=path, line=1, hint=hint)
-    names, hint = stated.names or (), "correct that file, or take it away"
+    names = stated.names or ()
     if stated.companion is not None and len(names) != dialect.columns:
         sidecar = printable(stated.companion.name)
         what = f"has {dialect.columns} columns, and {sidecar} describes {len(names)}"
+        hint = "correct that file, or take it away"
         raise UnreadableError(what, path=path, line=dialect.names_line, hint=hint)
     if dialect.names is None and len(names) == dialect.columns:
         dialect = replace(dialect, names=stated.names)
