@@ -89,10 +89,10 @@ class Repetitions:
             if number > next_one:
                 self._run = 0
             next_one, index = number + 1, int(changing[number])
-            place, after = first + number, self._like + 1
+            # continue the present repetition, or begin one with the last window that is like this one
+            place, after, samples = first + number, self._like + 1, self._samples
             goes_on = self._run and self._keys[after] == self._keys[place]
-            apart = self._samples[place] - self._samples[place - 1]
-            if goes_on and self._samples[after] - self._samples[after - 1] == apart:
+            if goes_on and samples[after] - samples[after - 1] == samples[place] - samples[place - 1]:
                 self._like, self._run = after, self._run + 1
             else:
                 self._like, self._run = int(before[number]), 1
@@ -132,6 +132,7 @@ class _LastPlaces:
             before[order[found]] = where[at[found]]
         again = np.flatnonzero(ordered[1:] == ordered[:-1]) + 1
         before[order[again]] = places[again - 1]
+        # the new part is later than all others
         while self._parts and len(self._parts[-1][0]) <= 2 * len(ordered):
             earlier, where = self._parts.pop()
             at = np.searchsorted(earlier, ordered, side="right")

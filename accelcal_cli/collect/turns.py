@@ -164,11 +164,7 @@ class TurnCollector:
                 else:
                     self._now.go_on(rows[low:high], counts)
             else:
-                self._end_rest()
-                if self._before is not None:
-                    self._path.append(counts[: self._longest + 1].copy())
-                    if sum(map(len, self._path)) > self._longest:
-                        self._before, self._path = None, []
+                self._add_movement(counts)
 
     def result(self) -> Turns:
         """Return the turns, and the rates at rest."""
@@ -181,6 +177,14 @@ class TurnCollector:
         """End rest and turn, since the next window does not continue them."""
         self._end_rest()
         self._before, self._now, self._path = None, None, []
+
+    def _add_movement(self, counts: Counts) -> None:
+        self._end_rest()
+        if self._before is None:
+            return
+        self._path.append(counts[: self._longest + 1].copy())
+        if sum(map(len, self._path)) > self._longest:
+            self._before, self._path = None, []
 
     def _end_rest(self) -> None:
         """End the present rest: a turn ends with it, or it was too short and is part of the movement."""

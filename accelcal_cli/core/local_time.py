@@ -147,10 +147,7 @@ def zone_changes(zone: str | None, start_us: int, end_us: int) -> Iterator[ZoneC
         while low_s < end_s:
             high_s = min(low_s + _DAY_S, end_s)
             if (after_s := _offset_at(place, high_s)) != before_s:
-                at_s = high_s
-                while at_s - low_s > 1:
-                    middle = (low_s + at_s) // 2
-                    low_s, at_s = (middle, at_s) if _offset_at(place, middle) == before_s else (low_s, middle)
+                at_s = _first_other(place, low_s, high_s, before_s)
                 yield ZoneChange(zone, (at_s + before_s) * MICROSECONDS, before_s, after_s)
                 before_s = after_s
             low_s = high_s
@@ -163,6 +160,14 @@ def _place(zone: str | None) -> tzinfo | None:
     from zoneinfo import ZoneInfo  # few recordings name one
 
     return None if zone is None or "/" not in zone else ZoneInfo(zone)
+
+
+def _first_other(place: tzinfo, low_s: int, high_s: int, offset_s: int) -> int:
+    """Return the first second with another offset, between one that has it and one that does not."""
+    while high_s - low_s > 1:
+        middle = (low_s + high_s) // 2
+        low_s, high_s = (middle, high_s) if _offset_at(place, middle) == offset_s else (low_s, middle)
+    return high_s
 
 
 def _offset_at(place: tzinfo, utc_s: int) -> int:

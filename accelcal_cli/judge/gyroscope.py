@@ -290,10 +290,8 @@ def bias_on_grid(found: Turns, least_range_c: float | None) -> Bias | None:
     bias = bias_at_rest(found.rates, found.dps_per_lsb, found.period_s, least_range_c)
     if bias is None:
         return None
-    b, c = (
-        three((np.rint(np.array(one) * GRID) / GRID).tolist()) for one in (bias.dps, bias.slope_dps_per_c)
-    )
-    return replace(bias, dps=b, slope_dps_per_c=c)
+    dps, slope = (np.rint(np.array(one) * GRID) / GRID for one in (bias.dps, bias.slope_dps_per_c))
+    return replace(bias, dps=three(dps.tolist()), slope_dps_per_c=three(slope.tolist()))
 
 
 def _judged(pairs: TurnPairs, found: Turns, bias: Bias) -> Gyroscope:
@@ -524,14 +522,12 @@ def bias_at_rest(
     weights = rates.samples / rates.samples.max()
     warmth, reference, with_slope = None, None, None
     constant = _held_out(dps, weights, None) if len(rates) >= STRETCHES else None
-    if rates.temperature_sums is not None and least_range_c is not None and constant is not None:
-        celsius = rates.temperature_sums / (1000 * rates.samples)
-        if float(celsius.max() - celsius.min()) >= least_range_c:
-            middle = round(float(quantile(sorted(celsius.tolist()), 0.5)), 3)
-            with_slope = _held_out(dps, weights, celsius - middle)
-            falls = [one - other for one, other in zip(constant, with_slope, strict=True)]
-            if interval95(falls)[0] > 0:
-                warmth, reference = celsius - middle, middle
+    known = _warmth(rates, least_range_c)
+    if known is not None and constant is not None:
+        with_slope = _held_out(dps, weights, known[0])
+        falls = [one - other for one, other in zip(constant, with_slope, strict=True)]
+        if interval95(falls)[0] > 0:
+            warmth, reference = known
     lines = [_line(dps[:, axis], weights, warmth) for axis in range(3)]
     here = np.zeros(len(dps)) if warmth is None else warmth
     off = [dps[:, axis] - _on_line(line, here) for axis, line in enumerate(lines)]
@@ -547,6 +543,15 @@ def bias_at_rest(
         constant_dps=fixed,
         slope_dps=sloped,
     )
+
+
+def _warmth(rates: RestRates, least_range_c: float | None) -> tuple[Floats, float] | None:
+    """Return temperatures at rest less their median [C], and this; None if their range is too small."""
+    if rates.temperature_sums is None or least_range_c is None:
+        return None
+    celsius = rates.temperature_sums / (1000 * rates.samples)
+    middle = round(float(quantile(sorted(celsius.tolist()), 0.5)), 3)
+    return (celsius - middle, middle) if float(celsius.max() - celsius.min()) >= least_range_c else None
 
 
 def _held_out(dps: Floats, weights: Floats, warmth: Floats | None) -> list[float]:

@@ -52,7 +52,7 @@ UNDATED_MONTHS = 24.0
 """Time assumed between two recordings of which one has no date [months]."""
 
 
-@dataclass(frozen=True, slots=True, order=True)
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """A parameter and its variance, as estimated from one recording or device alone."""
 
@@ -161,7 +161,8 @@ def along_device(
         (one.month, Estimate(one.estimate.value, one.estimate.variance + occasion * occasion))
         for one in others
     ]
-    seen = sorted((when, estimate) for when, estimate in all_dated if when is not None)
+    dated = [(when, estimate) for when, estimate in all_dated if when is not None]
+    seen = sorted(dated, key=lambda one: (one[0], one[1].value, one[1].variance))
     undated = [(0.0, estimate) for when, estimate in all_dated if when is None]
     parts = [(seen, UNDATED_MONTHS), (undated, UNDATED_MONTHS)]
     if month is not None:

@@ -283,9 +283,10 @@ def choose(trials: tuple[Trial, ...]) -> Trial:
     The errors are those of the blocks; the standard error is that of their differences, clustered by posture.
     """
     scored = [(trial, trial.holdout) for trial in trials if trial.holdout is not None]
-    best, full = min(scored, key=lambda one: one[1].compared_mg())
-    for trial, simple in scored:
-        differences = [a - b for (_, a), (_, b) in zip(simple.blocks, full.blocks, strict=True)]
-        if mean(differences) <= clustered_error(differences, [posture for posture, _ in full.blocks]):
-            return trial
-    return best
+    _, best = min(scored, key=lambda one: one[1].compared_mg())
+    return next(trial for trial, holdout in scored if _ties(holdout, best))
+
+
+def _ties(simple: Holdout, best: Holdout) -> bool:
+    differences = [a - b for (_, a), (_, b) in zip(simple.blocks, best.blocks, strict=True)]
+    return mean(differences) <= clustered_error(differences, [posture for posture, _ in best.blocks])

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import log, pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,8 +83,12 @@ BEND_ROUNDS = 4
 
 Floats = NDArray[np.float64]
 
-_Scaled = tuple[tuple[int, ...], tuple[float, ...]]
-"""A prior in the units of the fit: twelve fixed-point parameters, and their scale parameters."""
+
+class _Scaled(NamedTuple):
+    """A prior in the units of the fit: twelve fixed-point parameters, and their scale parameters."""
+
+    centre: tuple[int, ...]
+    widths: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,9 +205,7 @@ def speaks_against(
     Args:
         priors: those of the two posteriors of these points.
     """
-    ours, theirs = (
-        _log_evidence(known, prior, points) for known, prior in zip((learnt, usual), priors, strict=True)
-    )
+    ours, theirs = _log_evidence(learnt, priors[0], points), _log_evidence(usual, priors[1], points)
     return theirs - ours > log(ODD_ONES)
 
 
@@ -229,7 +232,7 @@ def _scaled(prior: Prior, points: PointSet) -> _Scaled:
         centre[6:9] = [offset + warmer * slope for offset, slope in zip(centre[6:9], centre[9:], strict=True)]
     centre[9:] = [slope * span for slope in centre[9:]]
     widths = (*prior.width[:9], *(width * span for width in prior.width[9:]))
-    return tuple(round(value * ONE) for value in centre), widths
+    return _Scaled(tuple(round(value * ONE) for value in centre), widths)
 
 
 def _penalty(scaled: _Scaled, freedom: float, unit: float, parameters: tuple[int, ...]) -> Penalty:
@@ -239,13 +242,13 @@ def _penalty(scaled: _Scaled, freedom: float, unit: float, parameters: tuple[int
         unit: the variance of (|a|^2 - 1) of a point that weighs 1.
     """
     strength = []
-    for value, centre, width in zip(parameters, *scaled, strict=True):
+    for value, centre, width in zip(parameters, scaled.centre, scaled.widths, strict=True):
         away = (value - centre) / ONE / width
         weight = (freedom + 1) / (freedom + away * away)
         whole = round(unit * weight / (width * width) * (1 << PENALTY_BITS))
         drop = max(0, whole.bit_length() - PENALTY_DIGITS)
         strength.append(max(1, whole >> drop << drop))
-    return Penalty(scaled[0], tuple(strength))
+    return Penalty(scaled.centre, tuple(strength))
 
 
 def _inverse(points: PointSet, found: PenalizedFit, penalty: Penalty) -> list[list[float]]:

@@ -430,7 +430,8 @@ def _shown(found: Homogeneity, values: dict[str, Any]) -> str:
         together = _likeness_json(found.together)
         return json.dumps({"recordings": recordings, "seconds": found.seconds, "together": together})
     if values["as_csv"]:
-        head = ("recording", "serial", "outcome", *(word.replace(" ", "_") for word in HEAD), *FIGURES)
+        clock = ("lag_s", "drift_ppm", "residual_ms", "correlation")
+        head = ("recording", "serial", "outcome", *clock, *FIGURES)
         return csv_text(head, [_csv_row(one) for one in found.recordings]).rstrip("\n")
     return printable(_text(found, limit_mg), kept="\n")
 

@@ -154,8 +154,12 @@ def _origins(files: Sequence[PlacedFile], found: Survey) -> tuple[Origin, ...]:
     origins = []
     for one in files:
         ahead_s = utc_offset_s(zone, one.first_us - one.moved_us) if one.dated else None
-        samples, damage = (one.first_sample, one.first_sample + one.samples), (one.problems, one.lost_bytes)
-        origins.append(Origin(one.first_us, one.dated, ahead_s, one.name, *samples, one.moved_us, *damage))
+        origin = Origin(
+            first_us=one.first_us, dated=one.dated, offset_s=ahead_s, name=one.name, moved_us=one.moved_us,
+            first_sample=one.first_sample, end_sample=one.first_sample + one.samples,
+            problems=one.problems, lost_bytes=one.lost_bytes,
+        )  # fmt: skip
+        origins.append(origin)
     return tuple(origins)
 
 

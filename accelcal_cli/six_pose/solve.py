@@ -491,10 +491,9 @@ def _holdout(session: Session, fit: SixPoseFit) -> tuple[Holdout, Holdout, Vecto
     norm_after = _by_orientation(session, fit, lambda error: error.held_out_norm or 0.0)
     before = _by_orientation(session, fit, lambda error: error.raw)
     after = _by_orientation(session, fit, lambda error: error.held_out or 0.0)
-    raw, norms = (
-        of_postures(METHOD, len(known), (*zip(norm_before, shown, strict=True),), (*enumerate(compared),))
-        for shown, compared in ((norm_before, before), (norm_after, after))
-    )
+    pairs = tuple(zip(norm_before, norm_after, strict=True))
+    raw = of_postures(METHOD, len(known), tuple((one, one) for one in norm_before), tuple(enumerate(before)))
+    norms = of_postures(METHOD, len(known), pairs, tuple(enumerate(after)))
     return raw, norms, VectorErrors(summary(before), summary(after))
 
 

@@ -14,7 +14,17 @@ import pytest
 from accelcal_cli.core.calibration import Transform
 from accelcal_cli.core.clock import UniformClock, rate_fraction
 from accelcal_cli.core.recording import Chunk
-from accelcal_cli.laboratory.homogeneity import HOUR_US, Shift, hours, lag_between, line_of, side_by_side
+from accelcal_cli.laboratory.homogeneity import (
+    HOUR_US,
+    Compared,
+    Homogeneity,
+    Likeness,
+    Shift,
+    hours,
+    lag_between,
+    line_of,
+    side_by_side,
+)
 from accelcal_cli.simulate import SimulatedSensor, Wearer, draw_gain_and_offset
 from tests.cli.run import run
 from tests.recordings import LSB_PER_G, START, good_raw, still_counts, write_raw
@@ -109,6 +119,16 @@ def test_what_cannot_be_compared_is_said(cupboard: list[Path], tmp_path: Path, c
     assert ran.code == 2 and "no movement in common" in ran.err
     assert run(capsys, *words, cupboard[0], cupboard[4], "--largest-lag", 20).code == 2
     assert run(capsys, *words, cupboard[0], tmp_path / "none.raw").code == 3
+
+
+def test_the_columns_of_the_table(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    refused = Homogeneity((Compared(Path("a.raw"), "7", "refused", ""),), 0, Likeness((), ()))
+    monkeypatch.setattr("accelcal_cli.laboratory.homogeneity.homogeneity", lambda *_: refused)
+    assert run(capsys, "evaluate", "homogeneity", "a.raw", "b.raw", "--csv").out.splitlines() == [
+        "recording,serial,outcome,lag_s,drift_ppm,residual_ms,correlation,x_before_mg,x_after_mg,"
+        "y_before_mg,y_after_mg,z_before_mg,z_after_mg,norm_before_mg,norm_after_mg",
+        "a.raw,7,refused" + 12 * ",",
+    ]
 
 
 def table_of(signal: np.ndarray) -> np.ndarray:
