@@ -1,4 +1,4 @@
-"""Cells of orientation: their sums, copies, the posture before, and the points that are made of them."""
+"""Cells of `collect/cells.py`: their sums, copies, the posture before, and the points made of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Statistics by hand, and against numpy and scipy."""
+"""Statistics of `core/arithmetic.py` by hand, and against numpy and scipy."""
 
 from __future__ import annotations
 

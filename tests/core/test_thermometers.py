@@ -1,4 +1,4 @@
-"""T9: columns of temperatures by one vocabulary, in the unit that their head or their values show."""
+"""T9: columns of temperatures by `core/vocabulary.py`, in the unit that their head or their values show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rules, each with a device that it is meant for and one that it is not."""
+"""The rules of `devices/review.py`, each with a device that it is meant for and one that it is not."""
 
 from __future__ import annotations
 

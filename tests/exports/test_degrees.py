@@ -1,4 +1,4 @@
-"""Temperature slopes are handed on in the degrees that each tool makes of a recording's raw words.
+"""Temperature slopes of `exports/coefficients.py`, in the degrees that each tool makes of raw words.
 
 The oracle decodes .cwa files by the vendor's cwa.h, makes degrees by each tool's own line, and applies each
 tool's own formula; the words of two kinds of hardware are written here.

@@ -1,4 +1,4 @@
-"""What refusals say of rest that no wrist and no sensor gives: unit, scale, columns and fields."""
+"""What `judge/verdict.py` says of rest that no wrist and no sensor gives: unit, scale, columns and fields."""
 
 from __future__ import annotations
 

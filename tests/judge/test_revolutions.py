@@ -1,4 +1,4 @@
-"""Whole revolutions about the vertical: a known scale is found, and what is no revolution is left alone."""
+"""Whole revolutions by `judge/gyroscope.py`: a known scale is found, and what is none is left alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gravity as a gyroscope turns it, by hand and by quaternions multiplied one after the other."""
+"""Gravity as `judge/gyroscope.py` turns it, by hand and by quaternions multiplied one after the other."""
 
 from __future__ import annotations
 

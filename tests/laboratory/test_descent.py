@@ -1,4 +1,4 @@
-"""F's descent with other numbers, and Fig. 9: against the optimizer `float64`, SciPy and measured figures."""
+"""F's descent by `laboratory/cases.py`, and Fig. 9: against `float64`, SciPy and measured figures."""
 
 from __future__ import annotations
 

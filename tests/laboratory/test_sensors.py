@@ -1,4 +1,4 @@
-"""Simulated sensors on the rests of a recording: their truth by hand, and what the command makes of them."""
+"""Sensors of `laboratory/segments.py` on the rests of a recording: their truth by hand, and the command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults that makers have published: each has a source, and concerns only the devices that it names."""
+"""Published faults by `output/advice.py`: each has a source, and concerns only the devices that it names."""
 
 from __future__ import annotations
 

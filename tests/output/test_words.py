@@ -1,4 +1,4 @@
-"""Numbers for people, what an outcome means, and the sentences of reasons."""
+"""Numbers for people, what an outcome means, and the sentences of reasons (`output/sentences.py`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hours of recordings as strips: states of hours, and boxes as long as their runs."""
+"""Hours as strips by `pages/study_figures.py`: states of hours, and boxes as long as their runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Row groups that were encoded apart: the file is byte for byte the one that pyarrow writes at once."""
+"""Row groups that `parquet/pages.py` encodes apart: byte for byte the file that pyarrow writes at once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Thrift's compact protocol: what is written is read, and no cut of it is read without end."""
+"""Thrift's compact protocol in `parquet/pages.py`: what is written is read, no cut of it without end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings back from a report: complete, bounded, and honest about what was assumed."""
+"""Settings back from a report by `pipeline/options.py`: complete, bounded, honest about what was assumed."""
 
 from __future__ import annotations
 

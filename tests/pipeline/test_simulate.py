@@ -1,4 +1,4 @@
-"""TrueParameters files of both kinds, and the distance of a calibration from them."""
+"""Truth files of both kinds, as `simulate.py` reads them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verdict on known orientations."""
+"""The verdict of `six_pose/solve.py` on known orientations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One bad path costs itself: faults of the disk in discovery and planning, and files that are not plain."""
+"""One bad path costs itself (`core/paths.py`): faults of the disk, and files that are not plain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pool: the failure of one worker affects only its task."""
+"""The pool of `studies/executors.py`: the failure of one worker affects only its task."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""After an upgrade, or with another option: why results are made again, and how much they changed."""
+"""After an upgrade, or with another option: why `studies/rounds.py` makes results again, and their change."""
 
 from __future__ import annotations
 

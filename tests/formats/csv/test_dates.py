@@ -1,4 +1,4 @@
-"""Dates that begin with the day or the month: told apart, or asked about."""
+"""Dates that begin with the day or the month: told apart by `tables/cells.py`, or asked about."""
 
 from __future__ import annotations
 

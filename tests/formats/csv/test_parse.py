@@ -1,4 +1,4 @@
-"""Blocks of lines as columns: exact values, line numbers and lost rows, against a reader in plain Python."""
+"""Blocks of `text/lines.py` as columns: values, line numbers and lost rows, against plain Python."""
 
 from __future__ import annotations
 
