@@ -98,7 +98,7 @@ class StoredBytes:
     is_true: Callable[[], bool] = lambda: True
 
     def reader(self) -> Read:
-        """Return what reads the bytes: in order what is packed, small pieces out of a larger one that is kept."""
+        """Return what reads the bytes: packed ones in order, small pieces out of a kept larger one."""
         if self.pieces is not None:
             return Unpacking(self.pieces).read
         kept_at, kept = 0, b""
