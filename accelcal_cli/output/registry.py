@@ -11,22 +11,30 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import UnreadableError, printable
 from accelcal_cli.core.identity import OLD_REGISTRY, REGISTRY, REPORT, identity, refuse_other
 from accelcal_cli.core.paths import is_file
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.coefficients import Coefficients, coefficients_in
 from accelcal_cli.output.files import json_text, parsed, write_text
-from accelcal_cli.output.report_reading import Document, document_bytes, load_report, report_schema, section
+from accelcal_cli.output.report_reading import (
+    Document,
+    document_bytes,
+    fault,
+    load_report,
+    report_schema,
+    section,
+)
 from accelcal_cli.output.sections import ReportView, report_view
 
 GOOD = (Outcome.CALIBRATED, Outcome.REDUCED_MODEL, Outcome.ALREADY_GOOD)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RegistryEntry:
     """One good calibration of a device.
 
@@ -40,8 +48,16 @@ class RegistryEntry:
     path: Path
 
     @property
+    def serial(self) -> str:
+        """Serial number of its device."""
+        return str(self.report["recording"]["device"]["serial"])
+
+    @cached_property
     def view(self) -> ReportView:
-        """Typed view of the report."""
+        """Typed view of the report; raises UnreadableError if it is damaged."""
+        if wrong := fault(self.report, report_schema()):
+            what = f"is a damaged registry: in an entry of device {printable(self.serial)}, {wrong}"
+            raise UnreadableError(what, path=self.path, hint=HOW)
         return report_view(self.report)
 
     def coefficients(self) -> Coefficients:
@@ -57,9 +73,9 @@ class RegistryEntry:
 
     def order(self) -> tuple[str, str, float, str]:
         """Return what sorts entries; of one recording the first is kept."""
-        recording, error = self.report["recording"], section(dict(self.report), "calibration_error_mg")
+        error = section(dict(self.report), "calibration_error_mg")
         text = json.dumps(self.as_json(), sort_keys=True)
-        return recording["device"]["serial"], recording["sha256"], float(error["mean"]), text
+        return self.serial, self.report["recording"]["sha256"], float(error["mean"]), text
 
 
 def entry_of(report_path: Path, quality_path: Path) -> RegistryEntry | None:

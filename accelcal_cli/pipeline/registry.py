@@ -106,21 +106,18 @@ class Candidate:
 
 def candidates(registry: Sequence[RegistryEntry], wanted: Wanted) -> list[Candidate]:
     """Return the calibrations of a recording's device that are expected to help, the best first."""
-    known = [one for one in registry if _same_device(one.view, wanted)]
+    known = [one for one in registry if one.serial == wanted.serial and _fits(one.view, wanted)]
     walk = walk_mg2_a_day(known)
     found = [_expected(one, wanted, walk) for one in known]
     helping = [one for one in found if one.helps(wanted.own_mg)]
     return sorted(helping, key=lambda one: (one.expected_mg, one.entry.order()))
 
 
-def _same_device(view: ReportView, wanted: Wanted) -> bool:
-    device = view.recording.device
-    alike = ((device.model, wanted.model), (view.recording.lsb_per_g, wanted.lsb_per_g))
-    return (
-        wanted.serial is not None
-        and device.serial == wanted.serial
-        and all(None in pair or pair[0] == pair[1] for pair in alike)
-    )
+def _fits(view: ReportView, wanted: Wanted) -> bool:
+    """Return True if neither the model nor the counts in one g are others than those of a recording."""
+    recording = view.recording
+    alike = ((recording.device.model, wanted.model), (recording.lsb_per_g, wanted.lsb_per_g))
+    return all(None in pair or pair[0] == pair[1] for pair in alike)
 
 
 def _expected(entry: RegistryEntry, wanted: Wanted, walk: float) -> Candidate:

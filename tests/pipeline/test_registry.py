@@ -235,7 +235,13 @@ def test_51_2_files_that_are_not_registries_are_said(nights: Path, tmp_path: Pat
     damaged["devices"]["SIM00001"][0]["report"]["calibration"]["model"] = "x"
     mine.write_text(json.dumps(damaged))
     ran = run("calibrate", nights / "short.bin", "--registry", mine, "-d", tmp_path)
-    assert ran.code == 3 and "mine.json: is a damaged report" in ran.err
+    assert ran.code == 3 and "mine.json: is a damaged registry" in ran.err
+    damaged = json.loads((nights / "lab.json").read_text())
+    damaged["devices"]["SIM00001"][0]["report"]["misfits"][0].pop("before_mg")
+    mine.write_text(json.dumps(damaged))
+    ran = run("apply", nights / "short.bin", "--registry", mine, "-d", tmp_path)
+    said = "is a damaged registry: in an entry of device SIM00001, misfits[0].before_mg is missing"
+    assert_one_line(ran, said, "accelcal devices OUT --registry", code=3)
     damaged["devices"]["SIM00001"][0].pop("report")
     mine.write_text(json.dumps(damaged))
     assert run("calibrate", nights / "short.bin", "--registry", mine, "-d", tmp_path).code == 3
