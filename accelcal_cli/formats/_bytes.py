@@ -27,8 +27,11 @@ deflate: Any = zlib
 with suppress(ImportError):
     deflate = import_module("zlib_ng.zlib_ng")
 
-STEP_BYTES, FIRST_BYTES = 1 << 18, 1 << 14
-"""Packed bytes that are taken at a time, and first of a gzip member: there may be millions of short ones."""
+STEP_BYTES = 1 << 18
+"""Packed bytes that are taken at a time."""
+
+FIRST_BYTES = 1 << 14
+"""Packed bytes at the beginning of a gzip member, doubled each time: there may be millions of short ones."""
 
 LONGEST_TEXT, MOST_BYTES = 1 << 16, 1 << 20
 """Most bytes in a name or comment of a gzip member, and unpacked at once: zeros pack a thousandfold."""

@@ -31,7 +31,11 @@ NEVER_CAME = "samples that the file announces are missing at its end"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """Decoded frames as columns of n rows as in Chunk; a channel of single values may hold MISSING."""
+    """Decoded frames as columns of n rows as in Chunk; a channel of single values may hold MISSING.
+
+    Attributes:
+        faulty: (n,) rows without usable values; None if there are none.
+    """
 
     counts: Counts
     faulty: NDArray[np.bool_] | None = None
@@ -79,7 +83,9 @@ class FrameReader(Reader):
     """Streams the frames from the beginning; gives the problems found while opening with the first chunk."""
 
     def __init__(self, recording: Recording, file: FrameFile, problems: tuple[Problem, ...] = ()) -> None:
-        self.recording, self._file, self._problems = recording, file, problems
+        self.recording = recording
+        self._file = file
+        self._problems = problems
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, `chunk_samples` at a time."""
@@ -135,11 +141,9 @@ class _Rows:
     ) -> None:
         self.frame = self._samples = frame
         self._file, self._rate = file, rate_fraction(recording.rate_hz)
-        self._log, self._held, self._filter = (
-            ProblemLog(problems),
-            HeldChannels(file.first_values),
-            RowFilter(),
-        )
+        self._log = ProblemLog(problems)
+        self._held = HeldChannels(file.first_values)
+        self._filter = RowFilter()
 
     def feed(self, data: bytes, end_byte: int, *, last: bool) -> Chunk:
         """Return the next whole frames as a chunk."""
@@ -158,7 +162,8 @@ class _Rows:
         )
         faulty = np.zeros(count, np.bool_) if frames.faulty is None else frames.faulty
         chunk = self._filter.apply(chunk, faulty)
-        kind, before, places = self._file.left_out, np.cumsum(~faulty), np.flatnonzero(faulty)
+        kind, places = self._file.left_out, np.flatnonzero(faulty)
+        before = np.cumsum(~faulty) if len(places) else places
         for index, number, scattered in self._log.runs(kind, places):
             row = int(places[index])
             frame = self.frame + row
@@ -196,7 +201,8 @@ class FrameIntake(Intake):
 
     def __init__(self, recording: Recording, file: FrameFile, problems: tuple[Problem, ...]) -> None:
         self.after = b""
-        self._file, self._rows = file, _Rows(file, recording, 0, problems)
+        self._file = file
+        self._rows = _Rows(file, recording, 0, problems)
         self._skip, self._taken = file.start_byte, 0
         self._rest = b""
 

@@ -38,8 +38,11 @@ STAMP_STEPS_US = (MICROSECONDS, MICROSECONDS // 10, MICROSECONDS // 100, 1000, 1
 JITTER_ERROR, JITTERED, SPAN_ROWS = 0.005, 0.001, 16
 """Share by which a rate of jittered stamps may be wrong, of steps back that show these, and rows averaged."""
 
-DISAGREEMENT, SHORTFALL = 1.2, 0.2
-"""Ratio of a stated rate that disagrees with the times; share by which a group is shorter next to a gap."""
+DISAGREEMENT = 1.2
+"""Ratio of a stated rate to that of the times beyond which they disagree."""
+
+SHORTFALL = 0.2
+"""Share of the usual size by which a group may differ; one that differs more lies next to a gap."""
 
 SPREAD = "several rows share a time stamp; they were spread evenly until the next one"
 

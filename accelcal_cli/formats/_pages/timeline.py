@@ -34,7 +34,7 @@ LONGEST_GAP_S, LATEST_US = 365 * 86_400, 1 << 61
 
 @dataclass(frozen=True, slots=True)
 class Spacing:
-    """Rate, samples of a full page, and bits of the sequence number, which starts from 0 again."""
+    """Samples per second and in a full page, and bits of the sequence number, which starts from 0 again."""
 
     rate: Fraction
     rows: int

@@ -404,8 +404,11 @@ MOST_BYTES, MOST_TIMES = 1 << 30, 250
 
 MORE_SPACE = "set TMPDIR to a disk with more space"
 
-LOOKED_BYTES, MOST_EMPTY = 1 << 24, 100
-"""Bytes in which names are looked for, and members without bytes that are unpacked."""
+LOOKED_BYTES = 1 << 24
+"""Unpacked bytes, and bytes of a zip file's directory, in which names are looked for."""
+
+MOST_EMPTY = 100
+"""Members without bytes that are unpacked; the others are counted."""
 
 META, FREE_SHARE = "meta", 0.05
 """The one folder within a folder that stays there; share of the disk of temporary files that stays free."""

@@ -91,7 +91,8 @@ class Settings:
 
     The byte for rate and range is 0 in the oldest files, which give the rate in `old_rate_hz` and have no
     checksum; that for axes is a key of FULL_ROWS. The bits of the scale are the unit of the accelerometer
-    (upper three) and the range of the gyroscope.
+    (upper three) and the range of the gyroscope. The thermometer is that of the temperature words, None if
+    nothing was measured.
     """
 
     rate_code: int

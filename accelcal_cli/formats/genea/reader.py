@@ -298,8 +298,10 @@ class Grouper:
         return self._start_byte + page * PAGE_BYTES + within * SLOT_BYTES
 
 
-NONE = np.empty(0, np.int64)
-NO_GROUPS = PageBlock(NONE, NONE, np.empty((0, 3), np.int16), time_us=NONE, faulty=NONE.astype(np.bool_))
+NO_NUMBERS = np.empty(0, np.int64)
+NO_GROUPS = PageBlock(
+    NO_NUMBERS, NO_NUMBERS, np.empty((0, 3), np.int16), time_us=NO_NUMBERS, faulty=np.empty(0, np.bool_)
+)
 
 
 class GroupDecoder(PageDecoder[SampleGroups]):

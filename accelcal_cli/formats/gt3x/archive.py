@@ -352,7 +352,7 @@ class MemberStream(Closing):
 
 
 def small_part(archive: Archive, name: str) -> bytes | None:
-    """Return the whole of a part that describes the recording; None if it is damaged."""
+    """Return a part that describes the recording, None if it is damaged; raises KeyError if there is none."""
     try:
         with MemberStream(archive, archive.members[name]) as stream:
             data = stream.read(SMALL_BYTES)

@@ -66,7 +66,13 @@ PIECE_BYTES = 3 << 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Records:
-    """Records of a buffer in file order, (k,) each: begin, kind, seconds since 1970, payload bytes."""
+    """Records of a buffer in file order, (k,) each.
+
+    Attributes:
+        start: where each begins in the buffer.
+        second: seconds since 1970 on the device's clock.
+        size: bytes of payload.
+    """
 
     start: NDArray[np.int64]
     kind: NDArray[np.uint8]
@@ -294,7 +300,7 @@ class Framer:
         return end if starts else None
 
     def _search(self, page: Page, index: int, framed: _Framed) -> int | None:
-        """Find the next record after damage: that is records if their sizes lead there."""
+        """Find the next record after damage; note what lies before it: records, if their sizes lead there."""
         assert self._lost is not None
         place = np.searchsorted(page.believable, max(index, self._lost - page.base + 1))
         if place == len(page.believable) and not page.last:

@@ -303,7 +303,13 @@ CUT_SAMPLE = "an incomplete sample at the end of activity.bin, bytes left out"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Samples of k records with `rows` samples each, in file order; n in all."""
+    """Samples of k records in file order, n in all.
+
+    Attributes:
+        rows: (k,) samples of each record.
+        counts: (n, 3).
+        channels: n rows each.
+    """
 
     rows: NDArray[np.int64]
     counts: NDArray[np.int16]
@@ -360,7 +366,13 @@ class SchemaColumn:
 
 @dataclass(frozen=True, slots=True)
 class Schema:
-    """The content of sensor records, which begin with its number; its columns of 16 bits by label."""
+    """The content of sensor records, which begin with its number.
+
+    Attributes:
+        rate: samples in a second.
+        row_bytes: bytes of a sample.
+        columns: by label; only those of signed 16 bits.
+    """
 
     number: int
     rate: int
@@ -537,7 +549,12 @@ def samples_in(records: Records) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, slots=True)
 class ActivityFile:
-    """An activity.bin whose settings are known, with problems found before any sample."""
+    """An activity.bin whose settings are known.
+
+    Attributes:
+        start_us: time of the first sample.
+        problems: those found before any sample.
+    """
 
     archive: Archive
     member: Member
@@ -575,13 +592,15 @@ class ActivityFile:
                 for start in range(0, len(counts) or bool(problems), chunk_samples):
                     part, first = counts[start : start + chunk_samples], rows + start
                     idle = filled[start : start + chunk_samples]
-                    validity = np.where(idle, Validity.FILLED, Validity.MEASURED).astype(np.uint8)
+                    validity = None
+                    if idle.any():
+                        validity = np.where(idle, Validity.FILLED, Validity.MEASURED).astype(np.uint8)
                     yield Chunk(
                         first_sample=first,
                         counts=part,
                         clock=UniformClock(self.start_us, first, rate_fraction(self.rate)),
                         end_byte=piece.end_byte,
-                        validity=validity if idle.any() else None,
+                        validity=validity,
                         problems=problems,
                         used_bytes=int(np.diff(packed_bytes(np.array((first, first + len(part)))))[0]),
                     )

@@ -26,8 +26,14 @@ from accelcal_cli.formats.gt3x.records import EVENT, Damage, RecordBatch, Record
 from accelcal_cli.formats.gt3x.sensors import Samples, Sensor, Thermometer, first_rows
 
 FELL_ASLEEP, WOKE = b"\x08", b"\x09"
-UNWRITTEN_S, LONGEST_SILENCE_S = 1, 86_400
-"""Seconds that a device that falls asleep may lose, and longest ones between its voltages while asleep."""
+UNWRITTEN_S = 1
+"""Seconds that may be lost when a device falls asleep; the vendor's own export fills them as well."""
+
+LONGEST_SILENCE_S = 86_400
+"""Longest silence [s] of a sleeping device; after a longer one its clock jumped.
+
+Asleep, devices write their battery's voltage every minute.
+"""
 
 FILLED_FREELY_S, FILLED_PER_RECORD_S = 86_400, 300
 """Seconds of sleep that are filled in any file, and further ones for each record before its end.
@@ -79,7 +85,8 @@ class RowSpan:
 
 def groups(spans: Sequence[RowSpan], most: int) -> Iterator[list[RowSpan]]:
     """Group spans in order, each group up to about `most` rows."""
-    group, rows = list[RowSpan](), 0
+    group: list[RowSpan] = []
+    rows = 0
     for span in spans:
         if group and rows + span.rows > most:
             yield group
@@ -167,7 +174,7 @@ class SleepTracker:
         self._heard = int(seconds.max())
 
     def wake(self, second: int, next_s: int) -> SleepSpan | None:
-        """Return the time after the last known second that a device slept through which wakes; or None."""
+        """Note that the device woke; return when it slept, not before `next_s`, or None if nothing tells."""
         self.note_times(np.array([second]))
         since, self._since = self._since, None
         if since is None:
@@ -272,7 +279,12 @@ class _RecordPlace(NamedTuple):
 
 
 class Timeline:
-    """Makes rows from batches in file order; its position is the number of records so far, sound or not."""
+    """Makes rows and events from batches in file order.
+
+    Attributes:
+        position: number of records seen so far, sound or not.
+        rows: number of rows made so far.
+    """
 
     def __init__(self, sensor: Sensor, span: Span, thermometer: Thermometer | None = None) -> None:
         self.position = self.rows = self._next_s = self._filled_s = 0

@@ -52,15 +52,24 @@ READING_BYTES = (6, 6, 4, 4)
 """Bytes of a reading of three axes, of three rates, of two temperatures, of two heart rates."""
 
 USUAL_BYTES = 72_044
-MOST_BYTES, LEAST_BYTES = 1 << 20, 1 << 12
-"""Longest packet (devices write 12 000 samples), and least bytes that are scanned at a time for it."""
+MOST_BYTES = 1 << 20
+"""Longest packet; devices write one when 12 000 samples are there, and a longer one is damaged."""
+
+LEAST_BYTES = 1 << 12
+"""Least bytes that are scanned at a time: a packet is scanned again with each piece until it is whole."""
 
 HELD = "missing_value", "packets with samples but no rotation rates, given the last one measured"
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The header before the first packet, and what is wrong with it; a field is None if it is missing."""
+    """The header before the first packet; a field is None if it is missing.
+
+    Attributes:
+        packets: the number that it announces.
+        range_g, range_dps: ranges of accelerometer and gyroscope, +-.
+        damage: what is wrong with the header, for people.
+    """
 
     packets: int | None = None
     range_g: int | None = None
@@ -83,7 +92,13 @@ def parse_header(head: bytes) -> Header:
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """A sound packet: its seconds since 1970, and numbers of readings of each kind."""
+    """A sound packet.
+
+    Attributes:
+        start_s, end_s: seconds since 1970.
+        numbers: of readings of each kind.
+        body: the readings.
+    """
 
     start_s: int
     end_s: int
@@ -238,7 +253,10 @@ class FirstPackets:
 
 
 def look_inside(file: PageFile[Packets], options: ReadOptions) -> FirstPackets | None:
-    """Read on until there are packets of enough samples; return None if the file has no packet."""
+    """Read on until there are packets of enough samples; return None if the file has no packet.
+
+    Raises UnreadableError if their times do not show the rate and the user did not give it.
+    """
     packets: list[Packet] = []
     with closing(file.blocks(USUAL_BYTES)) as blocks:
         for block in blocks:

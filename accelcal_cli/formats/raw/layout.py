@@ -56,7 +56,8 @@ class Field:
     """A value at one place of every frame, or of every page.
 
     In a frame it stands for `raw * scale + zero`, or for `raw - zero` counts of x, y and z. The time of a
-    page is in units of `per_unit` seconds since 1970. A checksum covers bytes up to one before the last.
+    page is in units of `per_unit` seconds since 1970; `covers` is the first byte that a checksum covers, and
+    one past the last.
     """
 
     offset: int

@@ -142,12 +142,7 @@ class FrameValues:
 
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
-        kinds = [(field.type, field.offset) for field in layout.fields.values()]
-        formats = [
-            np.dtype((np.uint8, (3,))) if kind == INT24 else number_type(layout, kind) for kind, _ in kinds
-        ]
-        about = {"names": list(layout.fields), "formats": formats, "offsets": [at for _, at in kinds]}
-        self._record: np.dtype[np.void] = np.dtype(about | {"itemsize": layout.frame_bytes})  # type: ignore[call-overload]
+        self._record = record_type(layout)
         self.accel = Axes(
             layout,
             AXES,
@@ -209,6 +204,19 @@ def type_range(field: Field) -> tuple[int, int]:
         return INT24_RANGE
     info = np.iinfo(field.type)
     return int(info.min), int(info.max)
+
+
+def record_type(layout: Layout) -> np.dtype[np.void]:
+    """Return the numpy record of a frame."""
+    fields = layout.fields
+    formats = [
+        np.dtype((np.uint8, (3,))) if field.type == INT24 else number_type(layout, field.type)
+        for field in fields.values()
+    ]
+    offsets = [field.offset for field in fields.values()]
+    return np.dtype(
+        {"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": layout.frame_bytes}
+    )
 
 
 class FrameDecoder(PageDecoder[RawBlock]):

@@ -144,7 +144,10 @@ def _numbered(pairs: dict[str, str], prefix: str) -> dict[int, str]:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Which channels hold what, by their numbers from 0; `aux` is the last, with marks and temperatures."""
+    """Which channels hold what, by their numbers from 0; `aux` is the last, with marks and temperatures.
+
+    `gyro` is None without a gyroscope, or without its scale.
+    """
 
     channels: int
     accel: tuple[int, ...]
