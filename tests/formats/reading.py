@@ -60,7 +60,7 @@ def joined(recording: Recording, stream: Iterable[Chunk]) -> Read:
         column(chunks),
         times(chunks),
         breaks(chunks),
-        [problem for chunk in chunks for problem in chunk.problems],
+        whole_problems(chunks),
         np.concatenate(warm) if recording.has_temperature else None,
         np.concatenate(gyro) if recording.gyro_dps_per_lsb else None,
         np.concatenate(marks),
@@ -83,23 +83,28 @@ def breaks(chunks: list[Chunk]) -> list[int]:
     return [chunk.first_sample + int(row) for chunk in chunks for row in chunk.breaks]
 
 
+def whole_problems(chunks: list[Chunk]) -> list[Problem]:
+    return [problem for chunk in chunks for problem in chunk.problems]
+
+
 def problems(chunks: list[Chunk]) -> list[tuple[str, int | None, int, int]]:
     """Codes, byte offsets, samples and counts."""
-    return [(p.code, p.byte_offset, p.sample, p.count) for chunk in chunks for p in chunk.problems]
+    return [(p.code, p.byte_offset, p.sample, p.count) for p in whole_problems(chunks)]
 
 
 def told(chunks: list[Chunk]) -> list[tuple[str, int | None, int, int, int]]:
     """Codes, byte offsets, samples, counts and lost bytes."""
-    lost = (p.lost_bytes for chunk in chunks for p in chunk.problems)
+    lost = (p.lost_bytes for p in whole_problems(chunks))
     return [(*found, size) for found, size in zip(problems(chunks), lost, strict=True)]
 
 
 def check_same(first: list[Chunk], *others: list[Chunk]) -> None:
     """Rows, times, breaks and problems do not depend on the size of the chunks."""
     for other in others:
-        assert (rows(other) == rows(first)).all()
-        assert (times(other) == times(first)).all()
-        assert (told(other), breaks(other)) == (told(first), breaks(first))
+        assert np.array_equal(rows(other), rows(first))
+        assert np.array_equal(times(other), times(first))
+        assert breaks(other) == breaks(first)
+        assert whole_problems(other) == whole_problems(first)
 
 
 def all_of(

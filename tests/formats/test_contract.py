@@ -17,7 +17,7 @@ from accelcal_cli.core.recording import Chunk, Reader
 from accelcal_cli.formats import all_formats, find_format, open_recording
 from accelcal_cli.formats.raw import find_layout
 from tests.formats.expected import Expected
-from tests.formats.reading import breaks, check_same, problems, rows, times
+from tests.formats.reading import breaks, check_same, joined, rows, times
 
 HERE = Path(__file__).parent
 RATE_HZ = 50.0
@@ -181,20 +181,21 @@ def test_a_gzip_file_reads_alike_and_one_cut_short_is_told(name: str, tmp_path: 
     expected = maker.make(tmp_path, counts(), RATE_HZ, LSB_PER_G)
     options = replace(expected.options, format=name)
     with open_recording(expected.path, options) as reader:
-        plain = whole(reader, 300)
+        plain = joined(reader.recording, reader.chunks(300))
     packed, path = gzip.compress(expected.path.read_bytes(), 1), expected.path.with_name("packed.gz")
     for data, end in ((packed, 1200), (packed[: len(packed) * 3 // 4], 1199)):
         path.write_bytes(data)
         with open_recording(path, replace(options, layout=find_layout(expected.path, options))) as reader:
-            found = [whole(reader, size) for size in (1, 300, 10**6)]
-        count = len(rows(found[0]))
-        assert 0 < count <= end and (count == 1200) == (end == 1200)
-        for chunks in found:
-            assert (rows(chunks) == rows(plain)[:count]).all()
-            assert (times(chunks) == times(plain if end == 1200 else found[0])).all()
-            assert problems(chunks) == problems(found[0])
-            assert {code for code, *_ in problems(chunks)} - {"no_start_time"} <= {"truncated"}
-            assert ("truncated" in [code for code, *_ in problems(chunks)]) == (end < 1200)
+            first, *others = (joined(reader.recording, reader.chunks(size)) for size in (1, 300, 10**6))
+        assert all(first.same_as(other) for other in others)
+        count = len(first.counts)
+        assert 600 <= count <= end and (count == 1200) == (end == 1200)
+        assert np.array_equal(first.counts, plain.counts[:count])
+        assert end < 1200 or np.array_equal(first.times, plain.times)
+        warm = None if plain.temperature is None else plain.temperature[:count]
+        assert first.temperature is warm or np.array_equal(first.temperature, warm)
+        assert first.breaks == []
+        assert set(first.codes) - {"no_start_time"} == ({"truncated"} if end < 1200 else set())
 
 
 def test_a_file_of_no_format_is_refused_with_a_hint(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from random import Random
 
 import numpy as np
 
+from accelcal_cli.core.formats import ReadOptions
 from tests.formats import make_geneactiv
 from tests.formats.make_geneactiv import Page
 from tests.fuzz.blind import blind
@@ -16,6 +17,9 @@ from tests.fuzz.mutant import ORDER, Change, Mutant, Records, Truth, broken, cha
 
 SUFFIX = ".bin"
 SAMPLES = 300
+LSB_PER_G = 256.0
+"""By the gains of the header; without these if a user gives it."""
+
 NUMBERS = (
     *("", "0", "-1", "0.0", "-25.0", "1e9", "999999", "0.000001", "50,0", "50.0 Hz", "nan", "inf", "0x10"),
     *("\x1b[31mX\x07", "\xff\xfe", "A" * 64, "A" * 65, "=cmd()", "\t\x0b", "50.0000001", "100.0", "49.9"),
@@ -151,23 +155,28 @@ def header(random: Random) -> bytes:
 
 
 def mutant(random: Random) -> Mutant:
+    data, what = damaged(random)
+    options = ReadOptions(lsb_per_g=LSB_PER_G if random.random() < 1 / 3 else None)
+    return Mutant(data, what, truth(data, raw=options.lsb_per_g is not None), options)
+
+
+def damaged(random: Random) -> tuple[bytes, str]:
     head, pages = recording()[0], list(sound_pages())
     if random.random() < 0.2:
-        data = blind(head + b"".join(pages), random)
-        return Mutant(data, "blind", truth(data))
+        return blind(head + b"".join(pages), random), "blind"
     what = changed(pages, random, CHANGES)
     if random.random() < 0.35:
         head, what = header(random), f"{what} header"
     data = head + b"".join(pages)
     if random.random() < 0.1:
         what, data = f"{what} cut", data[: random.randrange(len(data))]
-    return Mutant(data, what, truth(data))
+    return data, what
 
 
-def truth(data: bytes) -> Truth | None:
-    """Rows of whole pages, and of all lines of digits; None unless the header has the usual scale."""
+def truth(data: bytes, *, raw: bool) -> Truth | None:
+    """Rows of whole pages, and of all lines of digits; None unless raw, or the header has the usual scale."""
     first = data.find(b"Recorded Data")
-    if first < 0 or calibration(data[:first]) != calibration(recording()[0]):
+    if first < 0 or not (raw or calibration(data[:first]) == calibration(recording()[0])):
         return None
     pages = [match for match in PAGE.finditer(data) if is_time(match[3])]
     left_over = re.sub(rb"\s+", b"", PAGE.sub(b"", data[first:]))
@@ -195,4 +204,4 @@ def line_rows(line: bytes) -> np.ndarray:
     six = np.frombuffer(octets, np.uint8).astype(np.int64).reshape(-1, 6)
     x, y = six[:, 0] << 4 | six[:, 1] >> 4, (six[:, 1] & 15) << 8 | six[:, 2]
     z = six[:, 3] << 4 | six[:, 4] >> 4
-    return ((np.stack([x, y, z], axis=1) ^ 0x800) - 0x800) / 256
+    return ((np.stack([x, y, z], axis=1) ^ 0x800) - 0x800) / LSB_PER_G

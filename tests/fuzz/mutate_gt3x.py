@@ -21,6 +21,12 @@ from tests.fuzz.mutant import ORDER, Change, Mutant, Records, Truth, changed, fl
 
 SUFFIX = ".gt3x"
 RATE = 30
+SIX_G = 341.0
+"""Counts per g of the older kind, which does not say it."""
+
+PAIR_BYTES = 9
+"""Length of two packed samples."""
+
 LARGEST_G = 127.0
 """Values behind a calibration.json are cut off there."""
 
@@ -266,11 +272,15 @@ def old(random: Random) -> Mutant:
         data = blind(data, random)
     if what == "cut":
         data = data[: random.randrange(len(data))]
+    rows = counts()[: 2 * len(data) // PAIR_BYTES] / SIX_G
+    held = None if what == "blind" else Truth(rows, rows)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, part in (("activity.bin", data), ("lux.bin", b""), ("info.txt", info)):
             archive.writestr(zipfile.ZipInfo(name), part)
-    return Mutant(buffer.getvalue(), f"old {what}")
+    if random.random() < 0.5:
+        return Mutant(buffer.getvalue(), f"old {what}", held)
+    return Mutant(damaged_zip(buffer.getvalue(), random), f"old {what} zip", held and possible(held))
 
 
 def mutant(random: Random) -> Mutant:
@@ -289,12 +299,17 @@ def mutant(random: Random) -> Mutant:
         joined, what, known = blind(joined, random), f"{what} blind", False
     more, done, applied = beside(random)
     data, what = zipped(joined, info, more, random), f"{what} {done}"
-    known = known and done != "broken maker"
-    if random.random() < 0.12:
-        data, what, known = damaged_zip(data, random), f"{what} zip", False
-    options = ReadOptions(sensor="imu" if "schema" in what and random.random() < 0.5 else None)
     once = data.count(b"PK\x01\x02") == 2 + len(more)
-    return Mutant(data, f"{what} {how}", truth(joined, applied) if known and once else None, options)
+    held = truth(joined, applied) if known and once and done != "broken maker" else None
+    if random.random() < 0.12:
+        data, what, held = damaged_zip(data, random), f"{what} zip", held and possible(held)
+    options = ReadOptions(sensor="imu" if "schema" in what and random.random() < 0.5 else None)
+    return Mutant(data, f"{what} {how}", held, options)
+
+
+def possible(held: Truth) -> Truth:
+    """What a damaged zip file may hold of its parts: nothing for sure, but nothing else."""
+    return Truth(np.empty((0, 3)), held.possible)
 
 
 def truth(log: bytes, applied: dict[str, object] | None) -> Truth | None:

@@ -144,21 +144,23 @@ def look_round(reader: Reader) -> None:
 
 
 def same_in_other_chunks(reader: Reader, chunks: list[Chunk], size: int) -> None:
-    """Rows, times, breaks and problems do not depend on the length of the chunks."""
+    """Rows with their times and marks, breaks and problems do not depend on the length of the chunks."""
     size = max(size, sum(map(len, chunks)) // MOST_CHUNKS)
     again = list(reader.chunks(size))
-    one, two = ([flat(column) for column in columns(some)] for some in (chunks, again))
-    for name, first, second in zip(("counts", "times", "breaks"), one, two, strict=True):
-        assert np.array_equal(first, second), f"CHUNK SIZE {size} changes the {name}"
+    one, two = columns(chunks), columns(again)
+    for name, column in one.items():
+        assert np.array_equal(column, two[name]), f"CHUNK SIZE {size} changes the {name}"
     told = [[problem for chunk in some for problem in chunk.problems] for some in (chunks, again)]
     assert told[0] == told[1], f"CHUNK SIZE {size} changes the problems"
 
 
-def columns(chunks: list[Chunk]) -> Iterator[list[np.ndarray]]:
-    yield [chunk.counts.reshape(-1) for chunk in chunks]
-    yield [chunk.clock.times(0, len(chunk)) for chunk in chunks]
-    yield [chunk.breaks + chunk.first_sample for chunk in chunks]
-
-
-def flat(parts: list[np.ndarray]) -> np.ndarray:
-    return np.concatenate([np.empty(0, np.int64), *parts])
+def columns(chunks: list[Chunk]) -> dict[str, np.ndarray]:
+    parts = {
+        "counts": [chunk.counts.reshape(-1) for chunk in chunks],
+        "times": [chunk.clock.times(0, len(chunk)) for chunk in chunks],
+        "breaks": [chunk.breaks + chunk.first_sample for chunk in chunks],
+        "temperatures": [c.temperature_mc for c in chunks if c.temperature_mc is not None],
+        "rotation rates": [c.gyro_counts.reshape(-1) for c in chunks if c.gyro_counts is not None],
+        "validity": [np.zeros(len(c), np.uint8) if c.validity is None else c.validity for c in chunks],
+    }
+    return {name: np.concatenate([np.empty(0, np.int64), *some]) for name, some in parts.items()}

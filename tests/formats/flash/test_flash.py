@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import AccelcalError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.core.recording import Reader
 from accelcal_cli.formats.flash import FORMAT
@@ -280,6 +280,19 @@ def test_a_gzip_file_damaged_within_ends_at_the_same_sample_for_any_chunk_size(
     reader = opened(tmp_path, bytes(packed))
     sizes = {len(all_of(reader, chunk_samples)[0]) for chunk_samples in (1, 100, 3000, 1 << 20)}
     assert len(sizes) == 1 and 0 < sizes.pop() < 8000
+
+
+def test_random_damage_leaves_ascending_times_or_an_error_of_ours(tmp_path: Path) -> None:
+    data = header(flags=1) + b"".join(five_pages())
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        table = np.frombuffer(data, np.uint8).copy()
+        table[rng.integers(0, len(table), rng.integers(1, 40))] = rng.integers(0, 256)
+        try:
+            _, times, _, _ = all_of(opened(tmp_path, table.tobytes()), 100)
+        except AccelcalError:
+            continue
+        assert (np.diff(times) > 0).all()
 
 
 def test_many_damaged_places_give_a_bounded_number_of_problems(tmp_path: Path) -> None:
