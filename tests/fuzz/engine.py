@@ -55,6 +55,7 @@ class Tally:
 
     Attributes:
         failures: kind and text of each, and the file that is kept.
+        refusals: what the errors of refused mutants say.
         rows: that readers gave, filled ones included.
         lost: rows of the files that they did not give, and told so.
         slowest_s: of a processor.
@@ -67,6 +68,7 @@ class Tally:
     slowest_s: float = 0.0
     peak_bytes: int = 0
     failures: list[str] = field(default_factory=list)
+    refusals: Counter[str] = field(default_factory=Counter)
 
     def add(self, other: Tally) -> None:
         for name in ("mutants", "refused", "rows", "lost"):
@@ -74,6 +76,7 @@ class Tally:
         self.slowest_s = max(self.slowest_s, other.slowest_s)
         self.peak_bytes = max(self.peak_bytes, other.peak_bytes)
         self.failures += other.failures
+        self.refusals += other.refusals
 
     def line(self, name: str) -> str:
         read_ones = self.mutants - self.refused
@@ -168,6 +171,7 @@ def judged(name: str, made: Mutant, path: Path, number: int, random: Random, tal
     rows = read(path, options, whole=number % WHOLE_EACH == 0, other_chunks=other)
     if isinstance(rows, AccelcalError):
         tally.refused += 1
+        tally.refusals[rows.message] += 1
         return blames_a_sound_line(rows, made)
     tally.rows += rows.number
     found, lost = (None, 0) if made.truth is None else verdict(rows, made.truth)

@@ -21,6 +21,15 @@ FEW, MANY = range(1, 10), range(100, 700)
 LATE = {"gt3x": 50, "csv": 30}
 """Formats whose first mutants lose nothing."""
 
+REFUSED = {
+    **{"cwa": 0.07, "parmay": 0.09, "genea": 0.12, "geneactiv": 0.15, "flash": 0.19, "gt3x": 0.22},
+    **{"feather": 0.30, "mat": 0.32, "csv": 0.33, "edf": 0.33, "raw": 0.36, "wav": 0.40, "npz": 0.42},
+    **{"opal": 0.43, "parquet": 0.49, "embraceplus": 0.57, "hdf5": 0.61, "unisens": 0.66},
+}
+"""Upper bounds of the shares of mutants that are refused, as a reader must not give up too early."""
+
+CWA_REFUSALS = {"holds no intact data sector", "is not an Axivity .cwa recording", "the file is empty"}
+
 SLOWEST = {"points", "poses", "reports", "studies", "remembered", "options"}
 NIGHTLY = {"reports", "studies", "remembered"}
 
@@ -40,9 +49,13 @@ def test_damaged_files_give_true_rows_or_errors_of_ours(name: str, tmp_path: Pat
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", engine.NAMES)
-def test_many_damaged_files(name: str, tmp_path: Path) -> None:
-    numbers = MANY[:60] if name in SLOWEST else MANY
-    assert engine.fuzz(name, 1, numbers, tmp_path).failures == []
+def test_many_damaged_files(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "OTHER_CHUNKS_EACH", 2)
+    found = engine.fuzz(name, 1, MANY[:60] if name in SLOWEST else MANY, tmp_path)
+    assert found.failures == []
+    assert found.refused < REFUSED.get(name, 2.0) * found.mutants
+    if name == "cwa":
+        assert {text.partition(" (")[0] for text in found.refusals} <= CWA_REFUSALS
 
 
 @pytest.mark.parametrize("name", engine.FORMATS)
