@@ -56,7 +56,9 @@ class Within(click.FloatRange):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Parse and check."""
-        number = float(super().convert(value, param, ctx))
+        plain = click.FloatRange(self.min, self.max, self.min_open, self.max_open)
+        plain.name = self.name  # of the type itself, whose error names any range
+        number = float(plain.convert(value, param, ctx))
         if not isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)
         return number

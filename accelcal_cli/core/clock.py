@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, timezone, tzinfo
 from fractions import Fraction
 from math import gcd
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,6 +123,10 @@ def start_of(written: datetime) -> StartTime | None:
     return StartTime(start_us, "UTC" if known else None, bool(moment.utcoffset()))
 
 
+@overload
+def iso_time(time_us: int, offset_s: int | None) -> str: ...
+@overload
+def iso_time(time_us: int | None, offset_s: int | None) -> str | None: ...
 def iso_time(time_us: int | None, offset_s: int | None) -> str | None:
     """Format a time of a device's clock as ISO 8601 with microseconds, and its offset from UTC where known.
 

@@ -42,7 +42,7 @@ SCRIPTS = {
 """Script of each tool that reads data."""
 
 RUN_BY = {".R": "Rscript", ".sh": "sh", ".py": "python"}
-COEFFICIENTS = {"ggir": "coefficients.csv", "biobank": "coefficients.txt"}
+COEFFICIENT_FILES = {"ggir": "coefficients.csv", "biobank": "coefficients.txt"}
 WRITTEN_AS = {"actipy": "csv", "skdh": "npz"}
 """Tools whose data have the form of another name."""
 
@@ -119,8 +119,8 @@ def plan(form: str, selected: Sequence[Selected], options: ExportOptions, *, for
         OutputError: a file is there already.
     """
     folder, planned = options.output, []
+    outputs: list[Path] = []
     suffix = SUFFIXES.get(form, ".csv.gz" if options.gzip else ".csv")
-    outputs = [folder / tool[form] for tool in (SCRIPTS, COEFFICIENTS) if form in tool]
     usable = [(one, one.parquet) for one in selected if one.skipped is None and one.parquet is not None]
     for (one, parquet), name in zip(usable, _names([path for _, path in usable]), strict=True):
         try:
@@ -131,6 +131,7 @@ def plan(form: str, selected: Sequence[Selected], options: ExportOptions, *, for
         place = folder / group_of(one, about, options.resample_hz).folder if form == "ggir" else folder
         outputs.append(place / (name + suffix))
         planned.append(Made(Planned(one, about, outputs[-1])))
+    outputs += [folder / tool[form] for tool in (SCRIPTS, COEFFICIENT_FILES) if form in tool]
     if not force:
         refuse_existing(outputs)
     return planned
@@ -200,9 +201,9 @@ def write_script(form: str, made: Sequence[Made], options: ExportOptions) -> Pat
         rate = options.resample_hz
         text = "\n".join(LINES[form](one.output.name, one.about, rate or one.about.rate_hz) for one in done)
     name = SCRIPTS[form]
-    form_of = files("accelcal_cli.exports").joinpath("scripts", f"{name}.in").read_text("utf-8")
+    template = files("accelcal_cli.exports").joinpath("scripts", f"{name}.in").read_text("utf-8")
     path = options.output / name
-    filled = form_of.replace("@version@", __version__).replace("@groups@", text).replace("@lines@", text)
+    filled = template.replace("@version@", __version__).replace("@groups@", text).replace("@lines@", text)
     write_text(path, filled)
     return path
 
@@ -223,7 +224,7 @@ def write_coefficients(form: str, made: Sequence[Made], folder: Path) -> list[st
     Returns:
         one message for each recording that is not among them.
     """
-    if form not in COEFFICIENTS:
+    if form not in COEFFICIENT_FILES:
         return []
     reports: dict[str, Any] = {}
     messages = []
@@ -234,11 +235,11 @@ def write_coefficients(form: str, made: Sequence[Made], folder: Path) -> list[st
         try:
             found = coefficients.read_exported(report)
             if found.file_name in reports:
-                text = f"not in {COEFFICIENTS[form]}: another recording has the name {found.file_name}"
+                text = f"not in {COEFFICIENT_FILES[form]}: another recording has the name {found.file_name}"
                 messages.append(f"{report}: {text}")
             reports.setdefault(found.file_name, found)
         except AccelcalError as error:
-            messages.append(f"not in {COEFFICIENTS[form]}: {error}")
+            messages.append(f"not in {COEFFICIENT_FILES[form]}: {error}")
     text = coefficients.TABLES[form](list(reports.values()))
-    write_text(folder / COEFFICIENTS[form], text)
+    write_text(folder / COEFFICIENT_FILES[form], text)
     return messages

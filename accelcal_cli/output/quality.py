@@ -228,7 +228,7 @@ def _rows(made: QualityInput) -> RowColumns:
     if made.data.judgement.calibration is not None:
         after = _columns(errors, lambda one: one.after)
     return RowColumns(
-        start=[str(iso_time(begun, offset_s)) for begun in made.begun_us],
+        start=[iso_time(begun, offset_s) for begun in made.begun_us],
         samples=list(rows.samples),
         still=list(rows.still),
         moving=list(rows.moving),

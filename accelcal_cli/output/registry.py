@@ -99,6 +99,7 @@ def entry_of(report_path: Path, quality_path: Path) -> RegistryEntry | None:
     changed = section(report, "change").get("kind", "none") != "none"
     if borrowed or changed or not device.get("serial") or not report.get("calibration_error_mg"):
         return None
+    # an entry keeps what every report must have, and nothing else
     kept = {name: report[name] for name in report_schema()["required"] if name in report}
     kept["recording"] = {**report["recording"], "gaps": [], "notes": []}
     kept["file_health"] = {**report["file_health"], "problems": []}

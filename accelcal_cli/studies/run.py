@@ -184,8 +184,8 @@ class StudyRun:
         self._observer = observer
         self._rounds = rounds(study)
         self._pending: dict[str, TaskResult] = {}
-        self._table_due = time.monotonic() + TABLE_S
         self.plan = plan(study, ledger, self._list_sensors)
+        self._table_due = time.monotonic() + TABLE_S
         self.worked = {*self.plan.unlisted}
 
     def _list_sensors(self, tasks: Sequence[SensorsTask]) -> Iterator[tuple[Item, TaskResult]]:

@@ -12,6 +12,7 @@ from accelcal_cli.cli.main import cli
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.pipeline.options import named_values
+from tests.cli.run import assert_one_line, run
 
 RATE = {"calibrate", "study", "six-pose", "inspect", "apply", "evaluate methods", "evaluate stillness"}
 FITTING = {"calibrate", "study", "inspect"}
@@ -87,6 +88,15 @@ def test_numbers_within_the_bounds_and_no_others(command: str, name: str, low: f
     beyond = (math.nextafter(low, -math.inf), math.nextafter(high, math.inf), math.nan, math.inf, -math.inf)
     assert accepts(command, name, repr(low)) and accepts(command, name, repr(high))
     assert [number for number in beyond if accepts(command, name, repr(number))] == []
+
+
+@pytest.mark.parametrize(
+    ("words", "bounds"),
+    [(("--segment-seconds", "1e308"), "0<x<=3600"), (("--altitude", "inf"), "-500<=x<=9000")],
+)
+def test_an_error_names_bounds_that_the_help_omits(words: tuple[str, ...], bounds: str) -> None:
+    assert_one_line(run("calibrate", "x", *words), f"is not in the range {bounds};", code=2)
+    assert bounds not in run("calibrate", "--help-all").out
 
 
 @pytest.mark.parametrize("name", ["--min-subset-points", "--max-subset-points"])

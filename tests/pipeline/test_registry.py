@@ -18,6 +18,7 @@ from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.judge.errors import apart_mg
 from accelcal_cli.output.coefficients import coefficients_json
 from accelcal_cli.output.registry import RegistryEntry, read_registry, write_registry
+from accelcal_cli.output.report_reading import report_schema
 from accelcal_cli.pipeline.registry import Wanted, candidates, walk_mg2_a_day
 from tests.cli.run import assert_one_line, exit_code, nightly, run, verify
 from tests.recordings import good_raw
@@ -30,6 +31,17 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("template")
     assert exit_code("calibrate", good_raw(folder), "--report-only", "-q") == 0
     return json.loads((folder / "good.calibration.json").read_text())
+
+
+def test_an_entry_keeps_what_a_report_must_have() -> None:
+    """What a new section holds goes into every registry: decide whether it may before it is put here."""
+    kept = (
+        "kind", "schema_version", "accelcal_version", "recording", "settings", "outcome", "reason", "values",
+        "message", "notes", "cautions", "advice", "calibration", "without_misalignment",
+        "calibration_error_mg", "rest_scatter_mg", "change", "misfits", "holdout", "fit", "coverage",
+        "models_tried", "file_health", "provenance",
+    )  # fmt: skip
+    assert tuple(report_schema()["required"]) == kept
 
 
 def calibration(scales: np.ndarray, offset_mg: np.ndarray) -> Calibration:
