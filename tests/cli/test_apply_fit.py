@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.run import assert_one_line, run, verify
+from tests.cli.run import assert_one_line, run, told, verify
 from tests.device_recordings import edit, rest, week
 from tests.recordings import RATE_HZ, SECONDS, directions
 
@@ -33,7 +33,7 @@ def test_its_coefficients_are_applied_where_the_user_says_so(tmp_path: Path, fit
     report = json.loads((tmp_path / "other.calibration.json").read_text())
     assert report["calibration"] == json.loads(fitted.read_text())["calibration"]
     assert report["holdout"]["after_mg"]["mean"] < 0.5
-    assert "device unknown" in report["message"]
+    assert "device unknown" in report["message"] and told(report, "other_device") in report["message"]
     assert verify(tmp_path / "other.calibration.json", other)[0].code == 0
 
 

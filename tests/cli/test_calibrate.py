@@ -116,6 +116,7 @@ def test_a_rerun_does_nothing_and_says_so(tmp_path: Path) -> None:
     assert again.out == first.out
     assert "up to date" in again.err
     assert before == {name: (tmp_path / name).stat().st_mtime_ns for name in files(tmp_path)}
+    assert "up to date" not in run("calibrate", "--model", 6, path, "--force", code=0).err
 
 
 def test_a_report_and_a_parquet_of_two_calibrations_are_made_anew(tmp_path: Path) -> None:

@@ -150,7 +150,7 @@ START = "from accelcal_cli.cli.main import main; main()"
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("calibrat", "x"), "Did you mean 'calibrate'?"),
+        (("calibrat", "x"), "no such command 'calibrat'. Did you mean 'calibrate'?"),
         (("evaluate", "metods"), "Did you mean 'methods'?"),
         (("calibrate", "x", "--stilness", "both"), "--stillness"),
         (("calibrate", "x", "--stillness", "bth"), "Did you mean 'both'?"),

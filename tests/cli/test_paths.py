@@ -69,10 +69,13 @@ def test_a_report_of_another_recording_of_the_name_is_not_replaced(tmp_path: Pat
     one, other = good_csv(tmp_path / "a"), good_raw(tmp_path / "b")
     out = tmp_path / "out"
     assert run("calibrate", one, "-d", out, "-q").code == 0
-    ran = run("calibrate", other, "-d", out, "-q")
-    assert ran.code == 5 and "is the report of another recording" in ran.err
+    held = {path: path.read_bytes() for path in out.iterdir()}
+    ran = run("calibrate", other, "-d", out, "-q", code=5)
+    assert_one_line(ran, "is the report of another recording", str(one), "-d")
+    assert held == {path: path.read_bytes() for path in out.iterdir()}
     one.write_text(one.read_text() + "2024-03-05T00:00:00,0,0,1\n")  # the same place: changed, not another
     assert run("calibrate", one, "-d", out, "-q").code == 0
+    run("calibrate", other, "-d", out, "-q", "--force", code=0)
 
 
 def test_verify_finds_what_the_report_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,12 +27,13 @@ def test_wrong_counts_per_g(tmp_path: Path, lsb_per_g: int) -> None:
     assert note["values"]["lsb_per_g"] == lsb_per_g and told(report, "wrong_counts_per_g") in ran.err
 
 
-def test_a_wrong_unit(tmp_path: Path) -> None:
-    ran = run("calibrate", good_csv(tmp_path), "--unit", "m/s2", code=4)
+@pytest.mark.parametrize(("unit", "measured"), [("m/s2", "0.101"), ("mg", "0.001")])
+def test_a_wrong_unit(tmp_path: Path, unit: str, measured: str) -> None:
+    ran = run("calibrate", good_csv(tmp_path), "--unit", unit, code=4)
     report = json.loads((tmp_path / "good.calibration.json").read_text())
     assert told(report, "wrong_unit") in ran.err and report["advice"] == []
-    said = "Gravity measures 0.101 g instead of 1 g, as if values in g were read as m/s2. Use --unit g."
-    assert said in ran.err
+    said = f"Gravity measures {measured} g instead of 1 g, as if values in g were read as {unit}."
+    assert f"{said} Use --unit g." in ran.err
 
 
 def test_an_axis_that_is_another_field(tmp_path: Path) -> None:

@@ -151,6 +151,18 @@ def test_inputs_are_never_overwritten(tmp_path: Path) -> None:
     assert run("six-pose", path, "--poses", listed).code == 0
 
 
+def test_reports_of_others_are_kept_without_force_and_its_own_is_up_to_date(tmp_path: Path) -> None:
+    path, report = six_faces(tmp_path, seconds=4.0), tmp_path / "session.calibration.json"
+    report.write_text("{}")
+    assert "was not written by accelcal" in refused(5, path)
+    assert report.read_text() == "{}"
+    first, stamp = run("six-pose", path, "--force", code=0), report.stat().st_mtime_ns
+    again = run("six-pose", path, code=0)
+    assert again.out == first.out and "up to date" in again.err and report.stat().st_mtime_ns == stamp
+    other = write_csv(tmp_path / "other.csv", session(["+z"]))
+    assert "is the report of another recording" in refused(5, other, "-o", report)
+
+
 def test_parquet_of_a_replaced_calibration_does_not_outlive_it(tmp_path: Path) -> None:
     path = good_csv(tmp_path)
     assert run("calibrate", path, "--integers").code == 0

@@ -98,7 +98,7 @@ def test_another_device_is_refused_unless_any_will_do(
     else:
         with pytest.raises(UsageError) as refusal:
             checked_relation(theirs, recording, path, Request())
-        assert refusal.value.message.endswith(message) and refusal.value.path == path
+        assert (refusal.value.message, refusal.value.path) == (message, path)
 
 
 @pytest.mark.parametrize(
@@ -179,6 +179,10 @@ def test_the_verdict_has_whose_they_are_what_they_did_and_what_differs(tmp_path:
         Reason("other_counts_per_g", {"here": 100.0, "there": recording.lsb_per_g}),
         Reason.of("slopes_left_out", at_c=warm.calibration.reference_c()),
     )
+    nameless = replace(recording, device=replace(recording.device, serial=None))
+    assert judged(warm, warm.calibration, nameless, None).notes == (
+        Reason("other_device", {"serial": "unknown"}),
+    )
 
 
 @pytest.mark.parametrize(
@@ -210,7 +214,7 @@ def test_the_file_of_the_coefficients_is_not_written_over(tmp_path: Path) -> Non
             keep_coefficients(path, [job])
 
 
-def test_apply_again_is_up_to_date_until_the_coefficients_change(tmp_path: Path) -> None:
+def test_apply_again_is_up_to_date_until_something_changes(tmp_path: Path) -> None:
     theirs, _ = coefficients(tmp_path)
     job = job_of(week(tmp_path / "other.raw", seed=2, poses=20), tmp_path / "out")
     first = apply(job, Request(coefficients=theirs))
@@ -220,6 +224,10 @@ def test_apply_again_is_up_to_date_until_the_coefficients_change(tmp_path: Path)
     edit(theirs.document.path, lambda report: report.update(message="another"))
     changed = read_coefficients(theirs.document.path)
     assert not apply(job, Request(coefficients=changed)).up_to_date
+    assert apply(job, Request(coefficients=changed)).up_to_date
+    assert not apply(job, Request(coefficients=changed, force=True)).up_to_date
+    elsewhere = replace(DEFAULT, latitude=10.0)
+    assert not apply(job, Request(coefficients=changed, settings=elsewhere)).up_to_date
 
 
 def test_the_first_donor_that_proves_itself_lends(tmp_path: Path) -> None:

@@ -1,5 +1,4 @@
 """Two runs on one folder: a lock in any order of operations, and what a run does whose lock is not its own.
-from tests.cli.run import nightly
 
 Links, exclusive creation and answers behave as on NFS.
 """
