@@ -150,6 +150,7 @@ class _Bar:
     def __init__(self, wanted: bool | None) -> None:
         terminal = sys.stderr is not None and sys.stderr.isatty()
         shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+        # in a Jupyter kernel, and not just where one could be started
         self._shown = (terminal or hasattr(shell, "kernel")) if wanted is None else wanted
         self._bar: Any = None
         self._failed = 0

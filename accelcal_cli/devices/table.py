@@ -195,7 +195,7 @@ def columns(path: Path) -> dict[str, Any]:
     try:
         found: dict[str, Any] = {name: _values(table[name], "text", str) for name in TEXT}
         for name in (*NUMBERS, *COLUMNS, *ERRORS):
-            found[name] = np.array(_values(table[name], "numbers", int, float), np.float64)
+            found[name] = np.array(_values(table[name], "numbers", int, float), np.float64)  # NaN for None
         return found
     except ValueError as error:
         raise UnreadableError(f"cannot be read ({error})", path=path, hint="run the study again") from error
@@ -218,8 +218,8 @@ def _check_there(path: Path) -> None:
 
 
 def _values(column: pa.ChunkedArray, what: str, *kinds: type) -> list[Any]:
-    """Return the values of a column, without pandas (a third of a second), which Arrow would load."""
-    values: list[Any] = column.to_pylist()
+    """Return the values of a column; raises ValueError for another type."""
+    values: list[Any] = column.to_pylist()  # without pandas (a third of a second), which Arrow would load
     if not all(value is None or isinstance(value, kinds) for value in values):
         raise ValueError(f"a column of {what} is {column.type}")
     return values

@@ -289,7 +289,10 @@ def _origin(report: ReportView) -> list[tuple[str, str]]:
 
 
 def _known_orientations(report: ReportView) -> dict[str, Any] | None:
-    """Return the tables of poses and rolls, and whether nothing was held out, in a sentence."""
+    """Return `poses` and `rolls` (None without any), and `caution`, a sentence that nothing was held out.
+
+    `caution` is empty where something was held out. Returns None for a report without known orientations.
+    """
     if report.known_orientations is None or report.poses is None:
         return None
     rolls: Rows = [
@@ -331,7 +334,10 @@ def _level(level: Level | None) -> str:
 
 
 def _gyroscope(gyroscope: GyroscopeSection) -> dict[str, Any]:
-    """Return the verdict, its reason, and the tables of coefficients and errors, where there are any."""
+    """Return the `verdict` and its `reason`, sentences, and two tables, each of which may be None.
+
+    `coefficients` is None if it was refused, `errors` if it was neither turned nor at rest.
+    """
     verdict = "Calibrated: angular rates in the calibrated recording are corrected."
     if gyroscope.outcome == "refused":
         verdict = "Not calibrated: angular rates in the calibrated recording are as measured."

@@ -255,6 +255,8 @@ class Plan:
     """The recordings of a study by what is to be done with them, and other files that it found.
 
     Attributes:
+        study, ledger: the study, and what is known of earlier results.
+        asked: hash of the settings and the version, with which alone an entry is valid.
         last: what `study.json` says of the last run.
         changed: options whose values differ from those of the last run.
         done: recordings whose earlier result is valid, each with its entry.
@@ -341,6 +343,7 @@ class Plan:
         return [one for item in items for one in self._recordings_of(item, found.get(item.name))]
 
     def _sensors_of(self, item: Item, *, waits: bool) -> Entry | None:
+        """Return the entry of a file's sensors; of one that waits the last, even if the file has changed."""
         known = self.ledger.known(item, self.asked, SENSORS)
         if known is None and waits:
             last = next(reversed(self.ledger.entries(item.name, SENSORS)), None)

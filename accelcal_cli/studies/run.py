@@ -196,7 +196,12 @@ class StudyRun:
             yield item, result
 
     def begin(self) -> None:
-        """Refuse what must not be done, say what there is to do, and remove what killed runs left."""
+        """Refuse what must not be done, say what there is to do, and remove what killed runs left.
+
+        Raises:
+            UsageError: there is nothing to collect, or `--prune` would remove too much.
+            OutputError: a file is in the way that no study wrote.
+        """
         study, plan = self.study, self.plan
         sources = [item.source for item in plan.items()]
         refuse_foreign(study.out, study.shard.basename, sources, force=study.request.force)
@@ -223,7 +228,12 @@ class StudyRun:
             raise
 
     def finish(self) -> Summary:
-        """Say what became of earlier results, remove what does not hold any more, and write the summary."""
+        """Say what became of earlier results, remove what does not hold any more, and write the summary.
+
+        Raises:
+            UsageError: `--prune` would remove too much.
+            LockedError, OutputError: see `run`.
+        """
         study, plan = self.study, self.plan
         rows, decisions = self._rows(plan.kept)
         made = {name: one.last.row or {} for name, one in self.known.recordings.items()}
