@@ -374,7 +374,7 @@ def donor_of(document: Document, stated: Path | None) -> Coefficients | None:
         for path in existing
         if (read_document(path).content_sha256 if by_content else sha256(path)) == used.sha256
     ]
-    for path in unchanged or filter(is_file, places[:1]):
+    for path in unchanged or [path for path in existing if path == places[0]]:
         return read_coefficients(path, by_content=by_content)
     raise UsageError(
         f"was made with the coefficients in {stated or then}, which is missing",

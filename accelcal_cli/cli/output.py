@@ -351,8 +351,8 @@ def _say_verdict(result: Result, values: dict[str, Any]) -> None:
         why = " ".join([report.message, *map(sentences.sentence, [*grave, *ways])])
         say_refused(why, result.job.source, values)
         return
-    said = (_in_words(values) or values["verbose"]) and not (values["quiet"] or values["as_json"])
-    if grave and not said:  # with the result itself
+    said_with_result = (_in_words(values) or values["verbose"]) and not (values["quiet"] or values["as_json"])
+    if grave and not said_with_result:
         exit_codes.say(f"{printable(result.job.source)}: caution: {' '.join(map(sentences.sentence, grave))}")
 
 

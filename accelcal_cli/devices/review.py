@@ -363,7 +363,8 @@ def _reviewed(known: _Known, index: int, of_device: tuple[Trend, ...]) -> Device
     def used(*wanted: table.Usage) -> list[int]:
         return [row for row, use in uses.items() if use in wanted]
 
-    single, own = used(*(use for use in table.Usage if use is not table.Usage.COPY)), used(*table.OWN)
+    single = [row for row, use in uses.items() if use is not table.Usage.COPY]
+    own = used(*table.OWN)
     sure = [row for row in own if known.sure[row]]
     starts = [records.text["start_time"][row] for row in single if np.isfinite(records.days[row])] or [None]
     lost = np.nan_to_num(records.number["lost_percent"][single])
@@ -372,7 +373,7 @@ def _reviewed(known: _Known, index: int, of_device: tuple[Trend, ...]) -> Device
     return DeviceReview(
         key=records.devices[index],
         rows=rows,
-        firmware=tuple(sorted({*filter(None, records.text["device_firmware"][rows.start : rows.stop])})),
+        firmware=tuple(sorted({*filter(None, (records.text["device_firmware"][row] for row in rows))})),
         counts=dict(Counter(uses.values())),
         sure=len(sure),
         blamed=int(np.count_nonzero(enough)),

@@ -351,10 +351,9 @@ def _gyroscope_coefficients(gyroscope: GyroscopeSection) -> PageTable | None:
         return None
     unknown = ((None,) * 3,) * 3
     rows: Rows = [
-        [f"s_{row}{column}", words, millionths(value), millionths(error)]
+        [f"s_{row}{column}", _gain_name(row, column), millionths(value), millionths(error)]
         for row, values, of_row in zip("xyz", gyroscope.scale, errors.scale or unknown, strict=True)
         for column, value, error in zip("xyz", values, of_row, strict=True)
-        for words in (f"scale of {row}" if row == column else f"{column} in {row}",)
     ]
     for axis, value, error in zip("xyz", bias, errors.bias_dps or (None,) * 3, strict=True):
         rows.append([f"b{axis}", f"bias of {axis} [deg/s]", millionths(value), millionths(error)])
@@ -363,6 +362,10 @@ def _gyroscope_coefficients(gyroscope: GyroscopeSection) -> PageTable | None:
             rows.append([f"c{axis}", f"change of the bias of {axis} [deg/s per °C]", millionths(value), "–"])
     head = ["Name", "Meaning", "Value", "Standard error"]
     return PageTable(f"Coefficients of {gyroscope.equation}", head, rows, (0, 1))
+
+
+def _gain_name(row: str, column: str) -> str:
+    return f"scale of {row}" if row == column else f"{column} in {row}"
 
 
 def _gyroscope_errors(gyroscope: GyroscopeSection) -> PageTable | None:

@@ -299,7 +299,9 @@ class _Entry:
     @property
     def problem_name(self) -> str:
         """Name of the problem in the table, or that it is a copy; empty without one."""
-        return COPY if self.copy_of else self.problem.short if self.problem else ""
+        if self.copy_of:
+            return COPY
+        return self.problem.short if self.problem else ""
 
     @property
     def change_mg(self) -> float | None:

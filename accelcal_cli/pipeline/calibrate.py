@@ -354,9 +354,9 @@ class RecordingRun:
         found = self._first_pass(judge, logged)
         procedure, verdict = found.method.procedure, found.data.judgement
         near_1_g = isinstance(procedure, procedures.PaperProcedure) and len(procedure.collector) > 0
-        for settings in (
-            other_rules(judge.settings) if near_1_g and verdict.outcome is Outcome.REFUSED else ()
-        ):
+        if not (near_1_g and verdict.outcome is Outcome.REFUSED):
+            return found
+        for settings in other_rules(judge.settings):
             run = replace(self, request=replace(self.request, settings=settings))
             other = run._first_pass(replace(judge, settings=settings), logged)
             if other.data.judgement.calibration is not None:

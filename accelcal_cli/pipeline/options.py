@@ -70,6 +70,9 @@ T = TypeVar("T")
 POINTS = "points"
 """Name of the format of the tables that `fit` reads."""
 
+SURROGATES = re.compile("[\ud800-\udfff]")
+"""Python reads these for bytes of a command line that are not UTF-8."""
+
 NOT_SETTINGS = ("report_only", "input")
 """Keys in addition to the settings of every report."""
 
@@ -125,7 +128,8 @@ def converted(value: Any, hint: Any) -> Any:
     origin = get_origin(hint)
     if origin in (Union, UnionType):
         absent = value is None and NoneType in get_args(hint)
-        return None if absent else converted(value, *({*get_args(hint)} - {NoneType}))
+        (kind,) = (one for one in get_args(hint) if one is not NoneType)
+        return None if absent else converted(value, kind)
     if origin is tuple:
         return _of_tuple(value, get_args(hint))
     if is_dataclass(hint):
@@ -463,7 +467,7 @@ def read_options(values: dict[str, Any]) -> ReadOptions:
     options.times.check()
     columns = (*(values["columns"] or ()), *(values["gyro_columns"] or ()))
     for text in (values["time_column"], values["sensor"], *columns):
-        if text is not None and text.encode(errors="ignore").decode() != text:
+        if text is not None and SURROGATES.search(text):
             raise UsageError(f"{printable(text)!r} is not UTF-8", hint="give columns by number, or rename it")
     return options
 

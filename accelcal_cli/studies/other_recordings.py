@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from math import hypot
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 from accelcal_cli.core.errors import Reason, counted, printable
 from accelcal_cli.core.paths import matching
@@ -384,8 +384,7 @@ def pooled(task: PooledTask, report_progress: ProgressCallback) -> TaskResult:
     row = row_of(item, task.common, result) | summary.own(task.own_row)
     row |= {"pool": task.report.name, "pool_recordings": len(section.recordings)}
     if (windows := section.own_windows) is not None:
-        means = {"windows_before_mg": windows.before_mg.mean, "windows_after_mg": windows.after_mg.mean}
-        row |= means
+        row |= {"windows_before_mg": windows.before_mg.mean, "windows_after_mg": windows.after_mg.mean}
     return task.result(result, row)
 
 
@@ -411,7 +410,8 @@ Model = tuple[Any, ...]
 """Model, counts per g and range, which recordings must share to be compared."""
 
 
-class _Good(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _Good:
     """A recording from which others may learn."""
 
     name: str

@@ -141,12 +141,8 @@ class Finished:
     lacking: bool = False
 
 
-KINDS: tuple[tuple[str, Any], ...]
-KINDS = (
-    *(("name", str), ("asked", str), ("round", str), ("again", bool), ("row", dict | None)),
-    ("why", dict | None),
-)
-"""Types of what is saved of an entry."""
+KINDS: dict[str, Any] = {"name": str, "asked": str, "round": str, "again": bool, "row": dict | None}
+"""Types of what is saved of an entry and read as it is."""
 
 LINE = re.compile(rb"^[0-9a-f]{8} \{", re.MULTILINE)
 HALF_A_LINE = re.compile(rb"\s*[0-9a-f]{0,8} ?")
@@ -268,20 +264,27 @@ def is_ledger(path: Path) -> bool:
     return HALF_A_LINE.fullmatch(start) is not None or LINE.search(start) is not None
 
 
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError
+    return value
+
+
 def _parsed(line: bytes, texts: dict[str, str]) -> Entry | None:
     checksum, _, text = line.partition(b" ")
     if checksum != _checksum(text).encode():
         return None
     try:
         saved: dict[str, Any] = _shared(json.loads(text), texts)
-        if not can_be_read(saved, LEDGER) or not all(isinstance(saved[name], kind) for name, kind in KINDS):
+        plain, why = {name: saved[name] for name in KINDS}, saved["why"]
+        if not can_be_read(saved, LEDGER) or not all(isinstance(plain[name], KINDS[name]) for name in KINDS):
             return None
         return Entry(
             stamps=tuple(None if one is None else (one[0], one[1]) for one in saved["stamps"]),
-            outputs=tuple((name + "", (found[0], found[1])) for name, found in saved["outputs"]),
+            outputs=tuple((_text(name), (found[0], found[1])) for name, found in saved["outputs"]),
             inputs=tuple(saved["inputs"]),
-            why=saved["why"] and {"code": saved["why"]["code"] + "", "values": {**saved["why"]["values"]}},
-            **{name: saved[name] for name, _ in KINDS[:5]},
+            why=None if why is None else {"code": _text(why["code"]), "values": {**why["values"]}},
+            **plain,
         )
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
         return None

@@ -11,7 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 from statistics import median
 from typing import Any, Protocol
@@ -468,16 +468,17 @@ class Plan:
             if self.untouched.isdisjoint(task.names):
                 entry = self.ledger.known(task.item, self.asked, one.name)
                 if entry is None or _is_redone(self.study, entry) or not self.ledger.in_place(entry):
-                    todo.append(task)
-                elif task.is_current(entry):
+                    entry = None
+                if entry is not None and task.is_current(entry):
                     taken.append((task, entry))
                 else:
                     todo.append(task)
             else:
                 self.untouched |= set(task.names)
-                last = reversed(self.ledger.entries(task.item.name, one.name))
-                good = (entry for entry in last if entry.asked == self.asked and not entry.failed)
-                taken += [(task, entry) for entry in islice(filter(self.ledger.in_place, good), 1)]
+                earlier = reversed(self.ledger.entries(task.item.name, one.name))
+                good = (entry for entry in earlier if entry.asked == self.asked and not entry.failed)
+                if (last := next(filter(self.ledger.in_place, good), None)) is not None:
+                    taken.append((task, last))
         return todo, taken
 
 

@@ -72,9 +72,10 @@ OTHERS = {
     "steps.agd": ("epochs", "SQLite format 3\0" + "\0" * 99 + "epochlength"),
     "lab.db": ("database", "SQLite format 3\0" + "\0" * 99),
 }
+LINES = TABLES.strip().splitlines()
 OTHERS |= {
     said.split()[0]: (said.split()[1], rows(head, row))
-    for said, head, row in zip(*[iter(TABLES.split("\n")[1:-1])] * 3, strict=True)
+    for said, head, row in zip(LINES[::3], LINES[1::3], LINES[2::3], strict=True)
 }
 
 
