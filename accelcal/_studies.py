@@ -24,7 +24,7 @@ from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.system import temporary_folder
 from accelcal_cli.output.files import write_text
 from accelcal_cli.pipeline import outputs
-from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, Request, no_progress
+from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, Request
 from accelcal_cli.pipeline.options import chosen_settings, folder_rules, read_options
 from accelcal_cli.studies.records import FAILED, Item
 from accelcal_cli.studies.study import Study, with_learnt_prior
@@ -235,7 +235,7 @@ def export(
         >>> "evening.csv.gz" in text
         True
     """
-    from accelcal_cli.exports.data import ExportOptions
+    from accelcal_cli.exports.data import ExportOptions, export_file
     from accelcal_cli.exports.rows import WIDEST
     from accelcal_cli.exports.selection import COEFFICIENTS, check_form, refuse_other_kind
 
@@ -267,7 +267,8 @@ def export(
         if len(paths) != 1 or output is None or paths[0].is_dir():
             hint = "give one and output=FILE, or folder=DIR"
             raise UsageError("data are exported from one result into a file", hint=hint)
-        return _data(to, paths[0], ExportOptions(Path(output), resample, measured_only, width), force=force)
+        export_file(to, paths[0], ExportOptions(Path(output), resample, measured_only, width), force=force)
+        return str(Path(output))
 
 
 def _check_number(name: str, value: Any, low: float, high: float, *, whole: bool = False) -> None:
@@ -301,8 +302,7 @@ def _coefficients(form: str, paths: Sequence[Path], output: Path | None, *, forc
     if output is not None:
         refuse_outputs((output,), paths, force=force)
     selected = select(paths, data=False)
-    read = coefficients.as_json if form == "json" else coefficients.read_exported
-    done: list[Any] = []
+    read, done = coefficients.read_for(form), []
     for one in selected:
         try:
             if one.report is None or one.skipped is not None:
@@ -314,7 +314,7 @@ def _coefficients(form: str, paths: Sequence[Path], output: Path | None, *, forc
             warnings.warn(f"{error}; skipped", stacklevel=4)
     if not done:
         raise UsageError("none of the recordings has coefficients that can be exported")
-    text = "".join(f"{line}\n" for line in done) if form == "json" else coefficients.TABLES[form](done)
+    text = coefficients.TABLES[form](done)
     for one in done if form != "json" else ():
         if (note := coefficients.temperature_note(one, form)) is not None:
             warnings.warn(f"{one.file_name}: {note}", stacklevel=4)
@@ -336,20 +336,9 @@ def _folder(form: str, paths: Sequence[Path], wanted: ExportOptions, jobs: int |
         warnings.warn(f"{text}; skipped", stacklevel=4)
     if not any(one.written for one in made):
         raise UsageError("none of the recordings has calibrated values that can be exported")
-    for text in folder.write_coefficients(form, made, wanted.output):
+    messages, _ = folder.finish(form, made, wanted)
+    for text in messages:
         warnings.warn(text, stacklevel=4)
-    folder.write_script(form, made, wanted)
-    return str(wanted.output)
-
-
-def _data(form: str, path: Path, wanted: ExportOptions, *, force: bool) -> str:
-    from accelcal_cli.exports.data import export_data, outputs_of
-    from accelcal_cli.exports.folder import WRITTEN_AS
-    from accelcal_cli.exports.selection import refuse_outputs
-
-    form = WRITTEN_AS.get(form, form)
-    refuse_outputs(outputs_of(form, wanted.output), [path], force=force)
-    export_data(form, path, wanted, no_progress)
     return str(wanted.output)
 
 

@@ -105,9 +105,12 @@ def _coefficients(files: tuple[Path, ...], values: dict[str, Any]) -> int:
         refuse_other_kind(path, form)
     if output is not None:
         refuse_outputs((output,), files, force=values["force"])
-    read = coefficients.as_json if form == "json" else coefficients.read_exported
-    done, codes = _each(select(files, data=False), read)
-    text = _text(form, done, quiet=values["quiet"])
+    done, codes = _each(select(files, data=False), coefficients.read_for(form))
+    for one in done if form != "json" and not values["quiet"] else ():
+        for sentence in (coefficients.cost(one), coefficients.temperature_note(one, form)):
+            if sentence is not None:
+                say(f"{one.path}: {sentence}")
+    text = coefficients.TABLES[form](done)
     if output is None:
         show(text.rstrip("\n")) if done else None
     elif done:
@@ -129,18 +132,6 @@ def _each(reports: list[Selected], read: Callable[[Path], Any]) -> tuple[list[An
         except AccelcalError as error:
             codes.append(of_failure(error))
     return done, codes
-
-
-def _text(form: str, found: list[Any], *, quiet: bool) -> str:
-    from accelcal_cli.exports import coefficients
-
-    if form == "json":
-        return "".join(f"{line}\n" for line in found)
-    for one in found:
-        for sentence in (coefficients.cost(one), coefficients.temperature_note(one, form)):
-            if sentence is not None and not quiet:
-                say(f"{one.path}: {sentence}")
-    return coefficients.TABLES[form](found)
 
 
 def _folder(files: tuple[Path, ...], values: dict[str, Any]) -> int:
@@ -180,8 +171,7 @@ def _end_folder(
     number = sum(one.written is not None for one in made)
     if not number:
         return SOME_FAILED
-    messages = folder.write_coefficients(form, made, wanted.output)
-    script = folder.write_script(form, made, wanted)
+    messages, script = folder.finish(form, made, wanted)
     if not quiet:
         for message in messages:
             say(message)
@@ -192,21 +182,21 @@ def _end_folder(
 
 
 def _data(files: tuple[Path, ...], values: dict[str, Any]) -> int:
-    from accelcal_cli.exports.data import ExportOptions, export_data, outputs_of
-    from accelcal_cli.exports.folder import WRITTEN_AS
+    from accelcal_cli.exports.data import ExportOptions, export_file
+    from accelcal_cli.exports.folder import SUFFIXES
 
-    form, output = WRITTEN_AS.get(values["form"], values["form"]), values["output"]
+    form, output = values["form"], values["output"]
     if len(files) > 1 or is_folder(files[0]):
         raise UsageError("several recordings need a folder", hint="name one with -d instead of -o")
     refuse_other_kind(files[0], form)
     if output is None:
-        name = shlex.quote(printable(f"{files[0].name.removesuffix(PARQUET_SUFFIX)}.{form}"))
-        hint = f"add -o {name}" if form in ("csv", "npz", "parquet") else "give one with -o"
+        name = files[0].name.removesuffix(PARQUET_SUFFIX) + SUFFIXES.get(form, ".csv")
+        own = form in ("mhealth", "bids")  # whose names follow rules
+        hint = "give one with -o" if own else f"add -o {shlex.quote(printable(name))}"
         raise UsageError(f"--to {form} writes a file, which needs a name", hint=hint)
-    refuse_outputs(outputs_of(form, output), files, force=values["force"])
     wanted = ExportOptions(output, values["resample"], values["measured_only"], values["smooth"])
     with progress_bars(files[0].name, quiet=values["quiet"], unit="") as bars:
-        written = export_data(form, files[0], wanted, bars)
+        written = export_file(form, files[0], wanted, bars, force=values["force"])
     if not values["quiet"]:
         say(_about(output, form, written))
     return OK

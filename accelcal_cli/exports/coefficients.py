@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
 
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.declared import from_json
@@ -341,9 +342,15 @@ def temperature_note(one: ExportedReport, tool: str) -> str | None:
     return None
 
 
-TABLES: dict[str, Callable[[Sequence[ExportedReport]], str]] = {
+def read_for(form: str) -> Callable[[Path], Any]:
+    """Return what reads a report for a form; TABLES makes text of what it returns."""
+    return as_json if form == "json" else read_exported
+
+
+TABLES: dict[str, Callable[[Sequence[Any]], str]] = {
     "ggir": ggir,
     "biobank": lambda reports: "".join(f"{biobank(one)}\n" for one in reports),
     "omconvert": lambda reports: "".join(f"{omconvert(one)}\n" for one in reports),
+    "json": lambda lines: "".join(f"{line}\n" for line in lines),
 }
 """Text of each form for any number of reports."""

@@ -40,6 +40,7 @@ from accelcal_cli.exports.rows import (
     smoothed,
     width_for,
 )
+from accelcal_cli.exports.selection import refuse_outputs
 from accelcal_cli.output.columns import schema_of
 from accelcal_cli.output.files import replacing, stored_schema
 from accelcal_cli.parquet import Column, Memory, ParquetSink
@@ -123,7 +124,7 @@ class ExportOptions:
 def outputs_of(form: str, output: Path) -> tuple[Path, ...]:
     """Return all files of a form; raises UsageError for a name that it cannot have."""
     if form != "bids":
-        if form == "npz" and output.suffix != ".npz":
+        if form in ("npz", "skdh") and output.suffix != ".npz":
             hint = f"give a name such as {printable(output.with_suffix('.npz'))}"
             raise UsageError("an array file has to end in .npz", path=output, hint=hint)
         return (output,)
@@ -171,6 +172,14 @@ def export_data(
             except OSError as error:
                 raise output_error(error, options.output) from error
     return written
+
+
+def export_file(
+    form: str, path: Path, options: ExportOptions, progress: ProgressMaker = no_progress, *, force: bool
+) -> ExportedData:
+    """Write one file as `export_data` does; see `refuse_outputs` for what it is not written over."""
+    refuse_outputs(outputs_of(form, options.output), [path], force=force)
+    return export_data(form, path, options, progress)
 
 
 def _to_smooth(about: CalibratedFile, width: int) -> CalibratedFile:
@@ -427,6 +436,8 @@ FORMS: dict[str, Callable[[Sequence[Path], Path, Iterator[SampleRows], ExportedD
     "ggir": TextForm(("time", *"xyz"), _unix, warm=True),
     "biobank": TextForm(("time", *"xyz"), _device_iso),
     "npz": npz,
+    "actipy": TextForm(("time", *"xyz"), _iso, warm=True),
+    "skdh": npz,
     "mhealth": TextForm(("HEADER_TIME_STAMP", *"XYZ"), _device_ms),
     "bids": bids,
     "parquet": parquet,

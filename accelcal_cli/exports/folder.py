@@ -43,8 +43,6 @@ SCRIPTS = {
 
 RUN_BY = {".R": "Rscript", ".sh": "sh", ".py": "python"}
 COEFFICIENT_FILES = {"ggir": "coefficients.csv", "biobank": "coefficients.txt"}
-WRITTEN_AS = {"actipy": "csv", "skdh": "npz"}
-"""Tools whose data have the form of another name."""
 
 EVEN = 1e-6
 """Greatest relative difference of a measured rate from the nominal one that needs no resampling."""
@@ -176,7 +174,7 @@ def export_folder(
         assert source is not None
         try:
             make_folder(target.parent)
-            found = export_data(WRITTEN_AS.get(form, form), source, own, lambda _stage, _total: go_on)
+            found = export_data(form, source, own, lambda _stage, _total: go_on)
         except (AccelcalError, _StoppedError) as error:
             failed = error if isinstance(error, AccelcalError) else UsageError("was stopped", path=target)
             return Made(one.planned, error=failed)
@@ -187,6 +185,11 @@ def export_folder(
             yield from results
         finally:
             stopped.set()
+
+
+def finish(form: str, made: Sequence[Made], options: ExportOptions) -> tuple[list[str], Path | None]:
+    """Write coefficients and script; return messages on recordings without coefficients, and the script."""
+    return write_coefficients(form, made, options.output), write_script(form, made, options)
 
 
 def write_script(form: str, made: Sequence[Made], options: ExportOptions) -> Path | None:

@@ -22,8 +22,6 @@ from accelcal_cli.core.errors import Reason
 from accelcal_cli.output.sentences import sentence
 from tests.schema import check_report
 
-Capture = pytest.CaptureFixture[str]
-
 
 @dataclass(frozen=True)
 class Ran:

@@ -152,6 +152,8 @@ def test_data_say_what_they_are(tmp_path: Path, capsys: Capture) -> None:
     ("words", "text"),
     [
         (("--to", "csv"), "writes a file, which needs a name; add -o a.csv"),
+        (("--to", "actipy"), "--to actipy writes a file, which needs a name; add -o a.csv"),
+        (("--to", "skdh"), "--to skdh writes a file, which needs a name; add -o a.npz"),
         (("--to", "npz", "-o", "a.csv"), "an array file has to end in .npz"),
         (("--to", "bids", "-o", "a.tsv"), "is not a Motion-BIDS name"),
         (("--to", "ggir", "--resample", "30"), "--resample is for data"),
