@@ -70,9 +70,6 @@ T = TypeVar("T")
 POINTS = "points"
 """Name of the format of the tables that `fit` reads."""
 
-SURROGATES = re.compile("[\ud800-\udfff]")
-"""Python reads these for bytes of a command line that are not UTF-8."""
-
 NOT_SETTINGS = ("report_only", "input")
 """Keys in addition to the settings of every report."""
 
@@ -467,7 +464,7 @@ def read_options(values: dict[str, Any]) -> ReadOptions:
     options.times.check()
     columns = (*(values["columns"] or ()), *(values["gyro_columns"] or ()))
     for text in (values["time_column"], values["sensor"], *columns):
-        if text is not None and SURROGATES.search(text):
+        if text is not None and re.search("[\ud800-\udfff]", text):  # stand for bytes that are not UTF-8
             raise UsageError(f"{printable(text)!r} is not UTF-8", hint="give columns by number, or rename it")
     return options
 

@@ -255,8 +255,7 @@ class Plan:
     """The recordings of a study by what is to be done with them, and other files that it found.
 
     Attributes:
-        study, ledger: the study, and what is known of earlier results.
-        asked: hash of the settings and the version, with which alone an entry is valid.
+        ledger: what is known of earlier results; asked: `study.asked()`, with which alone an entry is valid.
         last: what `study.json` says of the last run.
         changed: options whose values differ from those of the last run.
         done: recordings whose earlier result is valid, each with its entry.

@@ -198,9 +198,7 @@ class StudyRun:
     def begin(self) -> None:
         """Refuse what must not be done, say what there is to do, and remove what killed runs left.
 
-        Raises:
-            UsageError: there is nothing to collect, or `--prune` would remove too much.
-            OutputError: a file is in the way that no study wrote.
+        Raises UsageError and OutputError; see `run`.
         """
         study, plan = self.study, self.plan
         sources = [item.source for item in plan.items()]
@@ -230,9 +228,7 @@ class StudyRun:
     def finish(self) -> Summary:
         """Say what became of earlier results, remove what does not hold any more, and write the summary.
 
-        Raises:
-            UsageError: `--prune` would remove too much.
-            LockedError, OutputError: see `run`.
+        Raises UsageError, LockedError and OutputError; see `run`.
         """
         study, plan = self.study, self.plan
         rows, decisions = self._rows(plan.kept)
