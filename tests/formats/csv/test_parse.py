@@ -36,7 +36,7 @@ CLOCK = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d(\.\d+)?)?)?", re.ASCII)
 
 def dialect(columns: int = 5, delimiter: str = ",", **more: Any) -> Dialect:
     kinds = (Kind.NUMBER,) * columns
-    return Dialect(Normaliser(delimiter, **more), kinds, None, None, 1, (), (), 0, 0, False)
+    return Dialect(Normaliser(delimiter, **more), kinds, None, None, 1, (), (), 0, 0, False, 0, frozenset())
 
 
 def parsed(text: str | bytes, layout: Dialect | None = None, wanted: dict[int, As] = WANTED) -> Block:

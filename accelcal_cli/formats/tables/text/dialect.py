@@ -10,12 +10,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice
+from itertools import islice, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.formats import HEAD_BYTES, is_text
+from accelcal_cli.core.vocabulary import acceleration_unit
 from accelcal_cli.formats.tables.cells import (
     BYTE_ORDER_MARK,
     COMMA_NUMBER,
@@ -25,10 +26,12 @@ from accelcal_cli.formats.tables.cells import (
     decode,
     is_unit_cell,
     least_of,
+    number_of,
     split_line,
     year_first,
 )
 from accelcal_cli.formats.tables.header import Kind
+from accelcal_cli.formats.tables.names import AXES, name_of
 
 # Quotes in lines of text: one grammar, RFC 4180, before whatever splits them into cells.
 #
@@ -372,6 +375,8 @@ class Dialect:
         skipped: lines before the first row.
         offset: byte at which the first row begins.
         bare_returns: lines end with a carriage return alone.
+        named: how many columns the line of names has, the rows of which may end sooner or later.
+        widths: other numbers of cells that rows have.
     """
 
     normaliser: Normaliser
@@ -384,6 +389,8 @@ class Dialect:
     skipped: int
     offset: int
     bare_returns: bool
+    named: int
+    widths: frozenset[int]
 
     @property
     def columns(self) -> int:
@@ -415,6 +422,28 @@ class Dialect:
     def cells(self, column: int) -> list[str]:
         """Return the sample's cells of one column."""
         return [row[column] for row in self.sample]
+
+    def fitted(self, lines: bytes) -> bytes:
+        """Return lines with a cell for each column, those that rows may have more or fewer of."""
+        if not self.widths:
+            return lines
+        return b"\n".join(map(self._fitted, lines.split(b"\n")))
+
+    def _fitted(self, line: bytes) -> bytes:
+        mark = self.normaliser.delimiter
+        cells = split_line(decode(line), mark)
+        if len(cells) not in self.widths:
+            return line
+        quoted = (
+            one if mark not in one and '"' not in one else '"' + one.replace('"', '""') + '"'
+            for one in fitted(cells, self.columns)
+        )
+        return mark.join(quoted).encode()
+
+
+def fitted(cells: Sequence[str], columns: int) -> list[str]:
+    """Return the cells of a row for these columns, from the left: those that it lacks are empty."""
+    return [*cells[:columns], *[""] * (columns - len(cells))]
 
 
 def have_kinds(cells: Sequence[str], kinds: Sequence[Kind], decimal_comma: bool) -> bool:
@@ -511,11 +540,17 @@ def _dialect_of(head: bytes, preamble: int) -> Dialect | None:
 
 @dataclass(frozen=True, slots=True)
 class _DelimiterTrial:
-    """One delimiter, tried on the last lines of a head."""
+    """One delimiter, tried on the last lines of a head.
+
+    Attributes:
+        kinds: of the columns; none where the lines have too few.
+        is_sure: nearly all lines have as many cells; else a line has to name x, y and z.
+    """
 
     raw_lines: list[bytes]
     normaliser: Normaliser
     kinds: tuple[Kind, ...]
+    is_sure: bool
 
     @classmethod
     def of(cls, raw_lines: list[bytes], normaliser: Normaliser, tail: int) -> _DelimiterTrial:
@@ -525,10 +560,10 @@ class _DelimiterTrial:
         recording may begin with hours of zeros; only commas can then follow that are not understood.
         """
         delimiter, rows = normaliser.delimiter, _last_rows(raw_lines, normaliser, tail)
-        width, count = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
-        if width < 3 or count < least_of(len(rows), 0.9):
-            return cls(raw_lines, normaliser, ())
-        rows = [row for row in rows if len(row) == width]
+        width, is_sure = _width_of(rows)
+        if width < 3:
+            return cls(raw_lines, normaliser, (), False)
+        rows = [row[:width] for row in rows if len(row) == width or (len(row) > width and not is_sure)]
         kinds = _column_kinds(rows, delimiter, 0.9)
         if Kind.MISSING in kinds or tail < SURE_LINES:
             share = 0.5 if tail < SURE_LINES else 0.9
@@ -536,7 +571,7 @@ class _DelimiterTrial:
             kinds = _column_kinds(everywhere, delimiter, share)
         cells = [cell.strip() for row in rows for cell in row]
         commas = any(map(COMMA_NUMBER.fullmatch, cells)) or not any(map(POINT_NUMBER.fullmatch, cells))
-        return cls(raw_lines, replace(normaliser, decimal_comma=commas and delimiter != ","), kinds)
+        return cls(raw_lines, replace(normaliser, decimal_comma=commas and delimiter != ","), kinds, is_sure)
 
     @property
     def score(self) -> float:
@@ -549,16 +584,33 @@ class _DelimiterTrial:
         first = self._first_row()
         if first is None:
             return None
-        names, units, names_line = self._names(first)
+        first = self._first_below_names(first)
         below = self.raw_lines[first : first + SAMPLE_ROWS]
-        sample = numbered_rows(below, self.normaliser, first + 1, len(self.kinds))
-        whole = [(line, tuple(row)) for line, row in sample if len(row) == len(self.kinds)]
+        sample, columns = numbered_rows(below, self.normaliser, first + 1, len(self.kinds)), len(self.kinds)
+        names, units, names_line = self._names(first, [row for _, row in sample if len(row) == columns])
+        named = 0 if names is None else len(names)
+        if not self.is_sure and named < columns:
+            return None
+        widths = self._widths([len(row) for _, row in sample], named)
+        whole = [
+            (line, tuple(fitted(row, columns)))
+            for line, row in sample
+            if len(row) == columns or len(row) in widths
+        ]
         comma = self.normaliser.delimiter != ","
         fitting = [(line, row) for line, row in whole if have_kinds(row, self.kinds, comma)]
         lines, rows = zip(*(fitting or whole), strict=True)
         offset += sum(map(len, self.raw_lines[:first]))
+        names, units = (None if one is None else tuple(fitted(one, columns)) for one in (names, units))
         layout = (self.normaliser, self.kinds, names, units, names_line)
-        return Dialect(*layout, rows, lines, first, offset, False)
+        return Dialect(*layout, rows, lines, first, offset, False, named, widths)
+
+    def _widths(self, found: Sequence[int], named: int) -> frozenset[int]:
+        """Return other numbers of cells that rows have: up to that of the names, or those of many rows."""
+        columns, numbers = len(self.kinds), Counter(found)
+        least = max(2, 0.05 * len(found))  # one is damage
+        shorter = {width for width in numbers if 3 <= width < columns and numbers[width] >= least}
+        return frozenset({*range(columns + 1, named + 1), *(shorter if named else ())})
 
     def _first_row(self) -> int | None:
         """Return the first of three rows that follow each other, or of the last ones."""
@@ -570,6 +622,17 @@ class _DelimiterTrial:
                 break
         return run[0] if run else None
 
+    def _first_below_names(self, first: int) -> int:
+        """Return the line below that of the names, if only rows of more or fewer cells are between."""
+        columns, number = len(self.kinds), first - 1
+        while number >= 0:
+            row = next(iter(_rows([self.raw_lines[number]], self.normaliser)), [])
+            if len(row) in (0, columns) or not self._is_row(fitted(row, columns)):
+                break
+            number -= 1
+        names_axes = number >= 0 and names_all_axes(self._cells(number))
+        return number + 1 if names_axes else first
+
     def _is_row(self, row: list[str]) -> bool:
         if len(row) != len(self.kinds):
             return False
@@ -579,27 +642,78 @@ class _DelimiterTrial:
         filled = any(kind is other for kind, other in found)
         return filled and all(other in (kind, Kind.MISSING) for kind, other in found if kind is Kind.NUMBER)
 
-    def _names(self, first: int) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None, int]:
+    def _names(
+        self, first: int, sample: Sequence[list[str]]
+    ) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None, int]:
         """Return the names, the units if a second line below them gives these, and the line of the names."""
         above = [number for number in range(first) if self.raw_lines[number].strip()][-2:]
-        rows = [self._heading(number) for number in above]
-        if rows and rows[-1] and all(map(is_unit_cell, rows[-1])) and len(rows) == 2 and rows[0]:
+        rows = [self._heading(number, sample) for number in above]
+        if len(rows) == 2 and rows[0] and rows[1] and _are_units(rows[1]):
             return rows[0], rows[1], above[0] + 1
         names = rows[-1] if rows else None
         return names, None, (above[-1] if names else first) + 1
 
-    def _heading(self, number: int) -> tuple[str, ...] | None:
-        """Return a line's cells if they can be names: as many as there are columns, none a number."""
-        text = decode(self.raw_lines[number])
-        text = COMMENT.sub("", text).strip("\r\n")
-        if self.normaliser.delimiter == " ":
-            text = " ".join(text.split())
-        cells = [cell.strip() for cell in split_line(text, self.normaliser.delimiter)]
-        if len(cells) == len(self.kinds) - 1:
-            cells = [*cells, ""] if self.kinds[-1] is Kind.MISSING else ["", *cells]
+    def _heading(self, number: int, sample: Sequence[list[str]]) -> tuple[str, ...] | None:
+        """Return a line's cells if they can be names, none a number: of all columns but one, or of more.
+
+        Names belong to columns from the left, but for the one without a name that counts the rows.
+        """
+        cells, columns = self._cells(number), len(self.kinds)
+        if len(cells) == columns - 1 and _counts_rows(sample, self.kinds):
+            cells = ["", *cells]
+        elif len(cells) < columns - 1 or (len(cells) > columns and not names_all_axes(cells)):
+            return None
         kinds = {cell_kind(cell, False) for cell in cells}
         words = Kind.TEXT in kinds and Kind.NUMBER not in kinds
-        return tuple(cells) if len(cells) == len(self.kinds) and words else None
+        return tuple(cells) if words else None
+
+    def _cells(self, number: int) -> list[str]:
+        """Return the cells of a line above the rows."""
+        text = COMMENT.sub("", decode(self.raw_lines[number])).strip("\r\n")
+        if self.normaliser.delimiter == " ":
+            text = " ".join(text.split())
+        return [cell.strip() for cell in split_line(text, self.normaliser.delimiter)]
+
+
+def _width_of(rows: Sequence[list[str]]) -> tuple[int, bool]:
+    """Return how many cells nearly all rows have or exceed, 0 without such, and True if none exceeds."""
+    widths = Counter(map(len, rows))
+    width, number = widths.most_common(1)[0] if widths else (0, 0)
+    least = least_of(len(rows), 0.9)
+    if number >= least:
+        return width, True
+    usual = [width for width in widths if widths[width] >= 0.05 * len(rows)]
+    width = min(usual, default=0)
+    return (width, False) if sum(widths[one] for one in usual) >= least else (0, False)
+
+
+def names_all_axes(cells: Sequence[str]) -> bool:
+    """Return True if cells name x, y and z."""
+    return {name_of(cell).axis for cell in cells} >= {*AXES}
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    """Return True if cells are units: all, or half of those that are filled with one of acceleration."""
+    filled = [cell for cell in cells if cell]
+    known = sum(map(is_unit_cell, filled))
+    return known == len(filled) or (2 * known >= len(filled) and any(map(acceleration_unit, filled)))
+
+
+def _counts_rows(sample: Sequence[list[str]], kinds: Sequence[Kind]) -> bool:
+    """Return True if the first column, which has no name, counts the rows: by one, or before times."""
+    if kinds[0] is Kind.TEXT or kinds[-1] is Kind.MISSING:
+        return kinds[-1] is not Kind.MISSING
+    first, second = ([number_of(row[column]) for row in sample] for column in (0, 1))
+    steps = [_steps(column) for column in (first, second)]
+    rises = bool(steps[0]) and all(step > 0 and step == int(step) for step in steps[0])
+    timed = kinds[1] is Kind.TIME or (bool(steps[1]) and min(steps[1]) > 0)
+    return rises and (timed or max(steps[0]) == 1)
+
+
+def _steps(column: Sequence[float | None]) -> list[float]:
+    """Return what each number is above the one before; none if a cell holds no number."""
+    known = [number for number in column if number is not None]
+    return [] if len(known) < len(column) else [after - before for before, after in pairwise(known)]
 
 
 def _rows(raw_lines: list[bytes], normaliser: Normaliser) -> list[list[str]]:

@@ -314,7 +314,7 @@ class LineParser:
         parts, rows = [values], np.flatnonzero(place == MENDABLE)
         if len(rows):
             texts = self._dialect.quotes.settled(self._thorough(lines.raw(first[rows])), join=False).text
-            again = self._reading(texts, wanted, block.line, damaged=True)
+            again = self._reading(self._dialect.fitted(texts), wanted, block.line, damaged=True)
             if len(again.place) == len(rows):
                 parts.append(again.values)
                 place[rows] = np.where(again.place < 0, LOST, again.place + reading.rows)
@@ -337,7 +337,7 @@ class LineParser:
             line: the number of the first one in the file.
             damaged: it is likely that there are cells that Arrow does not understand.
         """
-        ragged: dict[int, bool] = {}
+        ragged: dict[int, int] = {}
         wrong = untidy = NO_ROWS
         try:
             table = None if damaged else self._table(text, wanted, TYPES, ragged)
@@ -357,12 +357,12 @@ class LineParser:
         place[untidy] = MENDABLE
         if ragged:
             place = np.insert(place, np.array([*ragged]) - np.arange(len(ragged)), LOST)
-            if normaliser.delimiter == " " or QUOTE in text:
-                place[[*ragged]] = MENDABLE
-        blank = [number for number, is_blank in ragged.items() if is_blank]
+            every = normaliser.delimiter == " " or QUOTE in text
+            place[[row for row, cells in ragged.items() if every or cells in self._dialect.widths]] = MENDABLE
+        blank = [row for row, cells in ragged.items() if not cells]
         return _Reading(place, len(wrong) > 0, blank, table.num_rows, values)
 
-    def _table_of_texts(self, text: bytes, wanted: Wanted, line: int, ragged: dict[int, bool]) -> Any:
+    def _table_of_texts(self, text: bytes, wanted: Wanted, line: int, ragged: dict[int, int]) -> Any:
         """Return columns as `_table` does, all as texts."""
         try:
             return self._table(text, wanted, UNREAD, ragged)
@@ -370,18 +370,18 @@ class LineParser:
             what, hint = f"the lines from here on cannot be read ({error})", "correct or remove that line"
             raise UnreadableError(what, path=self._path, line=line, hint=hint) from error
 
-    def _table(self, text: bytes, wanted: Wanted, types: Mapping[As, Any], ragged: dict[int, bool]) -> Any:
+    def _table(self, text: bytes, wanted: Wanted, types: Mapping[As, Any], ragged: dict[int, int]) -> Any:
         """Return columns of the lines that have the right number of cells.
 
         They are in the C library's memory: Arrow's own keeps an eighth more of what was freed.
 
         Args:
-            ragged: takes the numbers of the other lines, from 0 and without blank ones, and whether they hold
-                blanks alone.
+            ragged: takes the numbers of the other lines, from 0 and without blank ones, and how many cells
+                each has; 0 for blanks alone.
         """
 
         def note(row: Any) -> str:
-            ragged[row.number - 1] = row.actual_columns == 1 and not row.text.strip(" ")
+            ragged[row.number - 1] = 0 if row.text.isspace() else row.actual_columns
             return "skip"
 
         if text.startswith(BYTE_ORDER_MARK):  # Arrow would leave it out, wherever in the file that is

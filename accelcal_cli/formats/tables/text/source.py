@@ -113,7 +113,7 @@ class TextSource(Source):
         headings = (dialect.names is not stated.names) + (dialect.units is not None)
         above = dialect.skipped - stated.preamble - headings
         said = f"{above} lines before the header or the first row were not used"
-        self.last_notes = (said,) if above > 0 else ()
+        self.last_notes = ((said,) if above > 0 else ()) + _note_on_widths(dialect)
 
     def head(self, _wanted: Wanted) -> LineBlock:
         """See `Source`."""
@@ -248,6 +248,15 @@ class TextSource(Source):
             return self._whole(block, heads) if block.data or last else None
 
         return cut
+
+
+def _note_on_widths(dialect: Dialect) -> tuple[str, ...]:
+    """Return the note that rows do not have a cell for each name, if that is so."""
+    named, columns = dialect.named, dialect.columns
+    if named in (0, columns):
+        return ()
+    usual = f"the header names {named} columns and rows usually have {columns}"
+    return (f"{usual}: names belong to columns from the left",)
 
 
 def columns_of(dialect: Dialect) -> tuple[Column, ...]:
