@@ -27,11 +27,11 @@ def guess_unit(values: NDArray[np.float64], path: Path) -> str:
         if unit.rest is not None and unit.rest[0] <= median <= unit.rest[1]:
             return name
     fits = [likely for likely in USUAL_LSB_PER_G if abs(median - likely) < SURE_SHARE * likely]
-    raise UnreadableError(
-        f"cannot tell the unit: the median length of the acceleration is {median:.4g}",
-        path=path,
-        hint=f"{GIVE_UNIT} ({fits[0]} would fit)" if fits else GIVE_UNIT,
-    )
+    more = f" ({fits[0]} would fit)" if fits else ""
+    if not (values < 0).any():
+        more = " and -R zero, the count of 0 g, since none of its numbers is negative"
+    what = f"cannot tell the unit: the median length of the acceleration is {median:.4g}"
+    raise UnreadableError(what, path=path, hint=GIVE_UNIT + more)
 
 
 def usual_length(values: NDArray[np.float64]) -> float:

@@ -226,15 +226,19 @@ def _columns_within(source: Source, numbers: tuple[int, ...] | None) -> Group | 
     return tuple(source.columns[number] for number in numbers)
 
 
-def _triples(columns: Iterable[Column]) -> Iterator[Group]:
+def _triples(columns: Iterable[Column], numbered: bool = True) -> Iterator[Group]:
     """Yield groups of columns of x, y and z of one length whose names have the same other words.
 
     Two columns for each axis are two groups.
+
+    Args:
+        numbered: numbers among the words count; else `x.1` is another x, as programs rename columns.
     """
     axes: dict[tuple[object, ...], dict[str, list[Column]]] = {}
     for column in columns:
         if column.width == 1 and column.name.axis:
-            key = (column.group, column.name.stem, column.rows)
+            stem = tuple(word for word in column.name.stem if numbered or not word.isdecimal())
+            key = (column.group, stem, column.rows)
             axes.setdefault(key, {}).setdefault(column.name.axis, []).append(column)
     for one in axes.values():
         if len(one) == len(AXES):
@@ -274,7 +278,8 @@ def _named_axes(source: Source) -> list[Group]:
     """
     candidates = [column for column in source.columns if not _is_of_other_sensor(column)]
     named = _named_like(candidates, ACCELEROMETERS, lambda name: name.is_accelerometer)
-    return named or [group for group in _triples(candidates) if not group[0].name.stem]
+    bare = (column for column in candidates if all(map(str.isdecimal, column.name.stem)))
+    return named or [*_triples(bare, numbered=False)]
 
 
 def _is_of_other_sensor(column: Column) -> bool:

@@ -51,7 +51,15 @@ from accelcal_cli.formats.tables.clock import TableClock
 from accelcal_cli.formats.tables.header import As, Block, Piece, Source
 from accelcal_cli.formats.tables.roles import Group
 from accelcal_cli.formats.tables.sensors import Chosen, SensorWatch, codes_of
-from accelcal_cli.formats.tables.units import UNKNOWN, Fault, Scale, group_values, held, millidegrees
+from accelcal_cli.formats.tables.units import (
+    UNKNOWN,
+    Fault,
+    Scale,
+    group_values,
+    held,
+    millidegrees,
+    refuse_grouped,
+)
 
 HEAT, TURNS, VALIDITY = "temperature_mc", "gyro_counts", "validity"
 MOST_BAD = 100_000
@@ -243,6 +251,8 @@ class RowParser:
         looked_at = () if watch is None else (one for one in watch.columns if one.number not in constant)
         block = self._source.parse(piece, self._wanted | codes_of(looked_at))
         seen = None if watch is None else watch.look(block, constant)
+        if layout.scale.is_of_whole:
+            refuse_grouped(group_values(block.values, layout.xyz), block.line, self._source, layout.scale)
         rows = rows_of(block, layout)
         if layout.chosen is not None:
             wanted = layout.chosen.rows(block)

@@ -197,6 +197,9 @@ UNKNOWN = int(np.iinfo(np.int32).min)
 LEAST_GYRO_SHARE = 0.99
 """Share of the first rows with an acceleration that must have a rotation rate: rows without are left out."""
 
+LARGEST_GROUP, GROUPED_OFF = 1e6, 1e-6
+"""Below this are numbers of two groups of three digits, and how far off whole thousandths may be."""
+
 NO_GYRO_UNIT = "its unit is not known, give -R gyro_unit=deg/s or -R gyro_unit=rad/s"
 
 
@@ -247,7 +250,7 @@ class Scale:
 
         Rows with a fault have counts of 0.
         """
-        if values.dtype.kind in "iu" and self.per in (None, self.lsb):
+        if values.dtype.kind in "iu" and self.is_of_whole:
             return self._whole(values)
         with np.errstate(over="ignore", invalid="ignore"):
             if values.dtype == np.float32 and self.per == 1.0 and self.lsb == FLOAT_LSB_PER_G:
@@ -286,6 +289,11 @@ class Scale:
                 fault[(values == EMPTY).any(axis=1)] = Fault.EMPTY
             values = np.where((fault == Fault.NONE)[:, None], values, 0)
         return (values.astype(np.int16) if self.short else values.astype(np.int32)), fault
+
+    @property
+    def is_of_whole(self) -> bool:
+        """True if its numbers are counts as they are."""
+        return self.per in (None, self.lsb)
 
     def check(self, values: NDArray[np.float64], path: Path) -> None:
         """Check a unit that was inferred from a vendor's layout.
@@ -329,6 +337,7 @@ def find_scale(
     """
     path, about, dtype = source.path, source.stated, common_dtype(roles.xyz)
     whole = _are_whole(values, dtype)
+    refuse_grouped(values, lines, source)
     lsb = about.lsb_per_g if options.lsb_per_g is None else options.lsb_per_g
     unit = _stated_unit(roles.xyz, whole, source, options)
     if about.unit is not None and about.unit_is_inferred and unit in (None, about.unit) and not options.unit:
@@ -437,6 +446,38 @@ def _stated_unit(xyz: Group, whole: bool, source: Source, options: ReadOptions) 
         what, hint = "the axes have different units", "give them one unit, or say it with --unit"
         raise UnreadableError(what, path=source.path, line=source.names_line, hint=hint)
     return next(iter(units), None)
+
+
+def refuse_grouped(values: NDArray[Any], lines: Numbers, source: Source, scale: Scale | None = None) -> None:
+    """Raise UnreadableError for a fraction such as 1.033 among whole numbers, which may stand for 1033.
+
+    Args:
+        values: (n, 3) of some rows; lines: (m,) of the first of these.
+        scale: of whole numbers; None for the first rows, which show whether most numbers are whole.
+    """
+    if values.dtype.kind != "f":
+        return
+    with np.errstate(over="ignore", invalid="ignore"):
+        broken = np.isfinite(values) & (values != np.rint(values))
+        if not broken.any():
+            return
+        thousands, whole = np.abs(values[broken]) * 1000, values[np.isfinite(values) & ~broken]
+    limit = LARGEST_GROUP if scale is None else scale.limit
+    alike = (
+        (thousands >= 1000) & (thousands <= limit) & (np.abs(thousands - np.rint(thousands)) < GROUPED_OFF)
+    )
+    if scale is None:
+        reach = float(np.abs(whole).max(initial=0.0))
+        sure = len(whole) > len(thousands) and 100 <= reach < 1000 and alike.all()
+    else:
+        sure = alike.any()
+    if not sure:
+        return
+    row, axis = np.argwhere(broken)[int(np.flatnonzero(alike)[0])].tolist()
+    place = source.place(int(lines[row])) if row < len(lines) else "a row"
+    value = float(values[row, axis])
+    what = f"{place} holds {value:.3f} among whole numbers: that is {value:.3f} or {value * 1000:.0f}"
+    raise UnreadableError(what, path=source.path, hint="write its numbers without separators of thousands")
 
 
 def find_turn_scale(gyro: Group, block: Block, source: Source, options: ReadOptions) -> Scale | None:

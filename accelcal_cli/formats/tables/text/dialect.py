@@ -215,7 +215,7 @@ def _behind_closing(line: bytes, place: int) -> int:
 # The layout of a text file of numbers.
 
 DELIMITERS = (",", ";", "\t", "|", " ")
-COMMENT = re.compile(r"^\s*(#+|%+|//)\s*")
+COMMENT = re.compile(r"^\s*(#+|%+|//)\s*([\w ()]+:=\s*)?")
 SPLIT_DATE = re.compile(rb"(\d{4}[-/]\d\d[-/]\d\d) (?=\d\d:\d\d)")
 SLASH_DATE = re.compile(rb"(?:^|[^\d/])\d{4}/\d\d/\d\d[ T]")
 COLON_FRACTION = re.compile(rb":(?<=\d:)(?<!\d\d\d:)\d\d:\d\d:\d{1,9}(?!\d|:)")
@@ -233,6 +233,21 @@ SHORT_HOUR = re.compile(rb"(?m)(?:^|(?<=[,;\t|\"]))(?=\d:\d\d)")
 
 AFTER_SHORT_HOUR = re.compile(rb":(?:(?<=[\n,;\t|\"]\d:)|(?<=\A\d:))\d\d")
 """The same place by the colon behind it, whose absence is found sooner."""
+
+BEGIN, END = rb"(?m:^|(?<=[,;\t|\"]))", rb"(?=[,;\t|\"\r\n]|\Z)"
+"""The places before and behind a cell, or behind its quote and before the other one."""
+
+GROUPED = re.compile(
+    BEGIN + rb"[-+]?\d{1,3}(?:(?: |\xc2\xa0|\xa0|\xe2\x80[\x89\xaf\x99]|'|_)\d{3})+(?:[.,]\d*)?" + END
+)
+"""A number with blanks of four kinds, apostrophes or underscores between groups of three digits."""
+
+TWO_MARKS = re.compile(BEGIN + rb"[-+]?\d{1,3}(?:(?:\.\d{3})+,|(?:,\d{3})+\.)\d*" + END)
+"""A number with points and commas: one of them between groups of digits."""
+
+COMMA_IN_QUOTES = re.compile(rb'"([-+]?\d*[.\d]*,[.,\d]*\d)"')
+GROUPS_OF_DIGITS = re.compile(rb"[-+]?[1-9]\d{0,2}(?:,\d{3})+")
+MINUS = "\u2212".encode()
 
 LONG_FRACTION = re.compile(rb"(:\d\d[.,]\d{9})\d+")
 SECONDS = re.compile(rb"\d:\d\d:\d\d(?!\d|:)")
@@ -282,6 +297,8 @@ class Normaliser:
         twelve_hours: times of day have AM or PM.
         short_hours: times of day in a column of their own have hours of one digit.
         date_order: of day, month and year, such as `dmy`, where dates do not begin with the year.
+        odd_numbers: some have marks between groups of digits, a typographic minus, or commas in quotes;
+            quoted_decimals: such a comma stands before decimals.
         thorough: look at every line for what differs from the others.
     """
 
@@ -296,6 +313,8 @@ class Normaliser:
     twelve_hours: bool = False
     short_hours: bool = False
     date_order: str | None = None
+    odd_numbers: bool = False
+    quoted_decimals: bool = False
     thorough: bool = False
 
     def __call__(self, block: bytes) -> bytes:
@@ -304,11 +323,29 @@ class Normaliser:
             block = trimmed(collapsed(block.translate(TAB_TO_BLANK)), b"\n")
         elif self.padded or self.thorough:
             block = trimmed(trimmed(collapsed(block), self.delimiter.encode()), b"\n")
+        if self.odd_numbers or self.thorough:
+            block = self._with_plain_numbers(block)
         block = self._with_times(block)
         pairs = [(b",", b".")] * self.decimal_comma + [(b"/", b"-")] * self.slash_dates
         if not pairs:
             return block
         return block.translate(bytes.maketrans(*(b"".join(letters) for letters in zip(*pairs, strict=True))))
+
+    def _with_plain_numbers(self, block: bytes) -> bytes:
+        """Return the block with an ASCII minus, and numbers without marks between groups of digits."""
+        block = block.replace(MINUS, b"-")
+        if self.delimiter != " ":
+            block = GROUPED.sub(lambda found: re.sub(rb"[^-+\d.,]", b"", found[0]), block)
+        if self.delimiter != ",":
+            return TWO_MARKS.sub(lambda found: self._with_one_mark(found[0]), block)
+        return COMMA_IN_QUOTES.sub(lambda found: self._with_one_mark(found[1]), block)
+
+    def _with_one_mark(self, number: bytes) -> bytes:
+        """Return a number that has commas, and may have points, with a point before its decimals alone."""
+        if b"." not in number and not self.quoted_decimals and GROUPS_OF_DIGITS.fullmatch(number):
+            return number.replace(b",", b"")
+        last = max(number.rfind(b"."), number.rfind(b","))
+        return re.sub(rb"[.,]", b"", number[:last]) + b"." + number[last + 1 :]
 
     def _with_times(self, block: bytes) -> bytes:
         """Return the block with dates, hours and fractions of seconds as in ISO 8601."""
@@ -752,6 +789,8 @@ def _column_kinds(rows: list[list[str]], delimiter: str, share: float) -> tuple[
 def _normalisers(head: bytes) -> list[Normaliser]:
     """Return what each delimiter would need; the times are looked for once."""
     split_date = b" " in head and SPLIT_DATE.search(head) is not None
+    quoted = [found[1] for found in COMMA_IN_QUOTES.finditer(head)]
+    odd = bool(quoted) or MINUS in head or any(one.search(head) for one in (GROUPED, TWO_MARKS))
     any_delimiter = Normaliser(
         "",
         slash_dates=b"/" in head and SLASH_DATE.search(head) is not None,
@@ -759,6 +798,8 @@ def _normalisers(head: bytes) -> list[Normaliser]:
         colon_fraction=COLON_FRACTION.search(head) is not None,
         twelve_hours=HALF_OF_THE_DAY.search(head) is not None and TWELVE_HOURS.search(head) is not None,
         short_hours=AFTER_SHORT_HOUR.search(head) is not None,
+        odd_numbers=odd,
+        quoted_decimals=any(b"." not in one and not GROUPS_OF_DIGITS.fullmatch(one) for one in quoted),
     )
     return [
         replace(

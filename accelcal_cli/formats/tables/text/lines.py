@@ -353,8 +353,7 @@ class LineParser:
                 values[column], wrong_here, untidy_here = read_as(table[str(column)], how)
                 wrong, untidy = np.append(wrong, wrong_here), np.append(untidy, untidy_here)
         place, normaliser = np.arange(table.num_rows), self._dialect.normaliser
-        place[wrong] = LOST if normaliser.date_order is None else MENDABLE
-        place[untidy] = MENDABLE
+        place[np.append(wrong, untidy)] = MENDABLE
         if ragged:
             place = np.insert(place, np.array([*ragged]) - np.arange(len(ragged)), LOST)
             every = normaliser.delimiter == " " or QUOTE in text
