@@ -265,11 +265,14 @@ class Piece:
         offset: byte at which they begin, in the uncompressed stream; of tables that are not text, about that.
         end_byte: how far the file on the disk has been read.
         last: nothing follows.
+        restarts: lines up to here from which a second head of the file says when the recording went on, and
+            that time [us since 1970].
     """
 
     offset: int
     end_byte: int
     last: bool
+    restarts: Sequence[tuple[int, int]] = ()
 
     def emptied(self) -> Piece:
         """Return the place of the piece, without the memory of its rows."""

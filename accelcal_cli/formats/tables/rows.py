@@ -8,7 +8,7 @@ while it slept.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -525,6 +525,7 @@ class Assembler:
         self._bad, self._in_bad = dict[int, str](), False
         self._with_its_zone = (FOLLOWED, WITH_ITS_ZONE[1].format(zone=zone))
         self._last_row, self._last_us = first_row - 1, 0
+        self._ahead_us = self._restarts = 0
         self._begun = False
         self._last_jump: Kind | None = None
         self.samples = self.rows = first_row
@@ -532,7 +533,7 @@ class Assembler:
 
     def chunks(self, rows: Rows, piece: Piece, chunk_samples: int) -> Iterator[Chunk]:
         """Yield the good rows of the next ones, which end with a piece, at most `chunk_samples` a chunk."""
-        kept = self._kept(rows)
+        kept = self._kept(rows, piece.restarts)
         channels, keep = dict(rows.channels), kept.keep
         if rows.filled is not None and rows.filled.any():
             validity = np.where(rows.filled, np.uint8(Validity.FILLED), np.uint8(Validity.MEASURED))
@@ -677,14 +678,33 @@ class Assembler:
             kind = WRAPPED, text_of(jump_us)
             yield Event(row + self._base, 1, *kind, None, sample, 1, jump_us, 0, int(rows.line[place]))
 
-    def _kept(self, rows: Rows) -> _GoodRows:
-        if not rows.fault.any():
-            return _GoodRows(None, rows.row, rows.line, rows.time_us)
-        keep = rows.fault == Fault.NONE
+    def _kept(self, rows: Rows, restarts: Sequence[tuple[int, int]]) -> _GoodRows:
         stamps = rows.time_us
+        if stamps is None and self._layout.start_us is not None and restarts:
+            stamps = self._restarted(rows, restarts)
+        if not rows.fault.any():
+            return _GoodRows(None, rows.row, rows.line, stamps)
+        keep = rows.fault == Fault.NONE
         if stamps is None:
-            stamps = UniformClock(self._start_us, rows.first_row, self._rate).times(0, len(rows))
+            stamps = self._even_times(rows.first_row, len(rows))
         return _GoodRows(keep, rows.row[keep], rows.line[keep], stamps[keep])
+
+    def _even_times(self, row: int, rows: int) -> NDArray[np.int64]:
+        return UniformClock(self._start_us, row, self._rate).times(0, rows) + self._ahead_us
+
+    def _restarted(self, rows: Rows, restarts: Sequence[tuple[int, int]]) -> NDArray[np.int64]:
+        """Return the times of rows (n,) without their own, which each restart sets."""
+        if not self._restarts:
+            self._last_us = int(self._even_times(self._last_row, 1)[0])
+        times = self._even_times(rows.first_row, len(rows))
+        for line, start_us in restarts[self._restarts :]:
+            first = int(np.searchsorted(rows.line, line))
+            if first == len(rows):
+                break
+            ahead = start_us - int(times[first])
+            times[first:] += ahead
+            self._ahead_us, self._restarts = self._ahead_us + ahead, self._restarts + 1
+        return times
 
     def _breaks(
         self, kept: _GoodRows, events: list[Event], stop: int
@@ -706,7 +726,7 @@ class Assembler:
         rows = np.ones(1, np.int64) if even else -(-np.diff(kept.row, prepend=before) // self._stride)
         broken = rows > 1
         self._last_row = int(kept.row[-1])
-        if kept.time_us is None or self._layout.clock is None:
+        if kept.time_us is None or (self._layout.clock is None and not self._restarts):
             return np.flatnonzero(broken), recording.NO_BREAKS
         steps = np.diff(kept.time_us, prepend=kept.time_us[0] if first else self._last_us)
         self._last_us = int(kept.time_us[-1])

@@ -474,10 +474,11 @@ def refuse_grouped(values: NDArray[Any], lines: Numbers, source: Source, scale: 
     if not sure:
         return
     row, axis = np.argwhere(broken)[int(np.flatnonzero(alike)[0])].tolist()
-    place = source.place(int(lines[row])) if row < len(lines) else "a row"
+    line = int(lines[row]) if source.first_line is not None and row < len(lines) else None
     value = float(values[row, axis])
-    what = f"{place} holds {value:.3f} among whole numbers: that is {value:.3f} or {value * 1000:.0f}"
-    raise UnreadableError(what, path=source.path, hint="write its numbers without separators of thousands")
+    what = f"holds {value:.3f} among whole numbers: that is {value:.3f} or {value * 1000:.0f}"
+    hint = "write its numbers without separators of thousands"
+    raise UnreadableError(what, path=source.path, line=line, hint=hint)
 
 
 def find_turn_scale(gyro: Group, block: Block, source: Source, options: ReadOptions) -> Scale | None:

@@ -187,3 +187,22 @@ def test_numbers_that_begin_behind_16_mb_are_not_looked_for(tmp_path: Path) -> N
     path = written(tmp_path, LOG * 530_000 + table(","))
     with pytest.raises(UnreadableError, match=r"no rows of three or more numbers in its first 16 MB"):
         open_recording(path, ReadOptions(format="csv"))
+
+
+@pytest.mark.parametrize(
+    "again", ["x.1,y.1,z.1", "x_1,y_1,z_1", "x...5,y...6,z...7", "x.2,y.2,z.2", "X 2,Y 2,Z 2"]
+)
+@pytest.mark.parametrize("first", ["x,y,z", "x...2,y...3,z...4"])
+def test_columns_that_a_program_renamed_are_another_sensors(tmp_path: Path, first: str, again: str) -> None:
+    """As pandas, MATLAB and R rename columns of one name; `--columns` chooses."""
+    lines = table(",").splitlines()
+    text = "\n".join([f"time,{first},{again}", *(line + ",0.5,0.25,1.0" for line in lines)]) + "\n"
+    path = written(tmp_path, text)
+    with pytest.raises(UnreadableError, match="several groups of columns are named like an accelerometer's"):
+        read(path, unit="g")
+    check(path, columns=tuple(first.split(",")))
+
+
+def test_numbered_columns_of_one_sensor_are_read(tmp_path: Path) -> None:
+    for names in ("x_1,y_1,z_1", "x...2,y...3,z...4"):
+        check(written(tmp_path, table(",", f"time,{names}")))

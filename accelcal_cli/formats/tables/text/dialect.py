@@ -654,7 +654,8 @@ class _DelimiterTrial:
         run: list[int] = []
         for number, line in enumerate(self.raw_lines):
             for row in _rows([line], self.normaliser):
-                run = [*run, number] if self._is_row(row) else []
+                cells = row if self.is_sure else fitted(row, len(self.kinds))
+                run = [*run, number] if self._is_row(cells) else []
             if len(run) == 3:
                 break
         return run[0] if run else None
@@ -664,7 +665,7 @@ class _DelimiterTrial:
         columns, number = len(self.kinds), first - 1
         while number >= 0:
             row = next(iter(_rows([self.raw_lines[number]], self.normaliser)), [])
-            if len(row) in (0, columns) or not self._is_row(fitted(row, columns)):
+            if not row or not self._is_row(fitted(row, columns)):
                 break
             number -= 1
         names_axes = number >= 0 and names_all_axes(self._cells(number))
@@ -693,7 +694,7 @@ class _DelimiterTrial:
     def _heading(self, number: int, sample: Sequence[list[str]]) -> tuple[str, ...] | None:
         """Return a line's cells if they can be names, none a number: of all columns but one, or of more.
 
-        Names belong to columns from the left, but for the one without a name that counts the rows.
+        Names belong to columns from the left, except where the first one has none and counts the rows.
         """
         cells, columns = self._cells(number), len(self.kinds)
         if len(cells) == columns - 1 and _counts_rows(sample, self.kinds):

@@ -21,8 +21,8 @@ from accelcal_cli.core.system import process_is_ours
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._stamps import NO_TIME
 from accelcal_cli.formats.tables.cells import BYTE_ORDER_MARK, MISSING, NUMBER, decode, split_line
-from accelcal_cli.formats.tables.header import As, Block, CellTexts, Piece, Wanted
-from accelcal_cli.formats.tables.text.dialect import QUOTE, Dialect, Quotes
+from accelcal_cli.formats.tables.header import As, Block, CellTexts, Piece, Stated, Wanted
+from accelcal_cli.formats.tables.text.dialect import QUOTE, Dialect, Quotes, have_kinds, names_all_axes
 from accelcal_cli.formats.tables.values import (
     MOMENTS,
     NO_ROWS,
@@ -38,6 +38,7 @@ from accelcal_cli.formats.tables.values import (
     values_of,
     wrong_cell,
 )
+from accelcal_cli.formats.tables.vendors import export_description
 
 PIECE_BYTES = 1 << 18
 """Bytes taken from the file at a time."""
@@ -47,7 +48,10 @@ CACHED_BYTES = 1 << 18
 
 LONGEST_LINE = 1 << 20
 LINE_END = ord("\n")
-BLANKS = (b"\n", b"\r")
+MOST_NAMES, HEAD_MARK = 40, 16
+"""Names of columns with which a line may begin, and letters of a head, by which one is found again."""
+
+CUT_THERE = "cut the file before that line, and calibrate each part"
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +64,7 @@ class LineBlock(Piece):
         end: byte behind its last line end, in the uncompressed stream.
         broken: the compressed data ended early or is damaged.
         zeros: how many bytes of value 0 follow the tail, where they are too many to be kept.
-        heads: the lines up to here in which the names of the columns stand again.
+        heads: the lines up to here in which a head stands again.
     """
 
     data: bytes
@@ -74,6 +78,7 @@ class LineBlock(Piece):
     broken: bool
     zeros: int = 0
     heads: Sequence[int] = ()
+    restarts: Sequence[tuple[int, int]] = ()
 
     def emptied(self) -> LineBlock:
         """Return the place of the block, without the memory of its lines."""
@@ -205,33 +210,108 @@ class LineFile(Closing):
 
 
 class RepeatedHeads:
-    """Blanks the names of the columns where they stand again, as between files that were joined.
+    """Blanks heads that stand among the rows, as where files were joined, and checks what they say.
 
     Args:
         head: the file up to its first row.
+        stated: what that says of the recording.
 
     Attributes:
-        lines: numbers of the lines in which the names stand again.
+        lines: numbers of the lines in which the names stand again, or of the first one of a head.
+        restarts: see `Piece`.
     """
 
-    def __init__(self, head: bytes) -> None:
-        self._head = head.removeprefix(BYTE_ORDER_MARK).splitlines(keepends=True)
+    def __init__(self, path: Path, head: bytes, dialect: Dialect, stated: Stated) -> None:
+        lines = head.removeprefix(BYTE_ORDER_MARK).splitlines(keepends=True)
+        self._path, self._dialect, self._stated, self._length = path, dialect, stated, len(lines)
+        self._names = self._cells(lines[-1]) if lines and dialect.names is not None else []
+        mark = dialect.normaliser.delimiter.encode()
+        names = lines[-1].split(mark)[:MOST_NAMES] if self._names else []
+        begins = [name.strip() + mark for name in names if name.strip()]
+        first = lines[0].rstrip() if len(lines) > 1 else b""
+        self._marks = begins + [first[:HEAD_MARK]] * (len(first) >= HEAD_MARK)
+        self._open: list[bytes] | None = None
+        self._first = 0
         self.lines: list[int] = []
+        self.restarts: list[tuple[int, int]] = []
 
     def without(self, block: LineBlock) -> LineBlock:
-        """Return the block with the same lines, those of a repeated head empty."""
-        names = self._head[-1] if self._head and not self._head[-1].startswith(BLANKS) else b""
-        if not names or names not in block.data:
+        """Return the block with the same lines, those of a repeated head empty.
+
+        Raises:
+            UnreadableError: such a head is that of another device, or of other columns.
+        """
+        begins = self._begins(block.data)
+        if self._open is None and not begins:
             return block
         lines = block.data.splitlines(keepends=True)
-        for number in range(len(lines)):
-            if lines[number] == names:
-                self.lines.append(block.line + number)
-                for up, line in enumerate(reversed(self._head)):  # as far up as it is the same
-                    if number < up or lines[number - up].removeprefix(BYTE_ORDER_MARK) != line:
-                        break
-                    lines[number - up] = b"\n"
+        for number, line in enumerate(lines):
+            if self._open is not None and (len(self._open) == self._length or self._is_row(line)):
+                self._close()
+            if self._open is None and number in begins and not self._is_row(line):
+                cells = self._cells(line)
+                if line[:HEAD_MARK] != self._marks[-1] and not self._are_names(cells):
+                    continue
+                self._open, self._first = [], block.line + number
+            if self._open is not None:
+                self._open.append(line)
+                lines[number] = b"\n"
+        if block.last and self._open is not None:
+            self._close()
         return replace(block, data=b"".join(lines))
+
+    def _begins(self, data: bytes) -> set[int]:
+        """Return the numbers of the lines, from 0, that begin as the head or the names do."""
+        places = {0} if data.startswith(tuple(self._marks)) else set()
+        for mark in self._marks:
+            place = -1
+            while (place := data.find(b"\n" + mark, place + 1)) >= 0:
+                places.add(place + 1)
+        return {count_lines(data[:place]) for place in places}
+
+    def _close(self) -> None:
+        """Take the lines of a head that is over."""
+        head, self._open = self._open or [], None
+        cells = [self._cells(line) for line in head]
+        named = [number for number, row in enumerate(cells) if self._are_names(row)]
+        line = self._first + (named[0] if named else 0)
+        self.lines.append(line)
+        if named and (found := cells[named[0]]) != self._names:
+            what = (
+                f"a second head begins: it names the columns {', '.join(found)}, not {', '.join(self._names)}"
+            )
+            raise UnreadableError(what, path=self._path, line=line, hint=CUT_THERE)
+        stated = export_description(b"".join(head))
+        if stated is None:
+            return
+        before, after = (
+            (one.device.serial, one.rate_hz, one.unit, one.lsb_per_g) for one in (self._stated, stated)
+        )
+        if before != after:
+            names = ("serial number", "rate", "unit", "scale")
+            name, old, new = next(one for one in zip(names, before, after, strict=True) if one[1] != one[2])
+            what = (
+                f"another recording's head begins: its {name} is {new or 'unknown'}, not {old or 'unknown'}"
+            )
+            raise UnreadableError(what, path=self._path, line=self._first, hint=CUT_THERE)
+        if stated.start is not None:
+            start_us = stated.start.us(stated.date_order, self._path)
+            self.restarts.append((self._first + len(head), start_us))
+
+    def _cells(self, line: bytes) -> list[str]:
+        text = decode(self._dialect.normaliser(line)).strip("\r\n")
+        return [cell.strip() for cell in split_line(text, self._dialect.normaliser.delimiter)]
+
+    def _are_names(self, cells: list[str]) -> bool:
+        """Return True if cells are the names of the columns in any order, or other names of x, y and z."""
+        return len(cells) == len(self._names) and (
+            sorted(cells) == sorted(self._names) or names_all_axes(cells)
+        )
+
+    def _is_row(self, line: bytes) -> bool:
+        cells = self._cells(line)
+        comma = self._dialect.normaliser.delimiter != ","
+        return len(cells) == self._dialect.columns and have_kinds(cells, self._dialect.kinds, comma)
 
 
 def _cut(pieces: list[bytes]) -> tuple[bytes, bytes]:

@@ -103,9 +103,7 @@ class TextSource(Source):
         self.stated = replace(stated, hint_hz=rate_above(text))
         end = head.rfind(b"\n") + 1  # in a file of one unfinished line, that one
         rows = head[dialect.offset : end if end > dialect.offset else len(head)]
-        self._first = RepeatedHeads(self._above).without(
-            lone_block(rows, dialect.skipped + 1, dialect.offset)
-        )
+        self._first = self._heads().without(lone_block(rows, dialect.skipped + 1, dialect.offset))
         self.row_bytes = len(self._first.data) / max(self._first.lines, 1) or 1.0
         self.has_names, self.decimal_comma = dialect.names is not None, dialect.normaliser.decimal_comma
         self.names_line, self.first_line = dialect.names_line, dialect.skipped + 1
@@ -114,6 +112,9 @@ class TextSource(Source):
         above = dialect.skipped - stated.preamble - headings
         said = f"{above} lines before the header or the first row were not used"
         self.last_notes = ((said,) if above > 0 else ()) + _note_on_widths(dialect)
+
+    def _heads(self) -> RepeatedHeads:
+        return RepeatedHeads(self.path, self._above, self.dialect, self.stated)
 
     def head(self, _wanted: Wanted) -> LineBlock:
         """See `Source`."""
@@ -136,7 +137,7 @@ class TextSource(Source):
         self, wanted: Wanted, samples: int, start: int = 0, stop: int | None = None, threads: int = 1
     ) -> Generator[LineBlock]:
         """See `Source`."""
-        dialect, heads = self.dialect, RepeatedHeads(self._above)
+        dialect, heads = self.dialect, self._heads()
         size = max(1, min(BLOCK_BYTES, int(0.95 * samples * self.row_bytes)))
         with LineFile(self.path, dialect.bare_returns, threads) as file:
             for block in file.blocks(dialect.offset, dialect.skipped + 1, size, dialect.quotes):
@@ -144,7 +145,7 @@ class TextSource(Source):
 
     def _whole(self, block: LineBlock, heads: RepeatedHeads) -> LineBlock:
         """Return a block without the names of the columns, the last one with a last row without its end."""
-        block = replace(heads.without(block), heads=heads.lines)
+        block = replace(heads.without(block), heads=heads.lines, restarts=heads.restarts)
         if not block.last or block.broken or block.zeros or not self.dialect.is_row(block.tail):
             return block
         end = block.end + len(block.tail)
@@ -238,7 +239,7 @@ class TextSource(Source):
 
     def intake(self) -> Cut:
         """See `Source`."""
-        dialect, heads, in_utf8 = self.dialect, RepeatedHeads(self._above), InUtf8()
+        dialect, heads, in_utf8 = self.dialect, self._heads(), InUtf8()
         cutter = LineCutter(self.path, dialect.offset, dialect.skipped + 1, dialect.quotes)
 
         def cut(data: bytes, last: bool) -> LineBlock | None:

@@ -1,0 +1,120 @@
+"""Numbers as locales and programs write them: groups of digits, commas in quotes, a typographic minus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from accelcal_cli.core.errors import UnreadableError
+from tests.formats.make_csv import GRID, read, stamp, written
+
+MG = np.column_stack([np.arange(60) * 50 - 1500, np.arange(60) * 7 + 800, np.full(60, -12)])
+"""Whole numbers of mg on either side of 1000."""
+
+G = np.column_stack([np.arange(60) / 64 - 0.5, np.full(60, 0.125), np.full(60, -1.0)])
+
+Cell = Callable[[float], str]
+
+
+def table(names: str, values: np.ndarray, cell: Cell, delimiter: str = ",") -> str:
+    lines = [names.replace(",", delimiter)]
+    for number, row in enumerate(values.tolist()):
+        lines.append(delimiter.join([stamp(number * 40_000), *map(cell, row)]))
+    return "\n".join(lines) + "\n"
+
+
+def grouped(mark: str, quote: str = "") -> Cell:
+    return lambda value: quote + f"{value:,.0f}".replace(",", mark) + quote
+
+
+@pytest.mark.parametrize("mark", [" ", "\u00a0", "\u202f", "\u2009", "'", "\u2019", "_"])
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_groups_of_digits(tmp_path: Path, mark: str, delimiter: str) -> None:
+    text = table("time,x [mg],y [mg],z [mg]", MG, grouped(mark), delimiter)
+    for chunk in (1000, 7):
+        found = read(written(tmp_path, text), chunk_samples=chunk)
+        assert np.array_equal(found.counts, MG) and found.problems == []
+
+
+def test_blanks_of_latin_1(tmp_path: Path) -> None:
+    text = table("time,x [mg],y [mg],z [mg]", MG, grouped("\u00a0"))
+    assert np.array_equal(read(written(tmp_path, text.encode("latin-1"))).counts, MG)
+
+
+def test_groups_that_first_stand_far_below(tmp_path: Path) -> None:
+    """Behind what shows the layout of the file."""
+    values = np.concatenate([np.tile(MG[20:21], (60_000, 1)), MG])
+    found = read(written(tmp_path, table("time,x [mg],y [mg],z [mg]", values, grouped(" "))), 100_000)
+    assert np.array_equal(found.counts, values) and found.problems == []
+
+
+@pytest.mark.parametrize("delimiter", [",", ";"])
+def test_commas_between_groups_in_quotes(tmp_path: Path, delimiter: str) -> None:
+    text = table("time,x [mg],y [mg],z [mg]", MG + 0.5, lambda value: f'"{value:,.1f}"', delimiter)
+    assert np.array_equal(read(written(tmp_path, text)).counts, np.rint((MG + 0.5) / 1000 * GRID))
+
+
+def test_whole_numbers_with_commas_in_quotes(tmp_path: Path) -> None:
+    def cell(value: float) -> str:
+        return f'"{value:,.0f}"' if abs(value) >= 1000 else f"{value:.0f}"
+
+    found = read(written(tmp_path, table("time,x [mg],y [mg],z [mg]", MG, cell)))
+    assert np.array_equal(found.counts, MG)
+
+
+@pytest.mark.parametrize(("delimiter", "quote"), [(",", '"'), (";", ""), (";", '"'), ("\t", "")])
+def test_points_between_groups_and_a_comma(tmp_path: Path, delimiter: str, quote: str) -> None:
+    def cell(value: float) -> str:
+        return quote + f"{value:,.1f}".translate(str.maketrans(".,", ",.")) + quote
+
+    text = table("time,x [mg],y [mg],z [mg]", MG + 0.5, cell, delimiter)
+    assert np.array_equal(read(written(tmp_path, text)).counts, np.rint((MG + 0.5) / 1000 * GRID))
+
+
+@pytest.mark.parametrize("bare", [True, False])
+def test_decimal_commas_in_quotes(tmp_path: Path, bare: bool) -> None:
+    def cell(value: float) -> str:
+        text = repr(value).replace(".", ",")
+        return text[:-2] if bare and text.endswith(",0") else f'"{text}"'
+
+    found = read(written(tmp_path, table("time,x [g],y [g],z [g]", G, cell)))
+    assert np.array_equal(found.g, G) and found.problems == []
+
+
+def test_three_decimals_behind_commas_in_quotes(tmp_path: Path) -> None:
+    values = np.array([[-0.125, 0.375, 1.125], [2.125, -0.625, 0.25], [0.125, 1.625, 0.875]] * 20)
+    text = table("time,x [g],y [g],z [g]", values, lambda value: f'"{value:.3f}"'.replace(".", ","))
+    assert np.array_equal(read(written(tmp_path, text)).g, values)
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", " ", "\t"])
+def test_a_typographic_minus(tmp_path: Path, delimiter: str) -> None:
+    lines = table("time,x [g],y [g],z [g]", G, lambda value: repr(value).replace("-", "\u2212"), "|")
+    path = written(tmp_path, lines.replace(" [g]", "").replace(" ", "T").replace("|", delimiter))
+    assert np.array_equal(read(path, unit="g").g, G)
+
+
+@pytest.mark.parametrize("first", [0, 60_000])
+@pytest.mark.parametrize(("mark", "delimiter"), [(".", ","), (".", ";"), (",", ";")])
+def test_points_between_groups_alone_are_asked_about(
+    tmp_path: Path, mark: str, delimiter: str, first: int
+) -> None:
+    """1.033 among whole numbers of mg; its first may stand far below."""
+    values = np.concatenate([np.tile(MG[20:21], (first, 1)), MG])
+    path = written(tmp_path, table("time,x [mg],y [mg],z [mg]", values, grouped(mark), delimiter))
+    with pytest.raises(UnreadableError, match=r"among whole numbers: that is -?1\.500 or -?1500") as refusal:
+        read(path, 100_000)
+    assert refusal.value.line == first + 2
+    assert "without separators of thousands" in (refusal.value.hint or "")
+
+
+@pytest.mark.parametrize("unit", ["mg", "m/s2"])
+def test_fractions_are_not_asked_about(tmp_path: Path, unit: str) -> None:
+    """Some numbers that are whole, and fractions of any length, are what they are."""
+    values = np.array([[980.5, 12.0, -8.25], [990.0, 3.125, 100.0], [1001.0, -999.0, 0.5]] * 20)
+    values = values if unit == "mg" else values / 100
+    text = table(f"time,x [{unit}],y [{unit}],z [{unit}]", values, lambda value: f"{value:g}")
+    assert len(read(written(tmp_path, text)).g) == 60
