@@ -26,6 +26,10 @@ EPOCH_DAYS, PLAUSIBLE_HZ = (25_569.0, 719_529.0), (5.0, 800.0)
 GAP_PERIODS, LONGEST_GROUP = 3, 4
 """Most sample periods in a step that is not a gap; most usual groups in one, also if the clock stops."""
 
+FILLED, LONGEST_STAMP_S = 1.5, 15.0
+"""Most times as long as its rows take that a step to the next stamp is without a gap; longest time [s] of one
+stamp among those that become coarser."""
+
 DEVICE_RATES = (1.5625, 3.125, 6.25, 12.5, 25.6, 31.25, 100 / 3, 51.2, 62.5, 200 / 3, 102.4, 204.8)
 """Fractional rates [Hz] of devices in common use."""
 
@@ -43,6 +47,9 @@ DISAGREEMENT = 1.2
 
 SHORTFALL = 0.2
 """Share of the usual size by which a group may differ; one that differs more lies next to a gap."""
+
+ROUNDED = 2
+"""Rows by which groups differ, as 3 and 5 do, where what lies between two stamps is rounded to the even one."""
 
 SPREAD = "several rows share a time stamp; they were spread evenly until the next one"
 
@@ -65,9 +72,14 @@ class Pace:
         return max(1, round(self.rate_hz * self.stamp_period_us / MICROSECONDS))
 
     @property
+    def longest_group(self) -> int:
+        """Most rows that are taken to share a stamp."""
+        return max(LONGEST_GROUP * self.rows_per_stamp, round(LONGEST_STAMP_S * self.rate_hz))
+
+    @property
     def reach(self) -> int:
-        """Rows next to a row on which its time depends: the longest group; 0 where none shares its stamp."""
-        return LONGEST_GROUP * self.rows_per_stamp if self.stamp_period_us else 0
+        """Rows next to a row on which its time depends: its group, and the one on either side."""
+        return 2 * self.longest_group
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -94,10 +106,12 @@ def shares_stamps(stamps: NDArray[np.int64]) -> bool:
 def shared_pace(stamps: NDArray[np.int64]) -> Pace | None:
     """Return the pace of rows of which several share each stamp, None if they show none."""
     starts, sizes = _groups(stamps)
-    steps = np.diff(stamps[starts])[1:]
-    period, typical = int(np.median(steps)), float(np.median(sizes))
-    whole = np.abs(sizes - typical) <= max(1.0, SHORTFALL * typical)
+    before, steps = (step := np.diff(stamps[starts]))[:-1], step[1:]
+    typical = int(np.sort(sizes)[len(sizes) // 2])
+    whole = np.abs(sizes - typical) <= max(ROUNDED, SHORTFALL * typical)
+    period = int(np.median(steps[whole]))
     usual = whole & (steps > 0) & (2 * steps <= GAP_PERIODS * period)
+    usual &= (before < 0) | (steps <= GAP_PERIODS * before)  # a coarser stamp begins with half of its rows
     if period <= 0 or not usual.any():
         return None
     rate = float(sizes[usual].sum()) * MICROSECONDS / float(steps[usual].sum())
@@ -151,15 +165,21 @@ def nice_rate(measured: float, error: float = 0.0) -> float:
 class SharedStamps:
     """Spreads the rows of each stamp evenly until the next stamp.
 
-    The times of a group of rows are settled once the stamp after it is known, so that they do not depend on
-    where the pieces end in which the rows come; after `longest` rows the first is settled in any case.
+    Stamps may become coarser in the course of a recording: numbers with few digits, 999.96 and then 1000.1,
+    share a stamp from some value on. A long step to the next stamp is not a gap if the rows of a stamp fill it.
+
+    The times of a group of rows are settled once the second stamp after it is known, so that they do not
+    depend on where the pieces end in which the rows come; after `longest` rows a group ends in any case.
     """
 
     def __init__(self, pace: Pace) -> None:
-        self._period, self._usual = pace.stamp_period_us, pace.rows_per_stamp
-        self.longest = LONGEST_GROUP * self._usual
+        self._row_us, self._usual, self.longest = pace.period_us, pace.rows_per_stamp, pace.longest_group
+        self._is_shared, self._period = (
+            pace.stamp_period_us > 0,
+            pace.stamp_period_us or round(pace.period_us),
+        )
         self._waiting = np.empty(0, np.int64)
-        self._before = NO_TIME
+        self._before, self._joined, self._coarse_us, self._early_us = NO_TIME, False, 0, 0
 
     def add(self, stamps: NDArray[np.int64], last: bool) -> NDArray[np.int64]:
         """Take the stamps of the next rows; return the times that are settled.
@@ -174,15 +194,14 @@ class SharedStamps:
         stamps = self._filled(np.concatenate((self._waiting, stamps)))
         starts = self._starts(stamps)
         ends = np.append(starts[1:], len(stamps))
-        settled = len(starts) if last else max(len(starts) - 1, 0)
+        settled = len(starts) if last else max(len(starts) - 2, 0)
         self._waiting = stamps
         if not settled:
             return stamps[:0]
         self._waiting = stamps[ends[settled - 1] :].copy()
-        after = stamps[starts[settled]] if settled < len(starts) else NO_TIME
-        around = np.concatenate(([self._before], stamps[starts[:settled]], [after]))
-        self._before = int(around[-2])
-        return self._spread(around, (ends - starts)[:settled])
+        around = np.concatenate(([self._before], stamps[starts], [NO_TIME]))
+        self._before = int(around[settled])
+        return self._spread(around, ends - starts, settled)
 
     def _filled(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
         """Put rows without a time into the group before them; they are left out later."""
@@ -200,29 +219,72 @@ class SharedStamps:
         groups = zip(starts, starts + sizes, strict=True)
         return np.concatenate([np.arange(start, end, self.longest) for start, end in groups])
 
-    def _spread(self, around: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return times of the rows of groups with these stamps; `around` has one more at either end.
+    def _spread(self, around: NDArray[np.int64], sizes: NDArray[np.int64], settled: int) -> NDArray[np.int64]:
+        """Return times of the rows of the first groups of these stamps; `around` has one more at either end.
 
         A short group next to a gap is the rest of a stamp's time, at the usual pace: its end if the gap is
-        before it, else its beginning.
+        before it, else its beginning. Coarser stamps are rounded ones, in the middle of their time.
         """
-        steps = np.diff(around)
-        joined = (steps > 0) & (steps <= self._period * 3 // 2)
-        before, after = joined[:-1], joined[1:]
-        full = (sizes >= self._usual) | (before & after)
-        span = np.where(full & after, steps[1:], self._period)
-        parts = np.where(full, sizes, self._usual)
-        shift = np.where(~full & after, self._usual - sizes, 0)
+        steps, row_us = np.diff(around), self._row_us
+        coarse, stamps = self._coarse(steps, sizes, settled), around[1 : settled + 1]
+        sizes, step = sizes[:settled], steps[1 : settled + 1]
+        period = np.where(coarse > 0, coarse, self._period)
+        joined = (step > 0) & ((step <= period * 3 // 2) | (step <= self._filled_us(sizes)))
+        step = np.where(joined, step, 0)
+        period = np.where(joined & (2 * step < period), step, period)
+        usual = np.maximum(np.rint(period / row_us), 1).astype(np.int64)
+        usual = np.where(period == self._period, self._usual, usual)
+        most = LONGEST_GROUP * np.maximum(usual, step // round(row_us))
+        if (sizes > most).any():  # the clock stood still
+            pieces = -(-sizes // most)
+            piece, ends = np.repeat(np.arange(settled), pieces), np.cumsum(pieces) - 1
+            left, last = sizes - most * (pieces - 1), np.isin(np.arange(len(piece)), ends)
+            sizes = np.where(last, left[piece], most[piece])
+            stamps, step, period, usual, coarse = (
+                one[piece] for one in (stamps, step, period, usual, coarse)
+            )
+            step = np.where(last, step, 0)
+        after = step > 0
+        before, early = np.append(self._joined, after[:-1]), np.append(self._early_us, coarse[:-1] // 2)
+        self._joined, self._early_us = bool(after[-1]), int(coarse[-1] // 2)
+        early = np.where(before, early, coarse // 2)
+        full = (sizes >= usual) | (after & (before | (step <= (sizes + 0.5) * row_us)))
+        span = np.where(full & after, step - coarse // 2 + early, period)
+        parts = np.where(full, sizes, usual)
+        shift = np.where(~full & after, usual - sizes, 0)
+        moved = self._is_shared | (coarse > 0)
         group = np.repeat(np.arange(len(sizes)), sizes)
         index = np.arange(len(group)) - np.repeat(np.cumsum(sizes) - sizes, sizes) + shift[group]
-        into = (2 * index * span[group] + parts[group]) // (2 * parts[group])
-        return np.asarray(around[1:-1][group] + into)
+        into = (2 * index * (span * moved)[group] + parts[group]) // (2 * parts[group])
+        return np.asarray((stamps - early)[group] + into)
+
+    def _filled_us(self, sizes: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the longest step [us] to the next stamp that groups of rows fill.
+
+        A stamp is half as long where stamps become coarser: 10000 is all from 9999.95 to 10000.5.
+        """
+        return self._row_us * np.where(sizes >= 2 * self._usual, 2.0 * sizes + 2, FILLED * sizes)
+
+    def _coarse(self, steps: NDArray[np.int64], sizes: NDArray[np.int64], settled: int) -> NDArray[np.int64]:
+        """Return for the first groups how far apart [us] coarser stamps than usual are around them, else 0.
+
+        The group before or after shows it by rows that fill a step which is longer than usual. `steps` are
+        those before each group, and after the last.
+        """
+        step = steps[1:]
+        fine = (step > 0) & (step <= self._period * 3 // 2)
+        own = np.where(~fine & (step > 0) & (step <= self._filled_us(sizes)), step, 0)
+        known = np.where(fine | (own > 0), np.arange(1, len(own) + 1), 0)
+        held = np.append(self._coarse_us, own)[np.maximum.accumulate(np.append(0, known))]
+        self._coarse_us = int(held[settled])
+        coarse = np.maximum(held[:-1], np.minimum(np.append(own[1:], 0), step))
+        may_be = ~fine & (self._is_shared | (sizes > 1))
+        return np.where(may_be, coarse, 0)[:settled]
 
 
 def spread(stamps: NDArray[np.int64], pace: Pace) -> NDArray[np.int64]:
     """Return the times [us] of the rows (n,) that have one, spread if rows share them."""
-    times = SharedStamps(pace).add(stamps, last=True) if pace.stamp_period_us else stamps
-    return times[stamps > LOST]
+    return SharedStamps(pace).add(stamps, last=True)[stamps > LOST]
 
 
 # Makes the times of a table run on where its clock shows less than the time: counters that wrap, lost

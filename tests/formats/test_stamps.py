@@ -16,8 +16,10 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats._stamps import LOST, NO_TIME, Pace, SharedStamps
 from accelcal_cli.formats.tables import HDF5, OPAL
+from accelcal_cli.formats.tables.clock import find_pace
 from accelcal_cli.formats.tables.hdf5 import TrackRows
-from tests.formats import make_hdf5
+from accelcal_cli.formats.tables.header import Source, Stated
+from tests.formats import make_csv, make_hdf5
 from tests.formats.make_csv import START_US
 from tests.formats.make_opal import add_sensor
 from tests.formats.reading import Read
@@ -60,7 +62,7 @@ def test_spread_times_do_not_depend_on_where_the_rows_are_cut(
     for number, piece in enumerate(pieces):
         times.append(cut.add(piece, last=number == len(pieces) - 1))
         held += len(piece) - len(times[-1])
-        assert held <= cut.longest == 16
+        assert held <= 2 * cut.longest == 120
     assert held == 0
     assert np.concatenate(times).tolist() == whole.tolist()
 
@@ -128,3 +130,86 @@ def test_stamps_that_rows_of_an_opal_file_share_are_told(tmp_path: Path) -> None
     found = make_hdf5.read(tmp_path / "a.h5", form=OPAL)
     assert NOTE in found.recording.notes
     assert after_start(found) == list(range(0, 5 * SECOND, SECOND // 100))
+
+
+def written(start_s: float, rows: int, rate_hz: float, digits: int) -> np.ndarray:
+    """The stamps [us] of even rows that are written with so many digits, as `%.5g` does."""
+    times = start_s + np.arange(rows) / rate_hz
+    return np.array([round(float(f"{time:.{digits}g}") * SECOND) for time in times])
+
+
+def pace_of(stamps: np.ndarray) -> Pace:
+    source = Source()
+    source.path, source.stated = Path(), Stated()
+    return find_pace(stamps, source, ReadOptions())
+
+
+@pytest.mark.parametrize(
+    ("start_s", "rows", "rate_hz", "digits", "coarsest_us"),
+    [
+        (9900.0, 9000, 25.0, 5, SECOND),  # as MATLAB's csvwrite does
+        (99_900.0, 9000, 25.0, 6, SECOND),
+        (0.0, 9000, 40.0, 3, SECOND),
+        (940.0, 9000, 100.0, 5, SECOND // 10),  # most rows have a stamp of their own
+        (90.0, 12_000, 12.5, 3, 10 * SECOND),
+    ],
+)
+def test_stamps_with_few_digits_are_spread_where_they_become_coarser(
+    start_s: float, rows: int, rate_hz: float, digits: int, coarsest_us: int
+) -> None:
+    stamps = written(start_s, rows, rate_hz, digits)
+    pace = pace_of(stamps)
+    assert pace.rate_hz == rate_hz
+    times = SharedStamps(pace).add(stamps, last=True)
+    steps = np.diff(times)
+    assert (steps.min() >= 0, steps.max() <= 3 * pace.period_us) == (True, True)
+    assert np.abs(times - start_s * SECOND - np.arange(rows) * pace.period_us).max() <= coarsest_us
+    cut = SharedStamps(pace)
+    parts = [cut.add(part, last=number == 8) for number, part in enumerate(np.array_split(stamps, 9))]
+    assert np.concatenate(parts).tolist() == times.tolist()
+
+
+def test_stamps_become_coarser_long_after_the_first_rows() -> None:
+    stamps = written(9000.0, 36_000, 25.0, 6)
+    early = pace_of(stamps[:5000])
+    assert early == Pace(25.0)
+    times = SharedStamps(early).add(stamps, last=True)
+    assert times[:25_000].tolist() == stamps[:25_000].tolist()
+    assert (np.diff(times).min() >= 0, np.diff(times).max() <= 120_000) == (True, True)
+    even = np.round(9000 * SECOND + np.arange(36_000) * 40_000)
+    assert np.abs(times - even)[25_010:].max() <= 40_000  # rows are in the middle of their rounded stamps
+
+
+@pytest.mark.parametrize("missing_s", [4, 60])
+def test_a_gap_between_coarser_stamps_remains_one(missing_s: int) -> None:
+    stamps = written(9900.0, 9000, 25.0, 5)
+    kept = np.delete(stamps, np.arange(5000, 5000 + 25 * missing_s))
+    times = SharedStamps(pace_of(kept)).add(kept, last=True)
+    steps = np.diff(times)
+    assert np.flatnonzero((steps < 0) | (steps > 120_000)).tolist() == [4999]
+    assert abs(int(steps[4999]) - missing_s * SECOND) <= SECOND // 2
+
+
+@pytest.mark.parametrize("first", [[0], [0, 40_000], [0, 0, 100_000]])
+def test_rows_before_stamps_are_shared_are_no_incomplete_group(first: list[int]) -> None:
+    """The first stamps are finer than those which later rows share."""
+    begun = written(first[-1] / SECOND, 9000, 25.0, 3)
+    rows = np.array([*first[:-1], *begun])
+    assert (
+        SharedStamps(Pace(25.0, 100_000)).add(rows, last=True)[: len(first) + 1].tolist()
+        == {
+            1: [0, 40_000],
+            2: [0, 40_000, 80_000],
+            3: [0, 50_000, 100_000, 140_000],
+        }[len(first)]
+    )
+
+
+def test_numbers_with_few_digits_in_a_text_file(tmp_path: Path) -> None:
+    lines = [f"{9990 + row / 50:.5g},0.0,0.{row % 7},1.0" for row in range(2000)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time (s),x,y,z", *lines, ""]))
+    found = make_csv.read(path)
+    assert (found.recording.rate_hz, len(found.times), found.codes) == (50.0, 2000, ["no_start_time"])
+    assert found.times[:6].tolist() == [9_990_040_000 + 20_000 * row for row in range(6)]
+    assert not found.breaks

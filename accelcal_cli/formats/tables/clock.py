@@ -634,10 +634,13 @@ def _pace_of_single_stamps(stamps: NDArray[np.int64]) -> Pace | None:
     jittered = jittered_step(stamps)
     if jittered is not None:
         return Pace(nice_rate(MICROSECONDS / jittered, JITTER_ERROR))
-    steps = np.diff(stamps)
-    steps = steps[steps >= 0]
-    usual = steps[steps <= GAP_PERIODS * max(float(np.median(steps)), 1.0)] if len(steps) else steps
-    if len(usual) == 0 or usual.sum() == 0:
+    starts = np.flatnonzero(np.diff(stamps, prepend=stamps[:1] - 1))
+    steps, rows = np.diff(stamps[starts]), np.diff(starts)
+    steps, rows = steps[steps > 0], rows[steps > 0]
+    usual = steps <= GAP_PERIODS * float(np.median(steps)) if len(rows) else rows
+    if not usual.any():
         return None
-    error = max(stamp_error(stamps), float(np.std(usual) / np.mean(usual)) / len(usual) ** 0.5)
-    return Pace(nice_rate(len(usual) * MICROSECONDS / float(usual.sum()), error))
+    steps, rows = steps[usual], rows[usual]
+    each = float(steps.sum()) / float(rows.sum())
+    error = max(stamp_error(stamps), float(np.std(steps / rows)) / each / len(steps) ** 0.5)
+    return Pace(nice_rate(MICROSECONDS / each, error))

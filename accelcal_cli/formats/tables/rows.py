@@ -404,7 +404,7 @@ class RowStream:
         running, changes = RunningRows(layout.wraps), FollowedChanges(zone)
         self.clock, self.followed, self.first_row = running.clock, changes.rows, first_row
         self._steps: list[RunningRows | FollowedChanges | SpreadRows | IdleFill] = [running, changes]
-        if layout.clock is not None and layout.pace.stamp_period_us:
+        if layout.clock is not None and (layout.pace.stamp_period_us or layout.clock.format.unit_us):
             self._steps.append(SpreadRows(layout.pace))
         if layout.repeats_idle:
             self._steps.append(IdleFill(round(layout.pace.rate_hz)))
