@@ -166,7 +166,8 @@ class SharedStamps:
     """Spreads the rows of each stamp evenly until the next stamp.
 
     Stamps may become coarser in the course of a recording: numbers with few digits, 999.96 and then 1000.1,
-    share a stamp from some value on. A long step to the next stamp is not a gap if the rows of a stamp fill it.
+    share a stamp from some value on. A long step to the next stamp is not a gap if the rows of a stamp fill
+    it. Where rows have a stamp each, only coarser ones are spread.
 
     The times of a group of rows are settled once the second stamp after it is known, so that they do not
     depend on where the pieces end in which the rows come; after `longest` rows a group ends in any case.
@@ -201,7 +202,8 @@ class SharedStamps:
         self._waiting = stamps[ends[settled - 1] :].copy()
         around = np.concatenate(([self._before], stamps[starts], [NO_TIME]))
         self._before = int(around[settled])
-        return self._spread(around, ends - starts, settled)
+        alone = not self._is_shared and len(starts) == len(stamps)
+        return self._alone(around, settled) if alone else self._spread(around, ends - starts, settled)
 
     def _filled(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
         """Put rows without a time into the group before them; they are left out later."""
@@ -218,6 +220,19 @@ class SharedStamps:
             return starts
         groups = zip(starts, starts + sizes, strict=True)
         return np.concatenate([np.arange(start, end, self.longest) for start, end in groups])
+
+    def _alone(self, around: NDArray[np.int64], settled: int) -> NDArray[np.int64]:
+        """Return what `_spread` does for groups of one row each, sooner."""
+        times, step = around[1 : settled + 1], np.diff(around[1 : settled + 2])
+        fine = self._is_fine(step)
+        if self._joined:
+            times[0] -= self._early_us
+        self._joined, self._early_us = bool(fine[-1]), 0
+        self._coarse_us = 0 if fine.any() else self._coarse_us
+        return times
+
+    def _is_fine(self, step: NDArray[np.int64]) -> NDArray[np.bool_]:
+        return (step > 0) & (step <= self._period * 3 // 2)
 
     def _spread(self, around: NDArray[np.int64], sizes: NDArray[np.int64], settled: int) -> NDArray[np.int64]:
         """Return times of the rows of the first groups of these stamps; `around` has one more at either end.
@@ -263,7 +278,8 @@ class SharedStamps:
 
         A stamp is half as long where stamps become coarser: 10000 is all from 9999.95 to 10000.5.
         """
-        return self._row_us * np.where(sizes >= 2 * self._usual, 2.0 * sizes + 2, FILLED * sizes)
+        filled = self._row_us * np.where(sizes >= 2 * self._usual, 2.0 * sizes + 2, FILLED * sizes)
+        return np.where(self._is_shared | (sizes > 1), filled, 0.0)
 
     def _coarse(self, steps: NDArray[np.int64], sizes: NDArray[np.int64], settled: int) -> NDArray[np.int64]:
         """Return for the first groups how far apart [us] coarser stamps than usual are around them, else 0.
@@ -272,13 +288,13 @@ class SharedStamps:
         those before each group, and after the last.
         """
         step = steps[1:]
-        fine = (step > 0) & (step <= self._period * 3 // 2)
+        fine = self._is_fine(step)
+        may_be = ~fine & (self._is_shared | (sizes > 1))
         own = np.where(~fine & (step > 0) & (step <= self._filled_us(sizes)), step, 0)
         known = np.where(fine | (own > 0), np.arange(1, len(own) + 1), 0)
         held = np.append(self._coarse_us, own)[np.maximum.accumulate(np.append(0, known))]
         self._coarse_us = int(held[settled])
         coarse = np.maximum(held[:-1], np.minimum(np.append(own[1:], 0), step))
-        may_be = ~fine & (self._is_shared | (sizes > 1))
         return np.where(may_be, coarse, 0)[:settled]
 
 
