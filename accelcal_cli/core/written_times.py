@@ -390,10 +390,15 @@ def iso_start(text: str) -> StartTime | None:
 
 
 def seconds_of_day(hour: int, minute: int, second: int, afternoon: bool | None) -> int | None:
-    """Return the seconds since midnight; None for a time of day that does not exist."""
+    """Return the seconds since midnight; None for a time of day that does not exist.
+
+    24:00:00 ends the day; 24:00:01 is its first second, as some browsers write it.
+    """
     if afternoon is not None:
         if not 1 <= hour <= 12:
             return None
         hour = hour % 12 + 12 * afternoon
-    exists = hour < 24 or (hour == 24 and minute == second == 0)
-    return 3600 * hour + 60 * minute + second if exists and minute < 60 and second <= 60 else None
+    if hour == 24 and (minute or second):
+        hour = 0
+    exists = hour <= 24 and minute < 60 and second <= 60
+    return 3600 * hour + 60 * minute + second if exists else None

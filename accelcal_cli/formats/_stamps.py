@@ -20,6 +20,10 @@ NO_TIME, IMPOSSIBLE, LOST = -(1 << 62), -(1 << 62) + 1, -(1 << 62) + 2
 year 1), and for one in a lost part of the file; far enough from every real one to subtract without
 overflow."""
 
+HOUR_24, WITH_HOUR_24 = 1 << 60, 1 << 59
+"""Added to a time of the hour 24, read as the hour 0 of its date, until `Midnights` knows its day; times from
+which on that is added."""
+
 EPOCH_DAYS, PLAUSIBLE_HZ = (25_569.0, 719_529.0), (5.0, 800.0)
 """1970-01-01 in days of spreadsheets and of MATLAB, and rates [Hz] for which only one unit of time fits."""
 
@@ -320,7 +324,7 @@ TICKS_US = (1.0, 1000.0)
 """Ticks of counters besides the unit of a column: a program may have made seconds of them."""
 
 HOUR_US = 3600 * MICROSECONDS
-DAY_US = 24 * HOUR_US
+DAY_US, MINUTE_US = 24 * HOUR_US, HOUR_US // 60
 LONG_US = 60 * MICROSECONDS
 """Length of a cycle from which on a second may be missing where it ends."""
 
@@ -379,6 +383,50 @@ def _longest(cycle_us: int, near_us: int, back: NDArray[np.int64]) -> int:
 def text_of(jump_us: int) -> str:
     """Return the text of the problem that times were read on by a jump."""
     return TWELVE_HOURS if jump_us in HALF_DAYS_US else READ_ON
+
+
+class Midnights:
+    """Finds the day of times of the hour 24; the result does not depend on how the rows are cut.
+
+    In ISO 8601 24:00:00 ends the day that is written; browsers write 24:00:01 for the first second of that
+    day. The last row before tells which it is, since times do not go back.
+
+    Args:
+        before_us: a time for the rows before the first; see `time_before`.
+    """
+
+    def __init__(self, before_us: int = NO_TIME) -> None:
+        self._before = before_us
+
+    def settled(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the next times (n,) [us], each on its day."""
+        late = times >= WITH_HOUR_24
+        known = np.flatnonzero(~late & (times > LOST))
+        if late.any():
+            rows = np.flatnonzero(late)
+            before = np.append(self._before, times[known])[np.searchsorted(known, rows)]
+            times = times.copy()
+            times[rows] -= HOUR_24
+            times[rows] += np.where(before > times[rows] + MINUTE_US, DAY_US, 0)
+        if len(known):
+            self._before = int(times[known[-1]])
+        return times
+
+
+def time_before(head: NDArray[np.int64]) -> int:
+    """Return a time [us] before the first ones of a table by which `Midnights` puts these on their day.
+
+    If they are of the hour 24, the first other row tells whether that ends their day; if there is none, only
+    24:00:00 does.
+    """
+    known = head[head > LOST]
+    late = known >= WITH_HOUR_24
+    number = len(late) if late.all() else int(np.argmin(late))
+    if not number:
+        return NO_TIME
+    begun = known[:number] - HOUR_24
+    ends = not (begun % MINUTE_US).any() if number == len(known) else begun[-1] + DAY_US <= known[number]
+    return int(begun.max()) + 2 * MINUTE_US if ends else NO_TIME
 
 
 class RunningOn:

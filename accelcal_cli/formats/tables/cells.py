@@ -32,7 +32,7 @@ from accelcal_cli.core.written_times import (
     surroundings,
     undated,
 )
-from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME
+from accelcal_cli.formats._stamps import HOUR_24, IMPOSSIBLE, NO_TIME
 from accelcal_cli.formats.tables.header import Kind, Source, unclear_date
 
 # Reads columns of times that people wrote, many cells at a time (`core/written_times.py` knows the
@@ -68,6 +68,7 @@ class Written:
         directives: strptime's, of the groups d0, d1, ...; empty where `surroundings` reads before and after.
         offsets: True where the times are those of the offsets that are written, False for a clock's.
         vague: names of zones are left out, since one of them stands for several.
+        digits: of fractions of seconds that are written without leading zeros; 0 for decimals.
     """
 
     pattern: str
@@ -75,11 +76,13 @@ class Written:
     directives: tuple[str, ...] = ()
     offsets: bool = False
     vague: bool = False
+    digits: int = 0
 
     def read(self, cells: Any) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return texts (n,), an array of Arrow, as times (n,) [us], and the rows of those not written so.
 
         NO_TIME stands where a text is empty or not written so, IMPOSSIBLE for times that do not exist.
+        HOUR_24 is added to those of the hour 24.
         """
         import pyarrow.compute as pc  # takes a tenth of a second, and most files need none of it
 
@@ -99,18 +102,19 @@ class Written:
         parts = {name: pc.fill_null(pc.struct_field(found, name), "") for name in names}
         h, m, s = (_whole(pc, parts.get(name), len(found)) for name in "hms")
         decimals = parts.get("f")
+        if decimals is not None and self.digits:
+            decimals = pc.utf8_lpad(decimals, self.digits, "0")
         padded = None if decimals is None else pc.utf8_slice_codeunits(pc.utf8_rpad(decimals, 9, "0"), 0, 9)
         ns = _whole(pc, padded, len(found))
         around = [parts[name] for name in names if name not in ("h", "m", "s", "f")]
         days, shift, late = self._days(pc, around, len(found))
         halves = late >= 0
         hours = np.where(halves, h % 12 + 12 * late, h)
-        wrong = (hours > 24) | ((h == 24) & ((m > 0) | (s > 0) | (ns > 0))) | (m > 59) | (s > 60)
-        wrong |= (halves & ((h > 12) | (h == 0))) | (days <= NO_DAY)
-        seconds = (np.where(wrong, 0, days) * 24 + hours) * 3600 + m * 60 + s - shift
+        wrong = (hours > 24) | (m > 59) | (s > 60) | (halves & ((h > 12) | (h == 0))) | (days <= NO_DAY)
+        seconds = (np.where(wrong, 0, days) * 24 + hours % 24) * 3600 + m * 60 + s - shift
         times = seconds * 1_000_000 + (ns + 500) // 1000
         wrong |= (times < FIRST_US) | (times > LAST_US)
-        return np.where(wrong, IMPOSSIBLE, times), days != OTHER_DAY
+        return np.where(wrong, IMPOSSIBLE, times + HOUR_24 * (hours == 24)), days != OTHER_DAY
 
     def _days(self, pc: Any, around: Sequence[Any], rows: int) -> tuple[NDArray[np.int64], ...]:
         """Return the days since 1970, the seconds ahead of UTC, and 1 for PM, 0 for AM, -1 without; (n,)."""
@@ -177,9 +181,24 @@ def _whole(pc: Any, texts: Any, rows: int) -> NDArray[np.int64]:
     return np.from_dlpack(pc.cast(filled, pa.int64())).astype(np.int64, copy=False)
 
 
-def written_form(cells: Sequence[str], order: str | None = None) -> Written | None:
+def unpadded_digits(cells: Iterable[str]) -> int:
+    """Return the digits of fractions of seconds that are numbers without leading zeros, 5 for 005; else 0.
+
+    Such numbers may end in a zero, but do not begin with one; with decimals of different lengths it is the
+    other way round.
+    """
+    matches = (next(filter(None, (shape.fullmatch(cell) for shape in SHAPES)), None) for cell in cells)
+    found = [match["f"] for match in matches if match is not None and match["f"]]
+    several = [digits for digits in found if len(digits) > 1]
+    numbers = any(digits.endswith("0") for digits in several) and not any(
+        digits.startswith("0") for digits in several
+    )
+    return max(map(len, found)) if numbers and len(set(map(len, found))) > 1 else 0
+
+
+def written_form(cells: Sequence[str], order: str | None = None, digits: int = 0) -> Written | None:
     """Return how cells are written, at least one; None if not all of them are times of one form."""
-    forms = (Written(shape.pattern, order) for shape in SHAPES)
+    forms = (Written(shape.pattern, order, digits=digits) for shape in SHAPES)
     return next((form for form in forms if all(form.cell(cell) is not None for cell in cells)), None)
 
 

@@ -64,6 +64,7 @@ from accelcal_cli.formats.tables.cells import (
     order_of,
     present,
     strptime_form,
+    unpadded_digits,
     written_form,
 )
 from accelcal_cli.formats.tables.header import As, Block, CellTexts, Column, First, Kind, Source
@@ -294,9 +295,10 @@ def find_time_format(
         if form is not None:
             return _written_format(form, known, zone, source.path)
         return _number_format(numbers, unit_us, column, source, options)
-    if (iso := _iso_format(known, source, zone)) is not None:
+    digits = unpadded_digits(texts)
+    if not digits and (iso := _iso_format(known, source, zone)) is not None:
         return iso
-    if (form := written_form(texts, order)) is None:
+    if (form := written_form(texts, order, digits)) is None:
         raise _no_time(known, source.path)
     return _written_format(form, known, zone, source.path)
 
@@ -364,6 +366,7 @@ def _written_format(form: Written, known: Sequence[Cell], zone: str | None, path
     how = "" if vague is None else VAGUE.format(vague, AMBIGUOUS[vague])
     if place and offsets:
         how += f" (written in {place}, read by the offsets)"
+    how += f" (fractions of seconds without leading zeros: .5 is .{'5':0>{form.digits}})" * bool(form.digits)
     how += " (times of day without a date)" * (not found[0].dated)
     how += " (years of the Buddhist calendar)" * any(has_buddhist_year(text) for text, _ in known)
     return TimeFormat(

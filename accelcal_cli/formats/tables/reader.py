@@ -18,7 +18,16 @@ from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Chunk, Intake, Reader, Recording
 from accelcal_cli.core.vocabulary import HeatUnit, unit_by_values
-from accelcal_cli.formats._stamps import IMPOSSIBLE, Pace, RunningOn, Wraps, spread
+from accelcal_cli.formats._stamps import (
+    IMPOSSIBLE,
+    NO_TIME,
+    Midnights,
+    Pace,
+    RunningOn,
+    Wraps,
+    spread,
+    time_before,
+)
 from accelcal_cli.formats.tables.clock import TableClock, find_clock, find_pace, wraps_of
 from accelcal_cli.formats.tables.header import (
     As,
@@ -133,6 +142,8 @@ class _Understood:
             row, fault = next(iter(block.bad.items()))
             raise not_rows(source, int(block.line[row]), fault)
         times = None if clock is None else clock.times(block)[0]
+        before_us = NO_TIME if times is None else time_before(times)
+        times = None if times is None else Midnights(before_us).settled(times)
         wraps = wraps_of(clock, times)
         times = None if times is None else RunningOn(wraps).running_on(times)
         watch = self._watch(block, times)
@@ -143,6 +154,7 @@ class _Understood:
         pace = find_pace(measured, source, options)
         (heat, heat_notes), (turns, turn_notes) = self._heat(block), self._turns(block, values)
         layout = self._layout(scale, pace, (heat, turns), wraps, stride)
+        layout = replace(layout, before_us=before_us)
         source.check(layout.wanted)
         source.row_bytes = source.row_bytes_of(layout.wanted) * len(whole) / max(len(block), 1)
         return Plan(source, layout, self._notes(layout, heat_notes, turn_notes, guessed=guessed), watch)
@@ -369,7 +381,7 @@ class TableReader(Reader):
         if clock is None or (piece := self._plan.source.last(layout.wanted)) is None:
             return None
         block = self._plan.source.parse(piece, layout.wanted)
-        times = clock.times(block)[0]
+        times = Midnights().settled(clock.times(block)[0])
         times = times if layout.chosen is None else times[layout.chosen.rows(block)]
         known = spread(times[times > IMPOSSIBLE], layout.pace)
         return int(known[-1]) if len(known) else None

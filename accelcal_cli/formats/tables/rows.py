@@ -41,6 +41,7 @@ from accelcal_cli.formats._stamps import (
     LOST,
     NO_TIME,
     WRAPPED,
+    Midnights,
     Pace,
     RunningOn,
     SharedStamps,
@@ -96,6 +97,7 @@ class Layout:
         wraps: what the clock may do.
         stride: rows from one with values to the next, in a table that other sensors share.
         start_us: time of the first row where rows carry none; None if it is not known.
+        before_us: a time before the first row, by which times of the hour 24 are put on their day.
     """
 
     xyz: Group
@@ -110,6 +112,7 @@ class Layout:
     repeats_idle: bool = False
     stride: int = 1
     start_us: int | None = None
+    before_us: int = NO_TIME
 
     @property
     def has_dates(self) -> bool:
@@ -209,6 +212,7 @@ class RowParser:
         self._wanted = layout.wanted
         self._last_mc = UNKNOWN if layout.heat is None else layout.heat.first_mc
         self._next_row, self._bad = first_row, 0
+        self._midnights = Midnights(NO_TIME if first_row else layout.before_us)
         self._first_bad: tuple[int, str] | None = None
 
     def rows(self, pieces: Iterable[Piece], threads: int) -> Iterator[tuple[Rows, Piece]]:
@@ -220,7 +224,9 @@ class RowParser:
         Raises:
             UnreadableError: most lines are not rows of the table, or rows are of several sensors.
         """
-        for rows, piece, seen in parallel_map(self._rows_of, pieces, threads):
+        for parsed, piece, seen in parallel_map(self._rows_of, pieces, threads):
+            times = None if parsed.time_us is None else self._midnights.settled(parsed.time_us)
+            rows = replace(parsed, time_us=times)
             if rows.bad or self._bad:
                 self._refuse_mostly_bad(rows)
             if self._watch is not None:

@@ -16,7 +16,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from accelcal_cli.core.written_times import COLONS
-from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME
+from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME, WITH_HOUR_24
 from accelcal_cli.formats.tables.cells import MISSING, Written
 from accelcal_cli.formats.tables.header import As, CellTexts
 
@@ -61,7 +61,7 @@ ARROW_TIMES = (
 FIRST_DAY, LAST_DAY = date(1677, 9, 23), date(2262, 4, 10)
 """Days that nanoseconds in 64 bits reach in every zone."""
 
-AT_THE_EDGE = r":60|^(1677|2262)"
+AT_THE_EDGE = r":60|^(1677|2262)|[T ]24:"
 """Times of which Arrow makes none, or not everywhere, and which yet exist."""
 
 FARTHEST_NS_US = 9_223_372_036_854_775
@@ -144,7 +144,7 @@ def moments(cells: Any, zoned: bool) -> tuple[NDArray[np.int64], NDArray[np.int6
     """Return texts (n,) in ISO 8601 as times (n,) [us], and the rows of all others.
 
     NO_TIME stands where a text is empty or no time, IMPOSSIBLE where it is written right and does not exist.
-    Second 60, a leap second or a rounded number, is the next minute.
+    Second 60, a leap second or a rounded number, is the next minute. HOUR_24 is added in the hour 24.
 
     Args:
         zoned: the texts have a zone, and the times are UTC.
@@ -163,7 +163,8 @@ def moments(cells: Any, zoned: bool) -> tuple[NDArray[np.int64], NDArray[np.int6
     edge = right & flags(pc.match_substring_regex(others, AT_THE_EDGE))
     if edge.any():
         found, _ = Written(COLONS, offsets=zoned).read(others.filter(in_arrow(edge)))
-        times[rest[edge]] = np.where(np.abs(found) > FARTHEST_NS_US, IMPOSSIBLE, found)
+        far = (np.abs(found) > FARTHEST_NS_US) & (found < WITH_HOUR_24)
+        times[rest[edge]] = np.where(far, IMPOSSIBLE, found)
     return times, rest[~right]
 
 
