@@ -465,9 +465,9 @@ def _judged_format(
 
 
 def _usual_step(values: Sequence[float]) -> float:
-    """Return the rise a row: the median, or the mean where stamps repeat."""
+    """Return the rise a row, or the fall: the median, or the mean where stamps repeat."""
     steps = sorted(right - left for left, right in pairwise(values)) or [0.0]
-    return steps[len(steps) // 2] or (max(values) - min(values)) / len(steps)
+    return abs(steps[len(steps) // 2]) or (max(values) - min(values)) / len(steps)
 
 
 def _fitting_units(step: float, rate_hz: float | None, name: Name) -> list[float]:
@@ -571,12 +571,14 @@ def find_pace(stamps: NDArray[np.int64] | None, source: Source, options: ReadOpt
         stamps: (n,) the first times [us]; None if the table has none.
 
     Raises:
-        UnreadableError: nothing tells the rate, two of these contradict each other, or no recorder has it.
+        UnreadableError: nothing tells the rate, two of these contradict each other, or no recorder has it; or
+            the newest row is the first.
         UsageError: the user's rate contradicts that of the header of a table without times.
     """
     stated_hz, user_hz, path = source.stated.rate_hz, options.rate_hz, source.path
     if stamps is not None:
         known = stamps[stamps > LOST]
+        _refuse_newest_first(known, source)
         by_header = user_hz is None and stated_hz is not None
         pace = _agreeing_pace(known, stated_hz or 0, path) if by_header else _pace_of(known, user_hz, path)
     elif stated_hz is not None:
@@ -594,6 +596,20 @@ def find_pace(stamps: NDArray[np.int64] | None, source: Source, options: ReadOpt
         what = f"a sampling rate of {pace.rate_hz:g} Hz cannot be right"
         raise UnreadableError(what, path=path, hint="give it with --rate HZ")
     return pace
+
+
+def _refuse_newest_first(stamps: NDArray[np.int64], source: Source) -> None:
+    steps = np.diff(stamps)
+    if np.count_nonzero(steps < 0) <= np.count_nonzero(steps > 0):
+        return
+    hint = "sort its rows by time, the oldest first"
+    if source.first_line is not None:
+        name, above = shlex.quote(printable(source.path.name)), source.first_line - 1
+        text = f"gzip -dc {name}" if source.path.suffix == ".gz" else f"cat {name}"
+        command = f"({text} | head -n {above}; {text} | tail -n +{above + 1} | tac) > sorted.csv"
+        hint = f"{hint}: {command}"
+    what = "its rows are in the order newest first: their times go back"
+    raise UnreadableError(what, path=source.path, line=source.first_line, hint=hint)
 
 
 def _pace_of(stamps: NDArray[np.int64], user_hz: float | None, path: Path) -> Pace:

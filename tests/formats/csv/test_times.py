@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import gzip
+import subprocess
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.formats.tables import PARQUET
 from accelcal_cli.formats.tables.text import lines as csv_lines
 from accelcal_cli.formats.tables.text import source as csv_reader
 from tests.formats.make_csv import START_US, read, stamp, written
-from tests.formats.reading import Read
+from tests.formats.reading import Read, read_all
 
 SECOND = 1_000_000
 
@@ -252,3 +257,37 @@ def test_t17_an_odd_time_is_named_by_its_line(
         with pytest.raises(UnreadableError, match=message) as caught:
             read(path)
         assert caught.value.line == line
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz"])
+@pytest.mark.parametrize(
+    ("head", "cells"),
+    [
+        ("time,x,y,z", [stamp(row * 40_000) for row in range(400)]),
+        ("# a logger's\ntime (s),x,y,z", [f"{row / 25:.2f}" for row in range(400)]),
+        ("t,x,y,z", [str(row * 40) for row in range(400)]),  # of no stated unit
+        ("time,x,y,z", [stamp(row // 25 * SECOND)[:19] for row in range(400)]),
+    ],
+)
+def test_a_table_that_begins_with_its_newest_row_is_turned_over(
+    tmp_path: Path, name: str, head: str, cells: list[str]
+) -> None:
+    lines = [f"{cell},0.1,0.{row % 7},0.9" for row, cell in enumerate(cells)]
+    text = "\n".join([head, *reversed(lines), ""]).encode()
+    path = written(tmp_path, gzip.compress(text) if name.endswith(".gz") else text, name)
+    for options in ({}, {"rate_hz": 25.0}):
+        with pytest.raises(UnreadableError, match="newest first") as found:
+            read(path, **options)
+    command = found.value.hint.partition(": ")[2]
+    subprocess.run(["bash", "-c", command], cwd=tmp_path, check=True)
+    assert (tmp_path / "sorted.csv").read_text() == "\n".join([head, *lines, ""])
+    assert read(tmp_path / "sorted.csv").recording.rate_hz == 25.0
+
+
+def test_a_frame_of_arrow_that_begins_with_its_newest_row_is_refused(tmp_path: Path) -> None:
+    times = pa.array(np.arange(400)[::-1] * 40_000 + START_US).cast(pa.timestamp("us"))
+    axes = {axis: np.full(400, 0.57) for axis in "xyz"}
+    pq.write_table(pa.table({"time": times, **axes}), tmp_path / "a.parquet")
+    with pytest.raises(UnreadableError, match="newest first") as found:
+        read_all(tmp_path / "a.parquet", PARQUET, 1000)
+    assert found.value.hint == "sort its rows by time, the oldest first"
