@@ -7,10 +7,8 @@ Each folder `formats/NAME/` binds its reader as FORMAT in `__init__.py` and its 
 from __future__ import annotations
 
 import codecs
-import gzip
 import importlib
 import stat
-import zlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,10 +19,11 @@ from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError, UsageError, li
 from accelcal_cli.core.local_time import Retiming, retimed
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.settings import Option, setting, setting_of
+from accelcal_cli.core.unpacking import Packing, packing_of, plain_name, unpacked
 from accelcal_cli.core.vocabulary import UNIT_CHOICES
 
 HEAD_BYTES = 65_536
-GZIP_MAGIC, ZIP_MAGIC = b"\x1f\x8b", b"PK\x03\x04"
+ZIP_MAGIC = b"PK\x03\x04"
 WIDE_MARKS = (
     *((codecs.BOM_UTF32_LE, "utf-32", 3), (codecs.BOM_UTF32_BE, "utf-32", 0)),
     *((codecs.BOM_UTF16_LE, "utf-16", None), (codecs.BOM_UTF16_BE, "utf-16", None)),
@@ -212,9 +211,9 @@ class Probe:
 
     Attributes:
         path: the recording.
-        head: its first 64 KiB, uncompressed if the file is gzip.
+        head: its first 64 KiB, unpacked if the file is packed.
         size: bytes on disk.
-        compressed: True if the file is gzip.
+        compressed: True if the file is packed.
         options: what the user states.
     """
 
@@ -226,9 +225,8 @@ class Probe:
 
     @property
     def suffix(self) -> str:
-        """Lower-case suffix without a trailing .gz, such as `.cwa`."""
-        name = self.path.name.lower().removesuffix(".gz")
-        return Path(name).suffix
+        """Lower-case suffix of the file, without that of a packing: `.cwa` for `A.CWA.gz`."""
+        return Path(plain_name(self.path.name.lower())).suffix
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,7 +312,7 @@ def probe_file(path: Path, options: ReadOptions) -> Probe:
     """Read the beginning of a file.
 
     Raises:
-        UnreadableError: it is missing, empty, not a file, or its gzip header is damaged.
+        UnreadableError: it is missing, empty, not a file, or nothing of it can be unpacked.
     """
     try:
         status = path.stat()
@@ -328,30 +326,31 @@ def probe_file(path: Path, options: ReadOptions) -> Probe:
             raise UnreadableError("the file is empty", path=path, byte_offset=0, hint=COPY_AGAIN)
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)
-        compressed = head.startswith(GZIP_MAGIC)
-        if compressed:
-            head = read_gzip_head(path)
+        packing = packing_of(head)
+        if packing is not None:
+            head = _packed_head(path, packing)
     except OSError as error:
         raise unread(error, path) from error
-    return Probe(path, as_utf8(head)[:HEAD_BYTES], size, compressed, options)
+    return Probe(path, as_utf8(head)[:HEAD_BYTES], size, packing is not None, options)
 
 
-def read_gzip_head(path: Path) -> bytes:
-    """Return the first uncompressed bytes of a gzip file, as many as a truncated one still gives.
+def _packed_head(path: Path, packing: Packing) -> bytes:
+    """Return the first unpacked bytes of a file, as many as a truncated one still gives.
 
     Raises:
-        UnreadableError: nothing can be decompressed.
+        UnreadableError: nothing can be unpacked.
     """
     parts: list[bytes] = []
-    try:
-        with gzip.open(path, "rb") as file:
-            while sum(map(len, parts)) < HEAD_BYTES and (part := file.read1(HEAD_BYTES)):
-                parts.append(part)
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        if not parts:
-            raise UnreadableError(
-                f"damaged gzip data ({error})", path=path, byte_offset=0, hint="copy it again from its source"
-            ) from error
+    fault = None
+    with path.open("rb") as file:
+        for piece in unpacked(file, packing):
+            parts, fault = [*parts, piece.data], piece.fault
+            if sum(map(len, parts)) >= HEAD_BYTES:
+                break
+    if fault is not None and not any(parts):
+        packing.refuse_large(fault, path)
+        what, hint = f"damaged {packing.name} data ({fault.value})", "copy it again from its source"
+        raise UnreadableError(what, path=path, byte_offset=0, hint=hint)
     return b"".join(parts)[:HEAD_BYTES]
 
 

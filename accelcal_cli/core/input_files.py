@@ -16,9 +16,19 @@ from typing import Any
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.paths import files_below, has_file, is_file, open_found, unreadable
 from accelcal_cli.core.paths import stat_or_none as look
+from accelcal_cli.core.unpacking import PACKED_SUFFIXES, packing_of
 
 ANY = "*"
-ARCHIVES = (".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tbz2", ".tbz", ".tar.xz", ".txz", ".zip")
+ARCHIVES = (
+    ".tar",
+    *(f".tar{one}" for one in PACKED_SUFFIXES),
+    ".tgz",
+    ".tbz2",
+    ".tbz",
+    ".txz",
+    ".tzst",
+    ".zip",
+)
 """Suffixes of files that may hold parts."""
 
 NO_PART = re.compile(
@@ -27,12 +37,13 @@ NO_PART = re.compile(
 )
 """Names that no part has: of logs (NHANES), options, layouts, lists of poses, and our own results."""
 
-HOUR = re.compile(r"([^.]+\.[^.]+)\.\d{4}(?:-\d\d){5}-\d{3}-[PM]\d{4}(\.sensor\.csv(?:\.gz)?)", re.IGNORECASE)
+HOUR = re.compile(
+    r"([^.]+\.[^.]+)\.\d{4}(?:-\d\d){5}-\d{3}-[PM]\d{4}(\.sensor\.csv(?:\.gz|\.bz2|\.xz|\.zst|\.lz4)?)", re.I
+)
 HALF_HOUR = re.compile(r"(.+)_\d{10}\.avro", re.IGNORECASE)
 DAY = re.compile(r"\d{4}-\d\d-\d\d")
 
 MAGIC_BYTES, TAR_MAGIC, TAR_MAGIC_AT = 262, b"ustar", 257
-PACKED = (b"PK\x03\x04", b"\x1f\x8b", b"BZh", b"\xfd7zXZ\x00")
 LONGEST_LINE = 1000
 """Most characters in a line of TOML: the time to parse a line grows with its square."""
 
@@ -55,7 +66,7 @@ def may_be_archive(path: Path) -> bool:
             head = file.read(MAGIC_BYTES)
     except OSError as error:
         raise unreadable(error, path) from error
-    return head.startswith(PACKED) or head[TAR_MAGIC_AT:] == TAR_MAGIC
+    return head.startswith(b"PK\x03\x04") or packing_of(head) is not None or head[TAR_MAGIC_AT:] == TAR_MAGIC
 
 
 def files_of(path: Path) -> tuple[Path, ...] | None:

@@ -32,6 +32,7 @@ from accelcal_cli.core.formats import (
 from accelcal_cli.core.input_files import ARCHIVES, TAR_MAGIC, TAR_MAGIC_AT, files_of, may_be_archive
 from accelcal_cli.core.plugins import find_plugin, find_plugins, items_of, named_plugin
 from accelcal_cli.core.recording import Reader
+from accelcal_cli.core.unpacking import plain_name
 from accelcal_cli.formats._not_recordings import refuse_not_recordings
 
 SIGNED, CERTAIN = 90, 100
@@ -125,7 +126,7 @@ def archive_around(path: Path) -> bool | None:
 
     names = [name.lower() for name in first_names(path, LOOKED_AT)]
     kinds = {suffix for item in all_formats() for suffix in item.suffixes} - NO_SIGN
-    plain = [name.removesuffix(".gz") for name in names]
+    plain = [plain_name(name) for name in names]
     known = any(Path(name).suffix in kinds or POLAR.fullmatch(name) for name in plain)
     return not names or known or any(name.endswith(ARCHIVES) for name in names)
 

@@ -24,6 +24,7 @@ from accelcal_cli.core.paths import stat_or_none as look
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
 from accelcal_cli.core.system import cpus, temporary_folder
+from accelcal_cli.core.unpacking import plain_name
 from accelcal_cli.formats import all_formats, is_export, refuse_unused, unused_options
 from accelcal_cli.output.sections import ReportView, report_view
 from accelcal_cli.pipeline.options import FolderRules, StatedOption, stated_options, with_stated
@@ -128,7 +129,7 @@ def resolved_path(path: Path) -> Path:
 
 
 def stem(path: Path) -> str:
-    """Return the file name without `.gz` and its format suffix, or what a pattern names, or its folder."""
+    """Return the file name without its suffixes (`.csv.gz`), or what a pattern names, or its folder."""
     if ANY in path.name and is_pattern(path):
         plain = re.sub(r"[._-]*\*", "", _without_suffix(path.name)).strip("._-")
         return plain or path.parent.name or "parts"
@@ -138,8 +139,7 @@ def stem(path: Path) -> str:
 def _without_suffix(name: str) -> str:
     if (packed := next((one for one in ARCHIVES if name.lower().endswith(one)), None)) is not None:
         return name[: -len(packed)]
-    if name.lower().endswith(".gz"):
-        name = name[:-3]
+    name = plain_name(name)
     known = {suffix for item in all_formats() for suffix in item.suffixes}
     suffix = Path(name).suffix
     return name[: -len(suffix)] if suffix.lower() in known else name

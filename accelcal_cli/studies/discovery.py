@@ -27,6 +27,7 @@ from accelcal_cli.core.formats import Format, Probe, ReadOptions, is_text, probe
 from accelcal_cli.core.input_files import ANY, ARCHIVES, files_of, is_no_part, pattern_of_siblings
 from accelcal_cli.core.paths import files_below, is_file, is_folder, is_link, is_there
 from accelcal_cli.core.paths import stat_or_none as look
+from accelcal_cli.core.unpacking import plain_name
 from accelcal_cli.formats import (
     all_formats,
     archive_around,
@@ -124,7 +125,7 @@ def is_table(item: Item) -> bool:
 
 
 def _suffix(item: Item) -> str:
-    return Path(item.source.name.lower().removesuffix(".gz")).suffix
+    return Path(plain_name(item.source.name.lower())).suffix
 
 
 def _suffixes(formats: tuple[Format, ...]) -> set[str]:

@@ -17,6 +17,7 @@ from pathlib import Path
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import EACH
 from accelcal_cli.core.input_files import files_of
+from accelcal_cli.core.unpacking import plain_name
 from accelcal_cli.formats import all_formats, open_recording
 from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, ProgressMaker, Request
 from accelcal_cli.studies import summary
@@ -92,7 +93,7 @@ def _sensors(path: Path, request: Request, wanted: str, progress: ProgressMaker)
 def wants_each(item: Item, request: Request) -> bool:
     """Return True if each sensor of a file is to be a recording, and its kind of file may have several."""
     stated = {one.field: one.value for one in item.choices}
-    suffix = Path(item.source.name.lower().removesuffix(".gz")).suffix
+    suffix = Path(plain_name(item.source.name.lower())).suffix
     each = stated.get("sensor", request.options.sensor) == EACH and suffix not in _of_one()
     return each and files_of(item.source) is None
 

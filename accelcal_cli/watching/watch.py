@@ -26,13 +26,14 @@ from accelcal_cli.core.errors import (
     is_environment_error,
     output_error,
 )
-from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions
+from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.paths import is_file
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import Chunk, Intake, Reader, Recording
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.system import temporary_folder
+from accelcal_cli.core.unpacking import GZIP_MAGIC, packing_of
 from accelcal_cli.formats.raw import folder_layout, named_layout
 from accelcal_cli.judge.change import change_reason
 from accelcal_cli.judge.quality import check
@@ -330,9 +331,10 @@ class Watch:
         """Open the first bytes, in a folder with copies of the layouts that lie next to the recording."""
         if not head:
             raise UnreadableError("nothing came", path=self._source)
-        if head.startswith(GZIP_MAGIC):
-            hint = "unpack it on the way: gunzip -c FILE | accelcal watch -"
-            raise UnreadableError("is compressed twice", path=self._source, hint=hint)
+        if (packing := packing_of(head)) is not None:
+            hint = f"unpack it on the way: {packing.command} -c FILE | accelcal watch -"
+            what = "is compressed twice" if packing.magic == GZIP_MAGIC else f"is packed with {packing.name}"
+            raise UnreadableError(what, path=self._source, hint=hint)
         layouts = {}
         for layout in self._layouts():
             with looking_at(layout, UnreadableError), layout.open("rb") as file:

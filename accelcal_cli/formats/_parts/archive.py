@@ -1,4 +1,4 @@
-"""Archives of recordings: `.tar` (plain or packed with gzip, bzip2 or xz) and `.zip`, unpacked within bounds.
+"""Archives of recordings: `.tar` (plain, or packed by any of `core/unpacking.py`) and `.zip`, within bounds.
 
 Members are unpacked one after the other into a temporary folder, those of one folder of the archive into one
 folder there, under their own names; nothing else that an archive says is believed. From a damaged archive,
@@ -8,10 +8,7 @@ the disk of the temporary folder is never filled.
 
 from __future__ import annotations
 
-import bz2
 import errno
-import gzip
-import lzma
 import os
 import re
 import shutil
@@ -20,78 +17,28 @@ import tarfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from accelcal_cli.core.errors import OutputError, UnreadableError, counted, unread
 from accelcal_cli.core.formats import ZIP_MAGIC
 from accelcal_cli.core.input_files import TAR_MAGIC, TAR_MAGIC_AT
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.recording import Problem
-from accelcal_cli.formats._bytes import (
-    IN_EXTRA,
-    STEP_BYTES,
-    ZIP_LOCAL,
-    Inflater,
-    ShortReads,
-    crc32,
-    long_sizes,
-)
+from accelcal_cli.core.unpacking import STEP_BYTES, Inflater, crc32
+from accelcal_cli.formats._bytes import IN_EXTRA, ZIP_LOCAL, ByteSource, ShortReads, long_sizes
 
 # The members of an archive, one after the other: their names, and the bytes of those that are wanted.
 #
 # What an archive may cost is bounded before a library reads it: members of any kind are counted,
-# headers have a longest length, a dictionary has a largest size, and only what every program packs is
-# unpacked (stored and deflated members, no sparse files).
-
-LZMA_MEMORY, XZ_BYTES = 1 << 27, 1 << 12
-"""Most memory for a dictionary of xz, and packed bytes that are taken at a time."""
-
-
-class Xz:
-    """The unpacked bytes of an xz file, with bounded memory."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file, self._size = file, 0
-        self._unpacker = lzma.LZMADecompressor(memlimit=LZMA_MEMORY)
-
-    def read(self, count: int) -> bytes:
-        """Return the next bytes, fewer only at the end."""
-        parts: list[bytes] = []
-        while count > 0 and (piece := self._step(count)):
-            parts.append(piece)
-            count -= len(piece)
-        return b"".join(parts)
-
-    def _step(self, count: int) -> bytes:
-        while True:
-            if self._unpacker.eof:
-                rest = self._unpacker.unused_data.lstrip(b"\0") or self._file.read(XZ_BYTES).lstrip(b"\0")
-                if not rest:
-                    return b""
-                self._unpacker = lzma.LZMADecompressor(memlimit=LZMA_MEMORY)
-            elif self._unpacker.needs_input:
-                rest = self._file.read(XZ_BYTES)
-                if not rest:
-                    raise EOFError("the archive ends early")
-            else:
-                rest = b""
-            if piece := self._unpacker.decompress(rest, count):
-                return piece
-
-
-PACKED: dict[bytes, Callable[[BinaryIO], Any]] = {
-    b"\x1f\x8b": lambda file: gzip.GzipFile(fileobj=file),
-    b"BZh": bz2.BZ2File,
-    b"\xfd7zXZ\x00": Xz,
-}
-"""First bytes of streams that may hold a tar file, and what unpacks them."""
+# headers have a longest length, and only what every program packs is unpacked (stored and deflated
+# members, no sparse files).
 
 BROKEN = (
-    tarfile.TarError, zipfile.BadZipFile, EOFError, OSError, zlib.error, lzma.LZMAError, ValueError,
+    tarfile.TarError, zipfile.BadZipFile, EOFError, OSError, zlib.error, ValueError,
     struct.error, OverflowError, NotImplementedError,
 )  # fmt: skip
 """Errors from reading a damaged archive."""
@@ -169,18 +116,8 @@ def _file(name: str, pieces: Iterator[bytes], wanted: Wanted) -> Iterator[Piece]
         yield name, b""
 
 
-@contextmanager
-def unpacking(path: Path) -> Iterator[Any]:
-    """Open a file, and unpack its bytes if they are packed."""
-    with path.open("rb") as file:
-        head = file.read(max(map(len, PACKED)))
-        file.seek(0)
-        kind = next((kind for magic, kind in PACKED.items() if head.startswith(magic)), None)
-        yield file if kind is None else kind(file)
-
-
 def _tar_members(path: Path, allowance: Allowance, wanted: Wanted) -> Iterator[Piece]:
-    with unpacking(path) as unpacked:
+    with ByteSource(path) as unpacked:
         source = _Blocks(unpacked, allowance)
         about: dict[bytes, bytes] = {}
         while (block := source.exactly(tarfile.BLOCKSIZE)).strip(b"\0"):
@@ -225,12 +162,12 @@ def _described(kind: bytes, data: bytes) -> dict[bytes, bytes]:
 class _Blocks:
     """Unpacked bytes of a tar file, counted against its allowance whether they are used or skipped."""
 
-    def __init__(self, file: Any, allowance: Allowance) -> None:
+    def __init__(self, file: ByteSource, allowance: Allowance) -> None:
         self._file, self._allowance = file, allowance
 
     def read(self, count: int) -> bytes:
         """Return the next bytes; raises UnreadableError for too many, EOFError for none."""
-        piece: bytes = self._file.read(count)
+        piece = self._file.read(count)
         self._allowance.take(len(piece))
         if count and not piece:
             raise EOFError("the archive ends early")
@@ -445,8 +382,8 @@ class PartFiles:
 def is_archive(path: Path) -> bool:
     """Return True for a tar or zip file, by its first bytes; False for a damaged one."""
     try:
-        with unpacking(path) as file:
-            head = file.read(TAR_MAGIC_AT + len(TAR_MAGIC))
+        with ByteSource(path) as file:
+            head = file.read_exact(TAR_MAGIC_AT + len(TAR_MAGIC))
         return bool(head.startswith(ZIP_MAGIC) or head[TAR_MAGIC_AT:] == TAR_MAGIC)
     except BROKEN as error:
         if isinstance(error, OSError) and error.errno is not None:

@@ -20,16 +20,8 @@ from accelcal_cli.core.errors import UnreadableError, listed, printable, unread
 from accelcal_cli.core.formats import ZIP_MAGIC
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.recording import Closing, Problem
-from accelcal_cli.formats._bytes import (
-    IN_EXTRA,
-    MOST_BYTES,
-    STEP_BYTES,
-    ZIP_LOCAL,
-    Inflater,
-    ShortReads,
-    crc32,
-    long_sizes,
-)
+from accelcal_cli.core.unpacking import MOST_BYTES, STEP_BYTES, Inflater, crc32
+from accelcal_cli.formats._bytes import IN_EXTRA, ZIP_LOCAL, ShortReads, long_sizes
 
 INFO, LOG, ACTIVITY = "info.txt", "log.bin", "activity.bin"
 CALIBRATION, TEMPERATURE_CALIBRATION = "calibration.json", "temperature_calibration.json"

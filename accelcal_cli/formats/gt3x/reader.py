@@ -19,7 +19,7 @@ import numpy as np
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError, UsageError
-from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
+from accelcal_cli.core.formats import ReadOptions, agreed_rate
 from accelcal_cli.core.recording import (
     FLOAT_LSB_PER_G,
     LARGEST_LSB_PER_G,
@@ -33,6 +33,7 @@ from accelcal_cli.core.recording import (
     first_row,
 )
 from accelcal_cli.core.written_times import header_zone
+from accelcal_cli.formats._bytes import refuse_packed
 from accelcal_cli.formats._problems import ProblemLog
 from accelcal_cli.formats.gt3x import records as log
 from accelcal_cli.formats.gt3x import sensors
@@ -70,7 +71,6 @@ ZEROS = np.zeros((1, 3), np.int16)
 IMU = "imu"
 SENSORS = ("accelerometer", IMU)
 TICKS_PER_US, HIGHEST_RATE_HZ, START_SAMPLES = 10, 1000, 1
-UNPACK = "unpack the .gz; a .gt3x is a zip file already"
 NO_START = "info.txt does not tell when the recording began: times count from its start"
 
 MOST_ROWS = 1 << 20
@@ -328,8 +328,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     if options.sensor not in (None, *SENSORS):
         hint = f"use one of {', '.join(SENSORS)}"
         raise UsageError(f"no sensor {options.sensor!r} in it", path=path, hint=hint)
-    if probe_file(path, options).compressed:
-        raise UnreadableError("is compressed twice", path=path, hint=UNPACK)
+    refuse_packed(path, "a .gt3x file, itself a zip file,")
     archive = open_archive(path)
     info, problems = Info(), archive.problems
     if INFO not in archive.members:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from accelcal_cli.core.formats import ONLY_TABLES, TIMES_OF_TABLES, Format, Probe, ReadOptions
 from accelcal_cli.core.paths import has_file, is_file
+from accelcal_cli.core.unpacking import PACKED_SUFFIXES, plain_name
 
 SUFFIX = ".layout.toml"
 FOLDER_NAME = "layout.toml"
@@ -17,8 +18,7 @@ DUMP_SUFFIXES = (".raw", ".bin", ".dat")
 
 def named_layout(path: Path) -> Path:
     """Return the path of a dump's own layout: `NAME.layout.toml` for `NAME.bin` or `NAME.bin.gz`."""
-    name = path.name[:-3] if path.name.lower().endswith(".gz") else path.name
-    return path.with_name(Path(name).stem + SUFFIX)
+    return path.with_name(Path(plain_name(path.name)).stem + SUFFIX)
 
 
 def folder_layout(path: Path) -> Path:
@@ -55,7 +55,9 @@ def sniff(probe: Probe) -> int:
         if not is_file(named_layout(path)):
             return 0
         name = named_layout(path).name.removesuffix(SUFFIX)
-        dumps = (path.with_name(name + end + gz) for end in DUMP_SUFFIXES for gz in ("", ".gz"))
+        dumps = (
+            path.with_name(name + end + packed) for end in DUMP_SUFFIXES for packed in ("", *PACKED_SUFFIXES)
+        )
         return 0 if any(map(is_file, dumps)) else 35  # the layout is that of a dump next to it
     if is_file(named_layout(path)):
         return 95

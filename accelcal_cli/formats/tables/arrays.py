@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Problem
 from accelcal_cli.core.vocabulary import normalized
-from accelcal_cli.formats._bytes import ByteSource
+from accelcal_cli.formats._bytes import ByteSource, refuse_packed
 from accelcal_cli.formats.tables.header import As, Attributes, readable
 from accelcal_cli.formats.tables.tracks import TEXT, OpenRows, Track, TrackSource
 
@@ -39,10 +39,9 @@ Pieces = Callable[[], Iterator[bytes]]
 
 
 def head_of(path: Path, kind: str) -> bytes:
-    """Return the first bytes of a file of some kind; raise UnreadableError if they are those of gzip."""
+    """Return the first bytes of a file of some kind; raise UnreadableError if it is packed."""
+    refuse_packed(path, kind)
     with ByteSource(path) as source:
-        if source.compressed:
-            raise UnreadableError(f"is {kind} inside gzip", path=path, hint="unpack it first with gunzip")
         return source.read_exact(HEAD_BYTES)
 
 

@@ -24,9 +24,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import NoRecordingError, UnreadableError, printable, unread
-from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions
+from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.identity import SAMPLES, is_ours, refuse_other
 from accelcal_cli.core.recording import METADATA_KEY, Calibrated
+from accelcal_cli.formats._bytes import refuse_packed
 from accelcal_cli.formats.tables import signatures
 from accelcal_cli.formats.tables.header import Attributes, readable
 from accelcal_cli.formats.tables.reader import TableReader, open_table
@@ -266,12 +267,9 @@ class ArrowTable:
 
 def opened(path: Path, kind: type[ArrowTable]) -> ArrowTable:
     """Return a file as a table of a kind, closed again; raise UnreadableError for another."""
+    refuse_packed(path, kind.names[0])
     try:
         with path.open("rb") as file:
-            if file.read(2) == GZIP_MAGIC:
-                hint = "unpack it first with gunzip"
-                raise UnreadableError(f"is {kind.names[0]} inside gzip", path=path, hint=hint)
-            file.seek(0)
             return kind(path, file)
     except ARROW_ERRORS as error:
         with damage_suppressed(path):

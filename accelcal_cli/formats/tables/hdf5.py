@@ -27,7 +27,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.system import bounded_memory
 from accelcal_cli.core.vocabulary import normalized
-from accelcal_cli.formats._bytes import ByteSource
+from accelcal_cli.formats._bytes import refuse_packed
 from accelcal_cli.formats.tables.header import Attributes, plain_value, readable
 from accelcal_cli.formats.tables.reader import TableReader, open_table
 from accelcal_cli.formats.tables.tracks import (
@@ -126,10 +126,7 @@ def open_hdf5(path: Path) -> Iterator[Any]:
     Raises:
         UnreadableError: it is compressed, damaged, or not an HDF5 file.
     """
-    with ByteSource(path) as source:
-        compressed = source.compressed
-    if compressed:
-        raise UnreadableError("is an HDF5 file inside gzip", path=path, hint="unpack it first with gunzip")
+    refuse_packed(path, "an HDF5 file")
     with SoundBytes(path) as stream, _opened(path, stream) as file:
         yield file
 

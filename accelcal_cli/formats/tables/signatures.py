@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from accelcal_cli.core.unpacking import plain_name
+
 BIDS_MOTION, BIDS_CHANNELS = "_motion.tsv", "_channels.tsv"
 """Ends of the names of a recording of Motion-BIDS and of the table of its columns."""
 
@@ -30,7 +32,7 @@ MAT_LITTLE, MAT_BIG = b"\x00\x01IM", b"\x01\x00MI"
 
 def bids_channels_path(path: Path) -> Path | None:
     """Return the path of the table that describes a file of Motion-BIDS; None for other files."""
-    name = path.name[:-3] if path.name.lower().endswith(".gz") else path.name
+    name = plain_name(path.name)
     return (
         path.with_name(name.removesuffix(BIDS_MOTION) + BIDS_CHANNELS) if name.endswith(BIDS_MOTION) else None
     )

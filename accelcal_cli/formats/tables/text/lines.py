@@ -159,7 +159,7 @@ class InUtf8:
 
 
 class LineFile(Closing):
-    """A text file, plain or gzip, read once from its beginning."""
+    """A text file, plain or packed, read once from its beginning."""
 
     def __init__(self, path: Path, bare_returns: bool = False, threads: int = 1) -> None:
         self._source = ByteSource(path, threads)
@@ -174,7 +174,7 @@ class LineFile(Closing):
         """Read `count` bytes, fewer only at the end of the data.
 
         Raises:
-            UnreadableError: the disk fails, or a gzip file is damaged there.
+            UnreadableError: the disk fails, or a packed file is damaged there.
         """
         data = b"".join(self._pieces(count))
         self._source.refuse_damaged()
@@ -195,7 +195,7 @@ class LineFile(Closing):
 
         Raises:
             UnreadableError: a line does not end within 1 MiB, the disk fails, or, after the lines before that
-                place, a gzip file is damaged.
+                place, a packed file is damaged.
         """
         cutter, last = LineCutter(self._source.path, start, line, quotes), False
         fresh = self._pieces(start + block_bytes)

@@ -10,8 +10,9 @@ from pathlib import Path
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import AccelcalError, UnreadableError, counted, printable
-from accelcal_cli.core.formats import GZIP_MAGIC, WIDE_BYTES, ReadOptions, wide_text
+from accelcal_cli.core.formats import WIDE_BYTES, ReadOptions, wide_text
 from accelcal_cli.core.recording import CUT_SHORT, Problem, Reader
+from accelcal_cli.core.unpacking import packing_of
 from accelcal_cli.formats.tables.cells import MISSING, decode, is_year_first, year_first
 from accelcal_cli.formats.tables.clock import rate_above
 from accelcal_cli.formats.tables.header import (
@@ -124,7 +125,7 @@ class TextSource(Source):
         """Return the last lines; None if the file is compressed, or in UTF-16 or the like."""
         with self.path.open("rb") as file:
             mark = file.read(WIDE_BYTES)
-            packed = mark.startswith(GZIP_MAGIC) or wide_text(mark) is not None
+            packed = packing_of(mark) is not None or wide_text(mark) is not None
             if packed or self.dialect.bare_returns:
                 return None
             start = max(self.dialect.offset, file.seek(0, 2) - TAIL_BYTES)

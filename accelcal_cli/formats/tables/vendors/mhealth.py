@@ -12,11 +12,12 @@ import re
 from dataclasses import replace
 
 from accelcal_cli.core.recording import Device
+from accelcal_cli.core.unpacking import plain_name
 from accelcal_cli.formats.tables.vendors import Head, Stated, Vendor
 
 HEAD = re.compile(r"HEADER_TIME_?STAMPS?", re.IGNORECASE)
 NAME = re.compile(
-    r"([^.-]+)-[^.-]+(?:-([\dx]+))?\.([^.]+)\.\d{4}(?:-\d\d){5}-\d{3}-[PM]\d{4}\.sensor\.csv(?:\.gz)?",
+    r"([^.-]+)-[^.-]+(?:-([\dx]+))?\.([^.]+)\.\d{4}(?:-\d\d){5}-\d{3}-[PM]\d{4}\.sensor\.csv",
     re.IGNORECASE,
 )
 ACTIGRAPH = re.compile(r"GT3X|wGT3X|ActiGraph", re.IGNORECASE)
@@ -35,7 +36,7 @@ def describe(_head: Head) -> Stated:
 
 def from_name(name: str, export: Stated) -> Stated:
     """Return the description with what the name of a file adds."""
-    found = NAME.fullmatch(name)
+    found = NAME.fullmatch(plain_name(name))
     if found is None:
         return export
     model, version, serial = found.groups()
