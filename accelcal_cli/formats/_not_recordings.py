@@ -20,6 +20,9 @@ INSIST = "; or give --unit and --columns to read it anyway"
 FIT = "fit them with `accelcal fit`; or give --columns to read them as samples"
 
 SEPARATORS = re.compile(r"[,;\t|]")
+NUMBER = re.compile(r"[+-]?\d+(?:[.,]\d+)?")
+"""A cell that no line of names has; a setting above the table may name counts or steps with it."""
+
 AXIS = re.compile(r"(?:.*[^a-z])?[xyz](?:[^a-z].*)?|a(?:cc)?[xyz]")
 EPOCH_NAMES = frozenset(
     {
@@ -151,11 +154,12 @@ def _recognised(probe: Probe) -> NotRecording | None:
     if b"\0" in head[:LOOKED_AT]:
         return None
     signed = next((other for sign, other in SIGNS if sign.match(head[:LOOKED_AT])), None)
-    for line in first_lines(head):
-        found = by_names([cell.strip(' "\ufeff#') for cell in SEPARATORS.split(line)])
-        if found is not None:
-            return signed or TABLE if found.table is TABLE else found.table
-    return signed
+    lines = [[cell.strip(' "\ufeff#;%') for cell in SEPARATORS.split(line)] for line in first_lines(head)]
+    named = [by_names(cells) for cells in lines if not any(map(NUMBER.fullmatch, cells))]
+    tables = [one.table for one in named if one is not None]
+    if all(table is TABLE for table in tables):
+        return signed or next(iter(tables), None)
+    return next(table for table in tables if table is not TABLE)
 
 
 def first_lines(head: bytes) -> list[str]:

@@ -132,3 +132,25 @@ def test_t20_a_workbook_is_to_be_saved_as_csv(tmp_path: Path) -> None:
     path.write_bytes(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600))
     with pytest.raises(UnreadableError, match="save its sheet as CSV"):
         find_format(path, ReadOptions())
+
+
+@pytest.mark.parametrize(
+    "above",
+    [
+        ";Deadband, 0, counts\n;DeadbandTimeout, 0, sec\n",
+        "# resolution, 12, counts\n# steps, 0\n",
+        "Steps,0\nCounts,1.5\n\n",
+        "% steps, calories, none\n",
+    ],
+)
+@pytest.mark.parametrize("names", ["time,x,y,z", "Headers, time,Ax,Ay,Az"])
+def test_t7_a_setting_above_the_names_is_no_name_of_epochs(tmp_path: Path, above: str, names: str) -> None:
+    path = tmp_path / "raw.csv"
+    path.write_text(above + names + "\n" + "".join(f"{n / 50},0.1,0.2,0.97\n" for n in range(99)))
+    assert find_format(path, ReadOptions()).name == "csv"
+
+
+@pytest.mark.parametrize("names", ["date,time,counts", "# time;steps", '"Id","ActivityMinute","Steps"'])
+def test_t7_names_of_epochs_below_settings_still_tell(tmp_path: Path, names: str) -> None:
+    text = f"Subject,7\nEpoch,60\n{names}\n" + "2024-03-04,00:00:00,5\n" * 20
+    assert "a table of epochs" in str(error_of(tmp_path, "a.csv", text))
