@@ -31,7 +31,7 @@ ABOUT = "info.json"
 NAMED = re.compile(
     rb"PK\x03\x04.{22}(..)..((?:[^\0/\\]{1,100}[/\\]){0,3}"
     rb"(?:info\.(?:txt|json)|log\.bin|activity\.bin|(?:temperature_)?calibration\.json))",
-    re.DOTALL,
+    re.DOTALL | re.IGNORECASE,
 )
 """Local header of one of the parts, perhaps in a folder; the groups are the length of its name, and this."""
 
@@ -126,8 +126,8 @@ def holds_samples(names: Iterable[str]) -> bool:
 
 
 def last_name(name: str) -> str:
-    """Return a part's name without its folders."""
-    return re.split(r"[/\\]", name)[-1]
+    """Return a part's name without its folders, in lower case: programs that pack it again change that."""
+    return re.split(r"[/\\]", name)[-1].lower()
 
 
 def directory_names(file: BinaryIO) -> list[str] | None:
@@ -159,7 +159,7 @@ def by_directory(file: BinaryIO) -> tuple[dict[str, Member], bool, tuple[Problem
 
 def _of_one_folder(entries: list[zipfile.ZipInfo]) -> list[zipfile.ZipInfo]:
     """Return the entries of the folder that holds samples, of all if none does."""
-    places = {one.filename: one.filename.removesuffix(last_name(one.filename)) for one in entries}
+    places = {one.filename: one.filename[: -len(last_name(one.filename))] for one in entries}
     folders = sorted({place for name, place in places.items() if holds_samples([name])})
     if len(folders) > 1:
         names = listed([printable(one.rstrip("/\\")) or "the file itself" for one in folders])

@@ -8,6 +8,7 @@ year 1, on the device's clock.
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Generator, Iterator
 from contextlib import closing
@@ -18,8 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError, UsageError
-from accelcal_cli.core.formats import ReadOptions, agreed_rate
+from accelcal_cli.core.errors import COPY_AGAIN, UnreadableError, UsageError, listed, printable
+from accelcal_cli.core.formats import ReadOptions, agreed_rate, as_utf8
 from accelcal_cli.core.recording import (
     FLOAT_LSB_PER_G,
     LARGEST_LSB_PER_G,
@@ -36,7 +37,7 @@ from accelcal_cli.core.written_times import header_zone
 from accelcal_cli.formats._bytes import refuse_packed
 from accelcal_cli.formats._problems import ProblemLog
 from accelcal_cli.formats.gt3x import records as log
-from accelcal_cli.formats.gt3x import sensors
+from accelcal_cli.formats.gt3x import sensors, unzipped
 from accelcal_cli.formats.gt3x.archive import (
     ABOUT,
     ACTIVITY,
@@ -116,7 +117,7 @@ class Info:
 
 def parse_info(data: bytes) -> Info:
     """Parse the bytes of info.txt; unusable values count as missing."""
-    text = data.decode("utf-8-sig", "replace")
+    text = as_utf8(data).decode("utf-8-sig", "replace").removeprefix("\ufeff")
     pairs = [line.partition(":") for line in text.splitlines()]
     values = {key.strip(): value.strip() for key, _, value in pairs if value.strip()}
     low, high = _number(values.get("Acceleration Min")), _number(values.get("Acceleration Max"))
@@ -328,6 +329,11 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     if options.sensor not in (None, *SENSORS):
         hint = f"use one of {', '.join(SENSORS)}"
         raise UsageError(f"no sensor {options.sensor!r} in it", path=path, hint=hint)
+    if parts := unzipped(path):
+        names, zipped = listed([part.name for part in parts]), f"{path.absolute().parent.name}.gt3x"
+        command = shlex.join(["zip", "-j", printable(zipped), *(printable(part) for part in parts)])
+        what = f"is a part of an unzipped .gt3x ({names})"
+        raise UnreadableError(what, path=path, hint=f"zip the parts and give that: {command}")
     refuse_packed(path, "a .gt3x file, itself a zip file,")
     archive = open_archive(path)
     info, problems = Info(), archive.problems

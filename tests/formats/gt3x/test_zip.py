@@ -13,7 +13,10 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.formats import find_format, open_recording
 from accelcal_cli.formats.gt3x.archive import MemberStream, open_archive
+from accelcal_cli.studies.discovery import Where, files
 from tests.formats.gt3x.reading import Whole, opened, random_counts, whole
 from tests.formats.make_gt3x import (
     ACTIVITY,
@@ -269,3 +272,58 @@ def test_a_directory_of_very_many_parts_is_not_loaded(tmp_path: Path) -> None:
     assert [problem.code for problem in archive.problems] == ["damaged_archive"]
     assert set(archive.members) == {"log.bin", "info.txt"}
     assert peak < 8 << 20
+
+
+SPELT = [
+    ("LOG.BIN", "INFO.TXT"),
+    ("Log.bin", "Info.txt"),
+    ("night/LOG.BIN", "night/info.txt"),
+    ("log.bin", "INFO.txt"),
+]
+
+
+@pytest.mark.parametrize("lost", [0, 40])
+@pytest.mark.parametrize(("log", "about"), SPELT)
+def test_t12_names_of_parts_in_any_case(tmp_path: Path, log: str, about: str, lost: int) -> None:
+    data = zipped({log: LOG, about: info(RATE, scale=341.0)})
+    cut = data.index(b"PK\x01\x02") if lost else len(data)
+    found = read(tmp_path, data[:cut])
+    assert (found.counts == VALUES).all() and found.recording.lsb_per_g == 341
+    assert found.found == ([NO_DIRECTORY] if lost else [])
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-8-sig", "utf-32"])
+def test_t12_info_in_any_unicode(tmp_path: Path, encoding: str) -> None:
+    marked = {"utf-16-be": "\ufeff"}.get(encoding, "")
+    data = zipped({"log.bin": LOG, "info.txt": (marked + info(RATE, scale=341.0)).encode(encoding)})
+    found = read(tmp_path, data).recording
+    assert found.lsb_per_g == 341 and found.device == read(tmp_path, zipped(PARTS)).recording.device
+
+
+@pytest.mark.parametrize(
+    "names", [("log.bin", "info.txt"), ("LOG.BIN", "INFO.TXT"), ("activity.bin", "info.txt"), ("log.bin",)]
+)
+def test_t12_parts_of_an_unzipped_recording_are_told_with_the_command(
+    tmp_path: Path, names: tuple[str, ...]
+) -> None:
+    folder = tmp_path / "P 7"
+    folder.mkdir()
+    for name in names:
+        (folder / name).write_bytes(LOG if name.endswith(("bin", "BIN")) else info(RATE).encode())
+    for name in names:
+        with pytest.raises(UnreadableError) as caught:
+            open_recording(folder / name, ReadOptions())
+        said = str(caught.value)
+        assert "is a part of an unzipped .gt3x" in said and f"zip -j 'P 7.gt3x' '{folder}/" in said
+        assert all(f"{folder}/{one}'" in said for one in names)
+    items = files(Where((folder,), tmp_path / "out"), [], left := {})
+    assert [item.name for item in items] == [name for name in names if name.lower() != "info.txt"]
+    assert set(left) == set(names) - {item.name for item in items}
+
+
+def test_t12_other_files_of_these_names_are_none(tmp_path: Path) -> None:
+    (tmp_path / "info.txt").write_text(
+        "time,x,y,z\n" + "".join(f"{n / 50},0.1,0.2,0.97\n" for n in range(99))
+    )
+    (tmp_path / "calibration.json").write_text("{}")
+    assert find_format(tmp_path / "info.txt", ReadOptions()).name == "csv"
