@@ -24,6 +24,7 @@ from accelcal_cli.core.formats import (
     Format,
     Probe,
     ReadOptions,
+    is_text,
     mean_nothing,
     probe_file,
     unused_note,
@@ -33,7 +34,7 @@ from accelcal_cli.core.input_files import ARCHIVES, TAR_MAGIC, TAR_MAGIC_AT, fil
 from accelcal_cli.core.plugins import find_plugin, find_plugins, items_of, named_plugin
 from accelcal_cli.core.recording import Reader
 from accelcal_cli.core.unpacking import plain_name
-from accelcal_cli.formats._not_recordings import refuse_not_recordings
+from accelcal_cli.formats._not_recordings import known_kind, refuse_not_recordings
 
 SIGNED, CERTAIN = 90, 100
 """Confidences: from the first on a sniffer has seen a signature, and no other format exceeds the second."""
@@ -68,8 +69,11 @@ def find_format(path: Path, options: ReadOptions) -> Format:
     if confidence < SIGNED:
         refuse_not_recordings(probe)
     if confidence == 0:
-        hint = "copy it from its device again, or name its format with --format or in a --layout file"
-        raise NoFormatError("format not recognised", path=path, hint=hint)
+        what, again = "format not recognised", ", or copy it from its device again"
+        if is_text(probe.head):
+            what, again = "is text without rows of three or more numbers", ""
+        hint = f"name its format with --format or in a --layout file{again}"
+        raise NoFormatError(what, path=path, hint=hint)
     return item
 
 
@@ -107,7 +111,7 @@ def has_parts(path: Path) -> bool:
     probe = probe_file(path, ReadOptions())
     if probe.head[TAR_MAGIC_AT:].startswith(TAR_MAGIC):
         return True  # whatever its members look like
-    if any(item.sniff(probe) for item in all_formats()):
+    if any(item.sniff(probe) for item in all_formats()) or known_kind(probe.head) is not None:
         return False
     from accelcal_cli.formats._parts.archive import is_archive
 

@@ -1,4 +1,4 @@
-"""Files of studies that are not recordings: epochs and counts of many devices, and tables of still windows.
+"""Files that are not recordings: epochs and counts of many devices, still windows, other kinds of files.
 
 They are recognised by their content, so that the error says what they are and what to give instead.
 """
@@ -113,10 +113,65 @@ DATX = (
     "export the uncompressed raw acceleration as csv with PALanalysis or PALbatch, and give that",
 )
 SQLITE = b"SQLite format 3\0"
-WORKBOOK = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
-"""First bytes of a compound file, as .xls is."""
-
 SAVE_SHEET = "save its sheet as CSV: File, Save As, CSV UTF-8"
+SAVE_TABLE = "save the samples as CSV or Parquet, with the program that made it, and give that"
+NOT_ONE = "give the recording itself"
+UNPACK_FIRST = "unpack it first: "
+KINDS: tuple[tuple[bytes, str, str, bool], ...] = (
+    (rb"7z\xbc\xaf\x27\x1c", "a 7z archive", f"{UNPACK_FIRST}7z x FILE", True),
+    (rb"Rar!\x1a\x07", "a RAR archive", f"{UNPACK_FIRST}unrar x FILE", True),
+    (rb"MSCF\0{4}", "a cabinet archive (.cab)", f"{UNPACK_FIRST}cabextract FILE", True),
+    (rb"\x1f\x9d[\x89-\x90]", "packed with compress (.Z)", f"{UNPACK_FIRST}gunzip -k FILE", True),
+    (rb"LZIP\x01", "packed with lzip", f"{UNPACK_FIRST}lzip -d -k FILE", True),
+    (rb"\x5d\0\0.\0", "packed with LZMA (.lzma)", f"{UNPACK_FIRST}unlzma -k FILE", True),
+    (
+        rb"version https://git-lfs\.github\.com/",
+        "a git-lfs pointer, not the file that it stands for",
+        "fetch that: git lfs pull --include FILE",
+        True,
+    ),
+    (
+        rb"\x93NUMPY",
+        "a NumPy array (.npy)",
+        "make an .npz of it: python3 -c 'import numpy, sys; "
+        'numpy.savez("NAME.npz", acc=numpy.load(sys.argv[1]))\' FILE',
+        False,
+    ),
+    (
+        rb"(?i)(?:\xef\xbb\xbf)?\s*(?:<!--.{0,200}?-->\s*)?<(?:!doctype\s+html|html|head|body)\b",
+        "a web page (HTML)",
+        "where it stands for a download that failed, download the recording again",
+        False,
+    ),
+    (
+        rb"PK\x03\x04.{26}(?:\[Content_Types\]\.xml|_rels/|docProps/|xl/|mimetypeapplication/vnd\.)",
+        "a workbook or another document of an office program (.xlsx, .ods)",
+        SAVE_SHEET,
+        False,
+    ),
+    (
+        rb"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1",
+        "a workbook or another document of an old office program (.xls)",
+        SAVE_SHEET,
+        False,
+    ),
+    (rb"\$FL[23]", "a data file of SPSS", SAVE_TABLE, False),
+    (rb"<stata_dta>", "a data file of Stata", SAVE_TABLE, False),
+    (rb"RD[AX][23]\n|[AX]\n\0\0\0[\2\3]", "a data file of R", SAVE_TABLE, False),
+    (rb"\x80[\4\5]\x95.{5}\0{3}", "an object that Python pickled", SAVE_TABLE, False),
+    (rb"%PDF-", "a PDF document", NOT_ONE, False),
+    (rb"\xff\xd8\xff|\x89PNG\r\n|GIF8[79]a|II\*\0|MM\0\*", "a picture", NOT_ONE, False),
+    (rb".{4}ftyp|\x1a\x45\xdf\xa3", "a video or a sound", NOT_ONE, False),
+)
+"""Kinds of files by their beginnings: what each is, what to do, and whether it stands for a recording.
+
+One that does fails in a study; FILE stands for the name of the file. Sources: the signatures in the formats'
+own documents.
+"""
+
+OWN_JSON = re.compile(rb'(?s)\s*\{(?:\s*"kind"\s*:\s*"(\w{1,20})".{0,80}?|.{0,400}?)"accelcal_version"\s*:')
+OWN_TABLE = re.compile(rb"(?:\w{1,40},)*accelcal_version(?:,|\s)")
+"""Beginnings of outputs of accelcal, of any version (`core/identity.py`)."""
 AGD = _epochs("ActiGraph's", "give the .gt3x file of the same recording, from the device or from ActiLife")
 DATABASE = NotRecording("an SQLite database", "export the recording as text (CSV)", Reason("database"))
 TABLE = _epochs("a table of", "export the raw data" + INSIST)
@@ -136,11 +191,25 @@ def refuse_not_recordings(probe: Probe) -> None:
         what, hint = unread
         name = shlex.quote(printable(probe.path))
         raise UnreadableError(f"holds {what}", path=probe.path, hint=hint.replace("FILE", name))
-    if probe.head.startswith(WORKBOOK) and probe.suffix == ".xls":
-        raise UnreadableError("holds a workbook (.xls)", path=probe.path, hint=SAVE_SHEET)
+    if (kind := known_kind(start)) is not None:
+        what, hint, stands_for_one = kind
+        hint = hint.replace("FILE", shlex.quote(printable(probe.path)))
+        if stands_for_one:
+            raise UnreadableError(f"is {what}", path=probe.path, hint=hint)
+        raise NoRecordingError(
+            f"is {what}", path=probe.path, hint=hint, reason=Reason.of("other_kind", what=what)
+        )
     found = _recognised(probe)
     if found is not None and options.columns is None and options.unit is None:
         raise NoRecordingError(f"holds {found.what}", path=probe.path, hint=found.hint, reason=found.reason)
+
+
+def known_kind(head: bytes) -> tuple[str, str, bool] | None:
+    """Return what a file is by its first bytes, what to do, and whether it stands for a recording."""
+    if (own := OWN_JSON.match(head)) is not None or OWN_TABLE.match(head) is not None:
+        name = own[1].decode() if own is not None and own[1] else "table" if own is None else "document"
+        return f"an output of accelcal ({name})", "give the recording that it was made of", False
+    return next((found[1:] for found in KINDS if re.match(found[0], head, re.DOTALL)), None)
 
 
 def _recognised(probe: Probe) -> NotRecording | None:

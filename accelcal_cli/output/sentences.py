@@ -154,6 +154,7 @@ FILES: dict[str, FormOfValues] = {
     "not_looked_into": "It could not be looked into ({fault}).",
     "archive_without_recordings": "No file in the archive is named like a recording.",
     "epochs": "It holds {whose} epochs, not raw acceleration.",
+    "other_kind": "It is {what}.",
     "database": "It is an SQLite database, from which the recording can be exported as text (CSV).",
     "still_windows": "It holds means of still windows, which accelcal fit takes.",
     "no_acceleration": "Nothing in it is acceleration.",

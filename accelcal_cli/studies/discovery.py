@@ -116,6 +116,8 @@ def _why_no_format(wanted: tuple[Format, ...], probe: Probe, item: Item) -> Reas
         refuse_other_files(probe)
     except NoRecordingError as error:
         return error.reason
+    except UnreadableError:  # it stands for a recording, such as an archive that is not unpacked
+        return None
     return Reason("no_numbers" if is_text(probe.head) else "no_format")
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import pickle
 import shutil
 import subprocess
 from pathlib import Path
@@ -10,7 +12,7 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.formats import find_format
+from accelcal_cli.formats import find_format, open_recording
 
 EPOCHS = {
     "fitbit.json": '[{\n  "dateTime" : "06/24/95 16:00:00",\n  "value" : "0"\n},{\n',
@@ -154,3 +156,66 @@ def test_t7_a_setting_above_the_names_is_no_name_of_epochs(tmp_path: Path, above
 def test_t7_names_of_epochs_below_settings_still_tell(tmp_path: Path, names: str) -> None:
     text = f"Subject,7\nEpoch,60\n{names}\n" + "2024-03-04,00:00:00,5\n" * 20
     assert "a table of epochs" in str(error_of(tmp_path, "a.csv", text))
+
+
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n"
+OPEN_DOCUMENT = b"mimetypeapplication/vnd.oasis.opendocument.spreadsheet"
+KINDS = {
+    "night.7z": (b"7z\xbc\xaf\x27\x1c\0\4", "is a 7z archive; unpack it first: 7z x "),
+    "night.csv": (b"Rar!\x1a\7\0", "is a RAR archive; unpack it first: unrar x "),
+    "night.cwa": (
+        b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n",
+        "; fetch that: git lfs pull --include ",
+    ),
+    "night.gt3x": (POINTER, "is a git-lfs pointer"),
+    "night.Z": (b"\x1f\x9d\x90\1\2", "is packed with compress (.Z); unpack it first: gunzip -k "),
+    "night.lz": (b"LZIP\1\x0c", "is packed with lzip"),
+    "a.npy": (b"\x93NUMPY\1\0v\0{'descr'", "is a NumPy array (.npy); make an .npz of it: python3 -c "),
+    "page.csv": (b"\xef\xbb\xbf\n<html lang='de'><body>", "is a web page (HTML)"),
+    "page.gt3x": (b"<!-- a\nb --><!doctype HTML>", "is a web page (HTML)"),
+    "table.xlsx": (b"PK\3\4" + bytes(26) + b"docProps/app.xml<x>", "save its sheet as CSV"),
+    "table.ods": (
+        b"PK\3\4" + bytes(26) + b"mimetypeapplication/vnd.oasis.opendocument.spreadsheet",
+        "a workbook",
+    ),
+    "table.csv": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600), "save its sheet as CSV"),
+    "data.rds": (gzip.compress(b"X\n\0\0\0\3\0\4"), "is a data file of R"),
+    "data.sav": (b"$FL2@(#) SPSS DATA FILE", "is a data file of SPSS"),
+    "data.pkl": (pickle.dumps([1.0] * 99), "is an object that Python pickled"),
+    "scan.pdf": (b"%PDF-1.4\n", "is a PDF document; give the recording itself"),
+    "film.mp4": (b"\0\0\0\x20ftypisom", "is a video or a sound"),
+    "a.json": (
+        b'{"kind": "report", "schema_version": 4, "accelcal_version": "1"}',
+        "accelcal (report)",
+    ),
+    "b.json": (
+        b'{\n "kind": "quality",\n "schema_version": 4,\n "accelcal_version": "1"}',
+        "(quality); give",
+    ),
+    "old.json": (
+        b'{"accelcal_version": "0.3.0", "schema_version": 3}',
+        "accelcal (document)",
+    ),
+    "study.csv": (
+        b"path,use,why,accelcal_version,result\na.csv,yes,,1.0.0,x\n",
+        "accelcal (table)",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("options", [ReadOptions(), ReadOptions(unit="g", rate_hz=25.0)])
+def test_t14_other_kinds_are_told_with_what_to_do(tmp_path: Path, name: str, options: ReadOptions) -> None:
+    data, words = KINDS[name]
+    path = tmp_path / name
+    path.write_bytes(data)
+    with pytest.raises(UnreadableError) as caught:
+        open_recording(path, options)
+    said = str(caught.value)
+    assert words in said and "from its device" not in said and "FILE" not in said
+    assert str(path) in said.partition(": ")[2] or not words.endswith(" ")
+
+
+def test_t14_text_is_told_as_text(tmp_path: Path) -> None:
+    said = str(error_of(tmp_path, "notes.txt", "recorded in spring\nby nobody\n"))
+    assert "is text without rows of three or more numbers; name its format" in said and "device" not in said

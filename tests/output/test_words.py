@@ -196,6 +196,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "not_looked_into": [{"fault": "Permission denied"}],
     "archive_without_recordings": [{}],
     "epochs": [{"whose": "ActiGraph's"}, {"whose": "a table of"}],
+    "other_kind": [{"what": "a PDF document"}],
     "database": [{}],
     "still_windows": [{}],
     "no_acceleration": [{}],

@@ -65,7 +65,11 @@ time,mag_x,mag_y,mag_z
 
 OTHERS = {
     "notes.txt": ("no_numbers", "recorded in spring\n"),
-    "picture.jpg": ("no_format", "\xff\xd8\xff\x00\x01"),
+    "picture.jpg": ("other_kind", "\xff\xd8\xff\x00\x01"),
+    "scan.pdf": ("other_kind", "%PDF-1.7\n1 0 obj\n"),
+    "people.xlsx": ("other_kind", "PK\x03\x04" + "\0" * 26 + "[Content_Types].xml" + "\0" * 99),
+    "login.csv": ("other_kind", "<!DOCTYPE html><html><head></head></html>\n"),
+    "noise.xyz": ("no_format", "\x01\x00\xfe\x00\x01"),
     "a.cwa.crdownload": ("unfinished_copy", SAMPLES),
     "b.csv.part": ("unfinished_copy", HEAD + SAMPLES),
     "c.tmp": ("unfinished_copy", HEAD + SAMPLES),
@@ -76,6 +80,15 @@ LINES = TABLES.strip().splitlines()
 OTHERS |= {
     said.split()[0]: (said.split()[1], rows(head, row))
     for said, head, row in zip(LINES[::3], LINES[1::3], LINES[2::3], strict=True)
+}
+
+
+STAND_FOR_ONE = {
+    "a.7z": b"7z\xbc\xaf\x27\x1c\0\4" + bytes(99),
+    "b.rar": b"Rar!\x1a\7\1\0" + bytes(99),
+    "c.csv.Z": b"\x1f\x9d\x90" + bytes(99),
+    "d.csv": b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n",
+    "e.csv.xz": b"\xfd7zXZ\0" + bytes(99),
 }
 
 
@@ -193,3 +206,17 @@ def test_pages_of_accelcal_are_not_named(tmp_path: Path, monkeypatch: pytest.Mon
     ran = run("study", "data", "-d", "out", "--dry-run", "-v")
     assert "other.html" in ran.err
     assert "walk.html" not in ran.err
+
+
+def test_t7_what_stands_for_a_recording_fails_by_its_name(tmp_path: Path) -> None:
+    folder = study_folder(tmp_path / "in", ("a.raw",))
+    (folder / "readme.txt").unlink()
+    for name, data in STAND_FOR_ONE.items():
+        (folder / name).write_bytes(data)
+    ran = study(folder)
+    assert ran.code == 1 and not left_out(tmp_path / "out")
+    lines = {line.split(": ")[1].rpartition("/")[2]: line for line in ran.err.splitlines()}
+    words = ("7z x ", "unrar x ", "gunzip -k ", "git lfs pull --include ", "copy it again from its source")
+    assert all(
+        word in lines[name.rpartition("/")[2]] for name, word in zip(STAND_FOR_ONE, words, strict=True)
+    )
