@@ -12,6 +12,7 @@ import os
 import platform
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -249,6 +250,30 @@ def clear_alarm(handler: Callable[[int, FrameType | None], None]) -> None:
     if sys.platform != "win32" and hasattr(signal, "setitimer"):
         if signal.getsignal(signal.SIGALRM) is handler:
             signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+class TookTooLongError(BaseException):
+    """Ends a block of `bounded_time`; no handler of errors takes it for one of its own."""
+
+
+@contextmanager
+def bounded_time(seconds: float) -> Iterator[None]:
+    """Raise TookTooLongError in a block that takes longer, in the main thread of systems that have timers."""
+    main = threading.current_thread() is threading.main_thread()
+    if sys.platform == "win32" or not main or signal.getitimer(signal.ITIMER_REAL)[0]:
+        yield
+        return
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        raise TookTooLongError
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 @contextmanager

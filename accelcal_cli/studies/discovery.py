@@ -27,6 +27,7 @@ from accelcal_cli.core.formats import Format, Probe, ReadOptions, is_text, probe
 from accelcal_cli.core.input_files import ANY, ARCHIVES, files_of, is_no_part, pattern_of_siblings
 from accelcal_cli.core.paths import files_below, is_file, is_folder, is_link, is_there
 from accelcal_cli.core.paths import stat_or_none as look
+from accelcal_cli.core.system import TookTooLongError, bounded_memory, bounded_time
 from accelcal_cli.core.unpacking import plain_name
 from accelcal_cli.formats import (
     all_formats,
@@ -55,6 +56,9 @@ from accelcal_cli.studies.records import Item, is_ledger
 TABLES = "csv"
 """Name of the one format whose suffixes other files often have."""
 
+LONGEST_LOOK_S, LARGEST_LOOK_BYTES = 30.0, 1 << 32
+"""Time and memory within which a file is looked into."""
+
 UNFINISHED = (
     ".part", ".partial", ".crdownload", ".download", ".filepart", ".opdownload", ".tmp", ".aria2", ".!ut",
     ".icloud", ".swp",
@@ -75,9 +79,19 @@ def why_left_out(item: Item, options: ReadOptions, *, asked_for: bool) -> Reason
     be ignored silently. So is an archive that the disk does not give, and a text with columns named x, y and
     z, whatever follows.
 
+    Nor may one be ignored that takes long or much memory to look into: its worker has limits of its own.
+
     Args:
         asked_for: the user named its kind with `--include`.
     """
+    try:
+        with bounded_time(LONGEST_LOOK_S), bounded_memory(LARGEST_LOOK_BYTES):
+            return _looked_into(item, options, asked_for=asked_for)
+    except (TookTooLongError, MemoryError):
+        return None
+
+
+def _looked_into(item: Item, options: ReadOptions, *, asked_for: bool) -> Reason | None:
     name = options.format or ("raw" if options.layout is not None else None)
     wanted = all_formats() if name is None else (named_format(name),)
     try:

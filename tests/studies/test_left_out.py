@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import gzip
 import json
+import signal
+import sys
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats import open_recording
+from accelcal_cli.studies import discovery
 from tests.cli.run import Ran, run
 from tests.cli.studies import study_folder
 
@@ -220,3 +224,31 @@ def test_t7_what_stands_for_a_recording_fails_by_its_name(tmp_path: Path) -> Non
     assert all(
         word in lines[name.rpartition("/")[2]] for name, word in zip(STAND_FOR_ONE, words, strict=True)
     )
+
+
+def spins(*_: object) -> None:
+    while True:
+        pass
+
+
+def fills_memory(*_: object) -> None:
+    held = [bytearray(1 << 26)]
+    while True:
+        held.append(bytearray(len(held[-1]) * 2))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are Linux's")
+@pytest.mark.parametrize("look", [spins, fills_memory])
+def test_h6_a_file_that_takes_too_much_to_look_into_is_left_to_its_worker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, look: Callable[..., None]
+) -> None:
+    (tmp_path / "notes.txt").write_text("recorded in spring\n")
+    monkeypatch.setattr(discovery, "LONGEST_LOOK_S", 0.3)
+    monkeypatch.setattr(discovery, "LARGEST_LOOK_BYTES", 1 << 28)
+    item, options = discovery.files(discovery.Where((tmp_path,), tmp_path / "out"), [])[0], ReadOptions()
+    why = discovery.why_left_out(item, options, asked_for=False)
+    assert why is not None and why.code == "no_numbers"
+    handler = signal.getsignal(signal.SIGALRM)
+    monkeypatch.setattr(discovery, "probe_file", look)
+    assert discovery.why_left_out(item, options, asked_for=False) is None
+    assert signal.getsignal(signal.SIGALRM) is handler and signal.getitimer(signal.ITIMER_REAL)[0] == 0

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import bz2
 import contextlib
 import gzip
 import io
 import json
+import lzma
 import pickle
 import tracemalloc
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -279,6 +281,20 @@ def test_damaged_gzip_ends_a_watch(tmp_path: Path) -> None:
     for damaged in (good[:500] + b"\xff" * 40 + good[540:], good[:-5] + b"\1" + good[-4:], good + b"more"):
         with pytest.raises(UnreadableError, match=r"a\.csv\.gz: damaged gzip data"):
             list(Unpacker(tmp_path / "a.csv.gz").take(damaged))
+
+
+@pytest.mark.parametrize(("pack", "command"), [(bz2.compress, "bunzip2"), (lzma.compress, "unxz")])
+def test_other_packings_are_to_be_unpacked_on_the_way(
+    tmp_path: Path, pack: Callable[[bytes], bytes], command: str
+) -> None:
+    packed = pack(gzip.decompress((SAMPLES / "evening.csv.gz").read_bytes()))
+    watch = Watch(tmp_path / "a.csv.packed", ReadOptions(), DEFAULT)
+    with pytest.raises(
+        UnreadableError, match=rf"is packed with \w+; unpack it on the way: {command} -c FILE"
+    ):
+        for piece in pieces(packed, Random(1)):
+            watch.take(piece)
+        watch.end()
 
 
 def test_what_cannot_be_watched_says_why(tmp_path: Path) -> None:
