@@ -53,7 +53,7 @@ SHORTFALL = 0.2
 """Share of the usual size by which a group may differ; one that differs more lies next to a gap."""
 
 ROUNDED = 2
-"""Rows by which groups differ, as 3 and 5 do, where what lies between two stamps is rounded to the even one."""
+"""Rows by which groups differ, as 3 and 5 do, where what lies between two stamps goes to the even one."""
 
 SPREAD = "several rows share a time stamp; they were spread evenly until the next one"
 

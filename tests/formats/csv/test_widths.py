@@ -112,6 +112,11 @@ def test_a_line_of_units_with_unknown_words(tmp_path: Path, units: str) -> None:
     assert np.array_equal(found.g, TRUTH) and found.recording.notes[:1] != ("unit: g",)
 
 
+@pytest.mark.parametrize("label", [";Headers", "#fields", "% Columns"])
+def test_a_word_before_the_names_in_a_comment(tmp_path: Path, label: str) -> None:
+    check(written(tmp_path, f"{label}, time,z,y,x\n" + rows(order="zyx")), note=False)
+
+
 @pytest.mark.parametrize("head", ["# Labels:= Z\tY\tX", "# Labels:= Z\tY\tX\n"])
 def test_labels_of_biosppy(tmp_path: Path, head: str) -> None:
     lines = "\n".join("\t".join(map(repr, row[::-1].tolist())) for row in TRUTH)

@@ -216,6 +216,9 @@ def _behind_closing(line: bytes, place: int) -> int:
 
 DELIMITERS = (",", ";", "\t", "|", " ")
 COMMENT = re.compile(r"^\s*(#+|%+|//)\s*([\w ()]+:=\s*)?")
+LABEL = re.compile(r"\s*[;#%]+\s*(headers?|columns?|names?|fields?|labels?)\b", re.IGNORECASE)
+"""The word before the names of columns in a comment."""
+
 SPLIT_DATE = re.compile(rb"(\d{4}[-/]\d\d[-/]\d\d) (?=\d\d:\d\d)")
 SLASH_DATE = re.compile(rb"(?:^|[^\d/])\d{4}/\d\d/\d\d[ T]")
 COLON_FRACTION = re.compile(rb":(?<=\d:)(?<!\d\d\d:)\d\d:\d\d:\d{1,9}(?!\d|:)")
@@ -697,6 +700,8 @@ class _DelimiterTrial:
         Names belong to columns from the left, except where the first one has none and counts the rows.
         """
         cells, columns = self._cells(number), len(self.kinds)
+        if len(cells) == columns + 1 and LABEL.match(decode(self.raw_lines[number])):
+            cells = cells[1:]
         if len(cells) == columns - 1 and _counts_rows(sample, self.kinds):
             cells = ["", *cells]
         elif len(cells) < columns - 1 or (len(cells) > columns and not names_all_axes(cells)):

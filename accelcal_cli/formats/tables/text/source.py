@@ -308,8 +308,8 @@ def _layout(head: bytes, stated: Stated, path: Path) -> tuple[bytes, Dialect]:
         what = f"has {dialect.columns} columns, and {sidecar} describes {len(names)}"
         hint = "correct that file, or take it away"
         raise UnreadableError(what, path=path, line=dialect.names_line, hint=hint)
-    if dialect.names is None and len(names) == dialect.columns:
-        dialect = replace(dialect, names=stated.names)
+    if dialect.named != dialect.columns == len(names):
+        dialect = replace(dialect, names=stated.names, named=len(names))
     return head.replace(b"\r", b"\n") if dialect.bare_returns else head, dialect
 
 
