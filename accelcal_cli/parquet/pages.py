@@ -306,9 +306,9 @@ def places(numbers: NDArray[Any]) -> Places | None:
     """Return the places of (n,) whole numbers, integers or floats; None if there are too many, or no rows."""
     if not len(numbers):
         return None
-    starts = np.flatnonzero(numbers[1:] != numbers[:-1]) + 1
-    if len(starts) * LEAST_RUN < len(numbers):
-        edges = np.concatenate([[0], starts, [len(numbers)]])
+    changes = numbers[1:] != numbers[:-1]
+    if np.count_nonzero(changes) * LEAST_RUN < len(numbers):
+        edges = np.concatenate([[0], np.flatnonzero(changes) + 1, [len(numbers)]])
         present, at = np.unique(numbers[edges[:-1]], return_inverse=True)
         if len(present) > MOST_VALUES:
             return None
@@ -316,11 +316,19 @@ def places(numbers: NDArray[Any]) -> Places | None:
     low, high = numbers.min(), numbers.max()
     span = float(high) - float(low) + 1
     if not span <= MOST_SPAN:
-        return None
+        return _places_of_multiples(numbers)
     if span <= MOST_UNUSED:
         present = np.asarray(low + np.arange(int(span), dtype=low.dtype))
         return Places((present,), _above(low, numbers, np.uint8 if span <= 256 else np.uint16))
     return _without_unused(low, _above(low, numbers, np.intp), int(span))
+
+
+def _places_of_multiples(numbers: NDArray[Any]) -> Places | None:
+    """Return the places of numbers that all have zeros in their last bits, as those of short floats have."""
+    bits = int(np.bitwise_or.reduce(numbers)) if numbers.dtype.kind == "u" else 1
+    zeros = (bits & -bits).bit_length() - 1
+    found = places(numbers >> zeros) if zeros else None
+    return found and Places((found.present[0] << zeros,), found.of_rows)
 
 
 def paired(numbers: NDArray[Any], slow: Places) -> Places | None:

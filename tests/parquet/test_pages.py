@@ -105,6 +105,24 @@ def test_duckdb_reads_what_was_written(rows: int, spread: int) -> None:
     assert (read == (numbers / 8).astype(np.float32)).all()
 
 
+@pytest.mark.parametrize(
+    ("values", "taken"),
+    [
+        (np.arange(5000) % 4096, True),
+        (np.arange(3000) % 700 / 8 - 20, True),
+        (np.where(np.arange(4000) % 3, np.nan, np.arange(4000) % 1024), True),
+        (np.repeat([3.7, np.nan, 3.9], [9, 500, 900]), True),
+        (np.arange(3000) / 7, False),
+    ],
+)
+def test_short_floats_are_found_by_their_bits(values: np.ndarray, taken: bool) -> None:
+    bits = values.astype(np.float32).view(np.uint32)
+    found = places(bits)
+    assert (found is not None) == taken
+    if found is not None:
+        assert (found.present[0][found.of_rows] == bits).all() and found.present[0].dtype == np.uint32
+
+
 def test_more_values_than_places_of_two_bytes_are_not_taken() -> None:
     numbers = np.arange(MOST_VALUES + 1, dtype=np.int32)
     assert places(numbers) is None
