@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -57,6 +57,7 @@ class Samples:
         gyroscope: (n, 3) [degrees/s], or None.
         validity: (n,) 0 measured, 1 filled by the device, 2 clipped at its range, 3 recovered from damage.
         problems: messages of the problems found in these rows.
+        others: (n,) of light, battery and the like, by the names of `Reading.recording.others`; NaN for none.
     """
 
     first_sample: int
@@ -66,6 +67,7 @@ class Samples:
     gyroscope: NDArray[np.float64] | None
     validity: NDArray[np.uint8]
     problems: tuple[str, ...]
+    others: dict[str, NDArray[np.float32]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -89,6 +91,7 @@ class Reading:
             UnreadableError: the recording cannot be read on.
         """
         offset_s, dated = None, True
+        self._reader.with_others = bool(self.recording.others)
         with speaking_python():
             for chunk in self._reader.chunks(self._chunk_samples):
                 dated &= all(problem.code != "no_start_time" for problem in chunk.problems)
@@ -134,6 +137,9 @@ def _samples(chunk: Chunk, recording: Recording, time_us: NDArray[np.int64]) -> 
         None if gyro is None or scale is None else gyro * np.array(scale),
         np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity,
         tuple(problem.message for problem in chunk.problems),
+        {}
+        if chunk.others is None
+        else {one.name: column for one, column in zip(recording.others, chunk.others.T, strict=True)},
     )
 
 
@@ -145,6 +151,7 @@ def _frame_of(piece: Samples) -> pd.DataFrame:
         columns["temperature"] = piece.temperature
     if piece.gyroscope is not None:
         columns |= dict(zip(("gx", "gy", "gz"), piece.gyroscope.T, strict=True))
+    columns |= piece.others
     return pd.DataFrame(columns)
 
 

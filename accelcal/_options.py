@@ -76,6 +76,9 @@ class ReadingOptions(TypedDict, total=False):
     lsb_per_dps: float | None
     """Counts of the gyroscope per deg/s (above 0, at most 1e+09)."""
 
+    only_motion: bool | None
+    """Leave light, buttons, battery, pressure and the like out of the calibrated data."""
+
 
 class MethodOptions(ReadingOptions, total=False):
     """How a recording is read and fitted."""

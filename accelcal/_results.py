@@ -333,6 +333,7 @@ class Result(Report):
             columns = export.columns_of(data)
             schema = schema_of(columns, reports.parquet_metadata(data))
             with survey.open_marked(path, request.options, request.threads, joined=request.joined) as reader:
+                reader.with_others = bool(data.recording.others)
                 chunks = reader.chunks(request.chunk_samples)
                 for chunk, xyz in export.calibrated(chunks, export.transform_of(data), lambda _byte: None):
                     values = zip(values_of(columns, chunk, xyz), schema, strict=True)

@@ -321,6 +321,7 @@ def compare_values(run: RecordingRun, data: ReportInput, path: Path) -> Values:
         if wrong is not None:
             return Values(0, 0, wrong)
         done, shown = 0, run.progress("comparing", data.recording.total_bytes)
+        run.reader.with_others = bool(data.recording.others)
         chunks = run.reader.chunks(run.request.chunk_samples)
         for chunk, xyz in calibrated(chunks, transform_of(data), shown):
             pairs = zip(source.take(len(chunk)), values_of(columns, chunk, xyz), strict=True)

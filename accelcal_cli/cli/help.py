@@ -33,6 +33,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
                 "chunk_samples"),
     "Reading the file": (
         "format", "unit", "lsb_per_g", "rate_hz", "columns", "sensor", "timezone", "layout", "parts",
+        "only_motion",
         "config", "named",
     ),
     "Judging": (

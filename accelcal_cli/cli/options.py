@@ -302,13 +302,13 @@ def _reading(*, shown: Sequence[str] | None = None) -> list[Callable[[Any], Any]
     """Return the options of reading.
 
     Args:
-        shown: those that are not rare; None: all.
+        shown: those that are not rare; None: as their fields say.
     """
     return [
         setting_option(
             ReadOptions,
             name,
-            rare=shown is not None and name not in shown,
+            rare=None if shown is None else name not in shown,
             **({"type": _READ_TYPES[name]} if name in _READ_TYPES else {}),
         )
         for name in ReadOptions.__dataclass_fields__

@@ -116,6 +116,11 @@ class ReadOptions:
         None, "-R lsb_per_dps", "Counts of the gyroscope per deg/s.", "N", within=(1e-9, 10**9), above=0
     )
 
+    only_motion: bool = setting(
+        False, "--only-motion",
+        "Leave light, buttons, battery, pressure and the like out of the calibrated data.",
+        rare=True)  # fmt: skip
+
     @property
     def one_sensor(self) -> str | None:
         """The sensor that is chosen; those within it may be listed. None also where each is asked for."""
@@ -144,7 +149,7 @@ ONLY_TABLES = ("gyro_columns", "gyro_unit", "lsb_per_dps", "zero")
 NOT_FOR_DEVICES = ("unit", "columns", *TIMES_OF_TABLES, "layout", "sensor", *ONLY_TABLES)
 """Options that mean nothing for a device's own file with a single sensor."""
 
-IF_GIVEN = ("time_format", "start", "shift_s", "configured_zone", "worn_zone", *ONLY_TABLES)
+IF_GIVEN = ("time_format", "start", "shift_s", "configured_zone", "worn_zone", "only_motion", *ONLY_TABLES)
 """Options that a report names only if they were given."""
 
 
@@ -273,6 +278,8 @@ class Format:
         except OSError as error:
             raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
         _refuse_no_calendar(reader.recording)
+        if options.only_motion:
+            reader.recording = replace(reader.recording, others=())
         reader = retimed(reader, options.times)
         _refuse_no_calendar(reader.recording)
         return reader

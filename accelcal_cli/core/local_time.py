@@ -290,7 +290,7 @@ class RetimedReader(Reader):
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """See `Reader`."""
-        self._reader.threads = self.threads
+        self._reader.threads, self._reader.with_others = self.threads, self.with_others
         return map(self._moved, self._reader.chunks(chunk_samples))
 
     def intake(self) -> Intake:

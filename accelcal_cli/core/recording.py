@@ -48,6 +48,7 @@ CHANNELS: dict[str, np.generic | None] = {
     "counts": None,
     "temperature_mc": None,
     "gyro_counts": None,
+    "others": None,
     "validity": np.uint8(Validity.MEASURED),
 }
 """Columns of a Chunk with one or three values for each row, which slicing, masking, copying and joining use.
@@ -65,6 +66,45 @@ class Device:
     model: str | None = None
     serial: str | None = None
     firmware: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class OtherColumn:
+    """A quantity that a file holds besides motion and temperature, such as light: a column of `others`."""
+
+    name: str
+    unit: str
+
+
+Others = NDArray[np.float32]
+"""(n, k) values of other quantities, NaN for rows at which none was recorded."""
+
+
+def no_others(rows: int, columns: int) -> Others:
+    """Return rows at which nothing was recorded, each column contiguous."""
+    return np.full((columns, rows), np.nan, np.float32).T
+
+
+def uniquely_named(columns: Iterable[OtherColumn]) -> tuple[OtherColumn, ...]:
+    """Return columns of which the second of a name is called `light_2`, and so on."""
+    found: dict[str, OtherColumn] = {}
+    for column in columns:
+        name, number = column.name, 2
+        while name in found:
+            name, number = f"{column.name}_{number}", number + 1
+        found[name] = replace(column, name=name)
+    return tuple(found.values())
+
+
+def others_as(chunk: Chunk, found: Sequence[OtherColumn], wanted: Sequence[OtherColumn]) -> Chunk:
+    """Return a chunk with other quantities in the columns of a recording that it becomes a part of."""
+    if chunk.others is None or found == wanted:
+        return chunk
+    others = no_others(len(chunk), len(wanted))
+    for number, column in enumerate(wanted):
+        if column in found:
+            others[:, number] = chunk.others[:, found.index(column)]
+    return replace(chunk, others=others)
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +218,7 @@ class Recording:
         samples: number of samples, None if only reading everything would show it.
         duration_s: length from headers and first and last pages, None if unknown.
         gyro_dps_per_lsb: deg/s in one count of each gyroscope axis, None without a gyroscope.
+        others: further quantities that it recorded, which a reader gives if it is asked for them.
         thermometer: how words are read as temperatures; None where the file states degrees, or none.
         factory: the maker's calibration, if the reader applied one: counts are calibrated by it.
         companion: another file that says how to read the recording, such as a layout.
@@ -202,6 +243,7 @@ class Recording:
     duration_s: float | None = None
     has_temperature: bool = False
     gyro_dps_per_lsb: tuple[float, float, float] | None = None
+    others: tuple[OtherColumn, ...] = ()
     thermometer: ThermometerWord | None = None
     factory: FactoryCalibration | None = None
     companion: Path | None = None
@@ -266,6 +308,7 @@ class Chunk:
             one before. Only a reader whose rows have stamps of their own knows that.
         temperature_mc: (n,) int32, thousandths of a degree Celsius, or None.
         gyro_counts: (n, 3) int16 or int32, or None.
+        others: (n, k) of what `Recording.others` names, None if it was not asked for.
         validity: (n,) uint8 of `Validity`, or None if all rows were measured.
         problems: those found while reading these rows.
         used_bytes: number of bytes of the (uncompressed) file that these rows were made of, without
@@ -280,6 +323,7 @@ class Chunk:
     clock_jumps: NDArray[np.int64] = field(default_factory=lambda: NO_BREAKS)
     temperature_mc: NDArray[np.int32] | None = None
     gyro_counts: Counts | None = None
+    others: Others | None = None
     validity: NDArray[np.uint8] | None = None
     problems: tuple[Problem, ...] = ()
     used_bytes: int = 0
@@ -494,12 +538,14 @@ class Reader(Closing):
 
     Attributes:
         threads: number that may work at a time; a format may leave them unused.
+        with_others: chunks hold `others`; to be set only where the recording has any.
         files: those of a session, once all its rows were read; empty for other recordings.
         may_hold_several: False where it is known that no later row is of another sensor.
     """
 
     recording: Recording
     threads: int = 1
+    with_others: bool = False
     files: tuple[PlacedFile, ...] = ()
     may_hold_several: bool = True
 

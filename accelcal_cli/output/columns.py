@@ -48,12 +48,15 @@ def recording_columns(
     facts: Facts,
     axes: Mapping[str, Numbers] = MappingProxyType({}),
     gyroscope: Gyroscope | None = None,
+    *,
+    others: bool = False,
 ) -> list[Column]:
     """Return all columns of a calibrated recording.
 
     Args:
         axes: the whole numbers that x, y or z follow from, by name (`numbers_of_axes`).
         gyroscope: its calibration; without a scale matrix its values stay raw.
+        others: with all further quantities that it recorded.
     """
     single, offset_s = pa.float32(), facts.utc_offset_s
     time = pa.timestamp("us", None if offset_s is None else UTC)
@@ -65,6 +68,9 @@ def recording_columns(
         columns.append(Column.following(TEMPERATURE, "degree Celsius", single, numbers))
     if facts.has_gyroscope:
         columns += _rate_columns(recording.gyro_dps_per_lsb, gyroscope)
+    for number, other in enumerate(recording.others if others else ()):
+        bits = Numbers(partial(_other_bits, number), _of_bits, np.uint32)
+        columns.append(Column.following(other.name, other.unit, single, bits))
     return [*columns, _validity_column(VALIDITY, 0)]
 
 
@@ -205,6 +211,16 @@ def _or_absent(chunk: Chunk, numbers: NDArray[Any] | None, absent: int) -> NDArr
 
 def _or_nan(numbers: NDArray[Any], absent: int, values: NDArray[Any]) -> NDArray[np.float32]:
     return np.where(numbers == absent, np.nan, values).astype(np.float32)
+
+
+def _other_bits(number: int, chunk: Chunk, _xyz: Axes) -> NDArray[np.uint32]:
+    """Return values of another quantity as whole numbers, which hold a value each, and NaN."""
+    values = np.full(len(chunk), np.nan, np.float32) if chunk.others is None else chunk.others[:, number]
+    return values.view(np.uint32)
+
+
+def _of_bits(bits: NDArray[np.uint32]) -> NDArray[np.float32]:
+    return bits.view(np.float32)
 
 
 class _CalibratedRates:

@@ -463,6 +463,7 @@ class RecordingRun:
         columns, threads = export.columns_of(data), self.request.threads
         schema = schema_of(columns, reports.parquet_metadata(data))
         shown = self.progress("writing", data.recording.total_bytes)
+        self.reader.with_others = bool(data.recording.others)
         chunks = self._chunks(effect)
         with replacing(path) as temporary, ParquetSink(temporary, path, columns, schema, threads) as sink:
             over = export.write_calibrated(data, chunks, sink, threads, shown)

@@ -49,7 +49,7 @@ def columns_of(data: ReportInput) -> list[Column]:
     from accelcal_cli.output.columns import numbers_of_axes, recording_columns, uncalibrated
 
     axes = numbers_of_axes(transform_of(data), data.facts.has_temperature)
-    columns = recording_columns(data.recording, data.facts, axes, data.gyroscope)
+    columns = recording_columns(data.recording, data.facts, axes, data.gyroscope, others=True)
     return columns if data.judgement.calibration is not None else uncalibrated(columns)
 
 

@@ -431,7 +431,8 @@ class Request:
 def input_settings(options: ReadOptions, companion: Path | None) -> dict[str, Any]:
     """Return the `input` object of a report's settings: what the user said of the recording."""
     stated = asdict(options)
-    used = {name: value for name, value in stated.items() if name not in IF_GIVEN or value is not None}
+    given = {name for name, value in stated.items() if value is not None and value is not False}
+    used = {name: value for name, value in stated.items() if name not in IF_GIVEN or name in given}
     used["layout"] = None if companion is None else printable(companion.name)
     used["layout_sha256"] = None if companion is None else sha256(companion)
     used["columns"] = None if options.columns is None else list(options.columns)

@@ -357,7 +357,7 @@ def named_fields(*fields: str) -> dict[str, tuple[type, str]]:
 def not_given(*kinds: type) -> dict[str, Any]:
     """Return the values of all options of some records, by field, where none is given."""
     nothing: dict[str, Any] = {name: None for _, name in option_fields(*kinds).values()}
-    return nothing | {"no_temperature": False, "force_timezone": False}
+    return nothing | {"no_temperature": False, "force_timezone": False, "only_motion": False}
 
 
 def named_values(texts: Iterable[tuple[str, str]], values: Mapping[str, Any], *fields: str) -> dict[str, Any]:

@@ -153,6 +153,7 @@ class MarkingReader(Reader):
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """See `Reader`."""
+        self.reader.with_others = self.with_others
         return self._marked(map(in_columns, self.reader.chunks(chunk_samples)))
 
     def intake(self) -> Intake:

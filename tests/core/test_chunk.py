@@ -14,11 +14,14 @@ from accelcal_cli.core.clock import Clock, PageClock, StampClock, UniformClock
 from accelcal_cli.core.recording import (
     CHANNELS,
     Chunk,
+    OtherColumn,
     Problem,
     Validity,
     cut_channels,
     joined,
     joined_channels,
+    others_as,
+    uniquely_named,
 )
 
 PAGE_ROWS = 7
@@ -49,6 +52,7 @@ def whole_chunk(rows: int, clock: str, breaks: set[int], *, channels: bool = Tru
         clock_jumps=np.array(sorted(row for row in breaks if row < rows and row % 2), np.int64),
         temperature_mc=counts[:, 0].astype(np.int32) if channels else None,
         gyro_counts=-counts if channels else None,
+        others=counts[:, :2].astype(np.float32) if channels else None,
         validity=(counts[:, 1] % 4).astype(np.uint8) if channels else None,
         problems=(Problem("truncated", "cut off", None, 100),),
         used_bytes=6 * rows,
@@ -164,3 +168,20 @@ def test_channels_are_cut_and_joined_whole() -> None:
     }
     assert both["temperature_mc"].dtype == np.int32
     assert list(joined_channels((first, {"gyro_counts": rest["gyro_counts"]}))) == ["gyro_counts"]
+
+
+def test_other_quantities_of_a_part_get_the_columns_of_the_whole() -> None:
+    light, battery, button = (OtherColumn(name, "V") for name in ("light", "battery", "button"))
+    chunk = whole_chunk(3, "uniform", set())
+    found = others_as(chunk, (light, battery), (button, battery, light)).others
+    assert found is not None and np.isnan(found[:, 0]).all()
+    assert found[:, 1:].tolist() == chunk.others[:, ::-1].tolist()
+    assert others_as(chunk, (light, battery), (light, battery)) is chunk
+    bare = whole_chunk(3, "uniform", set(), channels=False)
+    assert others_as(bare, (), (light,)) is bare
+
+
+def test_columns_of_one_name_are_numbered() -> None:
+    names = ["light", "light", "battery", "light_2", "light"]
+    found = uniquely_named(OtherColumn(name, "lux") for name in names)
+    assert [one.name for one in found] == ["light", "light_2", "battery", "light_2_2", "light_3"]

@@ -137,6 +137,9 @@ class PageEvents:
 class PageDecoder(Generic[AnyBlock]):
     """Decodes the blocks of one pass over a file, in their order; a format subclasses it."""
 
+    with_others = False
+    """True if pages are to be decoded with the channel `others`."""
+
     def decode(self, block: AnyBlock) -> Decoded:
         """Return the valid pages of a block, and the others."""
         raise NotImplementedError
@@ -166,6 +169,7 @@ class Assembler(Generic[AnyBlock]):
 
     def __init__(self, scheme: PageScheme[AnyBlock], sample: int, *, whole: bool) -> None:
         self._decoder, self._timeline, self._whole = scheme.decoder(), scheme.timeline(), whole
+        self._decoder.with_others = scheme.with_others
         self._page_bytes = scheme.file.page_bytes
         self._row_bytes = self._page_bytes // scheme.spacing.rows
         channels = [name for name, value in scheme.first_values.items() if value is not None]
@@ -243,6 +247,7 @@ class PageScheme(Generic[AnyBlock]):
         first_values: for each channel that may lack values, the first measured one, which the rows before it
             are given; None if none is measured.
         problems: what was found before the first page; given with the first chunk.
+        with_others: see `Reader`.
     """
 
     file: PageFile[AnyBlock]
@@ -252,6 +257,7 @@ class PageScheme(Generic[AnyBlock]):
     events: type[PageEvents] = field(default=PageEvents, kw_only=True)
     first_values: Mapping[str, int | None] = field(default_factory=dict, kw_only=True)
     problems: tuple[Problem, ...] = field(default=(), kw_only=True)
+    with_others: bool = field(default=False, kw_only=True)
 
     def assembler(self, sample: int = 0, *, whole: bool = True) -> Assembler[AnyBlock]:
         """Return an assembler for one pass over the file, or over a piece of it."""
@@ -308,7 +314,7 @@ class PagedReader(Reader, Generic[AnyBlock]):
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, whole pages, at least one."""
-        return self._scheme.stream(chunk_samples, self.threads)
+        return replace(self._scheme, with_others=self.with_others).stream(chunk_samples, self.threads)
 
     def intake(self) -> Intake:
         """See `Reader`."""

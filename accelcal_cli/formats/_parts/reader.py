@@ -43,7 +43,15 @@ from accelcal_cli.core.input_files import (
 )
 from accelcal_cli.core.local_time import NO_START
 from accelcal_cli.core.paths import is_file, is_folder
-from accelcal_cli.core.recording import CUT_SHORT, Chunk, PlacedFile, Problem, Reader, Recording
+from accelcal_cli.core.recording import (
+    CUT_SHORT,
+    Chunk,
+    PlacedFile,
+    Problem,
+    Reader,
+    Recording,
+    others_as,
+)
 from accelcal_cli.core.system import new_folder, remove_folder
 from accelcal_cli.formats._parts import archive
 from accelcal_cli.formats._parts.archive import PartFiles
@@ -195,6 +203,7 @@ class PartsReader(FilesReader):
         joint = _PartPlacer(self.recording, self._part_files.problems, named=len(self.parts) > 1)
         for number, part in enumerate(self.parts):
             with self._named(), self._open(part.path) as reader:
+                reader.with_others = self.with_others and bool(part.others)
                 for chunk in reader.chunks(chunk_samples):
                     placed = joint.placed(part, chunk, self._share(number, chunk.end_byte))
                     if len(placed) or placed.problems:
@@ -331,6 +340,7 @@ def _as_one(path: Path, parts: Sequence[Recording], part_files: PartFiles) -> Re
         companion=first.companion if part_files.folder is None else None,
         has_temperature=all(part.has_temperature for part in parts),
         gyro_dps_per_lsb=first.gyro_dps_per_lsb if one_gyroscope else None,
+        others=tuple(dict.fromkeys(column for part in parts for column in part.others)),
         notes=(*first.notes, *map(printable, notes)),
     )
 
@@ -379,7 +389,7 @@ class _PartPlacer:
             self._fresh = False
         problems_here, self._left = [*self._left, *problems], []
         placed = replace(
-            _stripped(kept, self._recording),
+            _stripped(others_as(kept, part.others, self._recording.others), self._recording),
             first_sample=self._samples,
             end_byte=end_byte,
             breaks=breaks.astype(np.int64, copy=False),
@@ -476,6 +486,7 @@ class SessionReader(FilesReader):
             duration_s=None,
             has_temperature=False,
             gyro_dps_per_lsb=None,
+            others=(),
             notes=(*first.notes, note),
         )
 
