@@ -61,6 +61,8 @@ class Sector:
     axes: int = 0x32
     scale: int = 0
     temperature: int = 270
+    light: int = 300
+    battery: int = 200
     events: int = 0
     stamp: int | None = None
     fractional: bool = True
@@ -74,8 +76,8 @@ class Sector:
         offset = self.anchor - (2 * ticks * int(self.rate_hz) >> 16)
         stamp = packed_time(self.time_us) if self.stamp is None else self.stamp
         word = 0x8000 | ticks if self.fractional else 12345
-        fields = (b"AX", 508, word, self.session, self.sequence, stamp, self.scale << 10 | 300)
-        tail = (self.temperature, self.events, 200, self.rate_code, self.axes, offset, self.count)
+        fields = (b"AX", 508, word, self.session, self.sequence, stamp, self.scale << 10 | self.light)
+        tail = (self.temperature, self.events, self.battery, self.rate_code, self.axes, offset, self.count)
         page = struct.pack("<2sHHIIIHHBBBBhH", *fields, *tail) + self.data.ljust(480, b"\0") + b"\0\0"
         return with_checksum(page)
 

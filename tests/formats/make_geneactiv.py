@@ -117,6 +117,7 @@ class Page:
     time_us: int = START_US
     serial: str = SERIAL
     temperature: str = "25.3"
+    battery: str = "4.1642"
     rate: str = "50.0"
     body: str | None = None
     time: str | None = None
@@ -129,7 +130,7 @@ class Page:
             f"Page Time:{self.time or stamp(self.time_us)}",
             "Unassigned:",
             f"Temperature:{self.temperature}",
-            "Battery voltage:4.1642",
+            f"Battery voltage:{self.battery}",
             "Device Status:Recording",
             f"Measurement Frequency:{self.rate}",
             digits(self.rows) if self.body is None else self.body,

@@ -69,7 +69,9 @@ class SectorDecoder(PageDecoder[RawBlock]):
 
     def decode(self, raw: RawBlock) -> Decoded:
         """See PageDecoder."""
-        block, status = sector.decode(raw.pages, raw.first_position, self._settings)
+        block, status = sector.decode(
+            raw.pages, raw.first_position, self._settings, with_others=self.with_others
+        )
         unwritten = not raw.broken and (is_erased(raw.tail) or not any(raw.tail))
         return Decoded(block, bad_runs(status, raw.first_position), b"" if unwritten else raw.tail)
 
@@ -166,6 +168,7 @@ def describe(
         start_us=scheme.first_time_us(),
         has_temperature=sensor is not None,
         gyro_dps_per_lsb=None if gyro is None else (gyro, gyro, gyro),
+        others=sector.OTHERS,
         thermometer=None if sensor is None else ThermometerWord(slope, -zero / 1000),
     )
 

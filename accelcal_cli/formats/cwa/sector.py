@@ -16,6 +16,11 @@ Temperature: the low ten bits of a sector's word stand for 3 V. Which sensor the
 - The firmware's profiles of AX3 hardware 1.6 to 1.8 (`Firmware/Flux.AX3/include/Hardware/
   HardwareProfile-CWA1.7.h`) define an MCP9701 (400 mV at 0 C, 19.5 mV per degree): raw * 0.15 - 20.5,
   the formula of the vendor's omconvert. Such units declare themselves as 0x16 to 0x18.
+
+Light and battery (`ax3-auxiliary.md`): light is the low ten bits of its word, on a logarithmic scale that
+differs between devices and cases, so that the vendor advises to use it as it is. The battery's voltage is
+(byte + 512) of ten bits that stand for 6 V, and unknown for 0 (the vendor's OmReader, OM_VALUE_BATTERY_MV;
+`ax3-auxiliary.md` doubles the byte, which would make a full cell of 4.2 V one of 5.4 V).
 """
 
 from __future__ import annotations
@@ -31,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.recording import Channels, Device
+from accelcal_cli.core.recording import Channels, Device, OtherColumn, Others, no_others
 from accelcal_cli.formats._pages.pages import CHECKSUM, ERASED, FOREIGN, GOOD, NONSENSE, RATE, PageBlock
 from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.cwa import HEADER_BYTES, HEADER_MAGIC, SECTOR_BYTES, SECTOR_MAGIC
@@ -73,6 +78,9 @@ AX3, AX6 = "AX3", "AX6"
 MODELS = {0x00: AX3, 0x16: AX3, 0x17: AX3, 0x18: AX3, 0xFF: AX3, 0x64: AX6}
 UNSET_WORD, UNSET_BYTE = 0xFFFF, 0xFF
 HAS_FRACTION = 0x8000
+
+OTHERS = OtherColumn("light", "counts"), OtherColumn("battery", "V")
+LIGHT_MASK, VOLTS_PER_COUNT = 0x3FF, 6 / 1024
 
 EMPTY, OTHER, SETTINGS = ERASED, 50, 51
 """Kinds of sectors in addition to those of pages: nothing written, a kind without acceleration (FOREIGN is
@@ -275,7 +283,7 @@ class SectorBlock(PageBlock):
 
 
 def decode(
-    pages: NDArray[np.uint8], first_position: int, settings: Settings
+    pages: NDArray[np.uint8], first_position: int, settings: Settings, *, with_others: bool = False
 ) -> tuple[SectorBlock, NDArray[np.uint8]]:
     """Decode a block of sectors (n, 512): return the good ones, and the kind of every sector, (n,)."""
     # copied together, since scattered fields would be read slowly
@@ -286,9 +294,10 @@ def decode(
     status = np.full(len(pages), GOOD, np.uint8)
     position = np.arange(first_position, first_position + len(pages))
     if good.all():
-        return unpack(heads, pages, position, settings), status
+        return unpack(heads, pages, position, settings, with_others=with_others), status
     status[~good] = classify(pages[~good], settings)
-    return unpack(heads[good], pages[good], position[good], settings), status
+    sound = heads[good], pages[good], position[good]
+    return unpack(*sound, settings, with_others=with_others), status
 
 
 def fitting(heads: Sectors, settings: Settings) -> NDArray[np.bool_]:
@@ -326,7 +335,12 @@ def rates(sectors: Sectors) -> NDArray[np.float64]:
 
 
 def unpack(
-    heads: Sectors, pages: NDArray[np.uint8], position: NDArray[np.int64], settings: Settings
+    heads: Sectors,
+    pages: NDArray[np.uint8],
+    position: NDArray[np.int64],
+    settings: Settings,
+    *,
+    with_others: bool = False,
 ) -> SectorBlock:
     """Unpack the samples of good sectors, (p,) of HEAD and (p, 512)."""
     rows = heads["count"].astype(np.int64)
@@ -336,6 +350,8 @@ def unpack(
     channels: Channels = {name: _repeated(values, each) for name, values in _measured(heads, settings)}
     if gyro is not None and settings.gyro_dps_per_lsb:
         channels["gyro_counts"] = _joined(gyro, used)
+    if with_others:
+        channels["others"] = light_and_battery(heads, rows)
     return SectorBlock(
         position=position,
         rows=rows,
@@ -346,6 +362,15 @@ def unpack(
         counts=_joined(accel, used),
         channels=channels,
     )
+
+
+def light_and_battery(sectors: Sectors, rows: NDArray[np.int64]) -> Others:
+    """Return the values of OTHERS at the first of the rows of each sector, (n, 2)."""
+    others, first = no_others(int(rows.sum()), len(OTHERS)), np.cumsum(rows) - rows
+    others[first, 0] = sectors["light"] & LIGHT_MASK
+    volts = (512 + sectors["battery"].astype(np.int64)) * VOLTS_PER_COUNT
+    others[first, 1] = np.where(sectors["battery"] == 0, np.nan, volts)
+    return others
 
 
 def first_values(sector: Any, settings: Settings) -> dict[str, int | None]:

@@ -28,13 +28,13 @@ PAGE_HEAD = (
     + rb"Unassigned:"
     + _ANY
     + rb"Temperature:([^\r\n]{0,64})\r?\n"
-    + rb"Battery voltage:"
-    + _ANY
+    + rb"Battery voltage:([^\r\n]{0,64})\r?\n"
     + rb"Device Status:"
     + _ANY
     + rb"Measurement Frequency:([^\r\n]{0,64})\r?\n"
 )
-"""Pattern of a page's text; the groups are serial number, sequence number, time, temperature and rate."""
+"""Pattern of a page's text; the groups are serial number, sequence number, time, temperature, battery's
+voltage and rate."""
 
 
 def sniff(probe: Probe) -> int:

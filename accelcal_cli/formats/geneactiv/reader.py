@@ -25,11 +25,14 @@ from accelcal_cli.core.recording import (
     Chunk,
     Counts,
     Device,
+    OtherColumn,
+    Others,
     Problem,
     Reader,
     Recording,
     clipped_at,
     first_row,
+    no_others,
 )
 from accelcal_cli.core.written_times import header_zone
 from accelcal_cli.formats._pages import pages as paged
@@ -52,6 +55,8 @@ from accelcal_cli.formats.geneactiv import HEADER_MAGIC, MARK, PAGE_HEAD
 # per g. The counts are exact where that takes no more than 2**24 counts per g, as with equal gains;
 # else the values are rounded to a grid of 1 / 2**24 g, 0.03 micro-g at most. Source: Activinsights,
 # GENEActiv instructions, "Understanding .bin files".
+#
+# Light is floor(level * Lux / Volts), of both numbers in the header (the same source).
 
 SAMPLES, SAMPLE_DIGITS = 300, 12
 BODY_DIGITS = SAMPLES * SAMPLE_DIGITS
@@ -68,7 +73,7 @@ NO_STAMP = int(np.iinfo(np.int64).min)
 
 _BLANK = re.compile(rb"\s+")
 Head = tuple[bytes, ...]
-"""Serial number, sequence number, time, temperature and rate of a page, as in its text."""
+"""Serial number, sequence number, time, temperature, voltage and rate of a page, as in its text."""
 
 
 REMEMBERED_PAGES, MIXERS = 1 << 15, np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F], np.uint64)
@@ -82,6 +87,10 @@ GAINS = (6_400, 102_400)
 """Smallest and largest possible gain [0.01 counts per g]: ranges of 32 g and 2 g over 12 bits."""
 
 AXES = "xyz"
+LIGHT_LEVELS, LIGHT_BITS, BUTTON_BIT = 1 << 10, 2, 1
+"""Levels of light, and the places of light and button in the last bits of a sample."""
+
+BUTTON, BATTERY = OtherColumn("button", "1 while it is pressed"), OtherColumn("battery", "V")
 _WHOLE = re.compile(r"-?\d{1,9}")
 
 
@@ -311,6 +320,23 @@ def _scale(lsb_per_g: float, table: NDArray[np.int64], *, exact: bool) -> Scale:
     return Scale(lsb_per_g, stored, exact, plain=bool((table == _raw_values()).all()))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Light:
+    """The values (1024,) of the levels of light, in lux, or as they are where the header has no scale."""
+
+    column: OtherColumn
+    values: NDArray[np.float32]
+
+
+def light_of(measured: Mapping[str, str]) -> Light:
+    """Return what levels of light mean, by the calibration of the header."""
+    lux, volts = (whole_number(measured.get(name, "")) for name in ("Lux", "Volts"))
+    levels = np.arange(LIGHT_LEVELS)
+    if lux is None or volts is None or lux <= 0 or volts <= 0:
+        return Light(OtherColumn("light", "counts"), levels.astype(np.float32))
+    return Light(OtherColumn("light", "lux"), (levels * lux // volts).astype(np.float32))
+
+
 class Repeats:
     """Knows a page again by its number, its time and its first and last sample."""
 
@@ -351,6 +377,7 @@ class Settings:
     serial: bytes
     rate: Fraction
     scale: Scale
+    light: Light
 
 
 class TextDecoder(PageDecoder[TextPages]):
@@ -410,10 +437,10 @@ class TextDecoder(PageDecoder[TextPages]):
     ) -> NDArray[np.uint8]:
         """Return what each page is, GOOD or a key of BAD_KINDS, (p,)."""
         verdict = np.full(len(time_us), GOOD, np.uint8)
-        rates = {head[4] for head in found.heads}
+        rates = {head[5] for head in found.heads}
         other = {text for text in rates if number(text) != self._settings.rate}
         if other:
-            verdict[[head[4] in other for head in found.heads]] = paged.RATE
+            verdict[[head[5] in other for head in found.heads]] = paged.RATE
         verdict[[head[0] != self._settings.serial for head in found.heads]] = paged.FOREIGN
         verdict[time_us == NO_STAMP] = TEXT
         if not all_digits:
@@ -426,12 +453,15 @@ class TextDecoder(PageDecoder[TextPages]):
         """Return the columns of these pages, without their times."""
         heads = [found.heads[page] for page in pages.tolist()]
         rows = np.array([len(found.bodies[page]) // SAMPLE_DIGITS for page in pages.tolist()], np.int64)
+        channels = {name: np.repeat(values, rows) for name, values in page_channels(heads).items()}
+        if self.with_others:
+            channels["others"] = others_of(samples, self._settings.light, heads, rows)
         return PageBlock(
             position=position,
             rows=rows,
             counts=counts_of(samples, self._settings.scale),
             sequence=np.array([int(head[1]) for head in heads], np.int64),
-            channels={name: np.repeat(values, rows) for name, values in page_channels(heads).items()},
+            channels=channels,
         )
 
 
@@ -462,6 +492,17 @@ def counts_of(samples: bytes, scale: Scale) -> Counts:
         else:
             found[:, axis] = scale.table[axis].take(pattern.astype(np.intp), mode="clip")
     return found
+
+
+def others_of(samples: bytes, light: Light, heads: Sequence[Head], rows: NDArray[np.int64]) -> Others:
+    """Return light and button of n samples of 6 bytes, and the voltage once a page, (n, 3)."""
+    low = np.frombuffer(samples, ">u2")[2::3].astype(np.uint16)
+    volts = [number(head[4]) for head in heads]
+    others = no_others(len(low), 3)
+    others[:, 0] = light.values[low >> LIGHT_BITS & LIGHT_LEVELS - 1]
+    others[:, 1] = low >> BUTTON_BIT & 1
+    others[np.cumsum(rows) - rows, 2] = [np.nan if one is None else float(one) for one in volts]
+    return others
 
 
 # Opens a GENEActiv .bin file: reads its header, and describes the recording.
@@ -513,6 +554,7 @@ class Header:
         factory: the calibration block.
         pages: the number that it announces.
         reset: its times are those of a device that was reset.
+        light: what levels of light mean.
         drift_s: error of the device's clock that was noted at the download.
         missing: names of required fields that are None, for people.
     """
@@ -524,6 +566,7 @@ class Header:
     timezone: str | None = None
     zone_notes: tuple[str, ...] = ()
     factory: Factory | None = None
+    light: Light = field(default_factory=lambda: light_of({}))
     pages: int | None = None
     reset: bool = False
     drift_s: str | None = None
@@ -558,6 +601,7 @@ def parse_header(head: bytes) -> Header:
         timezone=zone,
         zone_notes=zone_notes,
         factory=factory,
+        light=light_of(measured),
         pages=whole_number(measured.get("Number of Pages", "")),
         reset=any(about.get(key, "").startswith(RESET_DATE) for key in ("Config Time", "Start Time")),
         drift_s=drift[1] if drift else None,
@@ -615,12 +659,12 @@ def _right_pages(found: TextPages) -> list[tuple[int, Head]]:
     return [
         (place, head)
         for place, head, body, dated in pages
-        if dated and (number(head[4]) or 0) > 0 and unhexed([body]) is not None
+        if dated and (number(head[5]) or 0) > 0 and unhexed([body]) is not None
     ]
 
 
 def _common(pages: Sequence[tuple[int, Head]]) -> FirstPages:
-    stated = [(head[0], number(head[4])) for _, head in pages]
+    stated = [(head[0], number(head[5])) for _, head in pages]
     serial, rate = Counter(stated).most_common(1)[0][0]
     place, first = pages[stated.index((serial, rate))]
     time_us = stamps_us([head[2] for _, head in pages])
@@ -683,7 +727,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         known = probe.head.startswith(HEADER_MAGIC)
         what = "holds no intact page of samples" if known else "is not a GENEActiv .bin recording"
         raise UnreadableError(what, path=path, byte_offset=start, hint=COPY_AGAIN)
-    settings = Settings(first.serial, first.rate, scale_of(header, options, path))
+    settings = Settings(first.serial, first.rate, scale_of(header, options, path), header.light)
     spacing = Spacing(true_rate(first.rate), SAMPLES)
     scheme = TextScheme(
         file,
@@ -745,6 +789,7 @@ def describe(scheme: TextScheme, header: Header, options: ReadOptions, start_us:
         timezone=header.timezone,
         duration_s=duration_s(scheme, start_us),
         has_temperature=scheme.first_values["temperature_mc"] is not None,
+        others=(settings.light.column, BUTTON, BATTERY),
         zero_counts=first_row(settings.scale.table.T),
     )
 
