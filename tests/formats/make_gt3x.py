@@ -57,8 +57,8 @@ def event(second: int, payload: bytes) -> bytes:
     return record(EVENT, second, payload)
 
 
-def battery(second: int) -> bytes:
-    return record(BATTERY, second, struct.pack("<H", 4100))
+def battery(second: int, millivolts: int = 4100) -> bytes:
+    return record(BATTERY, second, struct.pack("<H", millivolts))
 
 
 def temperature(second: int, counts: int, processor: int | None = None) -> bytes:

@@ -57,6 +57,7 @@ from accelcal_cli.formats.gt3x.sensors import (
     CalibrationFiles,
     Imu,
     Primary,
+    Reading,
     Schema,
     Sensor,
     acceleration_of,
@@ -66,7 +67,7 @@ from accelcal_cli.formats.gt3x.sensors import (
     temperature_of,
     temperatures,
 )
-from accelcal_cli.formats.gt3x.timeline import Timeline, chunk_of, cut, groups
+from accelcal_cli.formats.gt3x.timeline import PlacedReadings, Timeline, chunk_of, cut, groups
 
 ZEROS = np.zeros((1, 3), np.int16)
 IMU = "imu"
@@ -161,6 +162,7 @@ class LogBeginning:
     Attributes:
         rate: samples that most records of the first piece with any hold; None without any.
         first_s: second of the first samples.
+        kinds: of its records.
         imu: the device's second sensor recorded too.
         thermometer: the meaning of its readings, None if they are not wanted; first_mc: the first one.
     """
@@ -170,6 +172,7 @@ class LogBeginning:
     schema: Schema | None = None
     rate: int | None = None
     first_s: int | None = None
+    kinds: set[int] = field(default_factory=set)
     imu: bool = False
     thermometer: FactoryTemperature | None = None
     first_mc: int | None = None
@@ -178,7 +181,8 @@ class LogBeginning:
         """Take in the next records."""
         self.parameters = log.parameters_in(batch) | self.parameters
         self.utc |= log.in_utc(batch)
-        self.imu |= bool((batch.records.kind == log.SENSOR_DATA).any())
+        self.kinds |= set(batch.records.kind.tolist())
+        self.imu = log.SENSOR_DATA in self.kinds
         if self.schema is None:
             schemas = [sensors.parse_schema(data) for data in log.payloads(batch, log.SENSOR_SCHEMA)]
             usable = [schema for schema in schemas if schema and schema.axes(sensors.ACCELEROMETER)]
@@ -321,7 +325,7 @@ class Gt3xReader(Reader):
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order."""
-        return self._file.stream(chunk_samples, self.threads)
+        return self._file.stream(chunk_samples, self.threads, with_others=self.with_others)
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
@@ -366,7 +370,9 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
         description = primary_of(info, beginning, uncalibrated, options, archive.path)
     applied = AppliedCalibration(uncalibrated, description.scale.limit, line, beginning.first_mc)
     member, span = archive.members[LOG], span_of(info, beginning)
-    file = LogFile(archive, member, description.sensor, span, problems + calibration_files.problems, applied)
+    problems += calibration_files.problems
+    readings = tuple(one for one in sensors.READINGS if one.kind in beginning.kinds)
+    file = LogFile(archive, member, description.sensor, span, problems, applied, readings)
     start_us = first_time(file)
     centrepoint = ABOUT in archive.members or archive.path.name.lower().removesuffix(".zip").endswith(".agdc")
     notes = [CENTREPOINT.format(info.zone)] if centrepoint and info.zone else []
@@ -383,6 +389,7 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
         duration_s=lasted_s(info, start_us),
         has_temperature=description.has_temperature or beginning.first_mc is not None,
         gyro_dps_per_lsb=description.gyro_dps_per_lsb,
+        others=tuple(one.column for one in readings),
         factory=applied.factory,
         zero_counts=first_row(ZEROS if uncalibrated is None else calibrated_counts(ZEROS, uncalibrated)),
         notes=(*description.notes, *calibration_files.notes(applied), *info.notes, *notes),
@@ -441,7 +448,11 @@ def first_time(file: LogFile) -> int:
 
 @dataclass(frozen=True, slots=True)
 class LogFile:
-    """A log.bin whose settings are known, with problems found before any sample."""
+    """A log.bin whose settings are known, with problems found before any sample.
+
+    Attributes:
+        readings: what other sensors record, by the kinds of its first records.
+    """
 
     archive: Archive
     member: Member
@@ -449,18 +460,24 @@ class LogFile:
     span: Span
     problems: tuple[Problem, ...] = ()
     applied: AppliedCalibration = NOTHING
+    readings: tuple[Reading, ...] = ()
 
-    def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk, None, None]:
+    def stream(
+        self, chunk_samples: int, threads: int = 1, *, with_others: bool = False
+    ) -> Generator[Chunk, None, None]:
         """Yield all chunks, of at least a second."""
         most = max(chunk_samples, self.sensor.rate)
         timeline = Timeline(self.sensor, self.span, self.applied.thermometer())
         found, rows = ProblemLog(self.problems), 0
+        others = PlacedReadings(self.readings) if with_others else None
         with (
             MemberStream(self.archive, self.member) as source,
             closing(batches(source, self.span, threads)) as parts,
         ):
             for batch in parts:
                 spans, samples, events = timeline.feed(batch)
+                if others is not None:
+                    others.take(batch)
                 for event in events:
                     found.add(event)
                 problems = found.take(None if batch.page.last else timeline.position)
@@ -471,5 +488,6 @@ class LogFile:
                 for part in list(groups(spans, MOST_ROWS)) or ([[]] if problems or used else []):
                     chunk = chunk_of(part, samples, rows, batch.page.end_byte)
                     chunk = replace(chunk, problems=problems, used_bytes=used)
+                    chunk = chunk if others is None else replace(chunk, others=others.of(part))
                     problems, used, rows = (), 0, rows + len(chunk)
                     yield from cut(self.applied.apply(chunk), most)

@@ -27,12 +27,13 @@ FRAME_BYTES = HEADER_BYTES + 1
 """Length of header and checksum, the shortest record."""
 
 LONGEST_BYTES = FRAME_BYTES + 0xFFFF
-ACTIVITY, BATTERY, EVENT, METADATA = 0, 2, 3, 6
+ACTIVITY, BATTERY, EVENT, HEART_RATE, LUX, METADATA, CAPSENSE = 0, 2, 3, 4, 5, 6, 13
 PARAMETERS, SENSOR_SCHEMA, SENSOR_DATA = 21, 24, 25
 ACTIVITY2, ACTIVITY3, TEMPERATURE = 26, 27, 30
 
 _FIXED = {
-    **{ACTIVITY: (1, 1152), BATTERY: (2, 2), EVENT: (1, 16), 4: (1, 1), 5: (2, 2), 7: (15, 15), 13: (6, 6)},
+    **{ACTIVITY: (1, 1152), BATTERY: (2, 2), EVENT: (1, 16), HEART_RATE: (1, 1), LUX: (2, 2)},
+    **{7: (15, 15), CAPSENSE: (6, 6)},
     **{ACTIVITY2: (1, 1536), ACTIVITY3: (1, 1152)},
 }
 """Shortest and longest payload of kinds whose size tells a record from other bytes; samples up to 256 Hz."""

@@ -38,6 +38,7 @@ from accelcal_cli.core.recording import (
     FactoryAcceleration,
     FactoryCalibration,
     FactoryTemperature,
+    OtherColumn,
     Problem,
     Validity,
     clipped_at,
@@ -272,6 +273,36 @@ class Thermometer:
         known = np.concatenate((np.array([self._last], np.int32), found))
         self._last = int(known[-1])
         return np.asarray(np.repeat(known[np.searchsorted(places, records.start)], rows))
+
+
+# What other sensors record, with a second as its time: README.md of GT3X-File-Format, "Log Record Types",
+# and LogRecords/Capsense.md.
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A whole number in records of a kind: its place and type, and how many make one of the column's unit."""
+
+    kind: int
+    column: OtherColumn
+    offset: int
+    dtype: str
+    per_unit: int = 1
+
+    def values(self, buffer: NDArray[np.uint8], records: Records) -> NDArray[np.float64]:
+        """Return the values of records of this kind, (k,)."""
+        data = payloads_of(buffer, records.start + self.offset, np.dtype(self.dtype).itemsize)
+        return data.view(self.dtype)[:, 0] / self.per_unit
+
+
+READINGS = (
+    Reading(log.LUX, OtherColumn("light", "lux"), 0, "<u2"),
+    Reading(log.BATTERY, OtherColumn("battery", "V"), 0, "<u2", per_unit=1000),
+    Reading(log.HEART_RATE, OtherColumn("heart_rate", "bpm"), 0, "u1"),
+    Reading(log.CAPSENSE, OtherColumn("capsense", "counts"), 0, "<u2"),
+    Reading(log.CAPSENSE, OtherColumn("capsense_reference", "counts"), 2, "<u2"),
+    Reading(log.CAPSENSE, OtherColumn("worn", "1 while it touches skin"), 4, "u1"),
+)
 
 
 # The sensors of a device.
@@ -568,7 +599,9 @@ class ActivityFile:
         size = None if self.archive.problems else self.member.unpacked_bytes
         return None if size is None else int(packed_samples(np.array(size)))
 
-    def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk, None, None]:
+    def stream(
+        self, chunk_samples: int, threads: int = 1, *, with_others: bool = False
+    ) -> Generator[Chunk, None, None]:
         """Yield all chunks; raises UnreadableError if the disk fails, or the part is damaged.
 
         Without checksums of their own, any of the values may then be wrong.

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, PageClock
-from accelcal_cli.core.recording import Channels, Chunk, Validity, cut_channels
+from accelcal_cli.core.recording import Channels, Chunk, Others, Validity, cut_channels, no_others
 from accelcal_cli.formats._problems import Event, Kind
 from accelcal_cli.formats.gt3x.records import EVENT, Damage, RecordBatch, Records, Span, payload
-from accelcal_cli.formats.gt3x.sensors import Samples, Sensor, Thermometer, first_rows
+from accelcal_cli.formats.gt3x.sensors import Reading, Samples, Sensor, Thermometer, first_rows
 
 FELL_ASLEEP, WOKE = b"\x08", b"\x09"
 UNWRITTEN_S = 1
@@ -130,6 +130,44 @@ def _column(name: str, values: NDArray[Any], spans: Sequence[RowSpan]) -> NDArra
         for span in spans
     ]
     return np.concatenate(parts)
+
+
+class PlacedReadings:
+    """Gives what other sensors recorded in a second to its first row; where there is none, it has no place.
+
+    A device records it while it sleeps, too, and the rows of that time come when it wakes.
+    """
+
+    def __init__(self, readings: Sequence[Reading]) -> None:
+        self._readings = readings
+        self._waiting = np.empty((0, 3))  # second, column, value
+
+    def take(self, batch: RecordBatch) -> None:
+        """Take the readings of the next batch."""
+        for number, reading in enumerate(self._readings):
+            records = batch.records.select(batch.records.kind == reading.kind)
+            values = reading.values(batch.page.buffer, records)
+            found = np.stack([records.second, np.full(len(records), number), values], axis=1)
+            self._waiting = np.concatenate((self._waiting, found))
+
+    def of(self, spans: Sequence[RowSpan]) -> Others:
+        """Return the readings of the next rows."""
+        rows, begin, rate = (
+            np.array([getattr(span, name) for span in spans], np.int64)
+            for name in ("rows", "second", "per_second")
+        )
+        others = no_others(int(rows.sum()), len(self._readings))
+        if not len(rows):
+            return others
+        second, column, values = self._waiting.T
+        order = np.argsort(begin, kind="stable")
+        span = order[np.maximum(np.searchsorted(begin[order], second, side="right") - 1, 0)]
+        row = (second.astype(np.int64) - begin[span]) * rate[span]
+        here = (row >= 0) & (row < rows[span])
+        places = (row + (np.cumsum(rows) - rows)[span])[here], column[here].astype(np.int64)
+        others[places] = values[here]
+        self._waiting = self._waiting[~here & (second >= begin[-1] + rows[-1] / rate[-1])]
+        return others
 
 
 def cut(chunk: Chunk, most: int) -> Iterator[Chunk]:
