@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from enum import Enum
 from fractions import Fraction
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -295,6 +296,33 @@ MEASURES = frozenset({
     *("pitch", "yaw", "qw", "qx", "qy", "qz"),
 })  # fmt: skip
 """Words in the name of a column that measures or counts something."""
+
+QUANTITIES: Mapping[str, tuple[str, ...]] = {
+    "light": ("light", "lux", "illuminance", "lightadc", "ambientlight", "als"),
+    "button": ("button", "btn", "pushbutton"),
+    "battery": ("battery", "batt", "bat", "vbat", "vbatt", "batteryadc"),
+    "pressure": ("pressure", "press", "baro", "barometer", "barometric"),
+    "humidity": ("humidity", "rh"),
+    "heart_rate": ("heartrate", "hr", "bpm"),
+    "capsense": ("capsense", "capacitive", "capacitance"),
+    "skin_contact": ("skincontact",),
+    "eda": ("eda", "gsr"),
+    "ppg": ("ppg", "bvp"),
+    "ecg": ("ecg", "ekg"),
+}
+"""Further quantities that are recorded with motion, by words of their columns' names; the first counts."""
+
+UNKNOWN_UNIT = "unknown"
+"""The unit of a quantity for which a file states none."""
+
+
+def quantity_of(words: Sequence[str]) -> str | None:
+    """Return the quantity of QUANTITIES that the words of a name are of; None for other names."""
+    own = {*words, *(first + second for first, second in pairwise(words))}
+    if own & {*THERMOMETER}:
+        return None
+    return next((name for name, known in QUANTITIES.items() if own & {*known}), None)
+
 
 ABOUT_PEOPLE = frozenset({
     *("age", "sex", "gender", "birth", "weight", "height", "bmi", "kg", "cm", "bed", "nap", "naps", "onset"),

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import UniformClock, rate_fraction
-from accelcal_cli.core.recording import Channels, Chunk, Counts, Intake, Problem, Reader, Recording
+from accelcal_cli.core.recording import Channels, Chunk, Counts, Intake, Others, Problem, Reader, Recording
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._pages.files import BLOCK_BYTES
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog
@@ -56,6 +56,7 @@ class FrameFile:
         first_values: first measured value of each channel that may lack values; None if none is measured.
         left_out: code and text of faulty rows.
         damaged: the bytes of faulty rows are lost; else they only say that nothing was measured.
+        others: returns the channel `others` of some rows, given the first one and their number.
     """
 
     path: Path
@@ -68,6 +69,7 @@ class FrameFile:
     first_values: Mapping[str, int | None] = field(default_factory=dict)
     left_out: Kind = ("missing_value", "samples without a usable value, left out")
     damaged: bool = True
+    others: Callable[[int, int], Others] | None = None
 
     def whole_frames(self) -> int:
         """Return the number of whole frames in an uncompressed file."""
@@ -89,7 +91,9 @@ class FrameReader(Reader):
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, `chunk_samples` at a time."""
-        for chunk in self._stream(0, self._file.announced, self._size(chunk_samples), self._problems):
+        size, with_others = self._size(chunk_samples), self.with_others
+        stream = self._stream(0, self._file.announced, size, self._problems, with_others=with_others)
+        for chunk in stream:
             if len(chunk) or chunk.problems:
                 yield chunk
 
@@ -113,10 +117,17 @@ class FrameReader(Reader):
         return max(1, min(chunk_samples, BLOCK_BYTES // self._file.frame_bytes))
 
     def _stream(
-        self, first: int, stop: int | None, size: int, problems: tuple[Problem, ...]
+        self,
+        first: int,
+        stop: int | None,
+        size: int,
+        problems: tuple[Problem, ...],
+        *,
+        with_others: bool = False,
     ) -> Generator[Chunk]:
         """Yield frames first..stop-1, `size` at a time; the last chunk may be empty."""
-        file, rows = self._file, _Rows(self._file, self.recording, first, problems)
+        file = self._file if with_others else replace(self._file, others=None)
+        rows = _Rows(file, self.recording, first, problems)
         with ByteSource(file.path, self.threads) as source:
             source.seek(file.offset(first))
             last = False
@@ -158,6 +169,7 @@ class _Rows:
             validity=frames.validity,
             problems=(),
             used_bytes=0,
+            others=None if self._file.others is None else self._file.others(self.frame, count),
             **self._held.fill(frames.channels),
         )
         faulty = np.zeros(count, np.bool_) if frames.faulty is None else frames.faulty
@@ -202,7 +214,7 @@ class FrameIntake(Intake):
     def __init__(self, recording: Recording, file: FrameFile, problems: tuple[Problem, ...]) -> None:
         self.after = b""
         self._file = file
-        self._rows = _Rows(file, recording, 0, problems)
+        self._rows = _Rows(replace(file, others=None), recording, 0, problems)
         self._skip, self._taken = file.start_byte, 0
         self._rest = b""
 

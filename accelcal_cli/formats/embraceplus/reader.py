@@ -17,7 +17,7 @@ import json
 import math
 import struct
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -35,10 +35,13 @@ from accelcal_cli.core.recording import (
     Chunk,
     Counts,
     Device,
+    OtherColumn,
+    Others,
     Problem,
     Reader,
     Recording,
     cut_channels,
+    no_others,
 )
 from accelcal_cli.formats._bytes import ByteSource
 
@@ -61,6 +64,14 @@ VARINT_BYTES, PIECE, MARKER_BYTES, MAGIC_BYTES = 10, 1 << 16, 16, 4
 DOWNLOAD_AGAIN = "download it again"
 NUMBERS, WHOLE = {"float": "<f4", "double": "<f8"}, ("int", "long")
 HEADER = {"type": "map", "values": "bytes"}
+OTHERS = {
+    "eda": OtherColumn("eda", "uS"),
+    "bvp": OtherColumn("bvp", "nW"),
+    "steps": OtherColumn("steps", "steps"),
+}
+"""Further fields of `rawData` (Empatica, as above)."""
+
+BUTTON = OtherColumn("button", "1 where it was pressed")
 PRIMITIVES = ("null", "boolean", "bytes", "string", *WHOLE, *NUMBERS)
 
 
@@ -369,14 +380,45 @@ def temperature_of(fields: Mapping[str, Any], sensor: Sensor, rate_hz: float) ->
     return np.asarray(milli[known[latest]].astype(np.int32))
 
 
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Values of another quantity, (n,), each with the row that was measured then or next."""
+
+    column: OtherColumn
+    row: NDArray[np.int64]
+    values: NDArray[np.float64]
+
+
+def other_tracks(fields: Mapping[str, Any], sensor: Sensor, rate_hz: float) -> Iterator[Track]:
+    """Yield what was sampled besides motion and temperature, at most as often, and presses of the button."""
+    raw = subrecord(fields, "rawData")
+    for name, column in OTHERS.items():
+        about = subrecord(raw, name)
+        values, rate = about.get("values"), number(about.get("samplingFrequency"))
+        start = number(about.get("timestampStart"))
+        near = abs(start - sensor.start_us) < 3600 * MICROSECONDS
+        if isinstance(values, np.ndarray) and len(values) and near and 0 < rate <= rate_hz * (1 + 1e-6):
+            after_s = np.arange(len(values)) / rate + (start - sensor.start_us) / MICROSECONDS
+            yield Track(column, np.ceil(after_s * rate_hz - 1e-6).astype(np.int64), values.astype(np.float64))
+    pressed = subrecord(raw, "tags").get("tagsTimeMicros")
+    if isinstance(pressed, np.ndarray) and len(pressed) and sensor.start_us:
+        after = (pressed - sensor.start_us) * (rate_hz / MICROSECONDS)
+        yield Track(BUTTON, np.ceil(after - 1e-6).astype(np.int64), np.ones(len(pressed)))
+
+
 class EmbracePlusReader(Reader):
     """Gives the rows of a file, which are all in memory: no more than LARGEST_BYTES can claim."""
 
     def __init__(
-        self, recording: Recording, counts: Counts, channels: Channels, problems: Iterable[Problem]
+        self,
+        recording: Recording,
+        counts: Counts,
+        channels: Channels,
+        problems: Iterable[Problem],
+        tracks: Sequence[Track] = (),
     ) -> None:
         self.recording, self._problems = recording, tuple(problems)
-        self._counts, self._channels = counts, channels
+        self._counts, self._channels, self._tracks = counts, channels, tracks
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, at most `chunk_samples` at a time."""
@@ -391,8 +433,17 @@ class EmbracePlusReader(Reader):
                 end,
                 problems=() if start else self._problems,
                 used_bytes=end - first,
+                others=self._others(start, stop) if self.with_others else None,
                 **cut_channels(self._channels, slice(start, stop)),
             )
+
+    def _others(self, start: int, stop: int) -> Others:
+        others = no_others(stop - start, len(self._tracks))
+        for number, track in enumerate(self._tracks):
+            here = (track.row >= start) & (track.row < stop)
+            with np.errstate(over="ignore"):
+                others[track.row[here] - start, number] = track.values[here]
+        return others
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
@@ -412,6 +463,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         raise UnreadableError(what, path=path, hint="give it with --rate (an EmbracePlus samples at 64 Hz)")
     rate_hz = agreed_rate(options, rate_hz, path)
     channels, gyro_step, notes = channels_of(fields, accel, rate_hz, version)
+    tracks = [*other_tracks(fields, accel, rate_hz)]
     about = Recording(
         path=path,
         format="embraceplus",
@@ -426,9 +478,10 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         duration_s=len(accel.counts) / rate_hz,
         has_temperature="temperature_mc" in channels,
         gyro_dps_per_lsb=None if gyro_step is None else (gyro_step,) * 3,
+        others=tuple(track.column for track in tracks),
         notes=(*zone_note(fields), *notes),
     )
-    return EmbracePlusReader(about, accel.counts, channels, problems_of(record, accel))
+    return EmbracePlusReader(about, accel.counts, channels, problems_of(record, accel), tracks)
 
 
 def version_numbers(fields: Mapping[str, Any], name: str) -> list[Any]:

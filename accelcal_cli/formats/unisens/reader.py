@@ -27,17 +27,23 @@ from accelcal_cli.core.recording import (
     Channels,
     Counts,
     Device,
+    OtherColumn,
+    Others,
     Problem,
     Reader,
     Recording,
     first_row,
+    no_others,
+    uniquely_named,
 )
 from accelcal_cli.core.vocabulary import (
     ACCELERATION_UNITS,
     PER_G,
     THERMOMETER,
+    UNKNOWN_UNIT,
     Quantity,
     acceleration_unit,
+    quantity_of,
     unit_of,
 )
 from accelcal_cli.core.written_times import iso_start
@@ -194,6 +200,50 @@ class SiblingSignal:
         with np.errstate(invalid="ignore"):
             return np.asarray(numbers[wanted - begin].astype(np.float64) - float(self.signal.baseline))
 
+    def recorded(self, first: int, rows: int) -> NDArray[np.float64]:
+        """Return its values, (rows, channels), each at the first row that it holds for; else NaN."""
+        since = np.arange(first - 1, first + rows, dtype=np.int64) * self.ratio.numerator
+        since //= self.ratio.denominator
+        fresh = (since[1:] > since[:-1]) & (since[1:] < self.frames)
+        values = self.values(first, rows) * self.signal.lsb
+        return np.where(fresh[:, None], values, np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class OtherSignals:
+    """Further signals, at most as fast as the accelerations."""
+
+    signals: tuple[SiblingSignal, ...]
+
+    @property
+    def columns(self) -> tuple[OtherColumn, ...]:
+        """Their channels, named by quantity or content class, and if there are several by their names."""
+        found = []
+        for one in self.signals:
+            signal, stem = one.signal, Path(one.signal.name).stem.lower()
+            name = quantity_of([signal.kind]) or quantity_of([stem]) or signal.kind or stem
+            parts = [f"{name}_{part}" for part in signal.channels] if len(signal.channels) > 1 else [name]
+            found += [OtherColumn(part, signal.unit or UNKNOWN_UNIT) for part in parts]
+        return uniquely_named(found)
+
+    def __call__(self, first: int, rows: int) -> Others:
+        """Return the values of some rows, those of each sample at its first row."""
+        others, column = no_others(rows, len(self.columns)), 0
+        for one in self.signals:
+            values = one.recorded(first, rows)
+            with np.errstate(over="ignore"):
+                others[:, column : column + values.shape[1]] = values
+            column += values.shape[1]
+        return others
+
+
+def other_signals(description: Description, signal: Signal, data: Path) -> OtherSignals:
+    """Return the signals besides motion and temperature, at most as fast as the accelerations."""
+    kinds = (*ACCELEROMETERS, *GYROSCOPES, *THERMOMETER)
+    named = [one for one in description.signals if one.number is not None and one.kind not in kinds]
+    found = (sibling_signal(one, signal, data) for one in named if one.name != signal.name)
+    return OtherSignals(tuple(one for one in found if one is not None and one.ratio <= 1))
+
 
 def frame_bytes(signal: Signal) -> int:
     """Return the bytes of one sample of all channels."""
@@ -274,7 +324,8 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     start = description.start
     start_us, zone = (None, None) if start is None else (start.start_us, start.timezone)
     first = first_values(decoder.channels(0, min(rows, MOST_FIRST_ROWS)))
-    file = FrameFile(data, 0, frame_bytes(signal), None, False, start_us or 0, decoder, first)
+    others = other_signals(description, signal, data)
+    file = FrameFile(data, 0, frame_bytes(signal), None, False, start_us or 0, decoder, first, others=others)
     recording = Recording(
         path=path,
         format="unisens",
@@ -289,6 +340,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         duration_s=rows / signal.rate_hz,
         has_temperature=first.get("temperature_mc") is not None,
         gyro_dps_per_lsb=None if gyro is None else (gyro.signal.lsb,) * 3,
+        others=others.columns,
         companion=data if is_description else xml,
         zero_counts=first_row(decoder(np.zeros((1, frame_bytes(signal)), np.uint8), 0).counts),
         notes=notes,
