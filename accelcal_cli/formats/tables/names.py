@@ -21,6 +21,7 @@ from accelcal_cli.core.vocabulary import (
     NOT_RAW,
     OWNERS,
     TIMES,
+    UNKNOWN_UNIT,
     Quantity,
     Unit,
     find_unit,
@@ -218,6 +219,14 @@ def name_of(text: str, stated: str | None = None) -> Name:
             words, unit = words[:-last], end
             break
     return Name(text, words, unit.strip("[]()"))
+
+
+def unit_at_end(name: Name) -> str:
+    """Return the unit of another quantity, also if it is the last word: `mV` of `vbat_mV`, `lux`."""
+    last = re.split(r"[\W_]+", name.text.strip())[-1]
+    unit = find_unit(last)
+    of_other = unit is not None and unit.quantity is Quantity.OTHER
+    return name.stated or (last if of_other else UNKNOWN_UNIT)
 
 
 def _axis_apart(word: str) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, RESET_US
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import Chunk, Intake, Reader, Recording
+from accelcal_cli.core.recording import Chunk, Intake, OtherColumn, Reader, Recording
 from accelcal_cli.core.vocabulary import HeatUnit, unit_by_values
 from accelcal_cli.formats._stamps import (
     IMPOSSIBLE,
@@ -33,6 +33,7 @@ from accelcal_cli.formats.tables.header import (
     As,
     Block,
     CellTexts,
+    Column,
     Cut,
     First,
     Piece,
@@ -86,12 +87,14 @@ class Plan:
     """A table as it will be read, with what is known of it.
 
     Attributes:
+        others: columns of other quantities, with what they become.
         watch: over columns that may separate several sensors, with the first rows seen; None without any.
     """
 
     source: Source
     layout: Layout
     notes: tuple[str, ...]
+    others: tuple[tuple[Column, OtherColumn], ...]
     watch: SensorWatch | None = None
 
 
@@ -157,7 +160,8 @@ class _Understood:
         layout = replace(layout, before_us=before_us)
         source.check(layout.wanted)
         source.row_bytes = source.row_bytes_of(layout.wanted) * len(whole) / max(len(block), 1)
-        return Plan(source, layout, self._notes(layout, heat_notes, turn_notes, guessed=guessed), watch)
+        notes = self._notes(layout, heat_notes, turn_notes, guessed=guessed)
+        return Plan(source, layout, notes, roles.others, watch)
 
     def _layout(
         self, scale: Scale, pace: Pace, channels: tuple[Heat | None, Turns | None], wraps: Wraps, stride: int
@@ -332,7 +336,12 @@ class TableReader(Reader):
     def _watched(self) -> RowStream:
         """Return all rows, over which the watch begins again."""
         watch = None if self._plan.watch is None else self._plan.watch.again()
-        return RowStream(self._plan.source, self._plan.layout, watch, self._zone)
+        return RowStream(self._plan.source, self._layout, watch, self._zone)
+
+    @property
+    def _layout(self) -> Layout:
+        others = self._plan.others if self.with_others else ()
+        return replace(self._plan.layout, others=tuple(column.number for column, _ in others))
 
     @property
     def _zone(self) -> str | None:
@@ -346,7 +355,7 @@ class TableReader(Reader):
     ) -> Iterator[Chunk]:
         """Yield chunks of rows; of a part of the table without what the end of the file completes."""
         source, assembler = self._plan.source, self._assembler(stream, self.recording.timezone, start)
-        wanted, end = self._plan.layout.wanted, None if stop is None else stop + self._plan.layout.pace.reach
+        wanted, end = self._layout.asked, None if stop is None else stop + self._plan.layout.pace.reach
         with (
             source.explaining(),
             closing(source.pieces(wanted, chunk_samples, stream.first_row, end, self.threads)) as read,
@@ -418,6 +427,7 @@ class TableReader(Reader):
             duration_s=self._length_s(first_us, last_us),
             has_temperature=layout.heat is not None,
             gyro_dps_per_lsb=None if layout.turns is None else (1 / layout.turns.scale.lsb,) * 3,
+            others=tuple(other for _, other in self._plan.others),
             companion=stated.companion,
             calibrated=stated.calibrated,
             notes=self._plan.notes,

@@ -15,6 +15,7 @@ from itertools import pairwise
 
 from accelcal_cli.core.errors import NoRecordingError, Reason, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.recording import OtherColumn, uniquely_named
 from accelcal_cli.core.vocabulary import (
     ACCELEROMETER,
     BARE,
@@ -24,6 +25,7 @@ from accelcal_cli.core.vocabulary import (
     HeatUnit,
     find_thermometer,
     normalized,
+    quantity_of,
 )
 from accelcal_cli.core.written_times import is_date, is_digits_of_day
 from accelcal_cli.formats._not_recordings import epochs_by_names
@@ -35,6 +37,7 @@ from accelcal_cli.formats.tables.names import (
     is_other_group,
     name_and_hint,
     name_of,
+    unit_at_end,
 )
 from accelcal_cli.formats.tables.sensors import WHOLE, Meaning, meaning_of
 
@@ -67,6 +70,7 @@ class Roles:
         heat: of the device's temperature; heat_unit: None if only its values tell.
         like_heat: columns that look like a temperature and are not read.
         gyro: of the rotation rates; gyro_notes: on one that is there and not read.
+        others: columns of other quantities, with what they become.
         dividing: columns of texts or whole numbers that may tell whose each row is.
     """
 
@@ -78,6 +82,7 @@ class Roles:
     like_heat: tuple[Column, ...] = ()
     gyro: Group | None = None
     gyro_notes: tuple[str, ...] = ()
+    others: tuple[tuple[Column, OtherColumn], ...] = ()
     dividing: tuple[Column, ...] = ()
 
 
@@ -105,7 +110,8 @@ def find_roles(source: Source, options: ReadOptions, cells: Cells) -> Roles:
     used = {column.number for column in gyro or ()} | {source.stated.marks}
     others = [column for column in free if column.number not in used and is_around(column, home)]
     dividing = _dividing(others, cells)
-    return Roles(xyz, time, date, heat, heat_unit, like_heat, gyro, notes, dividing)
+    quantities = _others([column for column in others if column not in like_heat])
+    return Roles(xyz, time, date, heat, heat_unit, like_heat, gyro, notes, quantities, dividing)
 
 
 def is_around(column: Column, home: str) -> bool:
@@ -503,6 +509,18 @@ def _home(column: Column) -> str:
     """Return the group of a column, without one that only says which sensor it is."""
     sensor = any(_is_in_group(column, words) for words in (ACCELEROMETERS, GYROSCOPE))
     return "/".join(column.groups[:-1] if sensor else column.groups)
+
+
+def _others(free: Sequence[Column]) -> tuple[tuple[Column, OtherColumn], ...]:
+    """Return the columns of light, battery and the like, named by quantity, several of one in full."""
+    named = [(one, quantity_of(one.name.words)) for one in free if one.kind in (Kind.NUMBER, Kind.MISSING)]
+    found = [(column, quantity) for column, quantity in named if quantity and column.width == 1]
+    times = Counter(quantity for _, quantity in found)
+    columns = [
+        OtherColumn(quantity if times[quantity] == 1 else "_".join(one.name.words), unit_at_end(one.name))
+        for one, quantity in found
+    ]
+    return tuple(zip([column for column, _ in found], uniquely_named(columns), strict=True))
 
 
 def _dividing(free: Sequence[Column], cells: Cells) -> tuple[Column, ...]:

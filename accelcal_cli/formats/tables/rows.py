@@ -25,12 +25,14 @@ from accelcal_cli.core.recording import (
     NOT_CALIBRATED,
     Channels,
     Chunk,
+    Others,
     Problem,
     Validity,
     cut_channels,
     cut_columns,
     joined_channels,
     joined_columns,
+    no_others,
 )
 from accelcal_cli.core.vocabulary import HeatUnit
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
@@ -48,21 +50,23 @@ from accelcal_cli.formats._stamps import (
     Wraps,
     text_of,
 )
+from accelcal_cli.formats.tables.cells import number_of
 from accelcal_cli.formats.tables.clock import TableClock
-from accelcal_cli.formats.tables.header import As, Block, Piece, Source
+from accelcal_cli.formats.tables.header import As, Block, CellTexts, Piece, Source
 from accelcal_cli.formats.tables.roles import Group
 from accelcal_cli.formats.tables.sensors import Chosen, SensorWatch, codes_of
 from accelcal_cli.formats.tables.units import (
     UNKNOWN,
     Fault,
     Scale,
+    as_floats,
     group_values,
     held,
     millidegrees,
     refuse_grouped,
 )
 
-HEAT, TURNS, VALIDITY = "temperature_mc", "gyro_counts", "validity"
+HEAT, TURNS, VALIDITY, OTHERS = "temperature_mc", "gyro_counts", "validity", "others"
 MOST_BAD = 100_000
 """Lines that are not rows, above which a file that mostly has such lines is not read on."""
 
@@ -92,6 +96,7 @@ class Layout:
     """The columns that are read of a table, and how, as it was found out when it was opened.
 
     Attributes:
+        others: numbers of the columns of other quantities, if they are asked for.
         marks: the column that tells where each row comes from, as `Validity` numbers it.
         chosen: the rows that are read; None for all.
         wraps: what the clock may do.
@@ -106,6 +111,7 @@ class Layout:
     pace: Pace
     heat: Heat | None = None
     turns: Turns | None = None
+    others: tuple[int, ...] = ()
     marks: int | None = None
     chosen: Chosen | None = None
     wraps: Wraps = field(default_factory=Wraps)
@@ -128,6 +134,11 @@ class Layout:
         wanted |= {} if self.marks is None else {self.marks: As.NUMBER}
         wanted |= {} if self.clock is None else self.clock.wanted
         return wanted | ({} if self.chosen is None else self.chosen.wanted)
+
+    @property
+    def asked(self) -> dict[int, As]:
+        """How all columns are asked for, also those of other quantities."""
+        return dict.fromkeys(self.others, As.NUMBER) | self.wanted
 
     @property
     def no_channels(self) -> Channels:
@@ -255,17 +266,41 @@ class RowParser:
         watch, layout = self._watch, self._layout
         constant = {} if watch is None else watch.constant(piece)
         looked_at = () if watch is None else (one for one in watch.columns if one.number not in constant)
-        block = self._source.parse(piece, self._wanted | codes_of(looked_at))
+        codes = codes_of(looked_at)
+        block, others = self._parsed(piece, self._wanted | codes)
         seen = None if watch is None else watch.look(block, constant)
         if layout.scale.is_of_whole:
             refuse_grouped(group_values(block.values, layout.xyz), block.line, self._source, layout.scale)
         rows = rows_of(block, layout)
+        if layout.others:
+            rows.channels[OTHERS] = others_of(others, layout.others)
         if layout.chosen is not None:
             wanted = layout.chosen.rows(block)
             columns, channels = cut_columns(rows, COLUMNS, wanted), cut_channels(rows.channels, wanted)
             rows = replace(rows, channels=channels, **columns)  # lines that are not rows are of no sensor
             seen = None if seen is None else tuple(one._replace(codes=one.codes[wanted]) for one in seen)
         return rows, piece.emptied(), seen
+
+    def _parsed(self, piece: Piece, wanted: dict[int, As]) -> tuple[Block, Block]:
+        """Return a piece's columns, and those of other quantities, whose damage does not damage the rows."""
+        numbers = dict.fromkeys(self._layout.others, As.NUMBER)
+        block = self._source.parse(piece, numbers | wanted)
+        if numbers and (block.bad or block.damage):
+            return self._source.parse(piece, wanted), self._source.parse(piece, numbers)
+        return block, block
+
+
+def others_of(block: Block, columns: Sequence[int]) -> Others:
+    """Return numbers of some columns, (n, k), NaN where there is none."""
+    others = no_others(len(block), len(columns))
+    for place, column in enumerate(columns):
+        values = block.values[column]
+        if isinstance(values, CellTexts):  # it may tell sensors apart, too
+            numbers = [number_of(text) for text in values.texts]
+            values = np.array([*(np.nan if one is None else one for one in numbers), np.nan])[values.codes]
+        with np.errstate(over="ignore"):
+            others[:, place] = as_floats(values)
+    return others
 
 
 def rows_of(block: Block, layout: Layout) -> Rows:

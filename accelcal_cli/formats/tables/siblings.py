@@ -203,7 +203,7 @@ class WithGyroscope(Reader):
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """See `Reader`."""
         rates = _Rates(self._gyro.chunks(chunk_samples))
-        far_before = False
+        far_before, self._reader.with_others = False, self.with_others
         for chunk in self._reader.chunks(chunk_samples):
             times = chunk.clock.times(0, len(chunk))
             counts, far = rates.nearest(times, self._near_us)

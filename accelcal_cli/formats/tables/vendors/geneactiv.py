@@ -17,7 +17,7 @@ ROW = re.compile(r'"?\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d')
 RANGE = re.compile(r"-(\d{1,3}(?:\.\d{1,3})?) to (\d{1,3}(?:\.\d{1,3})?)$")
 RATE = re.compile(r"(\d{1,4}(?:[.,]\d{1,4})?)\s*Hz$")
 
-COLUMNS = ("time", "x", "y", "z", "light", "button", "temperature")
+COLUMNS = ("time", "x", "y", "z", "light [lux]", "button", "temperature")
 SUMMARY_COLUMNS = 12
 """Columns of a table of epochs."""
 
