@@ -12,6 +12,7 @@ import pytest
 
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats import open_recording
+from accelcal_cli.formats.gt3x import records
 from tests.formats import (
     make_csv,
     make_cwa,
@@ -59,7 +60,7 @@ def counts(rows: int, width: int = 3) -> np.ndarray:
 
 def cwa(folder: Path, axes: int = 0x32) -> Path:
     width = {0x32: 3, 0x62: 6}[axes]
-    pages = make_cwa.sectors(counts(400, width), axes=axes)
+    pages = make_cwa.sectors(counts(400, width), axes=axes, scale=0x18)
     known = [(0, 201), (517, 0), (1023, 255), (300, 1), (7, 90), (7, 90), (8, 90), (0, 0), (1, 2), (3, 4)]
     pages = [
         replace(page, light=light, battery=volt) for page, (light, volt) in zip(pages, known, strict=False)
@@ -150,8 +151,10 @@ def gt3x(folder: Path, rate: int = 50) -> Path:
             log += [capsense(second - 5, 1234, 0), make_gt3x.event(second, make_gt3x.AWAKE)]
         if number in (0, 5, 15):
             log.append(make_gt3x.record(make_gt3x.LUX, second, struct.pack("<H", 100 * number)))
+        if number == 3:
+            log.append(make_gt3x.record(4, second, b"\x48"))
         log.append(make_gt3x.activity(second, counts(rate) + number))
-    log += [make_gt3x.record(4, begin + 3, b"\x48"), make_gt3x.battery(begin + 500)]
+    log.append(make_gt3x.battery(begin + 500))
     return make_gt3x.written(folder / "a.gt3x", log)
 
 
@@ -163,6 +166,19 @@ def test_gt3x_keeps_records_at_the_first_sample_of_their_second(tmp_path: Path) 
     assert (found["capsense"], found["worn"]) == ({17 * 50: 1234}, {17 * 50: 0})
     assert found["heart_rate"] == {3 * 50: 72}
     assert units(path)["battery"] == "V" and "capsense_reference" in units(path)
+
+
+@pytest.mark.parametrize("piece_bytes", [310, 700, 2000])
+def test_gt3x_keeps_them_wherever_its_pieces_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece_bytes: int
+) -> None:
+    path = gt3x(tmp_path)
+    whole = np.concatenate([chunk.others for chunk in chunks_of(path)])
+    with open_recording(path, ReadOptions()) as reader:
+        monkeypatch.setattr(records, "PIECE_BYTES", piece_bytes)
+        reader.with_others = True
+        found = np.concatenate([chunk.others for chunk in reader.chunks(1000)])
+    np.testing.assert_array_equal(found, whole)
 
 
 def test_gt3x_has_no_columns_for_what_it_does_not_record(tmp_path: Path) -> None:
