@@ -60,10 +60,16 @@ SPREAD = "several rows share a time stamp; they were spread evenly until the nex
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """Rate of a file's rows, and the time from one stamp to the next if rows share stamps, else 0."""
+    """The rate of a file's rows.
+
+    Attributes:
+        stamp_period_us: time from one stamp to the next if rows share stamps, else 0.
+        differs_hz: the rate that the times show, where the user's is nearly that.
+    """
 
     rate_hz: float
     stamp_period_us: int = 0
+    differs_hz: float | None = None
 
     @property
     def period_us(self) -> float:
@@ -87,8 +93,14 @@ class Pace:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for people on changed times."""
-        return (SPREAD,) if self.stamp_period_us else ()
+        """Notes for people on changed times, and on a rate that is not that of the times."""
+        spread = (SPREAD,) if self.stamp_period_us else ()
+        if self.differs_hz is None:
+            return spread
+        return (
+            *spread,
+            f"its times say {self.differs_hz:.6g} Hz; the {self.rate_hz:g} Hz that were given are used",
+        )
 
     def agrees(self, rate_hz: float) -> bool:
         """Return True if a stated rate can be the one that the times show."""

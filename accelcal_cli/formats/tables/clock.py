@@ -549,6 +549,9 @@ def wraps_of(clock: TableClock | None, times: NDArray[np.int64] | None) -> Wraps
 
 # The pace of a table's rows: by their times, by what is stated, or by the user.
 
+OFF, NEARLY = 0.01, 0.001
+"""Shares by which the user's rate may differ from that of the times, and from which on that is noted."""
+
 SLOWEST_HZ, FASTEST_HZ = 1e-7, 100_000.0
 RATE = re.compile(
     r"(?:sampl\w{0,5}|update|output|data|logging|acc\w{0,12}|measurement)[ _-]*(?:rate|freq\w{0,8})"
@@ -624,11 +627,12 @@ def _pace_of(stamps: NDArray[np.int64], user_hz: float | None, path: Path) -> Pa
         raise UnreadableError(what, path=path, hint="give it with --rate")
     if pace is None or user_hz is None:
         return pace or Pace(float(user_hz or 0), only_stamp_period(stamps))
-    if not pace.agrees(user_hz):
+    off, coarse = abs(user_hz / pace.rate_hz - 1), max(pace.stamp_period_us, pace.period_us)
+    if off > max(OFF, 2 * coarse / max(int(np.ptp(stamps)), 1)):
         what = f"its times say {pace.rate_hz:g} Hz, not {user_hz:g} Hz"
         hint = "omit --rate, or ignore the times with -R time_column=none"
         raise UnreadableError(what, path=path, hint=hint)
-    return Pace(user_hz, pace.stamp_period_us)
+    return Pace(user_hz, pace.stamp_period_us, pace.rate_hz if off > NEARLY else None)
 
 
 def _agreeing_pace(stamps: NDArray[np.int64], header_hz: float, path: Path) -> Pace:

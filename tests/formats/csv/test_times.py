@@ -109,6 +109,23 @@ def test_a_rate_that_contradicts_the_times_is_refused(tmp_path: Path) -> None:
     assert with_times(tmp_path, cells, rate_hz=102.4).recording.rate_hz == 102.4
 
 
+@pytest.mark.parametrize(("rate_hz", "noted"), [(99.5, True), (100.9, True), (100.05, False)])
+def test_a_rate_that_is_nearly_that_of_the_times_is_used_and_noted(
+    tmp_path: Path, rate_hz: float, noted: bool
+) -> None:
+    found = with_times(tmp_path, [stamp(row * 10_000) for row in range(1000)], rate_hz=rate_hz)
+    assert found.recording.rate_hz == rate_hz
+    said = f"its times say 100 Hz; the {rate_hz:g} Hz that were given are used"
+    assert (said in found.recording.notes) == noted
+
+
+@pytest.mark.parametrize("rate_hz", [98.5, 101.2, 102.4])
+def test_a_rate_that_is_off_by_more_than_a_hundredth_is_refused(tmp_path: Path, rate_hz: float) -> None:
+    """Twenty rows do not show that for certain; a thousand do."""
+    with pytest.raises(UnreadableError, match=f"its times say 100 Hz, not {rate_hz:g} Hz"):
+        with_times(tmp_path, [stamp(row * 10_000) for row in range(1000)], rate_hz=rate_hz)
+
+
 def test_without_times_rows_are_counted_at_the_rate(tmp_path: Path) -> None:
     path = written(tmp_path, "x,y,z\n" + "0,0,1\n" * 31)
     with pytest.raises(UnreadableError, match="-R time_column=NAME, or give the sampling rate with --rate"):
