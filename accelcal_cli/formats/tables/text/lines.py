@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -50,6 +51,9 @@ LONGEST_LINE = 1 << 20
 LINE_END = ord("\n")
 MOST_NAMES, HEAD_MARK = 40, 16
 """Names of columns with which a line may begin, and letters of a head, by which one is found again."""
+
+RARE = re.compile(rb"[^\W\d_aefinAEFINTZ]")
+"""A letter that numbers and times do not have."""
 
 CUT_THERE = "cut the file before that line, and calibrate each part"
 
@@ -264,6 +268,9 @@ class RepeatedHeads:
         """Return the numbers of the lines, from 0, that begin as the head or the names do."""
         places = {0} if data.startswith(tuple(self._marks)) else set()
         for mark in self._marks:
+            rare = RARE.search(mark)
+            if rare is not None and rare[0] not in data:  # one letter is found much sooner
+                continue
             place = -1
             while (place := data.find(b"\n" + mark, place + 1)) >= 0:
                 places.add(place + 1)
