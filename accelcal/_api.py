@@ -18,7 +18,17 @@ from numpy.typing import ArrayLike, NDArray
 from accelcal._calling import public, speaking_python, values_of
 from accelcal._options import CalibrationOptions, FitOptions, PoseOptions, ReadingOptions
 from accelcal._results import Calibration, Report, Result
-from accelcal._sources import AnyPath, Channels, Given, Source, array_of, arrow_of, as_file
+from accelcal._sources import (
+    AnyPath,
+    Channels,
+    Given,
+    Source,
+    array_of,
+    arrow_of,
+    as_file,
+    refuse_own,
+    values_of_result,
+)
 from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
@@ -106,7 +116,16 @@ class Reading:
         """Return all raw values as a data frame, with `time` as index and the columns of the Parquet file."""
         import pandas as pd
 
-        return pd.concat([_frame_of(one) for one in self]).set_index("time")
+        frame = pd.concat([_frame_of(one) for one in self]).set_index("time")
+        if (before := self.recording.calibrated) is not None:
+            recording = {"path": before.name, "sample_rate_hz": self.recording.rate_hz}
+            result = {"outcome": before.outcome, "held_out_mg": before.held_out_mg}
+            frame.attrs |= values_of_result(recording, result)
+        return frame
+
+    @property
+    def _instead(self) -> str:
+        return f"it is an open one; give what was opened, {str(self.recording.path)!r}"
 
     def close(self) -> None:
         """Release the file."""
@@ -281,12 +300,12 @@ def inspect(
 
 
 @public
-def fit(points: Source, **options: Unpack[FitOptions]) -> Report:
+def fit(points: Source | Result, **options: Unpack[FitOptions]) -> Report:
     """Fit still-window means, as `accelcal fit` does.
 
     Args:
         points: a path; or a table with columns x, y, z [g] and optionally temperature_c, weight and
-            posture, or those of `Result.windows`; or an array (n, 3) [g].
+            posture; or an array (n, 3) [g]; or a result, whose `windows()` are taken.
         options: for the fit.
 
     Raises:
@@ -301,6 +320,8 @@ def fit(points: Source, **options: Unpack[FitOptions]) -> Report:
         True
     """
     settings = fit_settings(values_of(options, Settings))
+    if isinstance(points, Result):
+        points = points.windows()
     if isinstance(points, str | PathLike):
         report = fit_points(Path(points), settings)
     else:
@@ -311,6 +332,7 @@ def fit(points: Source, **options: Unpack[FitOptions]) -> Report:
 def _points(points: Any) -> pd.DataFrame:
     import pandas as pd
 
+    refuse_own(points)
     if isinstance(points, pd.DataFrame):
         return points
     table = arrow_of(points)
@@ -393,7 +415,7 @@ def apply(
 
 @public
 def effect(
-    source: Source,
+    source: Source | Result,
     *,
     coefficients: AnyPath | None = None,
     any_device: bool = False,
@@ -404,7 +426,7 @@ def effect(
     """Compute what calibration changes in a recording's measures of activity, as `calibrate --effect` does.
 
     Args:
-        source: as in `calibrate`.
+        source: as in `calibrate`; or a result, with the options that it was found with.
         coefficients: a report whose coefficients are applied; None: the recording's own calibration.
         any_device: accept coefficients of any device.
         epoch: length of an epoch [s], 1 to 3600.
@@ -426,6 +448,12 @@ def effect(
         raise UsageError(f"epoch cannot be {epoch}", hint=f"possible: 1 to {LONGEST_EPOCH_S}")
     if any_device and coefficients is None:
         raise UsageError("any_device is for coefficients only", hint="omit it")
+    if isinstance(source, Result):
+        if options or parts or coefficients is not None:
+            raise UsageError("a result has its own options", hint="give the recording in its place")
+        given, request = source._given, replace(source._request, report_only=True)
+        jobs.check_unchanged(given.path, source._before)
+        return _as_written(measured(given.job.source, request, int(epoch), source=given.path))
     values = values_of(options, ReadOptions, Settings)
     request = Request(
         options=read_options(values),

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from accelcal._calling import no_such_attribute, public, speaking_python
-from accelcal._sources import AnyPath, Given
+from accelcal._sources import AnyPath, Given, values_of_result
 from accelcal_cli.core import calibration as core
 from accelcal_cli.core.errors import Reason, UsageError, printable
+from accelcal_cli.core.identity import WINDOWS, identity
+from accelcal_cli.core.recording import METADATA_KEY
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.advice import page_verdict
@@ -92,6 +94,8 @@ class Calibration:
         """Tref [degrees C]; None where the offsets do not depend on temperature."""
         return None if self._core.temperature is None else self._core.reference_c()
 
+    _instead = "call it with raw values: calibration(xyz, temperature)"
+
     @property
     def model(self) -> str:
         """`9`, `6` or `3` parameters, with `T` if the offsets depend on temperature; `12` of six poses."""
@@ -114,6 +118,8 @@ class Calibration:
         Raises:
             UsageError: it needs temperatures. ValueError: an array has another shape.
         """
+        if METADATA_KEY.decode() in getattr(xyz, "attrs", {}):
+            raise UsageError("these values are calibrated already", hint="give the raw ones")
         rows = np.asarray(xyz, np.float64)
         if rows.ndim not in (1, 2) or rows.shape[-1] != 3:
             on_its_side = "; it lies on its side: give xyz.T" if rows.shape[:1] == (3,) else ""
@@ -274,6 +280,10 @@ class Report:
 
     _more_uses = ""
 
+    @property
+    def _instead(self) -> str:
+        return "its coefficients are .calibration; give the recording that it is of"
+
     if not TYPE_CHECKING:
 
         def __iter__(self) -> Any:
@@ -315,6 +325,11 @@ class Result(Report):
 
     _more_uses = ", .to_pandas(), .plot(), .windows(), .write(folder)"
 
+    @property
+    def _instead(self) -> str:
+        raw = repr(str(self.source)) if self._given.folder is None else "the raw values"
+        return f"it has .to_pandas() with calibrated values, and .calibration; to begin again give {raw}"
+
     def batches(self) -> Iterator[pa.RecordBatch]:
         """Yield the calibrated recording in pieces with the Parquet file's columns; reads the file again.
 
@@ -348,7 +363,9 @@ class Result(Report):
 
     def to_pandas(self) -> pd.DataFrame:
         """Return all calibrated values as a data frame, with `time` as index; raises as `batches` does."""
-        return self.to_arrow().to_pandas().set_index("time")
+        frame: pd.DataFrame = self.to_arrow().to_pandas().set_index("time")
+        frame.attrs |= self._about
+        return frame
 
     def to_polars(self) -> pl.DataFrame:
         """Return all calibrated values as a polars data frame; raises as `batches` does."""
@@ -369,7 +386,13 @@ class Result(Report):
             about = {"units": unit.decode()} if unit else {}
             along[field.name] = ("time", table[field.name].to_numpy(), about)
         _, times, _ = along.pop("time")
-        return xr.Dataset(along, coords={"time": times}, attrs={"message": self.message})
+        said = {name: json.dumps(about) for name, about in self._about.items()}  # as files of it can hold it
+        return xr.Dataset(along, coords={"time": times}, attrs={"message": self.message, **said})
+
+    @property
+    def _about(self) -> dict[str, Any]:
+        about = {name: self["recording"][name] for name in ("path", "sample_rate_hz")}
+        return values_of_result(about, reports.result_json(self.report))
 
     def windows(self) -> pd.DataFrame:
         """Return all still windows and how each was used, with the columns of `calibrate --windows`."""
@@ -378,6 +401,7 @@ class Result(Report):
         first = self._first_pass
         assert first.log is not None
         table: pd.DataFrame = arrow(first.log.table(self._data, first.points)).to_pandas()
+        table.attrs[METADATA_KEY.decode()] = identity(WINDOWS)
         return table
 
     def quality(self) -> dict[str, Any] | None:

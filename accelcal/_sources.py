@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from accelcal_cli.core.errors import OutputError, UsageError
+from accelcal_cli.core.identity import SAMPLES, identity, is_ours
+from accelcal_cli.core.recording import METADATA_KEY, NOT_CALIBRATED
 from accelcal_cli.core.system import new_folder, remove_folder
 from accelcal_cli.pipeline.jobs import Job
 
@@ -140,10 +142,11 @@ def as_file(source: Source, channels: Channels | None = None) -> Given:
     """Return a source as a file.
 
     Raises:
-        TypeError: it is nothing that holds a recording.
+        TypeError: it is nothing that holds a recording, or an object of this package.
         ValueError: an array has the wrong shape.
         OutputError: there is no room for the temporary file.
     """
+    refuse_own(source)
     extra = Channels() if channels is None else channels
     if isinstance(source, str | PathLike):
         _refuse_channels(extra, "a file has its own")
@@ -158,6 +161,16 @@ def as_file(source: Source, channels: Channels | None = None) -> Given:
     except OSError as error:
         what = f"the values cannot be stored ({error.strerror or error})"
         raise OutputError(what, path=error.filename, hint="set TMPDIR to a disk with more space") from error
+
+
+def refuse_own(source: Any) -> None:
+    """Raise TypeError, with what to call instead, for a result, an open recording or a report of accelcal."""
+    said = getattr(source, "_instead", None)
+    kind = "report" if isinstance(source, Mapping) else type(source).__name__
+    if isinstance(source, Mapping) and is_ours(source):
+        said = "its coefficients are applied by accelcal.apply(report, xyz)"
+    if said is not None:
+        raise TypeError(f"a {kind} of accelcal is not a recording: {said}")
 
 
 def _written(source: Any, extra: Channels, folder: Path) -> Path:
@@ -176,6 +189,7 @@ def _written(source: Any, extra: Channels, folder: Path) -> Path:
         import pyarrow.feather
 
         path = folder / ("frame" if hasattr(source, "head") else "table")  # of pandas or polars, or not
+        _refuse_values_of_result(table, path)
         pyarrow.feather.write_feather(table, str(path), compression="uncompressed")
         return path
     xyz = array_of(source)
@@ -214,7 +228,8 @@ def arrow_of(source: Any) -> pa.Table | None:
     import pyarrow as pa
 
     if hasattr(source, "data_vars"):  # a dataset of xarray
-        source = source.to_dataframe().reset_index()
+        source, about = source.to_dataframe().reset_index(), source.attrs
+        source.attrs = about
     if isinstance(source, Mapping):
         return pa.table({str(name): np.asarray(column) for name, column in source.items()})
     if hasattr(source, "iloc") and hasattr(source, "columns"):  # pandas
@@ -229,6 +244,25 @@ def arrow_of(source: Any) -> pa.Table | None:
     if hasattr(source, "__arrow_c_stream__") and not hasattr(source, "ndim"):
         return pa.table(source)
     return source.to_arrow() if hasattr(source, "to_arrow") else None
+
+
+def values_of_result(recording: Mapping[str, Any], result: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the attributes by which a frame of calibrated values says what it holds, as Parquet does.
+
+    They are short, since each frame that is made of it has a copy.
+    """
+    return {METADATA_KEY.decode(): {**identity(SAMPLES), "recording": recording, "result": result}}
+
+
+def _refuse_values_of_result(table: pa.Table, path: Path) -> None:
+    """Raise UsageError for a result's values in a table that has lost what says so, as those of polars do."""
+    types, about = {field.name: str(field.type) for field in table.schema}, table.schema.metadata or {}
+    alike = [types.get(name) for name in (*"xyz", "validity")] == [*["float"] * 3, "uint8"]
+    said = METADATA_KEY in about or b'"accelcal"' in about.get(b"pandas", b"")  # the attrs of a frame
+    if alike and not said and len(table) and (table["validity"][0].as_py() or 0) < NOT_CALIBRATED:
+        what = "has the columns and types of values that accelcal calibrated"
+        hint = "give the raw recording; if these are raw values, omit the column validity"
+        raise UsageError(what, path=path, hint=hint)
 
 
 def array_of(source: Any, name: str = "xyz") -> NDArray[Any]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.calibration import Transform
-from accelcal_cli.core.errors import printable
+from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.output.sentences import explained
 from accelcal_cli.pipeline.activity import TRUE, EffectMeter, Version, drawn_of, versions_of
@@ -30,9 +30,13 @@ def effect(path: Path, request: Request, epoch_s: int, source: Path | None = Non
         `recording`, `outcome`, `message`, and `effect` as in a report.
 
     Raises:
-        AccelcalError: it cannot be read, or the coefficients cannot be applied to it (see `apply`).
+        AccelcalError: it cannot be read, it is calibrated already, or the coefficients cannot be applied to
+            it (see `apply`).
     """
     with open_run(Job(path, path, path), request, source=source) as run:
+        if (before := run.reader.recording.calibrated) is not None:
+            hint = f"give the raw recording, {before.name}"
+            raise UsageError(f"holds values {before.sentence()}", path=path, hint=hint)
         donor, judge = request.coefficients, OwnCalibration(request.recording_settings)
         ready, used = (run, judge) if donor is None else with_coefficients(run, donor)
         found = ready.result(used)

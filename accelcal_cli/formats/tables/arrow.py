@@ -95,7 +95,7 @@ class ArrowSource(TrackSource):
         super().__init__(path, tracks, damaged=table.damaged)
         self.can_be_entered = table.longest <= FARTHEST_ROWS
         if table.is_ours:
-            marks = next(number for number, track in enumerate(tracks) if track.path == "/validity")
+            marks = next((number for number, track in enumerate(tracks) if track.path == "/validity"), None)
             self.stated = replace(self.stated, calibrated=table.calibrated, marks=marks)
 
     @contextmanager
@@ -197,9 +197,9 @@ def _texts(metadata: Mapping[bytes, bytes] | None) -> dict[str, object]:
 
 
 def json_object(value: object) -> dict[str, Any]:
-    """Return an object of JSON, also from text in metadata (bytes); an empty one for anything else."""
+    """Return an object of JSON, also from text or bytes in metadata; an empty one for anything else."""
     with suppress(ValueError, RecursionError):
-        value = json.loads(value) if isinstance(value, bytes) else value
+        value = json.loads(value) if isinstance(value, bytes | str) else value
     return value if isinstance(value, dict) else {}
 
 
@@ -248,6 +248,19 @@ class ArrowTable:
                 self.leaves.setdefault(leaf.track.path, leaf)
         stated = _texts(schema.metadata)
         self.around = {**json_object(json_object(stated.get("pandas")).get("attributes")), **stated}
+        ours = self.around.get(METADATA_KEY.decode())  # also in the `attrs` of a frame of a result
+        self.is_ours, about_it = ours is not None, json_object(ours)
+        named, whole = about_it.get("kind") == SAMPLES, {"time", *"xyz", "validity"} <= {*schema.names}
+        if self.is_ours and not (named or whole):
+            hint = "use `accelcal fit` for still windows"
+            raise NoRecordingError("is a table that accelcal wrote, not a recording", path=path, hint=hint)
+        if self.is_ours:
+            if is_ours(about_it):  # not damaged
+                refuse_other(about_it, SAMPLES, path)
+            rate = json_object(about_it.get("recording")).get("sample_rate_hz")
+            self.around |= {"sample_rate": rate, "time_zone": None}
+            if about_it.get("outcome") != "refused" or about_it.get("calibration") is not None:
+                self.calibrated = _calibrated(about_it)  # a refused one holds raw values
 
     def missing_bytes(self) -> int:
         """Return -1 for a file that was cut short: how much is missing is not known."""
@@ -385,18 +398,6 @@ class ParquetTable(ArrowTable):
         self._find(path, schema, [group.num_rows for group in groups])
         wide = any(group.total_byte_size > WHOLE_BYTES for group in groups)
         self._how = {"buffer_size": PAGES_BYTES} if wide else {}
-        ours = (schema.metadata or {}).get(METADATA_KEY)
-        self.is_ours, about_it = ours is not None, json_object(ours)
-        if self.is_ours and not {"time", *"xyz", "validity"} <= set(schema.names):
-            hint = "use `accelcal fit` for still windows"
-            raise NoRecordingError("is a table that accelcal wrote, not a recording", path=path, hint=hint)
-        if self.is_ours:
-            if is_ours(about_it):  # not damaged
-                refuse_other(about_it, SAMPLES, path)
-            rate = json_object(about_it.get("recording")).get("sample_rate_hz")
-            self.around |= {"sample_rate": rate, "time_zone": None}
-            if about_it.get("outcome") != "refused" or about_it.get("calibration") is not None:
-                self.calibrated = _calibrated(about_it)  # a refused one holds raw values
 
     def attach(self, file: BinaryIO) -> None:
         """See `ArrowTable`."""
