@@ -10,6 +10,7 @@ import os
 import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from datetime import datetime
 from os import PathLike
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 AnyPath = str | PathLike[str]
 BYTES = (bytes, bytearray, memoryview)
+ARGUMENTS = {"file", "allow_pickle"}
+"""Names of columns that `numpy.savez` has for something else."""
 
 
 @runtime_checkable
@@ -64,7 +67,7 @@ class Channels:
     """Further channels of an array.
 
     Attributes:
-        temperature: (n,) [degrees C]; gyroscope: (n, 3) [degrees/s]; time: (n,) datetime64.
+        arrays: temperature (n,) [degrees C], gyroscope (n, 3) [degrees/s], time (n,): see `column_of`.
     """
 
     def __init__(
@@ -74,16 +77,14 @@ class Channels:
         time: ArrayLike | None = None,
     ) -> None:
         given = {"temperature": temperature, "gyroscope": gyroscope, "time": time}
-        self.arrays = {name: np.asarray(one) for name, one in given.items() if one is not None}
+        self.arrays = {name: column_of(name, one) for name, one in given.items() if one is not None}
 
-    def checked(self, rows: int) -> dict[str, NDArray[Any]]:
+    def checked(self, rows: int) -> dict[str, Any]:
         """Return them by name; raises ValueError if one has another number of rows."""
         for name, one in self.arrays.items():
             wanted = (rows, 3) if name == "gyroscope" else (rows,)
-            if one.shape != wanted:
-                raise ValueError(
-                    f"{name} has the shape {one.shape}, not {wanted}{transposed(name, one, rows)}"
-                )
+            if (shape := np.shape(one)) != wanted:
+                raise ValueError(f"{name} has the shape {shape}, not {wanted}{transposed(name, one, rows)}")
         return self.arrays
 
 
@@ -182,7 +183,7 @@ def _written(source: Any, extra: Channels, folder: Path) -> Path:
         source = {name: source[name] for name in names}
     if isinstance(source, Mapping) and not hasattr(source, "data_vars"):  # a dataset of xarray is one, too
         _refuse_channels(extra, "name it among the columns")
-        columns: dict[str, Any] = {str(name): np.asarray(column) for name, column in source.items()}
+        columns = {str(name): column_of(str(name), column) for name, column in source.items()}
         return _saved(folder / "columns", columns)
     if (table := arrow_of(source)) is not None:
         _refuse_channels(extra, "make it a column of the table")
@@ -200,9 +201,67 @@ def _written(source: Any, extra: Channels, folder: Path) -> Path:
 
 
 def _saved(path: Path, arrays: dict[str, Any]) -> Path:
-    with path.open("wb") as file:
-        np.savez(file, **arrays)
+    """Write columns as an archive of NumPy, or as a table of Arrow if one is of Arrow."""
+    if all(isinstance(one, np.ndarray) for one in arrays.values()) and not arrays.keys() & ARGUMENTS:
+        with path.open("wb") as file:
+            np.savez(file, **arrays)
+        return path
+    import pyarrow as pa
+    from pyarrow import feather
+
+    rows = max(len(one) for one in arrays.values() if np.ndim(one))
+    single = {name: one for name, one in arrays.items() if not np.ndim(one) or len(one) == 1 != rows}
+    about = {name: str(np.asarray(one).item()) for name, one in single.items()}
+    whole = {name: _arrow_column(one, rows) for name, one in arrays.items() if name not in single}
+    table = pa.table({name: one for name, one in whole.items() if one is not None and len(one) == rows})
+    feather.write_feather(table.replace_schema_metadata(about), str(path), compression="uncompressed")
     return path
+
+
+def _arrow_column(values: Any, rows: int) -> Any:
+    """Return (n,) or (n, 3) values, or these on their side, as a column of Arrow; None for any other."""
+    import pyarrow as pa
+
+    if np.ndim(values) == 2:
+        values = values.T if values.shape[0] == 3 != rows else values
+        flat = pa.array(np.ascontiguousarray(values).ravel())
+        return pa.FixedSizeListArray.from_arrays(flat, 3) if values.shape[1] == 3 else None
+    return pa.array(values) if np.ndim(values) == 1 else None
+
+
+def column_of(name: str, values: Any) -> Any:
+    """Return values as an array of numpy, with NaN for what is masked; of Arrow if numpy would lose their
+    zone, or make objects of them.
+
+    Raises:
+        UsageError: some times have a zone and some do not.
+    """
+    if isinstance(values, np.ma.MaskedArray):
+        return _unmasked(values)
+    kind = getattr(values, "dtype", getattr(values, "type", None))
+    zone = getattr(kind, "tz", None) or getattr(kind, "time_zone", None)  # of pandas and Arrow, of polars
+    array = None if zone else np.asarray(values)
+    if array is not None and array.dtype.kind != "O":
+        return array
+    import pyarrow as pa
+
+    if array is not None and len({one.tzinfo is None for one in array.flat if isinstance(one, datetime)}) > 1:
+        what, hint = f"some times in {name!r} have a zone and some do not", "give all of them one, or none"
+        raise UsageError(what, hint=hint)
+    values = values.combine_chunks() if isinstance(values, pa.ChunkedArray) else values
+    try:
+        return pa.array(values if array is None else array)
+    except pa.ArrowException:  # numbers and texts
+        return pa.array([None if one is None else str(one) for one in np.ravel(np.asarray(values))])
+
+
+def _unmasked(values: Any) -> NDArray[Any]:
+    """Return a masked array of numpy as a plain one, NaN or NaT where it is masked."""
+    if not np.ma.is_masked(values):
+        return np.asarray(values)
+    values = values.astype(np.float64) if values.dtype.kind in "biu" else values
+    empty = {"f": np.nan, "m": np.timedelta64("NaT"), "M": np.datetime64("NaT")}.get(values.dtype.kind)
+    return np.asarray(values.filled(empty))
 
 
 def _refuse_channels(extra: Channels, instead: str) -> None:
@@ -231,14 +290,21 @@ def arrow_of(source: Any) -> pa.Table | None:
         source, about = source.to_dataframe().reset_index(), source.attrs
         source.attrs = about
     if isinstance(source, Mapping):
-        return pa.table({str(name): np.asarray(column) for name, column in source.items()})
+        return pa.table({str(name): column_of(str(name), column) for name, column in source.items()})
     if hasattr(source, "iloc") and hasattr(source, "columns"):  # pandas
         import pandas as pd
 
-        dated = isinstance(source.index, pd.DatetimeIndex)
-        if dated or source.index.name is not None:
-            source = source.rename_axis(source.index.name or "time").reset_index()
-        return pa.Table.from_pandas(source.rename(columns=str), preserve_index=False)
+        if source.index.names == [None] and not pd.api.types.is_integer_dtype(source.index.dtype):
+            source = source.rename_axis("time")
+        held = [name for name in source.index.names if name is not None and name not in source.columns]
+        source = source.reset_index(held) if held else source
+        frame = source.rename(columns=str)
+        mixed = frame.columns[(frame.dtypes == "object") & frame.columns.is_unique]
+        objects = {name: column_of(name, frame[name]) for name in mixed}
+        table = pa.Table.from_pandas(frame.drop(columns=[*objects]), preserve_index=False)
+        for name, column in objects.items():
+            table = table.append_column(name, column)
+        return table
     if isinstance(source, pa.RecordBatch):
         return pa.Table.from_batches([source])
     if hasattr(source, "__arrow_c_stream__") and not hasattr(source, "ndim"):
@@ -273,7 +339,7 @@ def array_of(source: Any, name: str = "xyz") -> NDArray[Any]:
     """
     array: NDArray[Any] | None = None
     with suppress(ValueError):  # rows of different lengths
-        array = np.asarray(source)
+        array = _unmasked(source) if isinstance(source, np.ma.MaskedArray) else np.asarray(source)
     if array is None or array.dtype.kind not in "iuf" or not array.ndim:
         if isinstance(source, Sequence) and all(isinstance(one, str | PathLike) for one in source):
             raise TypeError("a list of recordings is a study: accelcal.study([...], output=FOLDER)")

@@ -333,6 +333,8 @@ def retimed(reader: Reader, stated: Retiming) -> Reader:
         UsageError: what is stated contradicts the file, or does not suffice.
     """
     found, by_us = reader.recording, 0
+    if found.shown_in is not None:
+        found, by_us = _in_zone(found, found.shown_in)
     if stated.start is not None:
         found, by_us = _started(reader, stated)
     if stated.shift_us:
@@ -381,23 +383,28 @@ def _started(reader: Reader, stated: Retiming) -> tuple[Recording, int]:
 
 
 def _worn(recording: Recording, zone: str) -> tuple[Recording, int]:
-    """Return a recording with the times of the zone in which it was worn, and how far they move [us].
-
-    Its clock runs on with the offset that its own zone had at the start; so do the times of the other zone.
-    """
+    """Return a recording with the times of the zone in which it was worn, and how far they move [us]."""
     _need_start(recording, "-R worn_zone")
     there = recording.timezone
     if there is None:
         hint = "say it with -R configured_zone=ZONE"
         raise UsageError("does not say in which zone its clock was set", path=recording.path, hint=hint)
+    found, by_us = _in_zone(recording, zone)
+    note = WORN.format(there=there, here=zone, hours=by_us / 3600e6)
+    return replace(found, notes=(*found.notes, note)), by_us
+
+
+def _in_zone(recording: Recording, zone: str) -> tuple[Recording, int]:
+    """Return a recording with the same moments as times of another zone, and how far they move [us].
+
+    Its clock runs on with the offset that its own zone had at the start; so do the times of the other zone.
+    """
     start_us = recording.start_us or 0
-    before_s = utc_offset_s(there, start_us) or 0
+    before_s = utc_offset_s(recording.timezone, start_us) or 0
     after_s = offset_at_s(zone, start_us - before_s * MICROSECONDS)
     by_us = (after_s - before_s) * MICROSECONDS
-    note = WORN.format(there=there, here=zone, hours=(after_s - before_s) / 3600)
-    found = replace(_moved(recording, by_us, note), stamped=False)
     if utc_offset_s(zone, start_us + by_us) != after_s:
         # The local time occurs twice, and the zone's name would stand for the first of them.
         hours, minutes = divmod(abs(after_s) // 60, 60)
         zone = f"{'-' if after_s < 0 else '+'}{hours:02d}:{minutes:02d}"
-    return replace(found, timezone=zone), by_us
+    return replace(recording, start_us=start_us + by_us, timezone=zone, stamped=False), by_us

@@ -213,6 +213,7 @@ class Recording:
         timezone: zone of the times, None if they are local times of an unknown zone. A reader states what
             the file says; `core/local_time.py` decides.
         has_offsets: True if its times had offsets from UTC, and were converted to UTC.
+        shown_in: zone in which the file shows times that are moments in UTC; None if it names no other.
         stamped: True if its rows have times of their own, such as a computer writes, whose clock may follow
             daylight saving; the clock of a device does not.
         samples: number of samples, None if only reading everything would show it.
@@ -238,6 +239,7 @@ class Recording:
     start_us: int | None = None
     timezone: str | None = None
     has_offsets: bool = False
+    shown_in: str | None = None
     stamped: bool = False
     samples: int | None = None
     duration_s: float | None = None

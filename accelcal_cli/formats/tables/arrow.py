@@ -28,6 +28,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.identity import SAMPLES, is_ours, refuse_other
 from accelcal_cli.core.recording import METADATA_KEY, Calibrated
 from accelcal_cli.formats._bytes import refuse_packed
+from accelcal_cli.core.written_times import header_zone
 from accelcal_cli.formats.tables import signatures
 from accelcal_cli.formats.tables.header import Attributes, readable
 from accelcal_cli.formats.tables.reader import TableReader, open_table
@@ -156,7 +157,8 @@ def _leaves(field: Any, names: tuple[str, ...], path: str, rows: int) -> Iterato
         stamps = types.is_timestamp(number)
         unit = number.unit if stamps or types.is_duration(number) else ""
         clock = stamps and number.tz is None
-        track = Track(path, rows, 1 if number is kind else 3, 0, dtype, stamps, clock, unit)
+        zone = header_zone(number.tz)[0] if stamps and number.tz else None
+        track = Track(path, rows, 1 if number is kind else 3, 0, dtype, stamps, clock, unit, zone)
         yield Leaf(track, names[0], names[1:], kind, _texts(field.metadata))
 
 

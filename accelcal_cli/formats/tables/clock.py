@@ -552,6 +552,9 @@ def wraps_of(clock: TableClock | None, times: NDArray[np.int64] | None) -> Wraps
 OFF, NEARLY = 0.01, 0.001
 """Shares by which the user's rate may differ from that of the times, and from which on that is noted."""
 
+ENOUGH_ROWS = 20
+"""If there are more rows, and in order, most of their steps are at most a tenth of their span."""
+
 SLOWEST_HZ, FASTEST_HZ = 1e-7, 100_000.0
 RATE = re.compile(
     r"(?:sampl\w{0,5}|update|output|data|logging|acc\w{0,12}|measurement)[ _-]*(?:rate|freq\w{0,8})"
@@ -581,7 +584,7 @@ def find_pace(stamps: NDArray[np.int64] | None, source: Source, options: ReadOpt
     stated_hz, user_hz, path = source.stated.rate_hz, options.rate_hz, source.path
     if stamps is not None:
         known = stamps[stamps > LOST]
-        _refuse_newest_first(known, source)
+        _refuse_other_order(known, source)
         by_header = user_hz is None and stated_hz is not None
         pace = _agreeing_pace(known, stated_hz or 0, path) if by_header else _pace_of(known, user_hz, path)
     elif stated_hz is not None:
@@ -601,17 +604,23 @@ def find_pace(stamps: NDArray[np.int64] | None, source: Source, options: ReadOpt
     return pace
 
 
-def _refuse_newest_first(stamps: NDArray[np.int64], source: Source) -> None:
+def _refuse_other_order(stamps: NDArray[np.int64], source: Source) -> None:
+    """Raise UnreadableError for rows that go back in time, or to and fro over a large part of their span."""
     steps = np.diff(stamps)
-    if np.count_nonzero(steps < 0) <= np.count_nonzero(steps > 0):
+    newest_first = np.count_nonzero(steps < 0) > np.count_nonzero(steps > 0)
+    usual = float(np.median(np.abs(steps))) if len(stamps) > ENOUGH_ROWS else 0.0
+    shuffled = usual > 2 * int(np.ptp(stamps)) / ENOUGH_ROWS if usual else False
+    if not (newest_first or shuffled):
         return
-    hint = "sort its rows by time, the oldest first"
-    if source.first_line is not None:
-        name, above = shlex.quote(printable(source.path.name)), source.first_line - 1
-        text = f"gzip -dc {name}" if source.path.suffix == ".gz" else f"cat {name}"
-        command = f"({text} | head -n {above}; {text} | tail -n +{above + 1} | tac) > sorted.csv"
-        hint = f"{hint}: {command}"
-    what = "its rows are in the order newest first: their times go back"
+    hint = "sort its rows by time, the oldest first (in pandas: .sort_index() or .sort_values(NAME))"
+    what = "its rows are not in the order of their times"
+    if newest_first and not shuffled:
+        what = "its rows are in the order newest first: their times go back"
+        if source.first_line is not None:
+            name, above = shlex.quote(printable(source.path.name)), source.first_line - 1
+            text = f"gzip -dc {name}" if source.path.suffix == ".gz" else f"cat {name}"
+            command = f"({text} | head -n {above}; {text} | tail -n +{above + 1} | tac) > sorted.csv"
+            hint = f"sort its rows by time, the oldest first: {command}"
     raise UnreadableError(what, path=source.path, line=source.first_line, hint=hint)
 
 

@@ -89,6 +89,7 @@ class Column:
         width: numbers in a row, 1 or 3.
         dtype: of its numbers; decimal fractions in a text file.
         is_moment: its type says that its numbers count from 1970; is_clock: on a clock of an unknown zone.
+        zone: in which its type shows its moments; None for UTC.
         described: the column for people: `column 3 ('x')`, `/left/acc`.
         unit: its unit by a line of units or an attribute, besides what the name says; empty if none does.
         group: the path of the group that holds it, `/` for the file itself.
@@ -105,6 +106,7 @@ class Column:
     dtype: np.dtype[Any] = FLOAT
     is_moment: bool = False
     is_clock: bool = False
+    zone: str | None = None
 
     @property
     def groups(self) -> tuple[str, ...]:

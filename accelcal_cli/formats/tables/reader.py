@@ -402,6 +402,8 @@ class TableReader(Reader):
         if form is not None:
             zone = "UTC" if form.is_utc else form.zone or zone
             offsets = form.has_offsets or (offsets and not form.since_1970)
+        shown_in = None if layout.clock is None else layout.clock.column.zone
+        shown_in = None if shown_in == zone else shown_in
         device = stated.device
         if (
             layout.chosen is not None and device.serial is not None
@@ -421,8 +423,10 @@ class TableReader(Reader):
             start_us=first_us,
             timezone=zone,
             has_offsets=offsets,
+            shown_in=shown_in,
             stamped=form is not None
-            and form.since_1970,  # as by a computer; a counter does not follow its zone
+            and form.since_1970  # as by a computer; a counter does not follow its zone
+            and shown_in is None,
             samples=source.rows if are_counted else None,  # else only reading shows which rows are good
             duration_s=self._length_s(first_us, last_us),
             has_temperature=layout.heat is not None,

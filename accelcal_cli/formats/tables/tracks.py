@@ -108,7 +108,7 @@ class Track:
     Attributes:
         path: with a `/` before its name and after each group around it; none within a name.
         is_moment: its type says that its numbers count from 1970; is_clock: on a clock of an unknown zone.
-        unit: of its type; empty if the type states none.
+        unit: of its type; empty if the type states none. zone: in which its type shows its moments.
     """
 
     path: str
@@ -119,6 +119,7 @@ class Track:
     is_moment: bool = False
     is_clock: bool = False
     unit: str = ""
+    zone: str | None = None
 
 
 def track_of_shape(path: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Track | None:
@@ -265,7 +266,7 @@ class TrackSource(Source):
                 f"column {readable(track.path)}" if group.strip("/") else f"column {number} ({name!r})"
             )
             dtype = track.dtype if track.dtype != TEXT else FLOAT
-            size = track.rows, track.width, dtype, track.is_moment, track.is_clock
+            size = track.rows, track.width, dtype, track.is_moment, track.is_clock, track.zone
             columns.append(Column(number, name_of(name, unit or None), kind, described, unit, group, *size))
         return tuple(columns)
 

@@ -30,6 +30,7 @@ from tests.formats.make_parquet import make, table
 from tests.formats.table_values import ROWS, TIMES, values
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
 
+HOUR = 3_600_000_000
 GRAVITY = 9.80665
 read = partial(read_of, chunk_samples=250, form=PARQUET)
 
@@ -170,19 +171,21 @@ def test_rows_without_a_time_are_left_out(path: Path, unit: str) -> None:
     [
         (lambda us: pa.array(us).cast(pa.timestamp("us")), None, START_US),
         (lambda us: pa.array(us * 1000).cast(pa.timestamp("ns")), None, START_US),
-        (lambda us: pa.array(us).cast(pa.timestamp("us", "Europe/Berlin")), "UTC", START_US),
+        (lambda us: pa.array(us).cast(pa.timestamp("us", "Europe/Berlin")), "Europe/Berlin", START_US + HOUR),
         (lambda us: pa.array(us // 1000).cast(pa.timestamp("ms", "UTC")), "UTC", START_US),
+        (lambda us: pa.array(us).cast(pa.timestamp("us", "+05:30")), "+05:30", START_US + 11 * HOUR // 2),
+        (lambda us: pa.array(us).cast(pa.timestamp("us", "Atlantis/Main")), "UTC", START_US),
         (lambda us: us / 86_400e6 + 25_569, None, START_US),
         (lambda us: pa.array(us - us[0]).cast(pa.duration("us")), None, None),
     ],
-    ids=["us", "ns", "zoned", "ms", "days", "duration"],
+    ids=["us", "ns", "zoned", "ms", "offset", "unknown", "days", "duration"],
 )
 def test_times_of_all_kinds(path: Path, column: Any, zone: str | None, start_us: int | None) -> None:
     write(path, {"time": column(TIMES), **axes(values())})
     found = read(path)
     about = found.recording
     assert (about.rate_hz, about.timezone, about.start_us) == (50.0, zone, start_us)
-    assert np.abs(found.times - (TIMES if start_us else TIMES - TIMES[0])).max() <= 10
+    assert np.abs(found.times - (TIMES - TIMES[0] + (start_us or 0))).max() <= 10
     assert found.codes == ([] if start_us else ["no_start_time"])
 
 
