@@ -178,6 +178,8 @@ def _frame_of(piece: Samples) -> pd.DataFrame:
 def read(
     source: Source,
     *,
+    name: str | None = None,
+    serial: str | None = None,
     parts: bool = False,
     chunk_samples: int = DEFAULT_CHUNK_SAMPLES,
     **options: Unpack[ReadingOptions],
@@ -186,7 +188,7 @@ def read(
 
     Args:
         source: a path, bytes, an open file, an (n, 3) array or a table.
-        parts: see `calibrate`.
+        name, serial, parts: see `calibrate`.
         chunk_samples: approximate number of rows in a piece.
         options: options for reading, as in `calibrate`.
 
@@ -199,7 +201,7 @@ def read(
         ...     next(iter(reading)).xyz.shape[1]
         3
     """
-    given = as_file(source)
+    given = as_file(source, None, name, serial)
     wanted = recording_options(given.path, read_options(values_of(options, ReadOptions)))
     return Reading(survey.open_marked(given.path, wanted, joined=parts), chunk_samples, given)
 
@@ -211,6 +213,8 @@ def calibrate(
     temperature: ArrayLike | None = None,
     gyroscope: ArrayLike | None = None,
     time: ArrayLike | None = None,
+    name: str | None = None,
+    serial: str | None = None,
     parts: bool = False,
     report_only: bool = False,
     **options: Unpack[CalibrationOptions],
@@ -223,7 +227,9 @@ def calibrate(
             with columns x, y, z and time. Anything but a path is written to a temporary file (in TMPDIR).
         temperature: (n,) [degrees C], if `source` is an array.
         gyroscope: (n, 3) [degrees/s], or in `gyro_unit`, if `source` is an array.
-        time: (n,) datetime64, if `source` is an array.
+        time: (n,) datetime64, or datetimes with or without a zone, if `source` is an array.
+        name: of a recording in memory, by which its outputs are called: `P001`. Not for paths.
+        serial: serial number of its device, for an array or a table.
         parts: read the files in a folder, a pattern (`S01/*.csv`) or an archive as parts of one recording.
         report_only: skip the second pass over the file; `clipped_samples_after` is then None.
         options: for reading and calibrating: `rate` [Hz], `start`, `unit`, `timezone`, `prior`, ...
@@ -248,7 +254,7 @@ def calibrate(
         parts=parts,
         joined=parts,
     )
-    given = as_file(source, channels)
+    given = as_file(source, channels, name, serial)
     before = file_stamp(given.path)
     with open_run(given.job, request, source=given.path) as run:
         first_pass = run.result(OwnCalibration(request.recording_settings), logged=True)
@@ -269,14 +275,20 @@ def _as_written(report: dict[str, Any]) -> dict[str, Any]:
 
 @public
 def inspect(
-    source: Source, *, full: bool = False, parts: bool = False, **options: Unpack[CalibrationOptions]
+    source: Source,
+    *,
+    full: bool = False,
+    name: str | None = None,
+    serial: str | None = None,
+    parts: bool = False,
+    **options: Unpack[CalibrationOptions],
 ) -> dict[str, Any]:
     """Look at a recording and predict the outcome of calibrating it, as `accelcal inspect` does.
 
     Args:
         source: as in `calibrate`.
         full: read all of it, not just pieces.
-        parts: see `calibrate`.
+        name, serial, parts: see `calibrate`.
         options: those of `calibrate`.
 
     Returns:
@@ -292,7 +304,8 @@ def inspect(
     """
     from accelcal_cli.pipeline import inspect as inspection  # few programs do both
 
-    values, given = values_of(options, ReadOptions, Settings), as_file(source)
+    values = values_of(options, ReadOptions, Settings)
+    given = as_file(source, None, name, serial)
     settings = inspection.inspection_settings(values, full=full)
     request = Request(read_options(values), settings, parts=parts, joined=parts)
     found = inspection.inspect(given.path, request, full=full)
@@ -420,6 +433,8 @@ def effect(
     coefficients: AnyPath | None = None,
     any_device: bool = False,
     epoch: int = EPOCH_S,
+    name: str | None = None,
+    serial: str | None = None,
     parts: bool = False,
     **options: Unpack[CalibrationOptions],
 ) -> dict[str, Any]:
@@ -430,7 +445,7 @@ def effect(
         coefficients: a report whose coefficients are applied; None: the recording's own calibration.
         any_device: accept coefficients of any device.
         epoch: length of an epoch [s], 1 to 3600.
-        parts: see `calibrate`.
+        name, serial, parts: see `calibrate`.
         options: those of `calibrate`.
 
     Returns:
@@ -449,7 +464,7 @@ def effect(
     if any_device and coefficients is None:
         raise UsageError("any_device is for coefficients only", hint="omit it")
     if isinstance(source, Result):
-        if options or parts or coefficients is not None:
+        if options or parts or (coefficients, name, serial) != (None, None, None):
             raise UsageError("a result has its own options", hint="give the recording in its place")
         given, request = source._given, replace(source._request, report_only=True)
         jobs.check_unchanged(given.path, source._before)
@@ -464,5 +479,5 @@ def effect(
         parts=parts,
         joined=parts,
     )
-    given = as_file(source)
+    given = as_file(source, None, name, serial)
     return _as_written(measured(given.job.source, request, int(epoch), source=given.path))

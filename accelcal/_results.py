@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from accelcal._calling import no_such_attribute, public, speaking_python
-from accelcal._sources import AnyPath, Given, values_of_result
+from accelcal._sources import NAMES, AnyPath, Given, values_of_result
 from accelcal_cli.core import calibration as core
-from accelcal_cli.core.errors import Reason, UsageError, printable
+from accelcal_cli.core.errors import OutputError, Reason, UsageError, printable
 from accelcal_cli.core.identity import WINDOWS, identity
 from accelcal_cli.core.recording import METADATA_KEY
 from accelcal_cli.core.settings import DEFAULT
@@ -323,11 +323,16 @@ class Result(Report):
         """Path of the recording; a name alone if the recording was in memory."""
         return self._given.job.source
 
+    @property
+    def from_memory(self) -> bool:
+        """True if the recording was given as bytes, an array or a table."""
+        return self._given.folder is not None
+
     _more_uses = ", .to_pandas(), .plot(), .windows(), .write(folder)"
 
     @property
     def _instead(self) -> str:
-        raw = repr(str(self.source)) if self._given.folder is None else "the raw values"
+        raw = "the raw values" if self.from_memory else repr(str(self.source))
         return f"it has .to_pandas() with calibrated values, and .calibration; to begin again give {raw}"
 
     def batches(self) -> Iterator[pa.RecordBatch]:
@@ -422,11 +427,16 @@ class Result(Report):
             OutputError: a file cannot be written, or a file of another program has its name.
             UsageError: the recording was in memory, and no folder is given.
         """
-        if folder is None and self._given.folder is not None:
+        if folder is None and self.from_memory:
             raise UsageError("the recording is in no folder", hint="give one: .write(FOLDER)")
         (job,) = jobs.plan([self._given.path], None if folder is None else Path(folder), None)
         job = replace(job, source=self.source)
-        result = run_job(job, replace(self._request, force=force), source=self._given.path)
+        try:
+            result = run_job(job, replace(self._request, force=force), source=self._given.path)
+        except OutputError as error:
+            if self.from_memory and error.path == job.report:
+                error.hint = f"{NAMES}; or replace it with force=True"
+            raise
         return result.parquet, job.report
 
     def plot(self, axes: Axes | None = None) -> Axes:

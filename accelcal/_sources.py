@@ -7,6 +7,7 @@ results are the same bits. Such a file is named after what was given: `array`, `
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 AnyPath = str | PathLike[str]
+NAME = re.compile(r"\w[\w .+()-]{0,99}")
+NAMES = "give each recording a name: accelcal.calibrate(..., name='P001')"
+OWN = "omit it: a file has its own"
 BYTES = (bytes, bytearray, memoryview)
 ARGUMENTS = {"file", "allow_pickle"}
 """Names of columns that `numpy.savez` has for something else."""
@@ -139,23 +143,34 @@ def _unpacked(name: str, content: bytes, changed_ns: int) -> Given:
     return given
 
 
-def as_file(source: Source, channels: Channels | None = None) -> Given:
+def as_file(
+    source: Source, channels: Channels | None = None, name: str | None = None, serial: str | None = None
+) -> Given:
     """Return a source as a file.
+
+    Args:
+        name, serial: of a recording in memory, and of its device.
 
     Raises:
         TypeError: it is nothing that holds a recording, or an object of this package.
         ValueError: an array has the wrong shape.
+        UsageError: channels, a name or a serial number are given with what has its own.
         OutputError: there is no room for the temporary file.
     """
     refuse_own(source)
     extra = Channels() if channels is None else channels
+    given = [word for word, value in (("name", name), ("serial", serial)) if value is not None]
     if isinstance(source, str | PathLike):
         _refuse_channels(extra, "a file has its own")
+        if given:
+            raise UsageError(f"{' and '.join(given)} can be given to what is in memory", hint=OWN)
         return Given(Path(source))
+    if name is not None and not (isinstance(name, str) and NAME.fullmatch(name)):
+        raise UsageError(f"name cannot be {name!r}", hint="give a short one for a file, such as 'P001'")
     try:
         folder = new_folder()
         try:
-            return Given(_written(source, extra, folder), folder)
+            return Given(_written(source, extra, folder, name, serial), folder)
         except BaseException:
             remove_folder(folder)
             raise
@@ -174,30 +189,35 @@ def refuse_own(source: Any) -> None:
         raise TypeError(f"a {kind} of accelcal is not a recording: {said}")
 
 
-def _written(source: Any, extra: Channels, folder: Path) -> Path:
+def _written(source: Any, extra: Channels, folder: Path, name: str | None, serial: str | None) -> Path:
     """Write a source into a folder, and return the path of the new file."""
+    device = {} if serial is None else {"serial": np.array(serial)}
     if isinstance(source, BYTES) or hasattr(source, "read"):
         _refuse_channels(extra, "a file has its own")
-        return _spooled(source, folder)
+        if device:
+            raise UsageError("serial can be given to arrays and tables", hint=OWN)
+        return _spooled(source, folder, name)
     if names := getattr(getattr(source, "dtype", None), "names", None):  # records of numpy
         source = {name: source[name] for name in names}
     if isinstance(source, Mapping) and not hasattr(source, "data_vars"):  # a dataset of xarray is one, too
         _refuse_channels(extra, "name it among the columns")
         columns = {str(name): column_of(str(name), column) for name, column in source.items()}
-        return _saved(folder / "columns", columns)
+        return _saved(folder / (name or "columns"), columns | device)
     if (table := arrow_of(source)) is not None:
         _refuse_channels(extra, "make it a column of the table")
         import pyarrow.feather
 
-        path = folder / ("frame" if hasattr(source, "head") else "table")  # of pandas or polars, or not
+        path = folder / (name or ("frame" if hasattr(source, "head") else "table"))  # of pandas, or not
         _refuse_values_of_result(table, path)
+        if serial is not None:
+            table = table.replace_schema_metadata({**(table.schema.metadata or {}), "serial": serial})
         pyarrow.feather.write_feather(table, str(path), compression="uncompressed")
         return path
     xyz = array_of(source)
     if "time" in getattr(source, "coords", ()) and "time" not in extra.arrays:  # of xarray
         extra.arrays["time"] = np.asarray(source.coords["time"])
     arrays: dict[str, Any] = extra.checked(len(xyz))
-    return _saved(folder / "array", {"xyz": xyz, **arrays})
+    return _saved(folder / (name or "array"), {"xyz": xyz, **arrays} | device)
 
 
 def _saved(path: Path, arrays: dict[str, Any]) -> Path:
@@ -269,8 +289,8 @@ def _refuse_channels(extra: Channels, instead: str) -> None:
         raise UsageError(f"{' and '.join(extra.arrays)} can be given with an array only", hint=instead)
 
 
-def _spooled(source: Any, folder: Path) -> Path:
-    name = getattr(source, "name", None)
+def _spooled(source: Any, folder: Path, name: str | None) -> Path:
+    name = name or getattr(source, "name", None)
     path = folder / (Path(name).name if isinstance(name, str) and Path(name).name else "bytes")
     with path.open("wb") as file:
         if isinstance(source, BYTES):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
@@ -17,7 +18,7 @@ import numpy as np
 from accelcal._calling import public, values_of
 from accelcal._options import StudyOptions
 from accelcal._results import Report, Result
-from accelcal._sources import AnyPath
+from accelcal._sources import NAMES, AnyPath
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import Settings
@@ -253,6 +254,7 @@ def export(
     _check_number("resample", resample, LEAST_HZ, 1e5)
     _check_number("smooth", None if smooth == "auto" else smooth, 2, WIDEST, whole=True)
     given = [results] if isinstance(results, str | PathLike | Result) else [*results]
+    _refuse_same_name([one for one in given if isinstance(one, Result)])
     width = 0 if smooth == "auto" else smooth
     text = folder is None and to in COEFFICIENTS
     with temporary_folder() as place:
@@ -269,6 +271,13 @@ def export(
             raise UsageError("data are exported from one result into a file", hint=hint)
         export_file(to, paths[0], ExportOptions(Path(output), resample, measured_only, width), force=force)
         return str(Path(output))
+
+
+def _refuse_same_name(results: Sequence[Result]) -> None:
+    """Raise UsageError if two recordings from memory have one name."""
+    names = Counter(one.source for one in results if one.from_memory)
+    for name in (name for name, count in names.items() if count > 1):
+        raise UsageError(f"{names[name]} recordings have the name {str(name)!r}", hint=NAMES)
 
 
 def _check_number(name: str, value: Any, low: float, high: float, *, whole: bool = False) -> None:

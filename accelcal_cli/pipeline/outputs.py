@@ -177,9 +177,12 @@ def _are_a_pair(report: dict[str, Any], metadata: dict[str, Any]) -> bool:
 
 
 def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:
-    """Raise OutputError if a report stands for another recording, neither moved nor changed."""
+    """Raise OutputError if a report stands for another recording, neither moved nor changed.
+
+    What came from memory or standard input has no place: only its bytes tell.
+    """
     recorded = report["recording"]
-    if place_of_report(report) in {resolved_path(Path(printable(path))) for path in (job.source, source)}:
+    if place_of_report(report) == resolved_path(Path(printable(source))):
         return
     if recorded["sha256"] != sha256(source):
         raise OutputError(

@@ -226,6 +226,8 @@ def test_standard_input(tmp_path: Path) -> None:
         "stdin.calibration.json",
         "stdin.quality.json",
     ]
+    other = run_process("calibrate", "-", "-d", tmp_path / "out", stdin=data[: data.rfind(b"\n", 0, -1) + 1])
+    assert other.code == 5 and "is the report of another recording (-)" in other.err
 
 
 def test_model_and_profile_are_in_the_report(tmp_path: Path) -> None:
