@@ -22,19 +22,19 @@ from accelcal_cli.core.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from accelcal._api import Reading, Samples, apply, calibrate, effect, fit, from_poses, inspect, read
+    from accelcal._calling import sentence
     from accelcal._options import CalibrationOptions, FitOptions, PoseOptions, ReadingOptions, StudyOptions
     from accelcal._results import Calibration, Report, Result
     from accelcal._studies import export, report, simulate, study
     from accelcal_cli.core.errors import AccelcalError, Reason
-    from accelcal_cli.output.sentences import sentence
 
 _HOMES = {
+    "accelcal._calling": "sentence",
     "accelcal._api": "Reading Samples apply calibrate effect fit from_poses inspect read",
     "accelcal._options": "CalibrationOptions FitOptions PoseOptions ReadingOptions StudyOptions",
     "accelcal._results": "Calibration Report Result",
     "accelcal._studies": "export report simulate study",
     "accelcal_cli.core.errors": "AccelcalError Reason",
-    "accelcal_cli.output.sentences": "sentence",
 }
 """Names by the module that has them, imported when one is first used."""
 

@@ -26,6 +26,7 @@ from accelcal._sources import (
     array_of,
     arrow_of,
     as_file,
+    in_local_time,
     refuse_own,
     values_of_result,
 )
@@ -53,6 +54,7 @@ from accelcal_cli.pipeline.windows import fit_frame, fit_points
 
 if TYPE_CHECKING:
     import pandas as pd
+    import polars as pl
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,16 +114,28 @@ class Reading:
                         offset_s = utc_offset_s(zone, int(time_us[0])) or 0
                     yield _samples(chunk, self.recording, time_us - MICROSECONDS * offset_s)
 
-    def to_pandas(self) -> pd.DataFrame:
-        """Return all raw values as a data frame, with `time` as index and the columns of the Parquet file."""
+    def to_pandas(self, *, local: bool = False) -> pd.DataFrame:
+        """Return all raw values as a data frame, with `time` as index and the columns of the Parquet file.
+
+        Args:
+            local: times in the recording's zone instead of UTC, if that is known.
+        """
         import pandas as pd
 
-        frame = pd.concat([_frame_of(one) for one in self]).set_index("time")
+        frame, zone = pd.concat([_frame_of(one) for one in self]).set_index("time"), self.recording.timezone
+        if zone is not None and self.recording.start_us is not None:
+            frame = in_local_time(frame.tz_localize("UTC"), zone if local else None)
         if (before := self.recording.calibrated) is not None:
             recording = {"path": before.name, "sample_rate_hz": self.recording.rate_hz}
             result = {"outcome": before.outcome, "held_out_mg": before.held_out_mg}
             frame.attrs |= values_of_result(recording, result)
         return frame
+
+    def to_polars(self) -> pl.DataFrame:
+        """Return all raw values as a polars data frame, with `time` as its first column."""
+        import polars as pl
+
+        return pl.from_pandas(self.to_pandas().reset_index())
 
     @property
     def _instead(self) -> str:

@@ -12,10 +12,11 @@ from pathlib import Path
 from tempfile import gettempdir
 from typing import Any, ParamSpec, TypeVar, get_type_hints
 
-from accelcal_cli.core.errors import AccelcalError, counted, did_you_mean
+from accelcal_cli.core.errors import AccelcalError, Reason, counted, did_you_mean
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import PoseSettings, Settings, setting_of
 from accelcal_cli.core.system import folder_start
+from accelcal_cli.output import sentences
 from accelcal_cli.pipeline.options import GIVEN_VALUE, field_values, not_given, option_fields
 
 # What to type instead of a name that other packages have and this one does not.
@@ -119,16 +120,25 @@ OPTION = re.compile(r"--([a-z][a-z-]*)(?: ([A-Z]+\b|[\w./-]+))?")
 
 NAMED = re.compile(rf"-R ([a-z_]+){GIVEN_VALUE}")
 
-COMMAND = re.compile(r"\baccelcal [a-z-]+ ")
-"""A command to be typed in a terminal; options of its clause stay as they are."""
+COMMAND = re.compile(r"`?\baccelcal (calibrate|study|apply|fit|inspect|six-pose|export|report)\b")
+"""A command that is a function here."""
 
-STUDY = re.compile(r"\baccelcal study (\S+) -d (\S+)$")
-"""The command for a folder, which is a function here."""
+ELSEWHERE_TYPED = re.compile(r"\baccelcal [a-z-]+ ")
+"""Any other command, to be typed in a terminal; options of its clause stay as they are."""
 
-SHORT = re.compile(r",? with -[do]\b")
+WORD = r"('[^']*'|[^\s;,)`']+)"
+GIVEN = {
+    "output": re.compile(rf" -d {WORD}"),
+    "named": re.compile(rf" -R ([a-z_]+)={WORD}"),
+    "option": re.compile(rf" --([a-z][a-z-]*)(?: {WORD})?"),
+    "value": re.compile(r" ('[^']*'|[A-Z]{2,}\b|[^\s;,)`']*[./][^\s;,)`']*\w|[^\s;,)`']+(?= -))"),
+}
+"""Forms of what follows the name of a command and belongs to it."""
+
+SHORT = re.compile(r",?( a name)? with -[do]\b")
 """The way to name an output at a terminal."""
 
-FLAGS = ("parts", "force", "gzip", "measured_only")
+FLAGS = ("parts", "force", "gzip", "measured_only", "borrow", "pool")
 """Flags that no setting declares."""
 
 
@@ -170,44 +180,92 @@ def speaking_python() -> Iterator[None]:
         yield
     except AccelcalError as error:
         folder = f"{re.escape(gettempdir())}/{folder_start()}[^/]+/(?:[0-9]+/)?"
-        message, hint = (text and re.sub(folder, "", _worded(text)) for text in (error.message, error.hint))
+        name = re.sub(folder, "", Path(error.path or "").as_posix())
+        held = "" if name == Path(error.path or "").as_posix() else shlex.quote(Path(name).name)
+        message, hint = (
+            text and re.sub(folder, "", worded(text, held)) for text in (error.message, error.hint)
+        )
         error.message, error.hint = message or "", hint
-        error.path = error.path and Path(re.sub(folder, "", Path(error.path).as_posix()))
+        error.path = error.path and Path(name)
         raise error from error.__cause__
 
 
-def _worded(text: str) -> str:
+def worded(text: str, held: str = "") -> str:
+    """Return a text with functions and keywords in place of commands and options.
+
+    Args:
+        held: name of a recording in memory, which a command cannot name.
+    """
+    clauses = []
+    for clause in text.split("; "):
+        made, rest = "", clause
+        while found := COMMAND.search(rest):
+            call, after = _call(found[1], rest[found.end() :], held)
+            made, rest = f"{made}{_keywords(rest[: found.start()])}{call}", after
+        clauses.append(made + (rest if ELSEWHERE_TYPED.search(rest) else _keywords(rest)))
+    return "; ".join(clauses)
+
+
+def _call(command: str, rest: str, held: str) -> tuple[str, str]:
+    """Return the call that a command stands for, and what follows it."""
+    values: list[str] = []
+    more: list[str] = []
+    while kind := next((kind for kind, form in GIVEN.items() if form.match(rest)), None):
+        found = GIVEN[kind].match(rest)
+        assert found is not None
+        rest = rest[found.end() :]
+        if kind == "named":
+            more.append(_named(found[1], found[2]))
+        elif kind == "option":
+            flag = _is_flag(found[1].replace("-", "_"))
+            more.append(_keyword(found[1], None if flag else found[2]))
+            rest = f" {found[2]}{rest}" if flag and found[2] else rest
+        else:
+            value = found[1].strip("'")
+            values.append("..." if held and found[1] == held else value if value.isupper() else repr(value))
+    call = f"accelcal.{command.replace('six-pose', 'from_poses')}"
+    return f"{call}({', '.join([*values, *more])})" if values or more else call, rest.removeprefix("`")
+
+
+def _keywords(text: str) -> str:
+    text = NAMED.sub(lambda found: _named(found[1], found[2] or ""), SHORT.sub("", text))
+    return OPTION.sub(lambda found: _keyword(found[1], found[2]), text)
+
+
+def _option(name: str) -> tuple[type, str]:
+    """Return the class and the field of an option."""
     known = option_fields(ReadOptions, Settings) | option_fields(PoseSettings)
+    return known.get(name, (Settings, "profile"))
 
-    def keyword(found: re.Match[str]) -> str:
-        name, value = found[1].replace("-", "_"), found[2]
-        kind, field = known.get(name, (Settings, "profile"))
-        if name in FLAGS or get_type_hints(kind)[field] is bool:
-            return f"{name}=True" if value is None else f"{name}=True {value}"
-        if value is None:
-            return name
-        if value.isupper() or _is_number(value):
-            return f"{name}={value}"
-        if name == "to" or value in setting_of(kind, field).choices:
-            return f"{name}={value!r}"
-        return f"{name} {value}"
 
-    def study(found: re.Match[str]) -> str:
-        folder, out = shlex.split(found[1])[0], found[2]
-        return f"accelcal.study({folder!r}, {out!r})"
+def _is_flag(name: str) -> bool:
+    kind, field = _option(name)
+    return name in FLAGS or get_type_hints(kind)[field] is bool
 
-    def named(found: re.Match[str]) -> str:
-        name, value = found[1], (found[2] or "").removeprefix("=")
-        if value == "true":
-            return f"{name}=True"
-        plain = not value or value.isupper() or _is_number(value)
-        return "=".join(filter(None, [name, value if plain else repr(value.strip("'"))]))
 
-    def worded(clause: str) -> str:
-        return OPTION.sub(keyword, NAMED.sub(named, SHORT.sub("", clause)))
+def _keyword(option: str, value: str | None) -> str:
+    name = option.replace("-", "_")
+    kind, field = _option(name)
+    if _is_flag(name):
+        return f"{name}=True" if value is None else f"{name}=True {value}"
+    if value is None:
+        return name
+    if not value.isupper() and (name in ("to", "sensor") or value in setting_of(kind, field).choices):
+        return f"{name}={value!r}"
+    return f"{name}={value}" if value.isupper() or _is_number(value) else f"{name} {value}"
 
-    clauses = [STUDY.sub(study, clause) for clause in text.split("; ")]
-    return "; ".join(one if COMMAND.search(one) else worded(one) for one in clauses)
+
+def _named(name: str, given: str) -> str:
+    value = given.removeprefix("=")
+    if value == "true":
+        return f"{name}=True"
+    plain = not value or value.isupper() or _is_number(value)
+    return "=".join(filter(None, [name, value if plain else repr(value.strip("'"))]))
+
+
+def sentence(reason: Reason) -> str:
+    """Return the sentence of a reason, a caution or a piece of advice, with options as keywords."""
+    return worded(sentences.sentence(reason))
 
 
 def _is_number(text: str) -> bool:

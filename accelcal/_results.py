@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelcal._calling import no_such_attribute, public, speaking_python
-from accelcal._sources import NAMES, AnyPath, Given, values_of_result
+from accelcal._calling import no_such_attribute, public, speaking_python, worded
+from accelcal._sources import NAMES, AnyPath, Given, in_local_time, values_of_result
 from accelcal_cli.core import calibration as core
 from accelcal_cli.core.errors import OutputError, Reason, UsageError, printable
 from accelcal_cli.core.identity import WINDOWS, identity
@@ -197,7 +197,7 @@ class Report:
     @property
     def message(self) -> str:
         """The reason for the outcome, in sentences."""
-        return str(self.report["message"])
+        return worded(str(self.report["message"]))
 
     @property
     def cautions(self) -> tuple[Reason, ...]:
@@ -227,11 +227,12 @@ class Report:
 
     def summary(self) -> dict[str, Any]:
         """Return the recording's row in a study's table (docs/study.md)."""
+        from accelcal_cli.output.quality import wear_hours
         from accelcal_cli.studies import summary
         from accelcal_cli.studies.records import Item
 
-        path = Path(self.view.recording.path)
-        row = summary.of_report(Item(path.name, Job(path, path, path), ()), 0, self.report, {})
+        path, worn = Path(self.view.recording.path), wear_hours(self.quality() or {})
+        row = summary.of_report(Item(path.name, Job(path, path, path), ()), 0, self.report, {}, worn)
         return {name: value for name, value in row.items() if name != "exit_code"}
 
     def quality(self) -> dict[str, Any] | None:
@@ -272,7 +273,7 @@ class Report:
         use = ".calibration, .summary(), .to_html()" if self.usable else ".message, .advice, .to_html()"
         return "\n".join([
             f"<accelcal.{type(self).__name__} of {shorten(name, LINE)}: {self.outcome}, {model}>",
-            f"  verdict    {shorten(' '.join(said), LINE)}",
+            f"  verdict    {shorten(worded(' '.join(said)), LINE)}",
             f"  recording  {', '.join(about)}",
             f"  cautions   {', '.join(one.code for one in self.cautions) or 'none'}",
             f"  use        {use}{self._more_uses}",
@@ -366,11 +367,15 @@ class Result(Report):
 
         return pa.Table.from_batches(self.batches())
 
-    def to_pandas(self) -> pd.DataFrame:
-        """Return all calibrated values as a data frame, with `time` as index; raises as `batches` does."""
+    def to_pandas(self, *, local: bool = False) -> pd.DataFrame:
+        """Return all calibrated values as a data frame, with `time` as index; raises as `batches` does.
+
+        Args:
+            local: times in the recording's zone instead of UTC, if that is known.
+        """
         frame: pd.DataFrame = self.to_arrow().to_pandas().set_index("time")
         frame.attrs |= self._about
-        return frame
+        return in_local_time(frame, self.view.recording.timezone) if local else frame
 
     def to_polars(self) -> pl.DataFrame:
         """Return all calibrated values as a polars data frame; raises as `batches` does."""

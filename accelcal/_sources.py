@@ -27,6 +27,7 @@ from accelcal_cli.core.system import new_folder, remove_folder
 from accelcal_cli.pipeline.jobs import Job
 
 if TYPE_CHECKING:
+    import pandas as pd
     import pyarrow as pa
 
 AnyPath = str | PathLike[str]
@@ -338,6 +339,11 @@ def values_of_result(recording: Mapping[str, Any], result: Mapping[str, Any]) ->
     They are short, since each frame that is made of it has a copy.
     """
     return {METADATA_KEY.decode(): {**identity(SAMPLES), "recording": recording, "result": result}}
+
+
+def in_local_time(frame: pd.DataFrame, zone: str | None) -> pd.DataFrame:
+    """Return a frame whose index is of moments with these as times of a zone, if one is known."""
+    return frame if zone is None or getattr(frame.index, "tz", None) is None else frame.tz_convert(zone)
 
 
 def _refuse_values_of_result(table: pa.Table, path: Path) -> None:

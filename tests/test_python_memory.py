@@ -253,7 +253,7 @@ def test_p5_raw_samples_are_told_from_means(tmp_path: Path) -> None:
         with pytest.raises(accelcal.AccelcalError, match="raw samples"):
             accelcal.fit(rows)
     pd.DataFrame(XYZ, columns=[*"xyz"]).to_csv(tmp_path / "raw.csv")
-    with pytest.raises(accelcal.AccelcalError, match=r"raw samples.*accelcal calibrate .*raw\.csv --rate HZ"):
+    with pytest.raises(accelcal.AccelcalError, match=r"raw samples.*accelcal\.calibrate\('.*raw\.csv', rate=HZ"):
         accelcal.fit(tmp_path / "raw.csv")
     weighed = pd.DataFrame(moving, columns=[*"xyz"]).assign(weight=1.0)
     assert accelcal.fit(weighed).outcome

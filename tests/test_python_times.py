@@ -104,8 +104,18 @@ def test_a_zone_of_the_user_counts_unless_it_contradicts() -> None:
 
 
 def test_values_that_went_out_come_in_at_the_same_moments() -> None:
-    raw = accelcal.read(of_frame(BERLIN).to_pandas()).to_pandas()
-    assert (raw.index.tz_localize("UTC") == BERLIN).all()
+    for raw in (PLAIN.to_pandas(), accelcal.read(FRAME).to_pandas()):
+        assert raw.index.tz is None and (raw.index == TIMES).all()
+    values = of_frame(BERLIN).to_pandas()
+    with accelcal.read(FRAME, timezone="Europe/Berlin") as reading:
+        for frame in (values, accelcal.read(values).to_pandas(), reading.to_pandas()):
+            assert (frame.index == BERLIN).all() and str(frame.index.tz) == "UTC"
+            assert start(accelcal.calibrate(frame))[0] == "2024-03-03T23:00:00.000000+00:00"
+        assert (reading.to_polars()["time"].to_numpy() == TIMES - np.timedelta64(1, "h")).all()
+        local = reading.to_pandas(local=True).index
+    for index in (local, of_frame(BERLIN).to_pandas(local=True).index):
+        assert (index == BERLIN).all() and str(index.tz) == "Europe/Berlin"
+    assert PLAIN.to_pandas(local=True).index.tz is None
 
 
 @pytest.mark.parametrize(
