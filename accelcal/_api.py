@@ -27,6 +27,7 @@ from accelcal._sources import (
     arrow_of,
     as_file,
     in_local_time,
+    paths_of,
     refuse_own,
     values_of_result,
 )
@@ -397,8 +398,8 @@ def from_poses(
     # few programs have such a session
     from accelcal_cli.six_pose.run import known_orientations, session_of
 
-    several = [recordings] if isinstance(recordings, str | PathLike) else recordings
-    source = session_of([Path(one) for one in several], None if poses is None else Path(poses))
+    several = paths_of(recordings, 'write it first: frame.to_parquet("session.parquet")')
+    source = session_of(several, None if poses is None else Path(poses))
     values = values_of(options, ReadOptions, PoseSettings)
     request = Request(
         options=read_options(values),

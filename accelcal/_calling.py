@@ -71,6 +71,8 @@ KEYWORDS = {
     "output": ("out", "output_dir", "outdir", "outputdir", "out_dir", "output_folder", "save"),
     "source": ("accel", "acc", "acceleration", "xyz", "data", "df", "file", "filename", "path", "recording"),
     "jobs": ("n_jobs", "workers", "num_workers", "processes", "cores"),
+    "name": ("subject", "participant", "id", "label"),
+    "serial": ("serial_number", "device_id", "device_serial"),
     "lsb_per_g": ("scale", "sensitivity", "counts_per_g"), "max_error": ("tolerance", "max_error_mg"),
 }  # fmt: skip
 """Keywords of functions, and other packages' names for them."""

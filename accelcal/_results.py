@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from accelcal._calling import no_such_attribute, public, speaking_python, worded
-from accelcal._sources import NAMES, AnyPath, Given, in_local_time, values_of_result
+from accelcal._sources import NAMES, AnyPath, Given, clock_times, in_local_time, values_of_result
 from accelcal_cli.core import calibration as core
 from accelcal_cli.core.errors import OutputError, Reason, UsageError, printable
 from accelcal_cli.core.identity import WINDOWS, identity
@@ -164,12 +164,15 @@ class Calibration:
 class Report:
     """A verdict on a recording, on still-window means, or on a session of known orientations.
 
+    Args:
+        report: as the command writes it, or the path of one (NAME.calibration.json).
+
     Attributes:
         report: as the command writes it (docs/outputs.md); `self["calibration"]` is short for its keys.
     """
 
-    def __init__(self, report: dict[str, Any]) -> None:
-        self.report = report
+    def __init__(self, report: dict[str, Any] | AnyPath) -> None:
+        self.report = read_document(Path(report)).report if isinstance(report, str | PathLike) else report
 
     def __getitem__(self, key: str) -> Any:
         return self.report[key]
@@ -238,6 +241,23 @@ class Report:
     def quality(self) -> dict[str, Any] | None:
         """Return the recording's error and state hour by hour (docs/quality.md); None if not known."""
         return None
+
+    def quality_frame(self) -> pd.DataFrame | None:
+        """Return the rows of `quality` as a data frame, by their start on the device's clock; None as there.
+
+        A column such as `before_mg.p95` is `p95` of `before_mg`.
+        """
+        import pandas as pd
+
+        if (held := self.quality()) is None:
+            return None
+        columns = {
+            f"{name}.{part}" if part else name: values
+            for name, column in held["rows"].items()
+            for part, values in (column.items() if isinstance(column, dict) else [("", column)])
+        }
+        frame = pd.DataFrame(columns)
+        return frame.assign(start=clock_times(frame["start"])).set_index("start")
 
     @public
     def to_html(self, path: AnyPath | None = None, *, force: bool = False) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from os import PathLike
@@ -35,6 +35,9 @@ NAME = re.compile(r"\w[\w .+()-]{0,99}")
 NAMES = "give each recording a name: accelcal.calibrate(..., name='P001')"
 OWN = "omit it: a file has its own"
 BYTES = (bytes, bytearray, memoryview)
+NOT_ROWS = (str, PathLike, Mapping, *BYTES)
+"""Kinds of which a sequence holds several recordings, and not rows."""
+
 ARGUMENTS = {"file", "allow_pickle"}
 """Names of columns that `numpy.savez` has for something else."""
 
@@ -178,6 +181,33 @@ def as_file(
     except OSError as error:
         what = f"the values cannot be stored ({error.strerror or error})"
         raise OutputError(what, path=error.filename, hint="set TMPDIR to a disk with more space") from error
+
+
+def paths_of(given: Any, instead: str) -> list[Path]:
+    """Return one path or several as a list.
+
+    Args:
+        instead: what to call with what is in memory.
+
+    Raises:
+        TypeError: it is a table, an array or anything else in memory.
+    """
+    if isinstance(given, str | PathLike):
+        return [Path(given)]
+    is_table = isinstance(given, Mapping) or hasattr(given, "columns")  # whose names are no files
+    several = [*given] if isinstance(given, Iterable) and not is_table else [given]
+    for one in several:
+        if not isinstance(one, str | PathLike):
+            kind = type(given if one is given or is_table else one).__name__
+            raise TypeError(f"a path is needed, not {kind!r}: {instead}")
+    return [Path(one) for one in several]
+
+
+def clock_times(texts: pd.Series) -> pd.Series:
+    """Return times as texts of reports as datetimes of the device's clock, without their offsets."""
+    import pandas as pd
+
+    return pd.to_datetime(texts.str.slice(0, len("2024-03-04T00:00:00.000000")))
 
 
 def refuse_own(source: Any) -> None:
@@ -363,12 +393,14 @@ def array_of(source: Any, name: str = "xyz") -> NDArray[Any]:
     Raises:
         TypeError: they are not numbers. ValueError: they have another shape.
     """
+    first = source[0] if isinstance(source, list | tuple) and source else None
+    if isinstance(first, NOT_ROWS) or hasattr(first, "columns"):
+        each = "several recordings: [accelcal.calibrate(one) for one in [...]]"
+        raise TypeError(f"{each}; or all of a folder: accelcal.study(FOLDER, OUT)")
     array: NDArray[Any] | None = None
     with suppress(ValueError):  # rows of different lengths
         array = _unmasked(source) if isinstance(source, np.ma.MaskedArray) else np.asarray(source)
     if array is None or array.dtype.kind not in "iuf" or not array.ndim:
-        if isinstance(source, Sequence) and all(isinstance(one, str | PathLike) for one in source):
-            raise TypeError("a list of recordings is a study: accelcal.study([...], output=FOLDER)")
         raise TypeError(
             f"{type(source).__name__!r} is not a recording: give a path, (n, 3) numbers, or a table"
         )

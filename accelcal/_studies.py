@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from datetime import datetime
-from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
@@ -18,9 +17,10 @@ import numpy as np
 from accelcal._calling import public, values_of
 from accelcal._options import StudyOptions
 from accelcal._results import Report, Result
-from accelcal._sources import NAMES, AnyPath
+from accelcal._sources import NAMES, AnyPath, clock_times, paths_of
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.paths import is_file
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.system import temporary_folder
 from accelcal_cli.output.files import write_text
@@ -43,6 +43,7 @@ SIMULATED = {
 }  # fmt: skip
 """Bounds of the numbers of `simulate`."""
 
+EXPORTED = "give results, or the output folder of a study"
 LEAST_HZ = 1e-3
 """Lowest rate to resample to."""
 
@@ -93,7 +94,8 @@ def study(
         options: those of `calibrate`, for all recordings; `prior` may also be `study` or `device`.
 
     Returns:
-        the table of the study, with a row for each recording (docs/study.md).
+        the table of the study, with a row for each recording (docs/study.md); `start_time` is a datetime of
+        the device's clock.
 
     Raises:
         AccelcalError: the options do not go together, or the folder cannot be used.
@@ -113,7 +115,13 @@ def study(
 
     if executor is not None and not isinstance(executor, Executor):
         raise TypeError("executor is a concurrent.futures.Executor, such as client.get_executor() of Dask")
-    folders = tuple(map(Path, [folder] if isinstance(folder, str | PathLike) else folder))
+    _check_flags(borrow=borrow, pool=pool, report_only=report_only, html=html, force=force)
+    _check_number("jobs", jobs, 1, 1024, whole=True)
+    folders = tuple(paths_of(folder, "calibrate what is in memory one by one: accelcal.calibrate(frame)"))
+    for one in filter(is_file, folders):
+        names, inside = [path.name for path in folders], str(one.parent)
+        hint = f"accelcal.study({inside!r}, {str(output)!r}, include={names!r})"
+        raise UsageError("is a file: a study is of a folder", path=one, hint=hint)
     values = values_of(options, ReadOptions, Settings)
     request = Request(
         options=read_options(values),
@@ -142,7 +150,8 @@ def study(
         run(with_learnt_prior(wanted), bar)
     if html:
         report(output, force=force)
-    return pd.read_parquet(Path(output) / "study.parquet")
+    table = pd.read_parquet(Path(output) / "study.parquet")
+    return table.assign(start_time=clock_times(table["start_time"]))
 
 
 class _Bar:
@@ -253,7 +262,7 @@ def export(
     _check_number("jobs", jobs, 1, 64, whole=True)
     _check_number("resample", resample, LEAST_HZ, 1e5)
     _check_number("smooth", None if smooth == "auto" else smooth, 2, WIDEST, whole=True)
-    given = [results] if isinstance(results, str | PathLike | Result) else [*results]
+    given = _results(results)
     _refuse_same_name([one for one in given if isinstance(one, Result)])
     width = 0 if smooth == "auto" else smooth
     text = folder is None and to in COEFFICIENTS
@@ -271,6 +280,22 @@ def export(
             raise UsageError("data are exported from one result into a file", hint=hint)
         export_file(to, paths[0], ExportOptions(Path(output), resample, measured_only, width), force=force)
         return str(Path(output))
+
+
+def _results(given: Any) -> list[Result | Path]:
+    """Return results and paths of results as a list; raises TypeError for anything else."""
+    several = given if isinstance(given, list | tuple) else [given]
+    found: list[Result | Path] = []
+    for one in several:
+        found += [one] if isinstance(one, Result) else paths_of(one, EXPORTED)
+    return found
+
+
+def _check_flags(**flags: Any) -> None:
+    for name, value in flags.items():
+        if not isinstance(value, bool):
+            other = "; did you mean executor=?" if isinstance(value, Executor) else ""
+            raise TypeError(f"{name} is True or False, not {value!r:.60}{other}")
 
 
 def _refuse_same_name(results: Sequence[Result]) -> None:
@@ -368,6 +393,7 @@ def report(what: Report | AnyPath, output: AnyPath | None = None, *, force: bool
     """
     from accelcal_cli.pages import write
 
+    (what,) = (what,) if isinstance(what, Report) else paths_of(what, "calibrate it, and give the result")
     if isinstance(what, Report):
         if output is None:
             raise UsageError("the page of a result needs a name", hint='give one: report(result, "x.html")')

@@ -231,7 +231,9 @@ def test_no_room_for_a_temporary_file_is_an_error_with_a_remedy(monkeypatch: pyt
         (lambda: accelcal.calibrate(XYZ.astype(str), rate=25), TypeError, "'ndarray' is not a recording"),
         (lambda: accelcal.calibrate([[1, 2, 3], [1]], rate=25), TypeError, "'list' is not a recording"),
         (lambda: accelcal.calibrate(3), TypeError, "'int' is not a recording"),
-        (lambda: accelcal.calibrate(["a.cwa", "b.cwa"]), TypeError, r"a study: accelcal\.study\("),
+        (lambda: accelcal.calibrate(["a.cwa", "b.cwa"]), TypeError, r"\(one\) for .*\.study\("),
+        (lambda: accelcal.calibrate([FRAME, FRAME]), TypeError, r"several recordings: \[acc"),
+        (lambda: accelcal.inspect([{"x": [1.0]}, {"x": [1.0]}]), TypeError, r"several recordings: \["),
         (lambda: accelcal.fit(XYZ), accelcal.AccelcalError, r"raw samples.*\.calibrate\(xyz, rate=HZ\)"),
         (lambda: accelcal.fit(XYZ.T), ValueError, "not \\(n, 3\\)"),
     ],
@@ -253,7 +255,9 @@ def test_p5_raw_samples_are_told_from_means(tmp_path: Path) -> None:
         with pytest.raises(accelcal.AccelcalError, match="raw samples"):
             accelcal.fit(rows)
     pd.DataFrame(XYZ, columns=[*"xyz"]).to_csv(tmp_path / "raw.csv")
-    with pytest.raises(accelcal.AccelcalError, match=r"raw samples.*accelcal\.calibrate\('.*raw\.csv', rate=HZ"):
+    with pytest.raises(
+        accelcal.AccelcalError, match=r"raw samples.*accelcal\.calibrate\('.*raw\.csv', rate=HZ"
+    ):
         accelcal.fit(tmp_path / "raw.csv")
     weighed = pd.DataFrame(moving, columns=[*"xyz"]).assign(weight=1.0)
     assert accelcal.fit(weighed).outcome

@@ -433,3 +433,65 @@ def test_p6_the_first_lines_of_a_user_work_or_are_answered(
     else:
         with pytest.raises((AttributeError, TypeError, accelcal.AccelcalError), match=answer):
             call()
+
+
+TABLE = pd.DataFrame({"time": [1.0], "x": [0.0], "y": [0.0], "z": [1.0]})
+
+
+@pytest.mark.parametrize("given", [TABLE, [TABLE], np.zeros((3, 3)), {"x": [1.0]}, 3])
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda given: accelcal.study(given, "out"), r"one by one: accelcal\.calibrate\(frame\)"),
+        (lambda given: accelcal.export(given, to="ggir"), "give results, or the output folder of a study"),
+        (accelcal.from_poses, r'frame\.to_parquet\("session\.parquet"\)'),
+        (accelcal.report, "calibrate it, and give the result"),
+    ],
+    ids=["study", "export", "from_poses", "report"],
+)
+def test_what_is_in_memory_is_not_a_path(given: Any, call: Callable[[Any], Any], said: str) -> None:
+    with pytest.raises(TypeError, match=f"a path is needed, not .*: .*{said}"):
+        call(given)
+
+
+def test_files_are_calibrated_by_the_call_that_the_error_gives(tmp_path: Path) -> None:
+    folder = study_folder(tmp_path / "in", NAMES[:2]) / "north"
+    for files in (
+        sorted(folder.glob("*.raw")),
+        pd.Series(map(str, sorted(folder.glob("*.raw")))),
+        folder / "a.raw",
+    ):
+        with pytest.raises(accelcal.AccelcalError, match="is a file: a study is of a folder") as raised:
+            accelcal.study(files, tmp_path / "out", jobs=1, report_only=True)
+    call = str(raised.value.hint).removesuffix(")") + ", jobs=1, report_only=True)"
+    table = eval(call, {"accelcal": accelcal})
+    assert table["path"].tolist() == ["a.raw"] and table["start_time"].dtype == "datetime64[us]"
+    assert table["start_time"][0] == pd.Timestamp("2024-03-04")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"pool": ThreadPoolExecutor(1)}, "pool is True or False.*did you mean executor="),
+        ({"borrow": "yes"}, "borrow is True or False, not 'yes'"),
+        ({"executor": 4}, "executor is a concurrent.futures.Executor"),
+        ({"jobs": "4"}, "jobs cannot be '4'"),
+    ],
+)
+def test_options_are_checked_before_anything_is_computed(options: Any, said: str, tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match=said):
+        accelcal.study(study_folder(tmp_path / "in", NAMES[:1]), tmp_path / "out", **options)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["recording.bin", "evening.csv.gz", "night.h5"])
+def test_reports_are_read_again_and_quality_is_a_frame(name: str, tmp_path: Path) -> None:
+    result = accelcal.calibrate(ROOT / "sample_data" / name, report_only=True)
+    _, path = result.write(tmp_path)
+    for given in (path, str(path)):
+        again = accelcal.Report(given)
+        assert again["calibration"] == result["calibration"] and again.quality_frame() is None
+    rows, frame = (result.quality() or {})["rows"], result.quality_frame()
+    assert frame is not None and frame.index[0] == pd.Timestamp(rows["start"][0][:26])
+    assert frame["samples"].tolist() == rows["samples"]
+    assert frame["before_mg.p95"].tolist() == rows["before_mg"]["p95"]
