@@ -37,7 +37,7 @@ def main() -> None:
     with contextlib.chdir(CURRENT):
         exit_code("study", "in", "-d", "out", "-j", "1", "-q")
         (CURRENT / "out" / "study.ledger").unlink()  # it is about the times of files
-        for report in (CURRENT / "out").glob("*.calibration.json"):
+        for report in (CURRENT / "out").glob("*.json"):
             text = report.read_text("utf-8")
             for found, said in here.items():
                 text = text.replace(found, said)

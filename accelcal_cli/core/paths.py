@@ -68,16 +68,6 @@ def is_there(path: Path) -> bool:
         return True
 
 
-def may_be_away(path: Path) -> bool:
-    """Return True if a disk may be missing where a path was: the nearest folder is empty or not listed."""
-    nearest = next((one for one in path.parents if is_there(one)), path)
-    try:
-        with os.scandir(nearest) as entries:
-            return not any(entries)
-    except OSError:
-        return True
-
-
 def _seen(path: Path, *, follow: bool = True) -> os.stat_result | None:
     try:
         return stat_or_none(path, follow=follow)

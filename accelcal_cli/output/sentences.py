@@ -165,6 +165,7 @@ FILES: dict[str, FormOfValues] = {
     "no_format": "Its content matches no format.",
     # results whose recording is gone
     "recording_gone": "Its recording {source} is gone.",
+    "recording_elsewhere": "Its recording {source} was in {folder}, not in a folder of this study.",
     "recording_renamed": "Its recording {source} is now called {now}.",
     "sensor_gone": "The sensor {sensor} is no longer in its file {source}.",
     # what a person decided

@@ -44,7 +44,6 @@ from accelcal_cli.output.files import is_page, looking_at, stored_schema
 from accelcal_cli.output.report_reading import load_our_json
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.options import fits_pattern
-from accelcal_cli.studies.columns import READ
 from accelcal_cli.studies.records import Item, is_ledger
 
 # Which files of a study are not its recordings, and why: by their names, and by their content.
@@ -154,8 +153,9 @@ NAMES = re.compile(r"study(\.\d+-of-\d+)?\.(csv|json|parquet|ledger|lock)")
 """Names of the files that a study writes into OUT itself."""
 
 SUMMARY = (".parquet", ".csv", ".json")
-FIRST = list(READ[:2])
-"""First columns of the table of every version."""
+LONGEST_HEAD = 1 << 16
+OF_TABLE = {"path", "outcome", "report"}
+"""Columns by which the table of any version is known, wherever they stand."""
 
 OURS = (
     jobs.PARQUET_SUFFIX, jobs.UNCALIBRATED_SUFFIX, jobs.REPORT_SUFFIX, jobs.INTEGERS_SUFFIX,
@@ -187,12 +187,14 @@ def _is_study_file(path: Path) -> bool:
             return False
         if path.suffix == ".parquet":
             schema = stored_schema(path)
-            return schema is not None and schema.names[: len(FIRST)] == FIRST
+            return schema is not None and set(schema.names) >= OF_TABLE
         if path.suffix == ".ledger":
             return is_ledger(path)
         if path.suffix == ".csv":
             with path.open("rb") as file:
-                return file.readline(4096).startswith(",".join(FIRST).encode() + b",")
+                return (
+                    set(file.readline(LONGEST_HEAD).decode("utf-8", "replace").strip().split(",")) >= OF_TABLE
+                )
         return "recordings" in (load_our_json(path) or {})
     except (OSError, OutputError, UnreadableError, ValueError):
         return False

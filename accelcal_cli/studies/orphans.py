@@ -1,28 +1,167 @@
-"""Results in OUT whose recording is gone or has another name now: found, told, and removed by `--prune`.
+"""Whose results OUT holds, and which of them belong to no recording any more.
 
-A result is one of these only if its recording was in a folder of the study, and the disk says that nothing is
-there now, neither at the path in its report nor at its place in the study. Nothing is removed where the disk
-cannot tell. A folder that is empty or cannot be listed may be that of a disk that is away. Then a result
-stays unless its recording is elsewhere in the study.
+OUT belongs to the folders of its last run. A folder is known again by its path, by its number on its disk, or
+by the recordings that it holds: moved, copied, linked or mounted elsewhere, it is the same.
+
+A result is an orphan if a study made it and the disk says that nothing is there now, neither at the path in
+its report nor at its place in the study. Messages name them, and `--prune` removes them. Nothing is removed where
+the disk cannot tell. A folder that holds no recording of an earlier run, or is on another disk than then, may
+be that of a disk that is away. Then a result stays unless its recording is elsewhere in the study.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+import contextlib
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.errors import OutputError, Reason, UnreadableError, UsageError, counted, printable
-from accelcal_cli.core.paths import files_below, is_there, may_be_away
-from accelcal_cli.output.report_reading import load_report, sensor_of
+from accelcal_cli.core.errors import (
+    AccelcalError,
+    OutputError,
+    Reason,
+    UnreadableError,
+    UsageError,
+    counted,
+    printable,
+)
+from accelcal_cli.core.paths import files_below, is_there, matching
+from accelcal_cli.core.paths import stat_or_none as look
+from accelcal_cli.output.files import looking_at, read_columns
+from accelcal_cli.output.report_reading import load_our_json, load_report, section, sensor_of
 from accelcal_cli.output.sentences import sentence
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.outputs import missing_source_of, place_of_report, remove_all
-from accelcal_cli.studies.discovery import Where, places
+from accelcal_cli.studies.discovery import SUMMARY, Where, places
 from accelcal_cli.studies.other_recordings import PREFIX
+from accelcal_cli.studies.records import Item
 from accelcal_cli.studies.sensors import report_of_all
-from accelcal_cli.studies.summary import Content, content
+from accelcal_cli.studies.study import WHOLE, Study
+from accelcal_cli.studies.summary import content
+
+SUMMARY_NAME = f"{WHOLE.basename}{SUMMARY[-1]}"
+IDENTITY = ("path", "bytes", "sha256", "sensor")
+FOLDERS = "folders"
+"""Key in `provenance` of `study.json`: the folders of a run."""
+COMPARED = 3
+"""Number of recordings, most of which are the same in a folder that is known again by what it holds."""
+MOST_DISKS = 1000
+"""Bound on the number of subfolders on other disks that are remembered."""
+
+
+@dataclass(frozen=True, slots=True)
+class Folder:
+    """A folder of a run, as it is known again.
+
+    Attributes:
+        place: where its results are under OUT; empty for a single folder.
+        device, number: of its disk, and of itself there.
+        disks: numbers of other disks, by the path below it of each folder that holds recordings on one.
+    """
+
+    path: str
+    place: str
+    device: int
+    number: int
+    disks: Mapping[str, int] = field(default_factory=dict)
+
+
+def folders_now(where: Where, before: Sequence[Folder], known: Collection[Path]) -> list[Folder]:
+    """Return the folders of a run.
+
+    Args:
+        before: those of the last run, whose disks are remembered while nothing is found on them.
+        known: recordings that were found, and that an earlier run found too.
+    """
+    old, found = {one.place: one.disks for one in before}, []
+    for folder, place in places(where):
+        device, number = _numbers(folder)
+        disks = dict(old.get(place, {}))
+        for below in sorted({one.parent for one in known if one.is_relative_to(folder)}):
+            name = below.relative_to(folder).as_posix()
+            disks[name] = _numbers(below)[0]
+        others = {name: one for name, one in disks.items() if one != device}
+        path, some = str(jobs.resolved_path(folder)), dict([*others.items()][:MOST_DISKS])
+        found.append(Folder(path, place, device, number, some))
+    return found
+
+
+def folders_before(study: Study, items: Sequence[Item]) -> list[Folder]:
+    """Return the folders of the last run in OUT; none if that is not known, or they are others and replaced.
+
+    Args:
+        items: all files that were found now.
+
+    Raises:
+        UsageError: they are others, and `force` is not given.
+    """
+    (before, table), now = _remembered(study), {place: folder for folder, place in places(study.where)}
+    for one in before:
+        folder = now.get(one.place)
+        if folder is not None and (_is_same(folder, one) or _holds_the_same(one.place, items, table)):
+            continue
+        if study.request.force:
+            return []
+        named = " and ".join(printable(jobs.resolved_path(folder)) for folder in study.where.folders)
+        raise UsageError(
+            f"holds the results of {printable(one.path)}, not of {named}",
+            path=study.out,
+            hint="choose another folder with -d, or replace them with --force",
+        )
+    return before
+
+
+def _remembered(study: Study) -> tuple[list[Folder], Path]:
+    """Return the folders that the summary of the last run names, of the study or of a part, and its table."""
+    names = dict.fromkeys((study.shard.basename, WHOLE.basename))
+    with looking_at(study.out):
+        parts = matching(study.out, f"study.*-of-*{SUMMARY[-1]}")[:1]
+    for path in (*(study.out / f"{name}{SUMMARY[-1]}" for name in names), *parts):
+        told = section(load_our_json(path) or {}, "provenance").get(FOLDERS)
+        if isinstance(told, list) and told:
+            try:
+                return [Folder(**one) for one in told], path.with_suffix(SUMMARY[0])
+            except TypeError:
+                continue
+    return [], study.out
+
+
+def _numbers(folder: Path) -> tuple[int, int]:
+    """Return the numbers of a folder's disk and of the folder on it; zeros where the disk cannot tell."""
+    try:
+        found = look(folder)
+    except OSError:
+        found = None
+    return (0, 0) if found is None else (found.st_dev, found.st_ino)
+
+
+def _is_same(folder: Path, before: Folder) -> bool:
+    return str(jobs.resolved_path(folder)) == before.path or _numbers(folder) == (
+        before.device,
+        before.number,
+    )
+
+
+def _holds_the_same(place: str, items: Sequence[Item], table: Path) -> bool:
+    """Return True if a folder holds half of a table's recordings by name and size, and most by content.
+
+    Args:
+        items: all files that were found now.
+    """
+    found, known = {printable(item.name): item for item in items}, {}
+    with contextlib.suppress(AccelcalError):
+        for row in read_columns(table, IDENTITY).to_pylist():
+            if row["path"].startswith(place):
+                known[row["path"] if row["sensor"] is None else row["path"].rpartition(" [")[0]] = row
+    there = [
+        (found[name].size, found[name].source, row.get("sha256"))
+        for name, row in known.items()
+        if name in found and found[name].size == row.get("bytes")
+    ]
+    compared = sorted(there)[:COMPARED]
+    same = sum(jobs.sha256(source) == hash_ for _, source, hash_ in compared)
+    return 2 * len(there) >= len(known) and 2 * same > len(compared)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,46 +182,98 @@ class Orphan:
         return {"report": printable(self.name), **self.reason.as_json(), "message": sentence(self.reason)}
 
 
-def orphans(
-    where: Where, known: Collection[Path], rows: Collection[Mapping[str, Any]], wholes: Mapping[Path, Path]
-) -> list[Orphan]:
-    """Return the results whose recording is gone, by name.
+@dataclass
+class Orphans:
+    """Finds the results whose recording is gone.
 
     Args:
-        known: reports of all recordings that the study found, whether it works on them or not.
+        reports: reports of all recordings that the study found, whether it works on them or not.
         rows: rows of the study's table, whose content tells recordings that were renamed.
         wholes: files whose sensors are known, by the report that each would have as one recording.
+        before: folders of the last run; none if that is not known.
+        known: recordings that were found, and that an earlier run found too.
+
+    Attributes:
+        found: the results, by name; filled by `find`.
+        away: number of results that stay since their disk may be away, by the folder where it may be.
     """
-    names = {content(row): row["path"] for row in rows if row.get("sha256")}
-    found: list[Orphan] = []
-    for folder, folders, files in files_below(where.out, []):
-        folders[:] = [name for name in folders if name[0] != "."]
-        for file in files:
-            path = folder / file
-            if not file.endswith(jobs.REPORT_SUFFIX) or path in known or file.startswith(PREFIX):
+
+    where: Where
+    reports: Collection[Path]
+    rows: Collection[Mapping[str, Any]]
+    wholes: Mapping[Path, Path]
+    before: Sequence[Folder]
+    known: Collection[Path]
+    found: list[Orphan] = field(default_factory=list)
+    away: dict[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Look through OUT."""
+        self._names = {content(row): row["path"] for row in self.rows if row.get("sha256")}
+        self._holding = {folder for one in self.known for folder in one.parents}
+        for folder, folders, files in files_below(self.where.out, []):
+            if folder != self.where.out and load_our_json(folder / SUMMARY_NAME) is not None:
+                folders.clear()  # another study
                 continue
-            if (reason := _why(path, where, names, wholes)) is not None:
-                found.append(Orphan(path.relative_to(where.out).as_posix(), path, reason))
-    return sorted(found, key=lambda one: one.name)
+            folders[:] = sorted(name for name in folders if name[0] != ".")
+            for file in files:
+                path = folder / file
+                if not file.endswith(jobs.REPORT_SUFFIX) or path in self.reports or file.startswith(PREFIX):
+                    continue
+                if (reason := self._why(path)) is not None:
+                    self.found.append(Orphan(path.relative_to(self.where.out).as_posix(), path, reason))
+        self.found.sort(key=lambda one: one.name)
 
+    def _why(self, path: Path) -> Reason | None:
+        """Return why nothing belongs to a report any more; None if something does, or nobody can tell."""
+        held = _held(path)
+        if held is None or (reason := _sensor_gone(path, held[0], self.wholes)) is not None:
+            return None if held is None else reason
+        report, source = held
+        known = place_of_report(report)
+        ours = self._was_ours(source or known)
+        spots = [*self._spots(path.relative_to(self.where.out), known.name)]
+        stays = source is None if ours else not _made_by_study(report)
+        if stays or any(map(is_there, spots)):
+            return None
+        now = self._names.get((report["recording"]["sha256"], sensor_of(report)))
+        if now is None and any(map(self._may_be_away, spots)):
+            return None
+        name, folder = printable(known.name), printable(known.parent)
+        if now is not None:
+            return Reason.of("recording_renamed", source=name, now=now)
+        elsewhere = Reason.of("recording_elsewhere", source=name, folder=folder)
+        return Reason.of("recording_gone", source=name) if ours else elsewhere
 
-def _why(
-    path: Path, where: Where, names: Mapping[Content, str], wholes: Mapping[Path, Path]
-) -> Reason | None:
-    """Return why nothing belongs to a report any more; None if something does, or nobody can tell."""
-    try:
-        report = load_report(path)
-        source = None if report is None else missing_source_of(report)
-    except (OutputError, UnreadableError):
-        return None
-    if report is None or source is None:
-        return None if report is None else _sensor_gone(path, report, wholes)
-    now = names.get((report["recording"]["sha256"], sensor_of(report)))
-    if _is_elsewhere(source, path.relative_to(where.out), where) or (now is None and may_be_away(source)):
-        return None
-    if now is None:
-        return Reason.of("recording_gone", source=printable(source.name))
-    return Reason.of("recording_renamed", source=printable(source.name), now=now)
+    def _was_ours(self, source: Path) -> bool:
+        """Return True if a recording was in a folder of the study as this run or the last one knows it."""
+        last = [Path(one.path) for one in self.before]
+        return any(
+            source.is_relative_to(one) for one in (*map(jobs.resolved_path, self.where.folders), *last)
+        )
+
+    def _spots(self, below: Path, file: str) -> Iterator[Path]:
+        """Yield where a recording must be now whose result has a path below OUT."""
+        name = below.with_name(file).as_posix()
+        return (folder / name.removeprefix(at) for folder, at in places(self.where) if name.startswith(at))
+
+    def _may_be_away(self, spot: Path) -> bool:
+        """Return True if a disk may be missing where a recording was; count its result then.
+
+        The nearest folder that is there holds no recording of an earlier run, or its disk is another one.
+        """
+        nearest = next((one for one in spot.parents if is_there(one)), spot)
+        root, place = next(one for one in places(self.where) if spot.is_relative_to(one[0]))
+        below = nearest.relative_to(root) if nearest.is_relative_to(root) else Path()
+        last = next((one for one in self.before if one.place == place), None)
+        disks = {} if last is None else last.disks
+        names = (below.as_posix(), *(one.as_posix() for one in below.parents))
+        device = next((disks[one] for one in names if one in disks), None if last is None else last.device)
+        if nearest in self._holding and device in (None, _numbers(nearest)[0]):
+            return False
+        shown = f"{place}{below.as_posix()}" if below.parts else str(nearest)
+        self.away[shown] = self.away.get(shown, 0) + 1
+        return True
 
 
 def _sensor_gone(path: Path, report: dict[str, Any], wholes: Mapping[Path, Path]) -> Reason | None:
@@ -95,13 +286,18 @@ def _sensor_gone(path: Path, report: dict[str, Any], wholes: Mapping[Path, Path]
     return Reason.of("sensor_gone", source=printable(source.name), sensor=printable(sensor))
 
 
-def _is_elsewhere(source: Path, below: Path, where: Where) -> bool:
-    """Return True if a recording was in no folder of the study, or is at the place of its result there."""
-    if not any(source.is_relative_to(jobs.resolved_path(folder)) for folder in where.folders):
-        return True
-    name = below.with_name(source.name).as_posix()
-    spots = [folder / name.removeprefix(place) for folder, place in places(where) if name.startswith(place)]
-    return any(map(is_there, spots))
+def _held(path: Path) -> tuple[dict[str, Any], Path | None] | None:
+    """Return a report, and where its recording was if that is gone; None if the disk cannot tell."""
+    try:
+        report = load_report(path)
+        return None if report is None else (report, missing_source_of(report))
+    except (OutputError, UnreadableError):
+        return None
+
+
+def _made_by_study(report: dict[str, Any]) -> bool:
+    command = section(report, "provenance").get("command")
+    return isinstance(command, list) and not {"study", "accelcal.study"}.isdisjoint(map(str, command[:2]))
 
 
 def refuse_too_many(found: Collection[Orphan], rows: int, *, force: bool) -> None:

@@ -268,6 +268,8 @@ class Plan:
         kept: results of earlier runs with other options, of recordings that this run does not name.
         why: why recordings are calibrated again, by name; before: rows of their earlier results.
         reports: reports of all recordings that were found, whatever is done with them.
+        listed: all files that were found, except those left out by their names.
+        met: recordings that an earlier run found too, or all if OUT held the results of none.
         decisions: what people decided about recordings; None without a file of it.
         by_name: why files were left out without a look at their content, by name.
         notes: lines for the user: patterns of `study.toml` that no file fits, links that are not followed.
@@ -292,6 +294,8 @@ class Plan:
     kept: list[Entry] = field(default_factory=list)
     by_name: Left = field(default_factory=dict)
     reports: set[Path] = field(default_factory=set)
+    listed: list[Item] = field(default_factory=list)
+    met: set[Path] = field(default_factory=set)
     why: dict[str, str] = field(default_factory=dict)
     before: dict[str, dict[str, Any]] = field(default_factory=dict)
     sensors: list[Entry] = field(default_factory=list)
@@ -492,7 +496,7 @@ def plan(study: Study, ledger: Ledger, lister: Lister = lambda _tasks: ()) -> Pl
     notes: list[str] = []
     last = said_last(study, notes)
     found = Plan(study, ledger, study.asked(), last, options_changed(study, last), _decisions(study), notes)
-    listed = files(study.where, notes, found.by_name)
+    listed = found.listed = files(study.where, notes, found.by_name)
     notes += unfit_patterns(study.request.rules, listed)
     found.reports |= {item.job.report for item in listed}
     wanted = [item for item in listed if found.wants(item)]
@@ -506,6 +510,8 @@ def plan(study: Study, ledger: Ledger, lister: Lister = lambda _tasks: ()) -> Pl
     except UsageError:  # which other shards' recordings may have
         others = [as_stated(item, study.request) for item in wanted if item.job.report not in owned]
         _require_use(study, [*recordings, *found.recordings([found.looked_at(item) for item in others])])
+    met = {item.source for item in items if any(one.row for one in ledger.entries(item.name))}
+    found.met = met or {item.source for item in recordings}
     for item in recordings:
         found.place(item)
     for item in items:

@@ -12,7 +12,7 @@ import time
 from collections import ChainMap
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence, Set
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -34,7 +34,16 @@ from accelcal_cli.studies.executors import (
     work_for,
 )
 from accelcal_cli.studies.lock import Lease
-from accelcal_cli.studies.orphans import Orphan, orphans, prune, refuse_too_many
+from accelcal_cli.studies.orphans import (
+    FOLDERS,
+    Folder,
+    Orphan,
+    Orphans,
+    folders_before,
+    folders_now,
+    prune,
+    refuse_too_many,
+)
 from accelcal_cli.studies.other_recordings import (
     APPLY_POOLS,
     BORROWING,
@@ -150,9 +159,32 @@ def _other_locks(study: Study) -> tuple[Path, ...]:
     return (study.out / "study.lock",)
 
 
-def _orphans(plan: Plan, rows: Sequence[Mapping[str, Any]]) -> list[Orphan]:
+def _orphans(plan: Plan, rows: Sequence[Mapping[str, Any]], folders: Sequence[Folder]) -> Orphans | None:
+    """Find results whose recording is gone; None for a shard, which does not know all recordings."""
     study = plan.study
-    return orphans(study.where, plan.reports, rows, plan.whole) if study.shard.whole else []
+    if not study.shard.whole:
+        return None
+    return Orphans(study.where, plan.reports, rows, plan.whole, folders, plan.met)
+
+
+def _refuse(plan: Plan) -> list[Folder]:
+    """Refuse what must not be done; return the folders of the last run.
+
+    Raises:
+        UsageError: OUT holds the results of other folders, there is nothing to collect, or `--prune` would
+            remove too much.
+        OutputError: what no study wrote would be overwritten.
+    """
+    study, sources = plan.study, [item.source for item in plan.items()]
+    refuse_foreign(study.out, study.shard.basename, sources, force=study.request.force)
+    if study.collect and plan.waiting and not plan.done:
+        text = f"no results of {counted(len(plan.waiting), 'recording')} were found for these options"
+        raise UsageError(text, hint="run the parts first, or give --collect the options used for them")
+    return folders_before(study, plan.listed)
+
+
+def _found(orphans: Orphans | None) -> list[Orphan]:
+    return [] if orphans is None else orphans.found
 
 
 def _say_orphans(left: Sequence[Orphan], what: str, note: Callable[[str], None]) -> None:
@@ -201,15 +233,11 @@ class StudyRun:
         Raises UsageError and OutputError; see `run`.
         """
         study, plan = self.study, self.plan
-        sources = [item.source for item in plan.items()]
-        refuse_foreign(study.out, study.shard.basename, sources, force=study.request.force)
-        if study.collect and plan.waiting and not plan.done:
-            text = f"no results of {counted(len(plan.waiting), 'recording')} were found for these options"
-            raise UsageError(text, hint="run the parts first, or give --collect the options used for them")
+        self._folders = _refuse(plan)
         for text in (*plan.notes, *upgrade_notice(plan.why)):
             self._observer.note(printable(text))
         if study.prune:
-            _refuse_pruning(plan, _orphans(plan, ()))
+            _refuse_pruning(plan, _found(_orphans(plan, (), self._folders)))
         counts = [len(plan.todo), len(plan.done), len(plan.waiting), len(plan.left_out) + len(plan.by_name)]
         LOG.info("planned: %d to do, %d done, %d waiting, %d left out", *counts)
         sweep_folders()  # of runs that were killed, on this machine or another
@@ -237,7 +265,7 @@ class StudyRun:
             self._observer.note(printable(change))
         for text in () if decisions is None else decisions.lines():
             self._observer.note(text)
-        left = _orphans(plan, rows)
+        left = _found(_orphans(plan, rows, self._folders))
         _refuse_pruning(plan, left)
         if study.prune:
             prune(left)
@@ -255,6 +283,7 @@ class StudyRun:
         self, rows: list[Mapping[str, Any]], decisions: Merged | None, left: Sequence[Orphan]
     ) -> Summary:
         plan, states, pools, now = self.plan, self.known.recordings, self.known.pools, time.time()
+        now_in = folders_now(self.study.where, self._folders, plan.met)
         return Summary(
             rows=rows,
             decisions=decisions,
@@ -268,6 +297,7 @@ class StudyRun:
             up_to_date=sum(states[name].item.refusal is None for name in set(states) - self.worked),
             pools={name: pools[name].row or {} for name in sorted(pools)},
             before=plan.last,
+            provenance={FOLDERS: [asdict(one) for one in now_in]},
         )
 
     def _entries(self) -> Iterator[Entry]:
@@ -501,6 +531,7 @@ def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str],
     planned = plan(study, ledger_of(study), lambda tasks: results(study, listed, tasks))
     for text in planned.notes:
         note(printable(text))
+    folders = _refuse(planned)
     known = StudyState({item.name: RecordingState(item, entry, entry) for item, entry in planned.done})
     states = dict.fromkeys(planned.todo, "todo") | dict.fromkeys(planned.waiting, "waiting")
     for one in rounds(study):
@@ -509,7 +540,7 @@ def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str],
         for task, entry in taken:
             known.take(one, task.item.name, entry)
     rows = {one.item: one.last.row or {} for one in known.recordings.values()}
-    left = _orphans(planned, list(rows.values()))
+    left = _found(_orphans(planned, list(rows.values()), folders))
     _say_orphans(left, "would be removed" if study.prune else STAYS, note)
     _refuse_pruning(planned, left)
     of_now = {item: row["outcome"] for item, row in rows.items() if not item.aside} | states

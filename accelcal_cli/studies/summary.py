@@ -273,6 +273,7 @@ class Summary:
         up_to_date: number of recordings for which nothing had to be done; not written.
         pools: device, number of recordings, outcome and message of each pool, by name.
         before: what `study.json` said of the last run; not written.
+        provenance: where the recordings were.
     """
 
     rows: Sequence[Mapping[str, Any]]
@@ -287,6 +288,7 @@ class Summary:
     pools: dict[str, dict[str, Any]] = field(default_factory=dict)
     decisions: Merged | None = None
     before: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def once(self) -> list[Mapping[str, Any]]:
@@ -354,6 +356,7 @@ class Summary:
             "kept": self.kept,
             "pools": self.pools,
             "settings": self.settings,
+            "provenance": dict(self.provenance),
         }
 
 

@@ -31,13 +31,13 @@ def study_folder(folder: Path, names: tuple[str, ...] = NAMES) -> Path:
 
 
 def results(out: Path) -> dict[str, object]:
-    """All outputs by name, reports without provenance; the ledger knows times and is left out."""
+    """All outputs by name, without provenance; the ledger knows times and is left out."""
     found: dict[str, object] = {}
     for path in sorted(out.rglob("*")):
         if path.is_dir() or path.suffix == ".ledger":
             continue
         content: object = path.read_bytes()
-        if path.name.endswith(".calibration.json"):
+        if path.suffix == ".json":
             content = {
                 key: value for key, value in json.loads(path.read_text()).items() if key != "provenance"
             }

@@ -203,6 +203,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "other_quantities": [{"columns": ["time", "lat", "lon"]}],
     "no_numbers": [{}],
     "no_format": [{}],
+    "recording_elsewhere": [{"source": "a.cwa", "folder": "/data/pilot"}],
     "recording_gone": [{"source": "a.cwa"}],
     "recording_renamed": [{"source": "a.cwa", "now": "b.cwa"}],
     "sensor_gone": [{"source": "table.csv", "sensor": "sensor=A"}],
