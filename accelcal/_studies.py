@@ -188,6 +188,11 @@ class _Bar:
     def note(self, text: str) -> None:
         """See `StudyObserver`."""
 
+    def found(self, line: str, *, new: bool) -> None:
+        """See `StudyObserver`."""
+        if new:
+            warnings.warn(line, stacklevel=4)
+
     def stopped(self, done: int) -> None:
         """See `StudyObserver`."""
 

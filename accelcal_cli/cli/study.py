@@ -86,6 +86,13 @@ class TerminalObserver:
             with self._aside(fresh=False):
                 exit_codes.say(text)
 
+    def found(self, line: str, *, new: bool) -> None:
+        """See `StudyObserver`; a quiet run says only what is new."""
+        LOG.info("to act on: %s", line)
+        if new or self._values["all_failures"] or not self._values["quiet"]:
+            with self._aside(fresh=False):
+                exit_codes.say(line)
+
     def stopped(self, done: int) -> None:
         """See `StudyObserver`."""
         self.done = done
@@ -318,8 +325,6 @@ def _stated(item: Item) -> list[str]:
 
 def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, values: dict[str, Any]) -> int:
     """Sum up on stderr and return the exit code."""
-    for text in summary.news(repeat=values["all_failures"] or not values["quiet"]):
-        exit_codes.say(text)
     if summary.ahead and study.settle_s > 0:
         what = f"{counted(summary.ahead, 'recording')} that wait: modified in the future by this clock"
         exit_codes.say(f"{what}; check the clocks of the machines")

@@ -10,9 +10,11 @@ import codecs
 import contextlib
 import csv
 import io
+import json
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -37,6 +39,9 @@ SOMEBODY = "a person"
 
 LARGEST, MOST_ROWS, MOST_FINDINGS, LONGEST = 64 << 20, 200_000, 100, 2000
 """Bounds: bytes of the file, its rows, findings about them, and characters that are kept of a cell."""
+MOST_LISTED, MOST_SHOWN, ROWS_BYTES, INDENT_BYTES = 1000, 10, 32 << 20, 80
+"""Bounds on what `study.json` holds, so that it can be read again: entries of a list, row numbers of a
+finding, bytes of the decisions and of what a row is indented by."""
 DELIMITERS = ",;\t"
 EXCEL_LINE = re.compile(r"\Asep=.[\r\n]+", re.IGNORECASE)
 """First line that names the delimiter to Excel."""
@@ -99,15 +104,14 @@ class Merged:
             *([Reason.of("decisions_more", number=more)] if more > 0 else []),
         ]
 
-    def lines(self) -> list[str]:
-        """Return a line for people for each finding."""
-        return [f"{self.decisions.file}: {sentence(one)}" for one in self.said()]
-
     def as_json(self) -> dict[str, Any]:
         """Return the object of `study.json`: the file as it was read, and what is wrong with it."""
         rows = [[getattr(one, name) for name in COLUMNS] for one in self.rows]
+        sizes = accumulate(len(json.dumps(row)) + INDENT_BYTES for row in rows)
+        there = rows[: sum(size <= ROWS_BYTES for size in sizes)]
         found = [{**one.as_json(), "message": sentence(one)} for one in self.said()]
-        return {"file": self.decisions.file, "decided": len(self.changes), "findings": found, "rows": rows}
+        numbers = {"decided": len(self.changes), "rows_not_listed": len(rows) - len(there)}
+        return {"file": self.decisions.file, **numbers, "findings": found, "rows": there}
 
 
 def read_decisions(path: Path) -> Decisions:
@@ -221,7 +225,9 @@ def _decide(found: Merged, path: str, row: Mapping[str, Any], decisions: Sequenc
     taken = [one for one in decisions if one.use == min(uses, key=CAUTIOUS.index)][-1]
     if len(uses) > 1:
         rows = [one.row for one in decisions]
-        found.findings.append(Reason.of("decisions_contradict", recording=path, rows=rows, use=taken.use))
+        more = {"more": len(rows) - MOST_SHOWN} if len(rows) > MOST_SHOWN else {}
+        values = {"recording": path, "rows": rows[:MOST_SHOWN], **more, "use": taken.use}
+        found.findings.append(Reason.of("decisions_contradict", **values))
     own = row["use"] if row.get("use") in CAUTIOUS else "no"
     use = taken.use
     if taken.result and row.get("result") and taken.result != row["result"]:

@@ -145,6 +145,23 @@ def _no_decision(values: Mapping[str, Any]) -> str:
     return f"In row {values['row']}, use is '{values['cell']}', which is not yes, with care or no."
 
 
+def _share_missing(percent: float) -> str:
+    return f", {percent:.2g} % of it is missing" if percent else ""
+
+
+def _others(values: Mapping[str, Any]) -> list[str]:
+    return [f"{values['more']} more"] if values.get("more") else []
+
+
+def _mixed_times(values: Mapping[str, Any]) -> str:
+    """Warn against joining the Parquet files of a study."""
+    return (
+        f"Times are in UTC in {counted(values['utc'], 'Parquet file')}, and in local time of an unknown zone "
+        f"in {values['unknown']} (see time_zone in the table). Do not join them. Give the unknown zone with "
+        "--timezone, in a separate study if other files state their own."
+    )
+
+
 FILES: dict[str, FormOfValues] = {
     # why a file of a study is left out
     "unfinished_copy": "It is a download or a copy that is not finished ({suffix}).",
@@ -174,9 +191,23 @@ FILES: dict[str, FormOfValues] = {
     "The more cautious of both counts: {use}.",
     "decision_unreadable": _no_decision,
     "decision_without_recording": "Row {row} names {recording}, which is not a recording of the study.",
-    "decisions_contradict": "Rows {rows:list} contradict each other on {recording}. The most cautious of "
-    "them counts: {use}.",
+    "decisions_contradict": lambda values: (
+        f"Rows {listed([*map(str, values['rows']), *_others(values)])} contradict each other on "
+        f"{values['recording']}. The most cautious of them counts: {values['use']}."
+    ),
     "decisions_more": "{number:n more finding} about rows.",
+    "decisions_gone": "It is gone, and {number:n decision} with it. Put it back. If that was meant, "
+    "write an empty one (recording,use).",
+    # what else a person must act on in a study
+    "disk_may_be_away": "No recording of the last run is left there, or its disk is another one. The results "
+    "stay ({results:n recording}). Mount the disk, or remove the folder if its recordings are gone.",
+    "file_cut_short": lambda values: (
+        f"The file is cut short{_share_missing(values['lost_percent'])}. Copy it again from the device."
+    ),
+    "copied_under_another_name": "It has the same bytes as {first}, under another name. Find out whose "
+    "recording it is, and exclude the other one in decisions.csv.",
+    "pool_refused": "The {recordings} recordings of device {device_serial} are not pooled: {message}",
+    "times_mixed": _mixed_times,
 }
 """Sentences by code; words in braces are values of the reason."""
 

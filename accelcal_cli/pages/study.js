@@ -212,7 +212,8 @@
 
   // What people decide, by the path of the recording: the rows of decisions.csv, and those chosen here since.
   class Decisions {
-    constructor(rows, table) {
+    constructor(rows, table, more) {
+      this.more = more;
       this.paths = table.columns[0].values;
       this.results = table.results;
       this.file = new Map();
@@ -274,6 +275,7 @@
     }
 
     save() {
+      if (this.more) return this.say(`not saved: decisions.csv has ${grouped(this.more)} more, change it in a spreadsheet`);
       const lines = [FIELDS, ...this.rows()].map((row) => row.map(cell).join(",")).join("\r\n");
       const link = element("a", { download: "decisions.csv" });
       link.href = URL.createObjectURL(new Blob([`\ufeff${lines}\r\n`], { type: "text/csv" }));
@@ -327,7 +329,7 @@
     return /[",;\t\r\n]/.test(plain) ? `"${plain.replaceAll('"', '""')}"` : plain;
   }
 
-  const decisions = new Decisions(data.decisions, data.recordings);
+  const decisions = new Decisions(data.decisions, data.recordings, data.decisions_not_listed);
   const recordings = new Grid("recordings", data.recordings);
   if ($("devices-grid")) new Grid("devices", data.devices);
 

@@ -25,7 +25,7 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.devices.review import Verdict
 from accelcal_cli.output import sentences
 from accelcal_cli.output.advice import LIMIT_MG
-from accelcal_cli.output.decisions import CAUTIOUS, COLUMNS, MOST_FINDINGS, NAME
+from accelcal_cli.output.decisions import CAUTIOUS, COLUMNS, MOST_LISTED
 from accelcal_cli.output.numbers import mg_of_two_digits
 from accelcal_cli.output.sentences import OUTCOMES, outcome_words
 from accelcal_cli.pages import study_figures as figures
@@ -59,11 +59,21 @@ def _fits(row: Any) -> bool:
 
 
 def findings(summary: Mapping[str, Any]) -> list[str]:
-    """Return a line for each finding about decisions, with the name of their file."""
+    """Return a line for each finding that a person must act on, and one for those that are not listed."""
+    held = summary.get("findings")
+    listed = held.get("listed") if isinstance(held, dict) else None
+    texts = [one for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
+    lines = [printable(str(one.get("message"))) for one in texts[:MOST_LISTED]]
+    number = held.get("number") if isinstance(held, dict) else None
+    more = number - len(lines) if isinstance(number, int) else 0
+    return [*lines, f"and {more} more"] if more > 0 else lines
+
+
+def _not_listed(summary: Mapping[str, Any]) -> int:
+    """Return the number of decisions that the page does not have, so that it must not save the others."""
     held = summary.get("decisions")
-    file = str(held.get("file") or NAME) if isinstance(held, dict) else NAME
-    found = [one for one in _section(summary, "findings") if isinstance(one, dict)][: MOST_FINDINGS + 1]
-    return [printable(f"{file}: {one.get('message')}") for one in found]
+    number = held.get("rows_not_listed") if isinstance(held, dict) else None
+    return number if isinstance(number, int) else 0
 
 
 # The page of a study.
@@ -221,13 +231,14 @@ def page(study: StudyContent) -> str:
         origin=[(name, printable(value)) for name, value in study.origin],
         left_out=_left_out(study.summary),
         decided=[entry for entry in entries if entry.row["decided_by"]][:LISTED],
-        doubtful=findings(study.summary),
+        to_act_on=findings(study.summary),
         recordings=len(once),
         data=embedded(
             {
                 "recordings": _recordings_table(entries, scatter),
                 "devices": _devices_table(devices["devices"]),
                 "decisions": rows(study.summary),
+                "decisions_not_listed": _not_listed(study.summary),
             }
         ),
     )
@@ -404,12 +415,10 @@ def _headline(entries: Sequence[_Entry], copies: int) -> dict[str, str]:
 
 def _notes(summary: dict[str, Any]) -> list[str]:
     """Return what users must know that the study says of itself."""
-    waiting, mixed, pools = summary.get("waiting"), summary.get("mixed_times"), summary.get("pools") or {}
+    waiting, pools = summary.get("waiting"), summary.get("pools") or {}
     notes = []
     if isinstance(waiting, int) and waiting:
         notes.append(f"{counted(waiting, 'recording')} waiting: not started yet.")
-    if isinstance(mixed, str):
-        notes.append(f"{printable(mixed)}.")
     if pools:
         notes.append(f"{counted(len(pools), 'pool')} of recordings of one device.")
     return notes

@@ -4,9 +4,9 @@ OUT belongs to the folders of its last run. A folder is known again by its path,
 by the recordings that it holds: moved, copied, linked or mounted elsewhere, it is the same.
 
 A result is an orphan if a study made it and the disk says that nothing is there now, neither at the path in
-its report nor at its place in the study. Messages name them, and `--prune` removes them. Nothing is removed where
-the disk cannot tell. A folder that holds no recording of an earlier run, or is on another disk than then, may
-be that of a disk that is away. Then a result stays unless its recording is elsewhere in the study.
+its report nor at its place in the study. Messages name them, and `--prune` removes them. Nothing is removed
+where the disk cannot tell. A folder that holds no recording of an earlier run, or is on another disk than
+then, may be that of a disk that is away. Then a result stays unless its recording is elsewhere in the study.
 """
 
 from __future__ import annotations
@@ -76,11 +76,11 @@ def folders_now(where: Where, before: Sequence[Folder], known: Collection[Path])
     """
     old, found = {one.place: one.disks for one in before}, []
     for folder, place in places(where):
-        device, number = _numbers(folder)
+        device, number = numbers_of(folder)
         disks = dict(old.get(place, {}))
         for below in sorted({one.parent for one in known if one.is_relative_to(folder)}):
             name = below.relative_to(folder).as_posix()
-            disks[name] = _numbers(below)[0]
+            disks[name] = numbers_of(below)[0]
         others = {name: one for name, one in disks.items() if one != device}
         path, some = str(jobs.resolved_path(folder)), dict([*others.items()][:MOST_DISKS])
         found.append(Folder(path, place, device, number, some))
@@ -127,7 +127,7 @@ def _remembered(study: Study) -> tuple[list[Folder], Path]:
     return [], study.out
 
 
-def _numbers(folder: Path) -> tuple[int, int]:
+def numbers_of(folder: Path) -> tuple[int, int]:
     """Return the numbers of a folder's disk and of the folder on it; zeros where the disk cannot tell."""
     try:
         found = look(folder)
@@ -137,7 +137,7 @@ def _numbers(folder: Path) -> tuple[int, int]:
 
 
 def _is_same(folder: Path, before: Folder) -> bool:
-    return str(jobs.resolved_path(folder)) == before.path or _numbers(folder) == (
+    return str(jobs.resolved_path(folder)) == before.path or numbers_of(folder) == (
         before.device,
         before.number,
     )
@@ -269,7 +269,7 @@ class Orphans:
         disks = {} if last is None else last.disks
         names = (below.as_posix(), *(one.as_posix() for one in below.parents))
         device = next((disks[one] for one in names if one in disks), None if last is None else last.device)
-        if nearest in self._holding and device in (None, _numbers(nearest)[0]):
+        if nearest in self._holding and device in (None, numbers_of(nearest)[0]):
             return False
         shown = f"{place}{below.as_posix()}" if below.parts else str(nearest)
         self.away[shown] = self.away.get(shown, 0) + 1

@@ -23,7 +23,7 @@ from accelcal_cli.output.decisions import Merged
 from accelcal_cli.output.files import disk_errors, looking_at, sweep, sweep_left
 from accelcal_cli.output.sentences import clause, copied
 from accelcal_cli.pipeline.outputs import withdraw
-from accelcal_cli.studies import lock, summary
+from accelcal_cli.studies import findings, lock, summary
 from accelcal_cli.studies.discovery import SUMMARY, Left, job_without_others, places, refuse_foreign
 from accelcal_cli.studies.executors import (
     ProcessPool,
@@ -86,8 +86,6 @@ LOG = logging.getLogger("accelcal")
 
 PRELOAD = "accelcal_cli.studies.preload"
 
-STAYS = "stays, and --prune removes it"
-
 TABLE_S, TABLE_TIMES = 5.0, 20.0
 """Shortest time between updates of the table while a study runs, [s] and as a multiple of an update's."""
 
@@ -103,6 +101,9 @@ class StudyObserver(Protocol):
 
     def note(self, text: str) -> None:
         """Called with a line for the user."""
+
+    def found(self, line: str, *, new: bool) -> None:
+        """Called with what a person must act on, and whether the last run did not say so."""
 
     def finished(self, item: Item, result: TaskResult) -> None:
         """Called with a recording's last result: it is done, was done before, or failed."""
@@ -263,14 +264,22 @@ class StudyRun:
         made = {name: one.last.row or {} for name, one in self.known.recordings.items()}
         if (change := changed_coefficients_notice(plan.before, made)) is not None:
             self._observer.note(printable(change))
-        for text in () if decisions is None else decisions.lines():
-            self._observer.note(text)
-        left = _found(_orphans(plan, rows, self._folders))
+        orphans = _orphans(plan, rows, self._folders)
+        left = _found(orphans)
         _refuse_pruning(plan, left)
         if study.prune:
             prune(left)
-        _say_orphans(left, "removed" if study.prune else STAYS, self._observer.note)
-        result = self._summary(rows, decisions, [] if study.prune else left)
+            _say_orphans(left, "removed", self._observer.note)
+        found = [
+            *findings.of_decisions(decisions, plan.last),
+            *findings.of_orphans(orphans, pruned=study.prune),
+            *findings.of_rows(rows),
+            *findings.of_pools(self._pools()),
+            *findings.of_times(rows),
+        ]
+        for line, new in findings.lines(found, plan.last):
+            self._observer.found(line, new=new)
+        result = self._summary(rows, decisions, [] if study.prune else left, found)
         self.lease.confirm()
         summary.write(result, study.out, study.shard.basename)
         self.lease.confirm()
@@ -280,9 +289,13 @@ class StudyRun:
         return result
 
     def _summary(
-        self, rows: list[Mapping[str, Any]], decisions: Merged | None, left: Sequence[Orphan]
+        self,
+        rows: list[Mapping[str, Any]],
+        decisions: Merged | None,
+        left: Sequence[Orphan],
+        found: Sequence[findings.Finding],
     ) -> Summary:
-        plan, states, pools, now = self.plan, self.known.recordings, self.known.pools, time.time()
+        plan, states, now = self.plan, self.known.recordings, time.time()
         now_in = folders_now(self.study.where, self._folders, plan.met)
         return Summary(
             rows=rows,
@@ -295,10 +308,13 @@ class StudyRun:
             kept=len({entry.name for entry in plan.kept}),
             orphans=[one.as_json() for one in left],
             up_to_date=sum(states[name].item.refusal is None for name in set(states) - self.worked),
-            pools={name: pools[name].row or {} for name in sorted(pools)},
-            before=plan.last,
+            pools=self._pools(),
+            findings=findings.as_json(found),
             provenance={FOLDERS: [asdict(one) for one in now_in]},
         )
+
+    def _pools(self) -> dict[str, dict[str, Any]]:
+        return {name: one.row or {} for name, one in sorted(self.known.pools.items())}
 
     def _entries(self) -> Iterator[Entry]:
         """Yield the entries to keep; those of waiting recordings may serve a run with other options."""
@@ -322,12 +338,18 @@ class StudyRun:
         last |= {name: one.last.row for name, one in self.known.recordings.items()}
         rows = {name: row for name, row in sorted(last.items()) if row is not None}
         more: dict[str, dict[str, Any]]
-        more = {name: {"copy_of": printable(one)} for name, one in summary.copies(rows).items()}
+        copies = summary.copies(rows)
+        more = {name: {"copy_of": printable(one)} for name, one in copies.items()}
         decided = self.plan.merged(rows.values())
         changes = {} if decided is None else decided.changes
+        for pair in copies.items():  # who is excluded must not be there under the name of a copy
+            for one, other in (pair, pair[::-1]):
+                change = changes.get(rows[one]["path"], {})
+                if change.get("use") == "no" and not summary.of_another_name(one, other):
+                    changes.setdefault(rows[other]["path"], change)
         for name, row in rows.items():
-            if (change := changes.get(row["path"])) is not None:
-                more[name] = {**more.get(name, {}), **change}
+            if (decision := changes.get(row["path"])) is not None:
+                more[name] = {**more.get(name, {}), **decision}
         # a row of a hundred columns is not copied for some of them
         return [ChainMap(more[name], row) if name in more else row for name, row in rows.items()], decided
 
@@ -541,7 +563,7 @@ def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str],
             known.take(one, task.item.name, entry)
     rows = {one.item: one.last.row or {} for one in known.recordings.values()}
     left = _found(_orphans(planned, list(rows.values()), folders))
-    _say_orphans(left, "would be removed" if study.prune else STAYS, note)
+    _say_orphans(left, "would be removed" if study.prune else findings.STAYS, note)
     _refuse_pruning(planned, left)
     of_now = {item: row["outcome"] for item, row in rows.items() if not item.aside} | states
     return of_now, planned.reasons(), planned.why

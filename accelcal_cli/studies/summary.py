@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from accelcal_cli.core.calibration import PARAMETER_NAMES
-from accelcal_cli.core.errors import Reason, counted, printable
+from accelcal_cli.core.errors import Reason, printable
 from accelcal_cli.core.identity import STUDY, identity
 from accelcal_cli.core.local_time import UNKNOWN, UTC
 from accelcal_cli.core.points import MODELS
@@ -24,7 +26,7 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output import files
 from accelcal_cli.output.advice import MILD, page_verdict
-from accelcal_cli.output.decisions import Merged
+from accelcal_cli.output.decisions import MOST_LISTED, Merged
 from accelcal_cli.output.files import json_text, replacing, write_text
 from accelcal_cli.output.report import failure_code
 from accelcal_cli.output.report_reading import sensor_of
@@ -68,18 +70,44 @@ def content(row: Mapping[str, Any]) -> Content:
     return row.get("sha256"), row.get("sensor")
 
 
+WORD = re.compile(r"[^\W_]+")
+COPIES = frozenset(("copy", "copies", "copie", "copia", "kopie", "duplicate", "backup"))
+"""Words in the names of copies."""
+
+
+def _words(path: str) -> tuple[set[str], set[str]]:
+    """Return the words of a recording's name, and those of its folders that have a digit."""
+    folder, _, name = path.lower().rpartition("/")
+    stem = name.partition(" [")[0].removesuffix(".gz").rpartition(".")[0] or name
+    return set(WORD.findall(stem)), {one for one in WORD.findall(folder) if any(map(str.isdigit, one))}
+
+
+def of_another_name(path: str, other: str) -> bool:
+    """Return True unless all words of one name are in the other's, as in `P001` and `P001 (copy)`."""
+    one, two = (named | numbered for named, numbered in map(_words, (path, other)))
+    return not (one <= two or two <= one)
+
+
+def _as_original(path: str) -> tuple[int, bool, str]:
+    """Return the place of a recording among those of the same content, of which the first counts."""
+    named, _ = _words(path)
+    return len(named), not COPIES.isdisjoint(WORD.findall(path.lower())), path
+
+
 def copies(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
-    """Return the names of copies, each with the first name of the same content, said to be of one device.
+    """Return the names of copies, each with that of the recording of the same content and device that counts.
+
+    That is the one whose name has the fewest words.
 
     Args:
         rows: rows by name; those of files that could not be read have no hash.
     """
     first: dict[tuple[str | None, Content], str] = {}
-    read = {name: rows[name] for name in sorted(rows) if rows[name].get("sha256")}
+    read = {name: rows[name] for name in sorted(rows, key=_as_original) if rows[name].get("sha256")}
     firsts = {
         name: first.setdefault((row["device_serial"], content(row)), name) for name, row in read.items()
     }
-    return {name: one for name, one in firsts.items() if name != one}
+    return {name: one for name, one in sorted(firsts.items()) if name != one}
 
 
 KINDS = {"text": (str, type(None)), "whole": (int, type(None)), "number": (int, float, type(None))}
@@ -253,8 +281,6 @@ def _calibration(calibration: CalibrationSection | None) -> dict[str, Any]:
 TOGETHER = 1 << 14
 """Number of rows of a row group of `study.parquet`."""
 
-WAY_OUT = "give the unknown zone with --timezone, in a separate study if other files state their own"
-
 
 @dataclass(frozen=True, slots=True)
 class Summary:
@@ -272,8 +298,8 @@ class Summary:
         kept: number of recordings that this run does not name, whose rows are from one with other options.
         up_to_date: number of recordings for which nothing had to be done; not written.
         pools: device, number of recordings, outcome and message of each pool, by name.
-        before: what `study.json` said of the last run; not written.
         provenance: where the recordings were.
+        findings: what a person must act on, as an object of `study.json`.
     """
 
     rows: Sequence[Mapping[str, Any]]
@@ -287,8 +313,8 @@ class Summary:
     up_to_date: int = 0
     pools: dict[str, dict[str, Any]] = field(default_factory=dict)
     decisions: Merged | None = None
-    before: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    findings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def once(self) -> list[Mapping[str, Any]]:
@@ -304,38 +330,9 @@ class Summary:
         """Return the number of recordings by outcome, copies left out."""
         return dict(sorted(Counter(row["outcome"] for row in self.once).items()))
 
-    def time_zones(self) -> dict[str, int]:
-        """Return the number of Parquet files with times in UTC, and in an unknown zone."""
-        zones = (row.get("time_zone") for row in self.rows if row["parquet"])
-        return dict(sorted(Counter(zone for zone in zones if zone).items()))
-
-    def news(self, *, repeat: bool) -> Iterator[str]:
-        """Yield what is wrong with the study as a whole, with `repeat` also what the last run said.
-
-        Recordings whose times must not be joined are named once, not with each that is added.
-        """
-        before = {} if repeat else self.before
-        told = before.get("pools")
-        for name, pool in self.pools.items():
-            said = isinstance(told, dict) and told.get(name) == pool
-            if pool["outcome"] in (FAILED, Outcome.REFUSED) and not said:
-                device = f"the {pool['recordings']} recordings of device {pool['device_serial']}"
-                yield f"{printable(device)} are not pooled: {pool['message']}"
-        if (mixed := self.mixed_times()) and not before.get("mixed_times"):
-            yield mixed
-
-    def mixed_times(self) -> str | None:
-        """Return a warning against joining the files, if `time` is not of one type in all of them."""
-        zones = self.time_zones()
-        if len(zones) < 2:
-            return None
-        return (
-            f"Times are in UTC in {counted(zones[UTC], 'Parquet file')}, and in local time of an unknown "
-            f"zone in {zones[UNKNOWN]} (see time_zone in the table): do not join them; {WAY_OUT}"
-        )
-
     def counts(self) -> dict[str, Any]:
         """Return the content of `study.json`."""
+        mixed = mixed_times(self.rows)
         return {
             **identity(STUDY),
             "recordings": len(self.rows),
@@ -343,21 +340,39 @@ class Summary:
             "outcomes": self.outcomes(),
             "uses": dict(sorted(Counter(row["use"] for row in self.once if row.get("use")).items())),
             "models": dict(sorted(Counter(row["model"] for row in self.once if row["model"]).items())),
-            "time_zones": self.time_zones(),
-            "mixed_times": self.mixed_times(),
+            "time_zones": time_zones(self.rows),
+            "mixed_times": None if mixed is None else sentence(mixed),
             "waiting": self.waiting,
             "left_out": self.left_out,
             "files_left_out": [
                 {"path": printable(name), **why.as_json(), "message": sentence(why)}
-                for name, why in self.files_left_out.items()
+                for name, why in islice(self.files_left_out.items(), MOST_LISTED)
             ],
-            "orphans": list(self.orphans),
+            "not_listed": {
+                name: len(them) - MOST_LISTED
+                for name, them in (("files_left_out", self.files_left_out), ("orphans", self.orphans))
+                if len(them) > MOST_LISTED
+            },
+            "orphans": list(self.orphans[:MOST_LISTED]),
+            "findings": dict(self.findings),
             "decisions": None if self.decisions is None else self.decisions.as_json(),
             "kept": self.kept,
             "pools": self.pools,
             "settings": self.settings,
             "provenance": dict(self.provenance),
         }
+
+
+def time_zones(rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+    """Return the number of Parquet files with times in UTC, and in an unknown zone."""
+    zones = (row.get("time_zone") for row in rows if row["parquet"])
+    return dict(sorted(Counter(zone for zone in zones if zone).items()))
+
+
+def mixed_times(rows: Sequence[Mapping[str, Any]]) -> Reason | None:
+    """Return a warning against joining the Parquet files, if `time` is not of one type in all of them."""
+    zones = time_zones(rows)
+    return None if len(zones) < 2 else Reason.of("times_mixed", utc=zones[UTC], unknown=zones[UNKNOWN])
 
 
 def write(summary: Summary, out: Path, name: str) -> None:

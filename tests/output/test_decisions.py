@@ -16,7 +16,9 @@ from hypothesis import strategies as st
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.output import decisions as module
 from accelcal_cli.output.decisions import Decisions, merged, read_decisions
-from accelcal_cli.output.files import csv_text
+from accelcal_cli.output.files import csv_text, json_text
+from accelcal_cli.output.report_reading import LARGEST_BYTES
+from accelcal_cli.output.sentences import sentence
 
 PLAIN = (
     "recording,use,note,who,when,result\n"
@@ -251,6 +253,26 @@ def test_a_decision_on_another_result_is_told_and_the_more_cautious_counts(
 def test_many_findings_end_with_their_number(tmp_path: Path) -> None:
     text = "recording,use\n" + "".join(f"x{n}.cwa,no\n" for n in range(150))
     found = merged(read(tmp_path, text), TABLE)
-    assert len(found.lines()) == module.MOST_FINDINGS + 1
-    assert found.lines()[-1] == "decisions.csv: 50 more findings about rows."
+    assert len(found.said()) == module.MOST_FINDINGS + 1
+    assert sentence(found.said()[-1]) == "50 more findings about rows."
     assert found.as_json()["findings"][-1]["values"] == {"number": 50}
+
+
+@pytest.mark.parametrize("note", ["", "x" * 100, "\u00e9" * module.LONGEST])
+def test_h3_what_a_study_keeps_of_many_decisions_can_be_read_again(note: str, tmp_path: Path) -> None:
+    """All of the rows if they fit; else how many are not there, so that nobody takes them for all."""
+    number = 199_990 if len(note) < module.LONGEST else 20_000
+    every = [module.Decision("a.cwa", "no", note, "", "", "", row) for row in range(2, number + 2)]
+    held = merged(module.Decisions("decisions.csv", every), TABLE).as_json()
+    assert len(held["rows"]) + held["rows_not_listed"] == number
+    assert (held["rows_not_listed"] == 0) == (note == "")
+    assert len(json_text(held, indent=2).encode()) < LARGEST_BYTES / 2
+
+
+def test_h3_rows_that_contradict_are_named_with_how_many_more(tmp_path: Path) -> None:
+    text = "recording,use\n" + "".join(f"a.cwa,{use}\n" for use in ["no", "yes"] * 50)
+    (found,) = merged(read(tmp_path, text), TABLE).said()
+    assert found.values == {"recording": "a.cwa", "rows": list(range(2, 12)), "more": 90, "use": "no"}
+    assert sentence(found).startswith(
+        "Rows 2, 3, 4, 5, 6, 7, 8, 9, 10, 11 and 90 more contradict each other on "
+    )

@@ -165,7 +165,10 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
         {"row": 3, "column": "use", "cell": "maybe"},
     ],
     "decision_without_recording": [{"row": 4, "recording": "b.cwa"}],
-    "decisions_contradict": [{"recording": "a.cwa", "rows": [2, 5], "use": "no"}],
+    "decisions_contradict": [
+        {"recording": "a.cwa", "rows": [2, 5], "more": 7, "use": "no"},
+        {"recording": "a.cwa", "rows": [2, 5], "use": "no"},
+    ],
     "decisions_more": [{"number": 12}],
     "donor": [{"path": "a.cwa", "why": {"code": "not_less", "values": WORSE_HERE}}],
     "error_may_reach": [{"high_mg": 12.34, "everywhere": everywhere} for everywhere in (False, True)],
@@ -203,6 +206,14 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "other_quantities": [{"columns": ["time", "lat", "lon"]}],
     "no_numbers": [{}],
     "no_format": [{}],
+    "decisions_gone": [{"number": 3}],
+    "disk_may_be_away": [{"results": 12}],
+    "file_cut_short": [{"lost_percent": 0.0}, {"lost_percent": 48.2}],
+    "copied_under_another_name": [{"first": "P001.gt3x"}],
+    "pool_refused": [
+        {"recordings": 2, "device_serial": "A1", "message": "The device was still in only 1 orientation."}
+    ],
+    "times_mixed": [{"utc": 3, "unknown": 2}],
     "recording_elsewhere": [{"source": "a.cwa", "folder": "/data/pilot"}],
     "recording_gone": [{"source": "a.cwa"}],
     "recording_renamed": [{"source": "a.cwa", "now": "b.cwa"}],

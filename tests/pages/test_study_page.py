@@ -486,17 +486,20 @@ def test_u50_decisions_are_on_the_page_and_hostile_ones_are_texts() -> None:
     good = ["a.cwa", "no", "</script><img src=x>", "=who", "2026", "r1"]
     nonsense: list[Any] = [None, "text", ["a.cwa", "no"], [*good[:5], 3], ["a.cwa", "delete", "", "", "", ""]]
     found = [{"message": f"{name} is odd"} for name in HOSTILE]
-    held = {"file": HOSTILE[0], "rows": [good, *nonsense], "findings": [*found, "nonsense"]}
+    held = {"file": HOSTILE[0], "rows": [good, *nonsense], "rows_not_listed": 7}
+    to_act_on = {"number": 9 + len(found), "listed": [*found, "nonsense", 3]}
     no = {"use": "no", "decided_by": "=who", "result": "r1"}
     no |= {"why": "A person decided not to use it: <b>loose</b>."}
     rows = (row("a.cwa", **no), row("b.cwa", use="no"))
-    text = page(content(*rows, summary={"decisions": held}))
+    text = page(content(*rows, summary={"decisions": held, "findings": to_act_on}))
     root = parsed(text)
     check_page(root)
-    assert data_of(root)["decisions"] == [good]
+    assert data_of(root)["decisions"] == [good] and data_of(root)["decisions_not_listed"] == 7
+    assert root.whole().count(" is odd") == len(found) and "and 9 more" in root.whole()
     assert data_of(root)["recordings"]["results"] == ["r1", ""]
     assert "<b>loose" not in text and "&lt;b&gt;loose&lt;/b&gt;" in text
     assert not SHAPELESS.search(text)
     assert "<dt>Can be used</dt><dd>1 (50.0 %)</dd>" in text
-    for odd in (None, 3, {"rows": 3, "findings": None}, {"rows": {"a": 1}}):
-        assert data_of(parsed(page(content(*rows, summary={"decisions": odd}))))["decisions"] == []
+    for odd in (None, 3, {"rows": 3, "listed": None}, {"rows": {"a": 1}, "listed": 3, "number": "x"}):
+        changed = parsed(page(content(*rows, summary={"decisions": odd, "findings": odd})))
+        assert data_of(changed)["decisions"] == [] and data_of(changed)["decisions_not_listed"] == 0

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from accelcal_cli.studies.summary import Summary
+from accelcal_cli.studies.findings import as_json, lines, of_times
+from accelcal_cli.studies.summary import Summary, mixed_times
 
 
 def rows(*zones: str | None) -> list[dict[str, str | None]]:
@@ -33,12 +34,12 @@ def test_mixed_times_are_told_with_the_way_out() -> None:
 
 def test_what_wrote_no_parquet_is_not_counted() -> None:
     refused = {"outcome": "refused", "model": None, "parquet": None, "time_zone": "unknown"}
-    assert Summary([*rows("UTC"), refused], {}).mixed_times() is None
+    assert mixed_times([*rows("UTC"), refused]) is None
 
 
 def test_a_quiet_run_tells_of_mixed_times_once() -> None:
-    first = Summary(rows("UTC", "unknown"), {})
-    (said,) = first.news(repeat=False)
-    later = Summary(rows("UTC", "unknown", "UTC"), {}, before=first.counts())
-    assert (list(later.news(repeat=False)), list(later.news(repeat=True))) == ([], [later.mixed_times()])
-    assert said == first.mixed_times()
+    """Not again with each recording that is added."""
+    first, later = list(of_times(rows("UTC", "unknown"))), list(of_times(rows("UTC", "unknown", "UTC")))
+    last = {"findings": as_json(first)}
+    assert list(lines(later, last)) == [(later[0].line, False)]
+    assert first[0].line != later[0].line and list(lines(later, {})) == [(later[0].line, True)]

@@ -36,13 +36,13 @@ def codes(out: Path) -> dict[str, str]:
 
 def other_disk(monkeypatch: pytest.MonkeyPatch, *places: Path) -> None:
     """Let folders be on another disk than they are, as after something was mounted or unmounted there."""
-    true = orphans._numbers
+    true = orphans.numbers_of
 
     def numbers(folder: Path) -> tuple[int, int]:
         disk, number = true(folder)
         return disk + 1000 * (folder in places), number
 
-    monkeypatch.setattr(orphans, "_numbers", numbers)
+    monkeypatch.setattr(orphans, "numbers_of", numbers)
 
 
 @pytest.mark.parametrize("words", [(), ("--dry-run",), ("--shard", "1/2"), ("-q",)])
