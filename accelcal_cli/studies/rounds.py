@@ -450,7 +450,7 @@ class Plan:
             row = summary.failed(item, kind.exit_code, item.refusal)
             return Entry(item.name, item.stamps, self.asked, row, again=True)
         own, rounds = self.ledger.known(item, self.asked), self.study.replacing
-        if own is None:
+        if own is None or own.row is None:  # it was left out, but --include names it now
             return None
         if rounds and item.name not in self.untouched:
             rounds = REPLACING

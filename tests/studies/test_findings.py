@@ -91,7 +91,7 @@ EVERY: dict[str, tuple[Callable[[Path], None], str]] = {
     "decision_without_recording": (no_such_name, "decisions.csv: Row 2 names P01, which is not a recording "),
     "decisions_contradict": (contradiction, "decisions.csv: Rows 2 and 3 contradict each other on P001.raw."),
     "decision_outdated": (outdated, "decisions.csv: The result of P001.raw has changed since row 2 decided "),
-    "decisions_gone": (decisions_deleted, "decisions.csv: It is gone, and 2 decisions with it. Put it back;"),
+    "decisions_gone": (decisions_deleted, "decisions.csv: It is gone, and 2 decisions with it. Put it back."),
     "recording_gone": (deleted, "site/P003.calibration.json stays, and --prune removes it: its recording "),
     "recording_renamed": (renamed, "P001.calibration.json stays, and --prune removes it: its recording P001"),
     "disk_may_be_away": (unmounted, "site: No recording of the last run is left there, or its disk is "),

@@ -114,3 +114,20 @@ def test_collected_without_an_option_a_later_round_is_not_forgotten(tmp_path: Pa
     assert (ran.code, "no results of 2 recordings were found for these options" in ran.err) == (2, True)
     assert list((tmp_path / "out").glob("study.pool.*")), "both were made with it"
     assert "2 unchanged" in study(tmp_path / "in", *POOL, "--collect").err
+
+
+@pytest.mark.parametrize("words", [(), ("--dry-run",), ("--html",)])
+@pytest.mark.parametrize("later", [(), ("--force",), ("--retry-failed",)])
+def test_d14_a_file_that_was_left_out_can_be_named(
+    later: tuple[str, ...], words: tuple[str, ...], tmp_path: Path
+) -> None:
+    """It is looked at as a recording, and fails as one; the others keep their rows."""
+    folder = study_folder(tmp_path / "in", ("a.raw",))
+    (folder / "P2.csv").write_text("name,age,score\n" + "x,3,4\n" * 50)
+    assert study(folder, "-q").code == 0
+    ran = study(folder, "--include", "P2*", *later, *words)
+    assert ran.code == (0 if "--dry-run" in words else 3)
+    table = {row["path"]: row["outcome"] for row in rows(tmp_path / "out")}
+    assert table == {"a.raw": "calibrated"} | ({} if "--dry-run" in words else {"P2.csv": "failed"})
+    assert study(folder, "-q").code == 0
+    assert [row["path"] for row in rows(tmp_path / "out")] == ["a.raw"]
