@@ -355,7 +355,7 @@ def _coefficients(form: str, paths: Sequence[Path], output: Path | None, *, forc
         raise UsageError("none of the recordings has coefficients that can be exported")
     text = coefficients.TABLES[form](done)
     for one in done if form != "json" else ():
-        if (note := coefficients.temperature_note(one, form)) is not None:
+        for note in filter(None, (coefficients.over_limit(one), coefficients.temperature_note(one, form))):
             warnings.warn(f"{one.file_name}: {note}", stacklevel=4)
     if output is not None:
         write_text(output, text)

@@ -107,9 +107,11 @@ def _coefficients(files: tuple[Path, ...], values: dict[str, Any]) -> int:
         refuse_outputs((output,), files, force=values["force"])
     done, codes = _each(select(files, data=False), coefficients.read_for(form))
     for one in done if form != "json" and not values["quiet"] else ():
-        for sentence in (coefficients.cost(one), coefficients.temperature_note(one, form)):
-            if sentence is not None:
-                say(f"{one.path}: {sentence}")
+        for text in filter(None, (coefficients.cost(one), coefficients.temperature_note(one, form))):
+            say(f"{one.path}: {text}")
+    for one in done if form != "json" else ():
+        if (doubt := coefficients.over_limit(one)) is not None:
+            say(f"{one.path}: {doubt}")
     text = coefficients.TABLES[form](done)
     if output is None:
         show(text.rstrip("\n")) if done else None

@@ -19,6 +19,7 @@ from accelcal_cli.core.declared import from_json
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.identity import identity
 from accelcal_cli.core.recording import ThermometerWord
+from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output.coefficients import (
     FULL_GAIN,
@@ -27,6 +28,7 @@ from accelcal_cli.output.coefficients import (
     without_misalignment,
 )
 from accelcal_cli.output.files import csv_text
+from accelcal_cli.output.numbers import mg
 from accelcal_cli.output.report_reading import check_sections, file_place
 from accelcal_cli.output.sections import Errors, FitSection, RecordingSection
 
@@ -145,6 +147,7 @@ class ExportedReport:
         whole: its calibration; errors: the errors of that.
         simple: the calibration without misalignment; simple_errors: the errors of that.
         place: where the recording was, None where the report does not say it.
+        limit_mg: bound on the calibration error that the recording was judged by.
     """
 
     path: Path
@@ -155,6 +158,7 @@ class ExportedReport:
     simple: Calibration
     simple_errors: Errors
     place: str | None = None
+    limit_mg: float = DEFAULT.max_error_mg
 
     @property
     def file_name(self) -> str:
@@ -180,7 +184,7 @@ def read_exported(path: Path) -> ExportedReport:
 
     Raises:
         UnreadableError: it is not a report, is damaged, or its recording was refused.
-        UsageError: it has nothing that such a tool can use.
+        UsageError: it has nothing that such a tool can use, or nothing that is better than the raw data.
     """
     found = read_coefficients(path)
     document, whole = found.document, found.calibration
@@ -202,15 +206,40 @@ def read_exported(path: Path) -> ExportedReport:
         )
     windows_s = from_json(FitSection, report["fit"]).windows.used * report["settings"]["segment_seconds"]
     errors, place = from_json(Errors, report), file_place(report, "recording")
+    limit = float(report["settings"].get("max_error_mg") or DEFAULT.max_error_mg)
     if whole.model in ALIGNED:
-        return ExportedReport(path, recording, windows_s, whole, errors, whole, errors, place)
+        return _judged(ExportedReport(path, recording, windows_s, whole, errors, whole, errors, place, limit))
     simple = without_misalignment(found)
     if simple is None:
         orientations = "was calibrated on known orientations, and " if whole.model == FULL_GAIN else ""
         text = f"{orientations}has no fit without misalignment"
         raise UsageError(text, path=path, hint="export the calibrated data (--to csv), or use --to json")
     simple_errors = from_json(Errors, report["without_misalignment"])
-    return ExportedReport(path, recording, windows_s, whole, errors, simple, simple_errors, place)
+    return _judged(
+        ExportedReport(path, recording, windows_s, whole, errors, simple, simple_errors, place, limit)
+    )
+
+
+def _judged(one: ExportedReport) -> ExportedReport:
+    """Return what is exported; raises UsageError if it is worse than the raw data."""
+    everywhere, held_out = one.simple_errors.calibration_error_mg, one.simple_errors.holdout
+    pair = None if held_out is None else (held_out.before_mg.mean, held_out.after_mg.mean)
+    before, after = pair or (0.0, 0.0) if everywhere is None else (everywhere.before, everywhere.mean)
+    if after <= before:
+        return one
+    error = "held-out" if everywhere is None else "calibration"
+    text = f"model {one.simple.model} is worse than the raw data: {error} error {mg(before)} mg before, "
+    hint = "export the calibrated data (-d DIR), which keep the misalignment, or use --to json"
+    raise UsageError(f"{text}{mg(after)} mg after", path=one.path, hint=hint)
+
+
+def over_limit(one: ExportedReport) -> str | None:
+    """Return in a sentence that what is exported may be over the limit; None if it is not."""
+    error = one.simple_errors.calibration_error_mg
+    if error is None or error.ci95[1] <= one.limit_mg:
+        return None
+    interval = f"{mg(error.mean)} mg (95 % interval {mg(error.ci95[0])} to {mg(error.ci95[1])} mg)"
+    return f"its calibration error may be over the limit of {mg(one.limit_mg)} mg: {interval}"
 
 
 def ggir(reports: Sequence[ExportedReport]) -> str:

@@ -225,7 +225,7 @@ def write_coefficients(form: str, made: Sequence[Made], folder: Path) -> list[st
     """Write the coefficients of what was exported, for those who keep their raw files.
 
     Returns:
-        one message for each recording that is not among them.
+        messages: recordings that are not among them, or whose coefficients may be over the limit.
     """
     if form not in COEFFICIENT_FILES:
         return []
@@ -241,6 +241,8 @@ def write_coefficients(form: str, made: Sequence[Made], folder: Path) -> list[st
                 text = f"not in {COEFFICIENT_FILES[form]}: another recording has the name {found.file_name}"
                 messages.append(f"{report}: {text}")
             reports.setdefault(found.file_name, found)
+            if (doubt := coefficients.over_limit(found)) is not None:
+                messages.append(f"{COEFFICIENT_FILES[form]}: {report}: {doubt}")
         except AccelcalError as error:
             messages.append(f"not in {COEFFICIENT_FILES[form]}: {error}")
     text = coefficients.TABLES[form](list(reports.values()))

@@ -8,6 +8,7 @@ import io
 import json
 import re
 import shlex
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,9 @@ from accelcal_cli.exports.coefficients import (
     omconvert,
     read_exported,
 )
+from accelcal_cli.output.numbers import mg
 from accelcal_cli.output.sections import Errors, HoldoutSection, RecordingSection
+from tests.cli.run import run
 from tests.device_recordings import donor, edit
 
 COLUMNS = (
@@ -219,3 +222,43 @@ def test_what_cannot_be_handed_on_honestly_is_refused(tmp_path: Path, text: str)
     with pytest.raises(UsageError) as caught:
         read_exported(path)
     assert text in str(caught.value) and str(path) in str(caught.value)
+
+
+def with_errors(part: str, before: float, after: float, high: float) -> Callable[[dict[str, Any]], None]:
+    """Set the error over all orientations of the fit without misalignment, or that on held-out ones alone."""
+
+    def change(report: dict[str, Any]) -> None:
+        section = report["without_misalignment"]
+        if part == "calibration_error_mg":
+            section[part] |= {"before": before, "mean": after, "ci95": [after / 2, high]}
+        else:
+            section["calibration_error_mg"] = None
+            section["holdout"]["before_mg"]["mean"], section["holdout"]["after_mg"]["mean"] = before, after
+
+    return change
+
+
+@pytest.mark.parametrize(("before", "after"), [(13.8, 17.2), (13.8, 13.81), (0.4, 0.9)])
+@pytest.mark.parametrize("part", ["calibration_error_mg", "holdout"])
+@pytest.mark.parametrize("form", ["ggir", "biobank", "omconvert"])
+def test_d4_coefficients_worse_than_raw_are_skipped_and_said(
+    form: str, part: str, before: float, after: float, tmp_path: Path
+) -> None:
+    path = edit(donor(tmp_path, warm=True), with_errors(part, before, after, 20.0))
+    error = "calibration" if part == "calibration_error_mg" else "held-out"
+    text = (
+        f"model 6T is worse than the raw data: {error} error {mg(before)} mg before, {mg(after)} mg after; "
+    )
+    ran = run("export", path, "--to", form, "-q")
+    assert (ran.code, ran.out) == (2, "") and f"accelcal: {path}: {text}" in ran.err
+    edit(path, with_errors(part, after, before, 20.0))
+    assert run("export", path, "--to", form, "-q").code == 0
+
+
+@pytest.mark.parametrize(("high", "said"), [(9.99, False), (10.0, False), (22.0, True)])
+def test_d4_what_may_be_over_the_limit_is_said(high: float, said: bool, tmp_path: Path) -> None:
+    path = edit(donor(tmp_path, warm=True), with_errors("calibration_error_mg", 30.0, 8.0, high))
+    text = "its calibration error may be over the limit of 10 mg: 8 mg (95 % interval 4 to "
+    text += f"{high:g} mg)"
+    ran = run("export", path, "--to", "ggir", "-q")
+    assert ran.code == 0 and (f"{path}: {text}" in ran.err) == said == bool(ran.err)
