@@ -64,6 +64,7 @@ def study(
     retry_failed: bool = False,
     newer_than: datetime | None = None,
     decisions: AnyPath | None = None,
+    keep_teaching: bool = False,
     html: bool = False,
     force: bool = False,
     progress: bool | None = None,
@@ -88,6 +89,7 @@ def study(
         retry_failed: try again recordings that failed and have not changed since.
         newer_than: process only files that were modified since then.
         decisions: table of your decisions about recordings; None: decisions.csv in `output`.
+        keep_teaching: let recordings that you excluded lend, pool and teach like others.
         html: also write the pages of the study and of its recordings.
         force: redo what is up to date, and replace files that accelcal did not write.
         progress: show a bar; None: at a terminal and in a notebook.
@@ -143,6 +145,7 @@ def study(
         borrow=borrow,
         pool=pool,
         decisions=None if decisions is None else Path(decisions),
+        keep_teaching=keep_teaching,
         executor=None if executor is None else lambda: nullcontext(executor),
         in_process=jobs == 1 and timeout is None,
     )

@@ -169,6 +169,7 @@ def known_rules() -> dict[str, Named]:
               help="Set a number of the rules (--help-all lists them).")  # fmt: skip
 @click.option("--registry", type=FILE, metavar="FILE.json",
               help="Add the good calibrations to this registry, which is made if it is missing.")  # fmt: skip
+@click.option("--keep-teaching", is_flag=True, help="Count recordings that people excluded, too.")
 def command(out: Path, **values: Any) -> int:
     """Show how the devices of a study drift, which of them need service, and why.
 
@@ -182,10 +183,11 @@ def command(out: Path, **values: Any) -> int:
     """
     refuse_both(as_json=values["as_json_"], as_csv=values["as_csv"])
     if values["registry"] is not None:
-        exit_codes.say(added(out, values["registry"]))
+        exit_codes.say(added(out, values["registry"], keep_teaching=values["keep_teaching"]))
         if is_registry(out):
             return exit_codes.OK
-    reviewed = review(out, Rules(**dict(values["rules"])), time.time())
+    rules = Rules(**dict(values["rules"]))
+    reviewed = review(out, rules, time.time(), keep_teaching=values["keep_teaching"])
     devices = _chosen(reviewed, values["device"], out)
     exit_codes.show(_shown(reviewed, devices, values))
     if not values["quiet"]:
@@ -221,6 +223,8 @@ def _summary(reviewed: Review, devices: tuple[DeviceReview, ...]) -> str:
     text = counted(len(devices), "device")
     text += f": {', '.join(counts)}" if counts else ""
     records = reviewed.records
+    if records.excluded:
+        text += f"; {counted(records.excluded, 'recording')} excluded by people"
     if records.nameless:
         text += f"; {counted(records.nameless, 'recording')} without a serial number"
         text += f", {records.failed} of them failed" if records.failed else ""

@@ -37,7 +37,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "config", "named",
     ),
     "Judging": (
-        "prior", "registry", "borrow", "pool", "max_error_mg", "strict", "model", "no_temperature", "profile",
+        "prior", "registry", "borrow", "pool", "keep_teaching", "max_error_mg", "strict", "model",
+        "no_temperature", "profile",
         "recalibrate", "latitude", "altitude_m", "stillness", "stillness_axes", "segment_seconds",
         "stillness_threshold_g", "longest_gap_s", "optimizer", "min_distance_g", "min_subset_points",
         "max_subset_points",

@@ -172,6 +172,8 @@ class TerminalObserver:
     help="Calibrate the recordings of a device together.",
 )  # fmt: skip
 @click.option("--borrow", is_flag=True, help="Use coefficients of the same device where needed.")
+@click.option("--keep-teaching", cls=Rare, is_flag=True,
+              help="Let recordings that people excluded lend, pool and teach.")  # fmt: skip
 @precision_option
 @study_options
 def command(folders: tuple[Path, ...], **values: Any) -> int:
@@ -262,6 +264,7 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         pool=values["pool"] is not None,
         borrow=values["borrow"],
         prune=values["prune"],
+        keep_teaching=values["keep_teaching"],
         decisions=values["decisions"],
     )
     return with_learnt_prior(study)

@@ -310,16 +310,17 @@ class Review:
     rules: Rules
 
 
-def review(out: Path, rules: Rules, now_s: float) -> Review:
+def review(out: Path, rules: Rules, now_s: float, *, keep_teaching: bool = False) -> Review:
     """Judge the devices of the study in a folder.
 
     Args:
         now_s: the time [s since 1970].
+        keep_teaching: recordings that people excluded count too.
 
     Raises:
         UsageError, UnreadableError: see `table.read`.
     """
-    return judged(table.read(out, now_s), rules)
+    return judged(table.read(out, now_s, keep_teaching=keep_teaching), rules)
 
 
 def judged(records: table.Records, rules: Rules) -> Review:

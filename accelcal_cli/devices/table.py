@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from math import isnan, nan
@@ -19,6 +19,7 @@ from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, c
 from accelcal_cli.core.paths import is_file, is_folder, matching
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.results import Outcome
+from accelcal_cli.output import decisions
 from accelcal_cli.output.files import NAME, read_columns
 from accelcal_cli.output.registry import (
     RegistryEntry,
@@ -144,6 +145,7 @@ class Records:
         days: (n,) start of the recording [days since 1970]; NaN where it is not known.
         nameless: number of recordings that name no device; they are not among the n.
         failed: number of these that could not be read at all.
+        excluded: number of recordings that people excluded, which are not among the n either.
     """
 
     devices: tuple[DeviceKey, ...]
@@ -155,6 +157,7 @@ class Records:
     days: Floats
     nameless: int = 0
     failed: int = 0
+    excluded: int = 0
 
     def __len__(self) -> int:
         return len(self.days)
@@ -175,17 +178,24 @@ class Records:
         return np.repeat(np.arange(len(self.devices)), np.diff(self.first))
 
 
-def read(out: Path, now_s: float) -> Records:
+def read(out: Path, now_s: float, *, keep_teaching: bool = False) -> Records:
     """Read the table of the study in a folder.
 
     Args:
         now_s: the time [s since 1970]; recordings that begin later have no date.
+        keep_teaching: recordings that people excluded count too.
 
     Raises:
         UsageError: there is no table.
         UnreadableError: it cannot be read, or is not the table of a study.
     """
-    return records(columns(out / NAME), now_s / DAY_S + AHEAD_DAYS)
+    table = columns(out / NAME)
+    gone = set() if keep_teaching else _excluded(out)
+    kept = [at for at, path in enumerate(table["path"]) if path not in gone]
+    if len(kept) < len(table["path"]):
+        for name, values in table.items():
+            table[name] = values[kept] if isinstance(values, np.ndarray) else [values[at] for at in kept]
+    return replace(records(table, now_s / DAY_S + AHEAD_DAYS), excluded=len(gone))
 
 
 def columns(path: Path) -> dict[str, Any]:
@@ -199,6 +209,11 @@ def columns(path: Path) -> dict[str, Any]:
         return found
     except ValueError as error:
         raise UnreadableError(f"cannot be read ({error})", path=path, hint="run the study again") from error
+
+
+def _excluded(out: Path) -> set[str]:
+    """Return the paths of the recordings that people excluded."""
+    return set(decisions.excluded(out, read_columns(out / NAME, decisions.READ).to_pylist()))
 
 
 def _check_there(path: Path) -> None:
@@ -394,8 +409,13 @@ def mask(usage: list[Usage], *wanted: Usage) -> Mask:
 # Good calibrations of a study, or of another registry, added to a registry of devices.
 
 
-def added(out: Path, path: Path) -> str:
+def added(out: Path, path: Path, *, keep_teaching: bool = False) -> str:
     """Add the good calibrations of a study's folder, or of a registry, to a registry; return what was done.
+
+    Recordings that people excluded are not added, and removed if they are there.
+
+    Args:
+        keep_teaching: recordings that people excluded count too.
 
     Raises:
         UsageError: the folder has no table, or the registry's name is that of another kind of file.
@@ -408,12 +428,22 @@ def added(out: Path, path: Path) -> str:
             "is there, and is not a registry of devices", path=path, hint="give the name of a new file"
         )
     held = read_registry(path) if is_file(path) else []
-    entries = merged([*held, *(read_registry(out) if is_registry(out) else _of_study(out))])
+    more = read_registry(out) if is_registry(out) else _of_study(out)
+    gone = set() if keep_teaching or is_registry(out) else _hashes_of_excluded(out)
+    entries = merged(one for one in (*held, *more) if one.order()[1] not in gone)
     write_registry(path, entries)
     devices = len({one.order()[0] for one in entries})
-    more = len(entries) - len(merged(held))
+    before, now = ({one.order()[:2] for one in some} for some in (held, entries))
     calibrations = counted(len(entries), "good calibration")
-    return f"{printable(path)}: {calibrations} of {counted(devices, 'device')}, {more} of them new"
+    removed = f"; {len(before - now)} removed, which people excluded" if before - now else ""
+    news = f"{len(now - before)} of them new{removed}"
+    return f"{printable(path)}: {calibrations} of {counted(devices, 'device')}, {news}"
+
+
+def _hashes_of_excluded(out: Path) -> set[str]:
+    """Return the hashes of the recordings that people excluded."""
+    gone, rows = _excluded(out), read_columns(out / NAME, ("path", "sha256")).to_pylist()
+    return {row["sha256"] for row in rows if row["path"] in gone}
 
 
 def _of_study(out: Path) -> Iterator[RegistryEntry]:

@@ -23,7 +23,7 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.exports.coefficients import NO_RECORDING
 from accelcal_cli.output import decisions
 from accelcal_cli.output.files import NAME as TABLE
-from accelcal_cli.output.files import exists, looking_at, read_columns
+from accelcal_cli.output.files import exists, read_columns
 from accelcal_cli.output.report_reading import check_sections, read_document
 from accelcal_cli.output.sentences import begun_small
 from accelcal_cli.pipeline.jobs import (
@@ -99,7 +99,7 @@ def refuse_existing(outputs: Iterable[Path]) -> None:
 # Finds the recordings that paths stand for.
 
 SUMMARY = "study.json"
-READ = ("path", "report", "message", "use", "why", "decided_by", "result")
+READ = ("report", "message", *decisions.READ)
 """Columns of a study's table."""
 SECTIONS = ("recording", "outcome", "message", "file_health")
 
@@ -166,11 +166,11 @@ def _of_folder(folder: Path, *, data: bool) -> Iterator[Selected]:
     is_study = is_file(table)
     rows = read_columns(table, READ).to_pylist() if is_study else []
     paths = {row["report"]: row["path"] for row in rows}
-    excluded = _excluded(folder, rows)
+    excluded = decisions.excluded(folder, rows)
     for report in _reports_below(folder):
         name = printable(report.relative_to(folder))
         if paths.get(name) in excluded:
-            yield Selected(report, report, skipped=excluded[paths[name]])
+            yield Selected(report, report, skipped=begun_small(excluded[paths[name]]).removesuffix("."))
         elif name in paths or not is_study:
             one = of_report(report)
             if not data and one.held is not None and one.held["outcome"] != Outcome.REFUSED:
@@ -180,21 +180,6 @@ def _of_folder(folder: Path, *, data: bool) -> Iterator[Selected]:
     for row in rows:
         if not row["report"]:
             yield Selected(Path(row["path"]), skipped=f"failed ({row['message']})")
-
-
-def _excluded(folder: Path, rows: Sequence[dict[str, Any]]) -> dict[str, str]:
-    """Return why recordings are skipped that a person excluded, by their paths in the table.
-
-    A file of decisions that was changed since the last run of the study counts as it is now.
-    """
-    decided = {row["path"]: row for row in rows if row["decided_by"] is not None}
-    path = folder / decisions.NAME
-    if rows and is_file(path):
-        with looking_at(path, UnreadableError):
-            decided |= decisions.merged(decisions.read_decisions(path), rows).changes
-    return {
-        path: begun_small(row["why"]).removesuffix(".") for path, row in decided.items() if row["use"] == "no"
-    }
 
 
 def _reports_below(folder: Path) -> list[Path]:

@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from accelcal_cli.core.errors import FORMULA, Reason, UnreadableError, printable
-from accelcal_cli.core.paths import open_found
+from accelcal_cli.core.paths import is_file, open_found
+from accelcal_cli.output.files import looking_at
 from accelcal_cli.output.sentences import sentence
 
 NAME = "decisions.csv"
@@ -34,6 +35,8 @@ CAUTIOUS = ("no", "with care", "yes")
 """Values of `use` in the table, the most cautious first."""
 CHANGED = ("use", "why", "decided_by", "decided_at", "note")
 """Columns of the table that a decision fills."""
+READ = ("path", "use", "why", "decided_by", "result")
+"""Columns of the table by which it is known who is excluded."""
 SOMEBODY = "a person"
 """Value of `decided_by` if the file names nobody."""
 
@@ -238,6 +241,23 @@ def _decide(found: Merged, path: str, row: Mapping[str, Any], decisions: Sequenc
     why = sentence(Reason.of("decided_by_a_person", **values))
     cells = (use, why, taken.who or SOMEBODY, taken.when or None, taken.note or None)
     found.changes[path] = dict(zip(CHANGED, cells, strict=True))
+
+
+def excluded(folder: Path, rows: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    """Return why people excluded recordings of a study, by their paths in its table.
+
+    A file of decisions that was changed since the last run of the study counts as it is now.
+
+    Args:
+        folder: the study's output folder; rows: its table, with at least the columns READ.
+    """
+    rows = list(rows)
+    decided = {row["path"]: row for row in rows if row["decided_by"] is not None}
+    path = folder / NAME
+    if rows and is_file(path):
+        with looking_at(path, UnreadableError):
+            decided |= merged(read_decisions(path), rows).changes
+    return {path: str(row["why"]) for path, row in decided.items() if row["use"] == "no"}
 
 
 class _Lookup:

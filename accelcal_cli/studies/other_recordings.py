@@ -96,7 +96,9 @@ def _damaged(row: Row) -> bool:
     return bool(row.get("reason") == "damaged")
 
 
-def donors(rows: Mapping[str, Row], *, compare: bool, settled: Collection[str] = ()) -> dict[str, list[str]]:
+def donors(
+    rows: Mapping[str, Row], *, compare: bool, settled: Collection[str] = (), silent: Collection[str] = ()
+) -> dict[str, list[str]]:
     """Return the possible donors of each recording that should borrow, the nearest in time first.
 
     A recording that should borrow does not lend, so that nothing is lent on.
@@ -105,13 +107,17 @@ def donors(rows: Mapping[str, Row], *, compare: bool, settled: Collection[str] =
         rows: results by name.
         settled: names of the recordings that do not borrow, since their result is not their own.
         compare: whether calibrated recordings may borrow, too, if they are poorer than others.
+        silent: names of the recordings that do not lend, since people excluded them.
     """
     found: dict[str, list[str]] = {}
     for device in _devices(rows).values():
+        heard = {name: row for name, row in device.items() if name not in silent}
         recipients = {
-            name for name in device.keys() - set(settled) if _borrows(name, device, compare=compare)
+            name
+            for name in device.keys() - set(settled)
+            if _borrows(name, heard | {name: device[name]}, compare=compare)
         }
-        good = [name for name in device if name not in recipients and device[name]["outcome"] in GOOD]
+        good = [name for name in heard if name not in recipients and device[name]["outcome"] in GOOD]
         sound = {name: device[name] for name in good if not _sensor_changed(device[name])}
         again = summary.copies(sound)  # which would take the places of other donors
         lending = [name for name in sound if name not in again]
@@ -197,7 +203,7 @@ def borrowing_tasks(study: Study, known: StudyState) -> list[BorrowTask]:
     rows = {name: one.last.row for name, one in states.items() if one.last.row and not one.last.failed}
     settled = [name for name, one in states.items() if one.last is not one.own]
     compare = settings.profile == DEFAULT.profile
-    found = donors(rows, compare=compare, settled=settled)
+    found = donors(rows, compare=compare, settled=settled, silent=known.silent)
 
     def task(name: str, names: list[str]) -> BorrowTask:
         own = states[name].own
@@ -281,7 +287,12 @@ class PoolTask:
 
 def pool_tasks(study: Study, known: StudyState) -> list[PoolTask]:
     """Return a task for each pool (see `Round`)."""
-    return [pool_of(study, known, members) for members in pools(known.own_rows())]
+    return [pool_of(study, known, members) for members in pools(_heard(known))]
+
+
+def _heard(known: StudyState) -> dict[str, dict[str, Any]]:
+    """Return the own rows of the recordings that people did not exclude."""
+    return {name: row for name, row in known.own_rows().items() if name not in known.silent}
 
 
 def pool_of(study: Study, known: StudyState, names: list[str]) -> PoolTask:
@@ -297,7 +308,7 @@ def pool_of(study: Study, known: StudyState, names: list[str]) -> PoolTask:
         ((sum(one.item.size for one in states), 0),),
         sensor=states[0].item.sensor,
     )
-    more = sorted(name for name, first in summary.copies(known.own_rows()).items() if first in names)
+    more = sorted(name for name, first in summary.copies(_heard(known)).items() if first in names)
 
     def member(name: str) -> Member:
         return Member(known.recordings[name].item.source, (known.recordings[name].own.row or {})["sha256"])
@@ -356,7 +367,7 @@ class PooledTask(ReplacementTask):
 
 def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:
     """Return a task for each member of a pool that has coefficients (see `Round`)."""
-    tasks, common, rows = [], common_of(study), known.own_rows()
+    tasks, common, rows = [], common_of(study), _heard(known)
     again = summary.copies(rows)
     for members in pools(rows):
         one = pool_of(study, known, members)
@@ -438,10 +449,12 @@ class Learning:
         rows: own results by name, found with the population's prior.
         max_error_mg: bound on the error over the sphere, at the high end of its interval, of a result that
             others learn from.
+        silent: names of the recordings from which nobody learns, since people excluded them.
     """
 
     rows: Mapping[str, Row]
     max_error_mg: float
+    silent: Collection[str] = ()
     _devices: dict[Model, dict[str, list[_Good]]] = field(default_factory=dict)
     _known: dict[tuple[str, ...], LearntPrior] = field(default_factory=dict)
 
@@ -450,7 +463,7 @@ class Learning:
         first: dict[summary.Content, _Good] = {}
         for name in sorted(self.rows):
             row = self.rows[name]
-            if _is_good(row, self.max_error_mg):
+            if name not in self.silent and _is_good(row, self.max_error_mg):
                 first.setdefault(summary.content(row), _Good(name, row))
         # an order that has nothing to do with how devices are numbered
         for one in sorted(first.values(), key=lambda one: _sha256(one.row["device_serial"])):
@@ -601,7 +614,7 @@ class PriorTask(ReplacementTask):
 
 
 def _learning(study: Study, known: StudyState) -> Learning:
-    return Learning(known.own_rows(), study.request.recording_settings.max_error_mg)
+    return Learning(known.own_rows(), study.request.recording_settings.max_error_mg, known.silent)
 
 
 def prior_tasks(study: Study, known: StudyState) -> list[PriorTask]:

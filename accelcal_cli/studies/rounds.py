@@ -170,10 +170,12 @@ class StudyState:
     Attributes:
         recordings: results of recordings, by name.
         pools: result of each pool of recordings, by the pool's name.
+        silent: names of the recordings that lend, pool and teach nothing, since people excluded them.
     """
 
     recordings: dict[str, RecordingState] = field(default_factory=dict)
     pools: dict[str, Entry] = field(default_factory=dict)
+    silent: set[str] = field(default_factory=set)
 
     def own_rows(self) -> dict[str, dict[str, Any]]:
         """Return the rows of the own results that have a report, by name."""

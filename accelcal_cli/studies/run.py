@@ -340,13 +340,8 @@ class StudyRun:
         more: dict[str, dict[str, Any]]
         copies = summary.copies(rows)
         more = {name: {"copy_of": printable(one)} for name, one in copies.items()}
-        decided = self.plan.merged(rows.values())
+        decided = _decided(self.plan, rows, copies)
         changes = {} if decided is None else decided.changes
-        for pair in copies.items():  # who is excluded must not be there under the name of a copy
-            for one, other in (pair, pair[::-1]):
-                change = changes.get(rows[one]["path"], {})
-                if change.get("use") == "no" and not summary.of_another_name(one, other):
-                    changes.setdefault(rows[other]["path"], change)
         for name, row in rows.items():
             if (decision := changes.get(row["path"])) is not None:
                 more[name] = {**more.get(name, {}), **decision}
@@ -389,6 +384,7 @@ class StudyRun:
         self._calibrate(plan.todo)
         for name, first in summary.copies(self.known.own_rows()).items():
             self._observer.note(printable(f"{name}: {copied(first)}"))
+        self.known.silent.update(_silent(plan, self.known))
         for text in without_prior(self.study, self.known):
             self._observer.note(text)
         for one in self._rounds:
@@ -454,12 +450,35 @@ class StudyRun:
             self._pending[item.name] = result
 
 
+def _decided(plan: Plan, rows: Mapping[str, Mapping[str, Any]], copies: Mapping[str, str]) -> Merged | None:
+    """Put what people decided to rows by name; who is excluded is so under the names of copies too."""
+    decided = plan.merged(rows.values())
+    changes = {} if decided is None else decided.changes
+    for pair in copies.items():
+        for one, other in (pair, pair[::-1]):
+            change = changes.get(rows[one]["path"], {})
+            if change.get("use") == "no" and not summary.of_another_name(one, other):
+                changes.setdefault(rows[other]["path"], change)
+    return decided
+
+
+def _silent(plan: Plan, known: StudyState) -> set[str]:
+    """Return the names of the recordings that lend, pool and teach nothing, since people excluded them."""
+    if plan.study.keep_teaching or plan.decisions is None:
+        return set()
+    rows = {name: one.own.row for name, one in known.recordings.items() if one.own.row is not None}
+    decided = _decided(plan, rows, summary.copies(rows))
+    changes = {} if decided is None else decided.changes
+    return {name for name, row in rows.items() if changes.get(row["path"], {}).get("use") == "no"}
+
+
 def _settings(study: Study) -> dict[str, Any]:
     """Return all settings that decide the results."""
     own, rules = study.settings(), study.request.rules
     several = len({one.folder for one in rules}) > 1
     stated = {(f"{one.folder.name}/" if several else "") + one.path.name: one.as_json() for one in rules}
     later = {"prior": study.prior or own["prior"], "pool": study.pool, "borrow": study.borrow}
+    later |= {"keep_teaching": True} if study.keep_teaching else {}
     return {**own, **later, **({"stated": stated} if stated else {})}
 
 
@@ -555,6 +574,7 @@ def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str],
         note(printable(text))
     folders = _refuse(planned)
     known = StudyState({item.name: RecordingState(item, entry, entry) for item, entry in planned.done})
+    known.silent.update(_silent(planned, known))
     states = dict.fromkeys(planned.todo, "todo") | dict.fromkeys(planned.waiting, "waiting")
     for one in rounds(study):
         todo, taken = planned.tasks_of(one, one.tasks(study, known))

@@ -110,6 +110,7 @@ class Study:
         prior: kind of prior that is learnt from the own results (which are found with the request's prior);
             None if they stay.
         prune: whether results whose recording is gone are removed.
+        keep_teaching: whether recordings that people excluded lend, pool and teach like others.
         decisions: file of what people decided about recordings; None: decisions.csv in OUT, if it is there.
     """
 
@@ -128,6 +129,7 @@ class Study:
     borrow: bool = False
     prior: str | None = None
     prune: bool = False
+    keep_teaching: bool = False
     decisions: Path | None = None
 
     @property

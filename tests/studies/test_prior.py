@@ -6,7 +6,7 @@ import hashlib
 import json
 import runpy
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -247,10 +247,13 @@ def row(serial: str | None, sha256: str, offset_g: float = 0.03, **more: Any) ->
     return held | ideal | {f"se_{name}": error for name, error in errors.items()} | more
 
 
-def prior_of(kind: str = "study", **named: dict[str, Any]) -> LearntPrior | None:
-    """That of recording `x`, with five others or more."""
-    fleet = {f"d{number}": row(f"D{number}", f"d{number}") for number in range(5)}
-    return Learning({"x": row("X", "x", outcome="refused"), **fleet, **named}, 10.0).prior("x", kind)
+def prior_of(
+    kind: str = "study", silent: Sequence[str] = (), without: Sequence[str] = (), **named: dict[str, Any]
+) -> LearntPrior | None:
+    """That of recording `x`, with five others or more, some of which are excluded or not there."""
+    fleet = {f"d{number}": row(f"D{number}", f"d{number}") for number in range(5)} | named
+    there = {name: one for name, one in fleet.items() if name not in without}
+    return Learning({"x": row("X", "x", outcome="refused"), **there}, 10.0, silent).prior("x", kind)
 
 
 def test_each_other_device_counts_once_and_only_what_is_good() -> None:
