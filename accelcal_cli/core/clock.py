@@ -42,6 +42,19 @@ RESET_US = 366 * _DAY_S * MICROSECONDS
 LOOK_BACK = 16
 """Rows over which jitter does not set a clock back."""
 
+ABBREVIATIONS = {
+    "WET": ("Europe/Lisbon", "+00:00"), "BST": ("Europe/London", "+01:00"),
+    "CET": ("Europe/Berlin", "+01:00"), "MET": ("Europe/Berlin", "+01:00"),
+    "MEZ": ("Europe/Berlin", "+01:00"), "CEST": ("Europe/Berlin", "+02:00"),
+    "EET": ("Europe/Helsinki", "+02:00"), "EEST": ("Europe/Helsinki", "+03:00"),
+    "EST": ("America/New_York", "-05:00"), "EDT": ("America/New_York", "-04:00"),
+    "CDT": ("America/Chicago", "-05:00"), "MST": ("America/Denver", "-07:00"),
+    "MDT": ("America/Denver", "-06:00"), "PST": ("America/Los_Angeles", "-08:00"),
+    "PDT": ("America/Los_Angeles", "-07:00"), "AEST": ("Australia/Sydney", "+10:00"),
+    "AEDT": ("Australia/Sydney", "+11:00"), "NZST": ("Pacific/Auckland", "+12:00"),
+}  # fmt: skip
+"""Abbreviations of zones with summer time: a place, and the offset from UTC that each stands for."""
+
 _FIXED = re.compile(r"(?:UTC|GMT)?\s*([+-])(\d{1,2}):?(\d{2})?")
 CACHED = 1 << 14
 """Number of steps that are processed together; the processor's cache holds them."""
@@ -84,7 +97,10 @@ def _place_of(zone: str) -> tzinfo:
             raise ZoneInfoNotFoundError(zone)
         return ZoneInfo(zone)
     except (ZoneInfoNotFoundError, ValueError, OSError) as error:
-        meant = did_you_mean(zone, available_timezones())
+        if (known := ABBREVIATIONS.get(zone.upper())) is not None:
+            what = f"time zone {zone!r} does not say whether its clocks change in summer"
+            raise UsageError(what, hint="give {} if they do, or {} if not".format(*known)) from error
+        meant = did_you_mean(zone, (name for name in available_timezones() if "/" in name))
         raise UsageError(
             f"unknown time zone {zone!r}",
             hint=meant or "give a name such as Europe/Berlin, or an offset such as +01:00",

@@ -224,6 +224,9 @@ def _check_there(path: Path) -> None:
             "does not exist; only shards have been run", path=path, hint="run the study with --collect first"
         )
     folder, reports = path.parent, "*.calibration.json"
+    if is_file(folder):
+        hint = "give the folder that was given to `accelcal study` with -d"
+        raise UsageError("is a file, not the output folder of a study", path=folder, hint=hint)
     if not is_folder(folder):
         raise UsageError("does not exist", path=folder, hint="check the path")
     hint = "give the folder that was given to accelcal study with -d, or run the study first"

@@ -58,3 +58,10 @@ def test_a_drift_put_into_recordings_is_found(tmp_path: Path, capsys: Capture) -
     assert moves["reasons"][0]["text"].startswith("offset x drifts by +6.0")
     assert moves["history"][0]["k_yx"] == pytest.approx(GAIN[1, 0], abs=1e-3)
     assert moves["history"][0]["k_zy"] == pytest.approx(GAIN[2, 1], abs=1e-3)
+
+
+def test_d13_a_file_is_not_said_to_be_missing(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "P004.cwa").write_text("x")
+    for name, what in (("P004.cwa", "is a file, not the output folder of a study"), ("P5", "does not exist")):
+        ran = run(capsys, "devices", tmp_path / name)
+        assert ran.code == 2 and f"{name}: {what}; " in ran.err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from fractions import Fraction
 from itertools import pairwise
 from math import floor
@@ -13,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from accelcal_cli.core.clock import (
+    ABBREVIATIONS,
     CACHED,
     FIRST_US,
     LAST_US,
@@ -28,7 +30,9 @@ from accelcal_cli.core.clock import (
     quotients,
     rate_fraction,
     steps_of,
+    utc_offset_s,
 )
+from accelcal_cli.core.errors import UsageError
 
 HALF = Fraction(1, 2)
 RATES = st.builds(Fraction, st.integers(1, 10_000_000), st.integers(1, 10_000))
@@ -278,3 +282,40 @@ def test_those_of_the_other_clocks(rate: Fraction, stamps: list[int], one: int, 
     uniform, later = UniformClock(17, 3, rate), StampClock(np.array(stamps * 40, np.int64))
     for clock in (uniform, later, JoinedClock(uniform, 12, later), JoinedClock(later, 12, uniform)):
         asked(clock, one, other)
+
+
+@pytest.mark.parametrize(
+    ("zone", "place", "offset"),
+    [
+        ("CET", "Europe/Berlin", "+01:00"),
+        ("est", "America/New_York", "-05:00"),
+        ("AEST", "Australia/Sydney", "+10:00"),
+    ],
+)
+def test_d13_an_abbreviation_is_answered_with_a_place_and_an_offset_that_work(
+    zone: str, place: str, offset: str
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        utc_offset_s(zone, 0)
+    assert str(caught.value) == (
+        f"time zone {zone!r} does not say whether its clocks change in summer; give {place} if they do, or "
+        f"{offset} if not"
+    )
+    assert utc_offset_s(offset, 0) in {
+        utc_offset_s(place, month * 31 * 86_400 * 10**6) for month in range(12)
+    }
+
+
+@pytest.mark.parametrize("zone", list(ABBREVIATIONS))
+def test_d13_each_abbreviation_stands_for_what_its_place_has_at_some_time_of_the_year(zone: str) -> None:
+    place, offset = ABBREVIATIONS[zone]
+    there = {utc_offset_s(place, month * 31 * 86_400 * 10**6) for month in range(600)}
+    assert utc_offset_s(offset, 0) in there
+
+
+@pytest.mark.parametrize(
+    ("zone", "hint"), [("Europe/Berln", "did you mean 'Europe/Berlin'?"), ("IST", "give a name")]
+)
+def test_d13_what_is_suggested_is_not_what_was_refused(zone: str, hint: str) -> None:
+    with pytest.raises(UsageError, match=f"unknown time zone '{zone}'; {re.escape(hint)}"):
+        utc_offset_s(zone, 0)
