@@ -27,8 +27,8 @@ from accelcal_cli.core.errors import NoRecordingError, UnreadableError, printabl
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.identity import SAMPLES, is_ours, refuse_other
 from accelcal_cli.core.recording import METADATA_KEY, Calibrated
-from accelcal_cli.formats._bytes import refuse_packed
 from accelcal_cli.core.written_times import header_zone
+from accelcal_cli.formats._bytes import refuse_packed
 from accelcal_cli.formats.tables import signatures
 from accelcal_cli.formats.tables.header import Attributes, readable
 from accelcal_cli.formats.tables.reader import TableReader, open_table
