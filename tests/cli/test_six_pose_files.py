@@ -152,7 +152,7 @@ def test_a_file_that_does_not_belong_ends_the_session(tmp_path: Path) -> None:
     folder = folder_of(tmp_path / "faces")
     other = folder / "z_other.csv"
     for content, code, said in (
-        (b"hello\n" * 20, 3, "z_other.csv: format not recognised"),
+        (b"hello\n" * 20, 3, "z_other.csv: is text without rows"),
         (b"", 3, "z_other.csv"),
         (b"\x00" * 2000, 3, "z_other.csv"),
     ):

@@ -247,7 +247,7 @@ def gaps_and_clocks() -> Iterator[Table]:
     )
     yield table("counter of 16 bits", {"ms": (40_000 + 20 * np.arange(ROWS)) % 65_536}, xyz)
     yield table(
-        "newest row first", {"time": millis()[::-1]}, three("*", G[::-1]), refused="rate cannot be found"
+        "newest row first", {"time": millis()[::-1]}, three("*", G[::-1]), refused="order newest first"
     )
 
 

@@ -462,18 +462,17 @@ def refuse_grouped(values: NDArray[Any], lines: Numbers, source: Source, scale: 
         if not broken.any():
             return
         thousands, whole = np.abs(values[broken]) * 1000, values[np.isfinite(values) & ~broken]
-    limit = LARGEST_GROUP if scale is None else scale.limit
+    limit, hundredths = LARGEST_GROUP if scale is None else scale.limit, thousands / 10
     alike = (
         (thousands >= 1000) & (thousands <= limit) & (np.abs(thousands - np.rint(thousands)) < GROUPED_OFF)
     )
+    sure = alike & (np.abs(hundredths - np.rint(hundredths)) > GROUPED_OFF)  # 2.5 shows no third decimal
     if scale is None:
         reach = float(np.abs(whole).max(initial=0.0))
-        sure = len(whole) > len(thousands) and 100 <= reach < 1000 and alike.all()
-    else:
-        sure = alike.any()
-    if not sure:
+        sure &= len(whole) > len(thousands) and 100 <= reach < 1000 and alike.all()
+    if not sure.any():
         return
-    row, axis = np.argwhere(broken)[int(np.flatnonzero(alike)[0])].tolist()
+    row, axis = np.argwhere(broken)[int(np.flatnonzero(sure)[0])].tolist()
     line = int(lines[row]) if source.first_line is not None and row < len(lines) else None
     value = float(values[row, axis])
     what = f"holds {value:.3f} among whole numbers: that is {value:.3f} or {value * 1000:.0f}"

@@ -380,7 +380,7 @@ def test_a_workbook_is_no_archive_of_parts(tmp_path: Path, capsys: Capture) -> N
         file.writestr("xl/workbook.xml", "<workbook/>")
     ran = run(capsys, "calibrate", path)
     assert (ran.code, ran.out) == (3, "")
-    assert "save its table as CSV" in ran.err
+    assert "save its sheet as CSV" in ran.err
 
 
 def test_what_an_archive_says_of_places_is_not_believed(tmp_path: Path, made: Path) -> None:

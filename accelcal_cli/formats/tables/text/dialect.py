@@ -9,7 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import islice, pairwise
 
 import numpy as np
@@ -237,18 +237,14 @@ SHORT_HOUR = re.compile(rb"(?m)(?:^|(?<=[,;\t|\"]))(?=\d:\d\d)")
 AFTER_SHORT_HOUR = re.compile(rb":(?:(?<=[\n,;\t|\"]\d:)|(?<=\A\d:))\d\d")
 """The same place by the colon behind it, whose absence is found sooner."""
 
-BEGIN, END = rb"(?m:^|(?<=[,;\t|\"]))", rb"(?=[,;\t|\"\r\n]|\Z)"
-"""The places before and behind a cell, or behind its quote and before the other one."""
-
-GROUPED = re.compile(
-    BEGIN + rb"[-+]?\d{1,3}(?:(?: |\xc2\xa0|\xa0|\xe2\x80[\x89\xaf\x99]|'|_)\d{3})+(?:[.,]\d*)?" + END
-)
+GROUPED = rb"[-+]?\d{1,3}(?:(?: |\xc2\xa0|\xa0|\xe2\x80[\x89\xaf\x99]|'|_)\d{3})+(?:[.,]\d*)?"
 """A number with blanks of four kinds, apostrophes or underscores between groups of three digits."""
 
-TWO_MARKS = re.compile(BEGIN + rb"[-+]?\d{1,3}(?:(?:\.\d{3})+,|(?:,\d{3})+\.)\d*" + END)
+GROUP = re.compile(rb"[ '_\x80-\xff]\d{3}(?!\d)")
+TWO_MARKS = rb"[-+]?\d{1,3}(?:(?:\.\d{3})+,|(?:,\d{3})+\.)\d*"
 """A number with points and commas: one of them between groups of digits."""
 
-COMMA_IN_QUOTES = re.compile(rb'"([-+]?\d*[.\d]*,[.,\d]*\d)"')
+COMMA_IN_QUOTES = re.compile(rb'(?m:^|(?<=,))"([-+]?\d*[.\d]*,[.,\d]*\d)"(?=[,\r\n]|\Z)')
 GROUPS_OF_DIGITS = re.compile(rb"[-+]?[1-9]\d{0,2}(?:,\d{3})+")
 MINUS = "\u2212".encode()
 
@@ -337,14 +333,17 @@ class Normaliser:
     def _with_plain_numbers(self, block: bytes) -> bytes:
         """Return the block with an ASCII minus, and numbers without marks between groups of digits."""
         block = block.replace(MINUS, b"-")
-        if self.delimiter != " ":
-            block = GROUPED.sub(lambda found: re.sub(rb"[^-+\d.,]", b"", found[0]), block)
+        for pattern in odd_numbers(self.delimiter):
+            block = pattern.sub(lambda found: self._with_one_mark(found[0]), block)
         if self.delimiter != ",":
-            return TWO_MARKS.sub(lambda found: self._with_one_mark(found[0]), block)
+            return block
         return COMMA_IN_QUOTES.sub(lambda found: self._with_one_mark(found[1]), block)
 
     def _with_one_mark(self, number: bytes) -> bytes:
-        """Return a number that has commas, and may have points, with a point before its decimals alone."""
+        """Return a number without marks between groups of digits, and a point before decimals behind both."""
+        plain = re.sub(rb"[^-+\d.,]", b"", number)
+        if plain != number or b"," not in plain:
+            return plain
         if b"." not in number and not self.quoted_decimals and GROUPS_OF_DIGITS.fullmatch(number):
             return number.replace(b",", b"")
         last = max(number.rfind(b"."), number.rfind(b","))
@@ -367,6 +366,23 @@ class Normaliser:
         if self.long_fraction:
             block = LONG_FRACTION.sub(rb"\1", block)
         return block
+
+
+@lru_cache(maxsize=len(DELIMITERS))
+def odd_numbers(delimiter: str) -> tuple[re.Pattern[bytes], ...]:
+    """Return patterns of whole cells of a file that are numbers with marks that Arrow does not know."""
+    mark = re.escape(delimiter.encode())
+    begin, end = rb"(?m:^|(?<=[\"" + mark + rb"]))", rb"(?=[\"\r\n" + mark + rb"]|\Z)"
+    cells = () if delimiter == " " else (GROUPED,) if delimiter == "," else (GROUPED, TWO_MARKS)
+    return tuple(re.compile(begin + cell + end) for cell in cells)
+
+
+def has_odd_numbers(text: bytes, delimiter: str) -> bool:
+    """Return True if numbers of a text have a typographic minus, or marks that Arrow does not know."""
+    if MINUS in text or (delimiter == "," and b'"' in text and COMMA_IN_QUOTES.search(text)):
+        return True
+    likely = delimiter != "," or GROUP.search(text) is not None  # is found three times as fast
+    return likely and any(one.search(text) for one in odd_numbers(delimiter))
 
 
 def collapsed(block: bytes) -> bytes:
@@ -796,7 +812,6 @@ def _normalisers(head: bytes) -> list[Normaliser]:
     """Return what each delimiter would need; the times are looked for once."""
     split_date = b" " in head and SPLIT_DATE.search(head) is not None
     quoted = [found[1] for found in COMMA_IN_QUOTES.finditer(head)]
-    odd = bool(quoted) or MINUS in head or any(one.search(head) for one in (GROUPED, TWO_MARKS))
     any_delimiter = Normaliser(
         "",
         slash_dates=b"/" in head and SLASH_DATE.search(head) is not None,
@@ -804,13 +819,13 @@ def _normalisers(head: bytes) -> list[Normaliser]:
         colon_fraction=COLON_FRACTION.search(head) is not None,
         twelve_hours=HALF_OF_THE_DAY.search(head) is not None and TWELVE_HOURS.search(head) is not None,
         short_hours=AFTER_SHORT_HOUR.search(head) is not None,
-        odd_numbers=odd,
         quoted_decimals=any(b"." not in one and not GROUPS_OF_DIGITS.fullmatch(one) for one in quoted),
     )
     return [
         replace(
             any_delimiter,
             delimiter=delimiter,
+            odd_numbers=has_odd_numbers(head, delimiter),
             comma_fraction=delimiter == "," and _has_comma_fractions(head),
             padded=delimiter != " "
             and (b" " + delimiter.encode() in head or delimiter.encode() + b" " in head),

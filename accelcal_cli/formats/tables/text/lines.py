@@ -23,7 +23,14 @@ from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._stamps import NO_TIME
 from accelcal_cli.formats.tables.cells import BYTE_ORDER_MARK, MISSING, NUMBER, decode, split_line
 from accelcal_cli.formats.tables.header import As, Block, CellTexts, Piece, Stated, Wanted
-from accelcal_cli.formats.tables.text.dialect import QUOTE, Dialect, Quotes, have_kinds, names_all_axes
+from accelcal_cli.formats.tables.text.dialect import (
+    QUOTE,
+    Dialect,
+    Quotes,
+    has_odd_numbers,
+    have_kinds,
+    names_all_axes,
+)
 from accelcal_cli.formats.tables.values import (
     MOMENTS,
     NO_ROWS,
@@ -353,8 +360,8 @@ PARSER_BYTES = 1 << 20
 if process_is_ours():  # else Arrow starts a thread for signals, and ends the process where it is given none
     pa.enable_signal_handlers(False)
 
-LOST, MENDABLE = -1, -2
-"""The places of lines that are not rows: whatever is done, and as long as not every change is made."""
+LOST, MENDABLE, DOUBTFUL = -1, -2, -3
+"""The places of lines that are not rows: whatever is done, until every change is made, or either."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -398,6 +405,8 @@ class LineParser:
         values, lost = reading.values, np.flatnonzero(place < 0)
         if not len(lost):
             return Block(lines.numbers(first), values, {})
+        doubtful = np.flatnonzero(place == DOUBTFUL)
+        place[doubtful] = self._odd(lines.raw(first[doubtful]))
         parts, rows = [values], np.flatnonzero(place == MENDABLE)
         if len(rows):
             texts = self._dialect.quotes.settled(self._thorough(lines.raw(first[rows])), join=False).text
@@ -412,6 +421,13 @@ class LineParser:
         whys = [self._why(line, wanted) for line in self._thorough(lines.raw(first[rows])).split(b"\n")]
         told = dict(zip(rows.tolist(), whys, strict=False))
         return Block(lines.numbers(first), values, dict.fromkeys(lost.tolist(), NOT_ROWS) | told)
+
+    def _odd(self, lines: Sequence[bytes]) -> int | NDArray[np.int64]:
+        """Return MENDABLE for lines whose numbers have marks that Arrow does not know, else LOST."""
+        mark = self._dialect.normaliser.delimiter
+        if not has_odd_numbers(b"\n".join(lines), mark):
+            return LOST
+        return np.array([MENDABLE if has_odd_numbers(line, mark) else LOST for line in lines], np.int64)
 
     def _thorough(self, lines: Sequence[bytes]) -> bytes:
         """Return lines after every change that lines of the file may need."""
@@ -440,7 +456,8 @@ class LineParser:
                 values[column], wrong_here, untidy_here = read_as(table[str(column)], how)
                 wrong, untidy = np.append(wrong, wrong_here), np.append(untidy, untidy_here)
         place, normaliser = np.arange(table.num_rows), self._dialect.normaliser
-        place[np.append(wrong, untidy)] = MENDABLE
+        place[wrong] = DOUBTFUL if normaliser.date_order is None else MENDABLE
+        place[untidy] = MENDABLE
         if ragged:
             place = np.insert(place, np.array([*ragged]) - np.arange(len(ragged)), LOST)
             every = normaliser.delimiter == " " or QUOTE in text
