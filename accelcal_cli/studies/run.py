@@ -464,7 +464,7 @@ def _decided(plan: Plan, rows: Mapping[str, Mapping[str, Any]], copies: Mapping[
 
 def _silent(plan: Plan, known: StudyState) -> set[str]:
     """Return the names of the recordings that lend, pool and teach nothing, since people excluded them."""
-    if plan.study.keep_teaching or plan.decisions is None:
+    if plan.study.keep_teaching or plan.decisions is None or not rounds(plan.study):
         return set()
     rows = {name: one.own.row for name, one in known.recordings.items() if one.own.row is not None}
     decided = _decided(plan, rows, summary.copies(rows))
