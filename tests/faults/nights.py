@@ -190,6 +190,8 @@ class Nights:
     Attributes:
         fresh: lines of mail of a fresh study of the last night that went well.
         mails: lines of mail since then.
+        left, maybe_left: the same for results whose recording is gone, of the study itself.
+        there: paths in its table on that night.
         well: whether the last night went well; log: what happened in each.
     """
 
@@ -198,6 +200,9 @@ class Nights:
     words: tuple[str, ...] = ()
     fresh: set[str] = field(default_factory=set)
     mails: set[str] = field(default_factory=set)
+    left: set[str] = field(default_factory=set)
+    maybe_left: set[str] = field(default_factory=set)
+    there: set[str] = field(default_factory=set)
     log: list[str] = field(default_factory=list)
     well: bool = False
 
@@ -234,6 +239,7 @@ class Nights:
         struck = self._run("out", fault=fault)
         assert "bug in accelcal" not in struck.ran.err and struck.ran.code not in (70, 71), struck
         self.mails |= set(lines(struck))
+        self.maybe_left |= set(of_left(struck))
         return None
 
     def _unreadable(self, fault: Fault) -> None:
@@ -247,6 +253,7 @@ class Nights:
         hidden = {name for name in before if name.startswith(fault.below.removeprefix("in/"))}
         assert hidden <= found.keys(), f"{sorted(hidden - found.keys())} were removed"
         self.mails |= set(lines(struck))
+        self.maybe_left |= set(of_left(struck))
 
     def _compare(self, ran: Struck, *, prune: bool, quiet: bool) -> None:
         """Table, outputs and mail are those of a fresh study of the same files."""
@@ -255,8 +262,15 @@ class Nights:
         told = f"night {len(self.log)} ({self.log[-1]}):"
         assert ran.ran.code in (0, 1, 3, 4), f"{told} {ran}"
         left = sorted(name for name in found if name.endswith(REPORT) and name not in fresh)
-        assert orphans(found) == ([] if prune else left), f"{told} orphans {orphans(found)}, not {left}"
-        assert not (prune and left), f"{told} {left} were not removed"
+        folders = away(found)
+        gone = [name for name in left if name.rpartition("/")[0] not in folders]
+        named = orphans(found)
+        assert {*([] if prune else gone)} <= {*named} <= {*left}, f"{told} orphans {named}, not {gone}"
+        assert not (prune and gone), f"{told} {gone} were not removed"
+        there = {row["path"] for row in table(found)}
+        assert not {path for path in there & self.there if path.rpartition("/")[0] in folders}, told
+        self._compare_findings(ran, found, told)
+        self.there = there
         stems = tuple(name.removesuffix(REPORT) + "." for name in left)
         found = {name: held for name, held in found.items() if not (stems and name.startswith(stems))}
         wrong = differences(without_orphans(found), without_orphans(fresh))
@@ -268,11 +282,47 @@ class Nights:
         assert not (quiet and self.well and mail), f"{told} mail in a quiet night: {sorted(mail)}"
         self.fresh, self.mails, self.well = should, set(), True
 
+    def _compare_findings(self, ran: Struck, found: Contents, told: str) -> None:
+        """What is left of recordings that are gone is said once; a fresh study has nothing of it."""
+        said, now = set(of_left(ran)), findings(found)
+        assert said <= now, f"{told} {sorted(said - now)} is not in study.json"
+        missing = now - self.left - self.maybe_left - said
+        assert not missing, f"{told} mail lacks {sorted(missing)}"
+        assert not (self.well and said & self.left), f"{told} {sorted(said & self.left)} is said again"
+        self.left, self.maybe_left = now, set()
+
+
+LEFT = ("stays, and --prune removes it: ", "No recording of the last run is left there")
+"""Parts of the lines about results whose recording is gone."""
+
+
+def is_of_left(line: str) -> bool:
+    return any(part in line for part in LEFT)
+
+
+def of_left(struck: Struck) -> list[str]:
+    return [line.removeprefix("accelcal: ") for line in struck.ran.err.splitlines() if is_of_left(line)]
+
+
+def findings(found: Contents) -> set[str]:
+    """The lines about results whose recording is gone, as the summary has them."""
+    about: Any = found["study.json"]
+    return {one["message"] for one in about["findings"]["listed"] if is_of_left(one["message"])}
+
+
+def away(found: Contents) -> set[str]:
+    """Folders whose disk may be away: no recording of an earlier night is in them."""
+    texts = {line.partition(": ")[0] for line in findings(found) if LEFT[1] in line}
+    return {"" if one.rpartition("/")[2] == "in" else one for one in texts}
+
 
 def lines(struck: Struck) -> list[str]:
-    """The lines that cron would mail, whatever the output folder and the number of files of mixed times."""
+    """The lines that cron would mail, whatever the output folder and the number of files of mixed times.
+
+    Those about results whose recording is gone are not among them.
+    """
     text = (struck.ran.out + struck.ran.err).replace("fresh/", "out/")
-    return [MIXED.sub("some", one) for one in text.splitlines()]
+    return [MIXED.sub("some", one) for one in text.splitlines() if not is_of_left(one)]
 
 
 def table(found: Contents) -> list[dict[str, str]]:
@@ -290,7 +340,8 @@ def orphans(found: Contents) -> list[str]:
 def without_orphans(found: Contents) -> Contents:
     """What is compared: the names of what is left over are looked at apart."""
     about: Any = found["study.json"]
-    return {**found, "study.json": {name: held for name, held in about.items() if name != "orphans"}}
+    kept = {name: held for name, held in about.items() if name not in ("orphans", "not_listed", "findings")}
+    return {**found, "study.json": kept}
 
 
 def year(one: Nights, nights: int, recordings: int) -> Iterator[str]:
