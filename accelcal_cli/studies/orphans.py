@@ -66,6 +66,11 @@ class Folder:
     number: int
     disks: Mapping[str, int] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Raise TypeError for what no run writes."""
+        if not (isinstance(self.path, str) and isinstance(self.place, str) and isinstance(self.disks, dict)):
+            raise TypeError
+
 
 def folders_now(where: Where, before: Sequence[Folder], known: Collection[Path]) -> list[Folder]:
     """Return the folders of a run.
@@ -99,7 +104,7 @@ def folders_before(study: Study, items: Sequence[Item]) -> list[Folder]:
     (before, table), now = _remembered(study), {place: folder for folder, place in places(study.where)}
     for one in before:
         folder = now.get(one.place)
-        if folder is not None and (_is_same(folder, one) or _holds_the_same(one.place, items, table)):
+        if folder is not None and _is_same(folder, one, items, table):
             continue
         if study.request.force:
             return []
@@ -120,10 +125,8 @@ def _remembered(study: Study) -> tuple[list[Folder], Path]:
     for path in (*(study.out / f"{name}{SUMMARY[-1]}" for name in names), *parts):
         told = section(load_our_json(path) or {}, "provenance").get(FOLDERS)
         if isinstance(told, list) and told:
-            try:
+            with contextlib.suppress(TypeError):  # which others may have changed
                 return [Folder(**one) for one in told], path.with_suffix(SUMMARY[0])
-            except TypeError:
-                continue
     return [], study.out
 
 
@@ -136,19 +139,22 @@ def numbers_of(folder: Path) -> tuple[int, int]:
     return (0, 0) if found is None else (found.st_dev, found.st_ino)
 
 
-def _is_same(folder: Path, before: Folder) -> bool:
-    return str(jobs.resolved_path(folder)) == before.path or numbers_of(folder) == (
-        before.device,
-        before.number,
-    )
+def _is_same(folder: Path, before: Folder, items: Sequence[Item], table: Path) -> bool:
+    """Return True if a folder is that of the last run.
 
-
-def _holds_the_same(place: str, items: Sequence[Item], table: Path) -> bool:
-    """Return True if a folder holds half of a table's recordings by name and size, and most by content.
+    Its path or its number is the same, and a recording of then is there with its name and size. Without one,
+    both must be. Else half of the recordings must be there, and most of some by their content.
 
     Args:
-        items: all files that were found now.
+        items: all files that were found now; table: that of the last run.
     """
+    signs = [
+        str(jobs.resolved_path(folder)) == before.path,
+        numbers_of(folder) == (before.device, before.number),
+    ]
+    if all(signs):
+        return True
+    place = before.place
     found, known = {printable(item.name): item for item in items}, {}
     with contextlib.suppress(AccelcalError):
         for row in read_columns(table, IDENTITY).to_pylist():
@@ -159,6 +165,8 @@ def _holds_the_same(place: str, items: Sequence[Item], table: Path) -> bool:
         for name, row in known.items()
         if name in found and found[name].size == row.get("bytes")
     ]
+    if any(signs) and (there or not known):
+        return True
     compared = sorted(there)[:COMPARED]
     same = sum(jobs.sha256(source) == hash_ for _, source, hash_ in compared)
     return 2 * len(there) >= len(known) and 2 * same > len(compared)

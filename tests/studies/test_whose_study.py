@@ -118,6 +118,22 @@ def test_a_copy_of_something_else_is_another_folder(change: str, folder: Path) -
     study(other, out=folder.parent / "out", code=2)
 
 
+@pytest.mark.parametrize(("kept", "code"), [(0, 2), (1, 0), (3, 0)])
+@pytest.mark.parametrize("sign", ["path", "number"])
+def test_what_is_elsewhere_or_in_its_place_is_known_by_a_recording(
+    sign: str, kept: int, code: int, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another disk may be at the same path, and a new folder may get the number of one that is gone."""
+    for name in NAMES[kept:]:
+        (folder / name).unlink()
+    write_raw(folder / "new.raw", still_counts(directions(70)))
+    if sign == "path":
+        other_disk(monkeypatch, folder)
+        study(folder, out=folder.parent / "out", code=code)
+    else:
+        study(moved(folder), out=folder.parent / "out", code=code)
+
+
 def test_force_replaces_and_strays_are_listed_and_pruned(folder: Path) -> None:
     out, other = folder.parent / "out", study_folder(folder.parent / "other", ("x.raw", "y.raw", "z.raw"))
     for number, name in enumerate("xyz"):
@@ -189,3 +205,13 @@ def test_d1_a_dry_run_foresees_that_a_file_is_in_the_way(name: str, tmp_path: Pa
     (out / name).write_text("path,mine\n")
     lines = [study(folder, out=out, words=words, code=5).err for words in ((), ("--dry-run",))]
     assert lines[0] == lines[1] and "was not written by accelcal" in lines[0]
+
+
+@pytest.mark.parametrize(
+    "odd", [3, [], [3], [{"path": "x"}], [{"path": 3, "place": "", "device": 1, "number": 1}]]
+)
+def test_folders_that_others_changed_are_not_known(odd: Any, folder: Path) -> None:
+    out = folder.parent / "out"
+    held = json.loads((out / "study.json").read_text()) | {"provenance": {"folders": odd}}
+    (out / "study.json").write_text(json.dumps(held))
+    assert study(folder, out=out).code == 0
