@@ -307,7 +307,7 @@ def inspect(
         options: those of `calibrate`.
 
     Returns:
-        what `accelcal inspect --json` prints: `recording`, `file_health`, `values`, `prediction`, ...
+        what `accelcal inspect --json` prints, with `recording`, `file_health`, `values`, `prediction`, ...
 
     Raises:
         AccelcalError: it cannot be read, or the options do not go together.

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import re
 import shlex
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import wraps
+from functools import cache, partial, wraps
+from itertools import pairwise
 from pathlib import Path
 from tempfile import gettempdir
+from textwrap import fill
 from typing import Any, ParamSpec, TypeVar, get_type_hints
 
 from accelcal_cli.core.errors import AccelcalError, Reason, counted, did_you_mean
@@ -171,8 +175,42 @@ def public(function: Callable[P, R]) -> Callable[P, R]:
         with speaking_python():
             return function(*args, **kwargs)
 
+    called.__doc__ = _with_options(inspect.getdoc(function) or "", function.__globals__.get(kind))
     called.__signature__ = signature.replace(parameters=[*given, *shown])  # type: ignore[attr-defined]
     return called
+
+
+OPTIONS_LINE = re.compile(r"^    options: .*\n(?:     .*\n)*", re.MULTILINE)
+"""The entry of all options in a docstring."""
+
+
+@cache
+def _option_texts(module: str) -> dict[str, dict[str, str]]:
+    """Return the text of each option, by the class that holds it, from the source of their module."""
+    found: dict[str, dict[str, str]] = {}
+    for kind in ast.parse(inspect.getsource(sys.modules[module])).body:
+        if isinstance(kind, ast.ClassDef):
+            bases = [found.get(one.id, {}) for one in kind.bases if isinstance(one, ast.Name)]
+            own = {}
+            for entry, text in pairwise(kind.body):
+                if isinstance(entry, ast.AnnAssign) and isinstance(text, ast.Expr):
+                    assert isinstance(entry.target, ast.Name) and isinstance(text.value, ast.Constant)
+                    own[entry.target.id] = " ".join(str(text.value.value).split())
+            found[kind.name] = {name: said for one in [*bases, own] for name, said in one.items()}
+    return found
+
+
+def _with_options(text: str, kind: type | None) -> str:
+    """Return a docstring with an entry for each option of a class in place of that of all."""
+    if kind is None:
+        return text
+    filled = partial(
+        fill, width=100, initial_indent=4 * " ", subsequent_indent=8 * " ", break_on_hyphens=False
+    )
+    entries = [
+        filled(f"{name}: {said}") for name, said in _option_texts(kind.__module__)[kind.__name__].items()
+    ]
+    return OPTIONS_LINE.sub(lambda _: "\n".join([*entries, ""]), text, count=1)
 
 
 @contextmanager

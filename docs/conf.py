@@ -36,6 +36,7 @@ smartquotes = False
 suppress_warnings = ["myst.header"]
 default_role = "code"
 autodoc_typehints = "description"
+napoleon_numpy_docstring = False
 copybutton_prompt_text = "$ "
 
 html_theme = "pydata_sphinx_theme"
@@ -79,7 +80,14 @@ def _read(_: Sphinx, name: str, source: list[str]) -> None:
         source[0] = ANCHOR.sub(r"(\1)=\n", OUTSIDE.sub(shown, source[0]))
 
 
+def _whole(_app: Sphinx, what: str, _name: str, _object: object, _options: object, lines: list[str]) -> None:
+    """Let napoleon take the words before a colon for words, and not for the type of an attribute."""
+    if lines and what in ("attribute", "data", "property"):
+        lines[0] = f": {lines[0]}"
+
+
 def setup(app: Sphinx) -> None:
     """Write the reference pages before they are read."""
+    app.connect("autodoc-process-docstring", _whole, priority=1)  # before napoleon
     app.connect("builder-inited", lambda app: docs_reference.write(Path(app.srcdir) / "reference"))
     app.connect("source-read", _read)

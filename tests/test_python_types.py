@@ -11,6 +11,7 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -67,3 +68,80 @@ def test_p6_every_option_is_a_keyword_with_a_line_of_help() -> None:
     assert all(one.kind is one.KEYWORD_ONLY for name, one in shown.items() if name != "source")
     text = Path(ROOT / "accelcal/_options.py").read_text()
     assert "[Hz] Sampling rate, if the file has no times (above 0, at most 100000)." in text
+
+
+FUNCTIONS = {
+    "calibrate": "CalibrationOptions", "inspect": "CalibrationOptions", "effect": "CalibrationOptions",
+    "read": "ReadingOptions", "fit": "FitOptions", "from_poses": "PoseOptions", "study": "StudyOptions",
+}  # fmt: skip
+
+
+def texts_of(kind: str) -> dict[str, str]:
+    """The options of a class with their texts, read from the source by lines."""
+    text = (ROOT / "accelcal/_options.py").read_text("utf-8")
+    own, base = re.findall(rf"class {kind}\((\w+).*?\n(.*?)(?=\nclass |\Z)", text, re.DOTALL)[0][::-1]
+    found = {} if base == "TypedDict" else texts_of(base)
+    entries = re.findall(r'^    (\w+): [^\n]*\n    """(.*?)"""', own, re.DOTALL | re.MULTILINE)
+    return found | {name: " ".join(said.split()) for name, said in entries}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_help_describes_each_option_with_its_whole_sentence(name: str) -> None:
+    import inspect
+
+    import accelcal
+
+    function, options = getattr(accelcal, name), texts_of(FUNCTIONS[name])
+    text = " ".join((function.__doc__ or "").split())
+    assert [one for one, said in options.items() if f" {one}: {said}" not in text] == []
+    assert {*options} <= {*inspect.signature(function).parameters} and " options: " not in text
+
+
+def docstrings() -> dict[str, tuple[str, str]]:
+    """Kind and text of all that the reference has, by name."""
+    import ast
+    import inspect
+
+    import accelcal
+
+    found = {}
+    for name in accelcal.__all__:
+        one = getattr(accelcal, name)
+        found[name] = ("class" if inspect.isclass(one) else "function", inspect.getdoc(one) or "")
+        for part, held in vars(one).items() if inspect.isclass(one) else ():
+            if not part.startswith("_") and held.__doc__ and (callable(held) or isinstance(held, property)):
+                kind = "property" if isinstance(held, property) else "method"
+                found[f"{name}.{part}"] = (kind, inspect.getdoc(held) or "")
+    for kind in ast.parse((ROOT / "accelcal/_options.py").read_text("utf-8")).body:
+        if isinstance(kind, ast.ClassDef):
+            for option, said in texts_of(kind.name).items():
+                found[f"{kind.name}.{option}"] = ("attribute", said)
+    return found
+
+
+def test_no_entry_of_the_reference_is_cut() -> None:
+    """As Sphinx shows it: napoleon takes words before a colon for a type, unless the site's setup hinders."""
+    napoleon = pytest.importorskip("sphinx.ext.napoleon")
+    conf = dict[str, Any]()
+    exec(
+        (ROOT / "docs/conf.py").read_text("utf-8").replace("__file__", repr(str(ROOT / "docs/conf.py"))), conf
+    )
+    cut, settings = {}, napoleon.Config(napoleon_numpy_docstring=conf["napoleon_numpy_docstring"])
+    assert not settings.napoleon_numpy_docstring, "it would take the words from what the setup has kept"
+    for name, (what, text) in docstrings().items():
+        lines = text.splitlines()
+        conf["_whole"](None, what, name, None, None, lines)
+        shown = napoleon.GoogleDocstring(lines, settings, what=what, name=name).lines()
+        if any(re.match(r"\s*:r?type", line) for line in shown):
+            cut[name] = shown
+        missing = [word for word in re.findall(r"\w+", text) if word not in " ".join(shown)]
+        if {*missing} - {"Args", "Attributes", "Returns", "Raises", "Example", "Yields"}:
+            cut[name] = missing
+    assert cut == {}
+
+
+def test_no_result_is_described_by_a_colon() -> None:
+    """What is before it would be shown as a type."""
+    for name, (_, text) in docstrings().items():
+        for first in re.findall(r"(?:Returns|Yields):\n\s+(.*)", text):
+            assert ":" not in re.sub(r"`[^`]*`", "", first), name
