@@ -8,9 +8,9 @@ For example::
     result.to_pandas()                             # calibrated values, as a data frame
     result.calibration(xyz)                        # applies the coefficients to other raw values
 
-`read`, `inspect`, `calibrate`, `apply`, `fit`, `from_poses`, `effect`, `study`, `export`, `report` and
-`simulate` do the same as the commands of these names, with identical results. Options of the commands are
-keywords: `--lsb-per-g` is `lsb_per_g`.
+`read`, `inspect`, `calibrate`, `apply`, `fit`, `from_poses`, `effect`, `study`, `devices`, `export`,
+`report`, `verify` and `simulate` do the same as the commands of these names, with identical results. Options
+of the commands are keywords: `--lsb-per-g` is `lsb_per_g`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from accelcal._calling import sentence
     from accelcal._options import CalibrationOptions, FitOptions, PoseOptions, ReadingOptions, StudyOptions
     from accelcal._results import Calibration, Report, Result
-    from accelcal._studies import export, report, simulate, study
+    from accelcal._studies import devices, export, report, simulate, study, verify
     from accelcal_cli.core.errors import AccelcalError, Reason
 
 _HOMES = {
@@ -33,15 +33,16 @@ _HOMES = {
     "accelcal._api": "Reading Samples apply calibrate effect fit from_poses inspect read",
     "accelcal._options": "CalibrationOptions FitOptions PoseOptions ReadingOptions StudyOptions",
     "accelcal._results": "Calibration Report Result",
-    "accelcal._studies": "export report simulate study",
+    "accelcal._studies": "devices export report simulate study verify",
     "accelcal_cli.core.errors": "AccelcalError Reason",
 }
 """Names by the module that has them, imported when one is first used."""
 
 __all__ = [
     "AccelcalError", "Calibration", "CalibrationOptions", "FitOptions", "PoseOptions", "Reading",
-    "ReadingOptions", "Reason", "Report", "Result", "Samples", "StudyOptions", "apply", "calibrate", "effect",
-    "export", "fit", "from_poses", "inspect", "read", "report", "sentence", "simulate", "study",
+    "ReadingOptions", "Reason", "Report", "Result", "Samples", "StudyOptions", "apply", "calibrate",
+    "devices", "effect", "export", "fit", "from_poses", "inspect", "read", "report", "sentence", "simulate",
+    "study", "verify",
 ]  # fmt: skip
 
 if not TYPE_CHECKING:  # a name that is not there is an error for type checkers, too

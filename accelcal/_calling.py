@@ -126,7 +126,9 @@ OPTION = re.compile(r"--([a-z][a-z-]*)(?: ([A-Z]+\b|[\w./-]+))?")
 
 NAMED = re.compile(rf"-R ([a-z_]+){GIVEN_VALUE}")
 
-COMMAND = re.compile(r"`?\baccelcal (calibrate|study|apply|fit|inspect|six-pose|export|report)\b")
+COMMAND = re.compile(
+    r"`?\baccelcal (calibrate|study|apply|fit|inspect|six-pose|export|report|verify|devices)\b"
+)
 """A command that is a function here."""
 
 ELSEWHERE_TYPED = re.compile(r"\baccelcal [a-z-]+ ")
@@ -257,8 +259,10 @@ def _call(command: str, rest: str, held: str) -> tuple[str, str]:
         if kind == "named":
             more.append(_named(found[1], found[2]))
         elif kind == "option":
-            flag = _is_flag(found[1].replace("-", "_"))
-            more.append(_keyword(found[1], None if flag else found[2]))
+            name = found[1].replace("-", "_")
+            flag = _is_flag(name)
+            made = _keyword(name, None if flag else found[2])
+            more.append(made if "=" in made or not found[2] else _named(name, found[2]))
             rest = f" {found[2]}{rest}" if flag and found[2] else rest
         else:
             value = found[1].strip("'")

@@ -56,6 +56,7 @@ class SupportsArrow(Protocol):
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object: ...
 
 
+Times = ArrayLike | Sequence[datetime]
 Source = (
     AnyPath
     | bytes
@@ -66,7 +67,7 @@ Source = (
     | SupportsArray
     | SupportsArrow
     | Sequence[Sequence[float]]
-    | Mapping[str, ArrayLike]
+    | Mapping[str, Times]
 )
 """A recording: a path, the content of a file, an open file, (n, 3) values, or a table with columns."""
 
@@ -82,7 +83,7 @@ class Channels:
         self,
         temperature: ArrayLike | None = None,
         gyroscope: ArrayLike | None = None,
-        time: ArrayLike | None = None,
+        time: Times | None = None,
     ) -> None:
         given = {"temperature": temperature, "gyroscope": gyroscope, "time": time}
         self.arrays = {name: column_of(name, one) for name, one in given.items() if one is not None}

@@ -5,16 +5,17 @@ from __future__ import annotations
 import sys
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
+from dataclasses import fields
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 import numpy as np
 
-from accelcal._calling import public, values_of
+from accelcal._calling import public, sentence, values_of
 from accelcal._options import StudyOptions
 from accelcal._results import Report, Result
 from accelcal._sources import NAMES, AnyPath, clock_times, paths_of
@@ -43,6 +44,7 @@ SIMULATED = {
 }  # fmt: skip
 """Bounds of the numbers of `simulate`."""
 
+VERIFIED = "write the result first: result.write(FOLDER)"
 EXPORTED = "give results, or the output folder of a study"
 LEAST_HZ = 1e-3
 """Lowest rate to resample to."""
@@ -67,6 +69,7 @@ def study(
     keep_teaching: bool = False,
     html: bool = False,
     force: bool = False,
+    dry_run: bool = False,
     progress: bool | None = None,
     **options: Unpack[StudyOptions],
 ) -> pd.DataFrame:
@@ -92,6 +95,8 @@ def study(
         keep_teaching: let recordings that you excluded lend, pool and teach like others.
         html: also write the pages of the study and of its recordings.
         force: redo what is up to date, and replace files that accelcal did not write.
+        dry_run: write nothing, and return what would be done instead: `path`, `state` (`todo`, `waiting`,
+            `left_out` or the outcome that there is) and `why`.
         progress: show a bar; None: at a terminal and in a notebook.
         options: those of `calibrate`, for all recordings; `prior` may also be `study` or `device`.
 
@@ -117,7 +122,7 @@ def study(
 
     if executor is not None and not isinstance(executor, Executor):
         raise TypeError("executor is a concurrent.futures.Executor, such as client.get_executor() of Dask")
-    _check_flags(borrow=borrow, pool=pool, report_only=report_only, html=html, force=force)
+    _check_flags(borrow=borrow, pool=pool, report_only=report_only, html=html, force=force, dry_run=dry_run)
     _check_number("jobs", jobs, 1, 1024, whole=True)
     folders = tuple(paths_of(folder, "calibrate what is in memory one by one: accelcal.calibrate(frame)"))
     for one in filter(is_file, folders):
@@ -149,12 +154,26 @@ def study(
         executor=None if executor is None else lambda: nullcontext(executor),
         in_process=jobs == 1 and timeout is None,
     )
+    if dry_run:
+        return _foreseen(wanted)
     with _Bar(progress) as bar:
         run(with_learnt_prior(wanted), bar)
     if html:
         report(output, force=force)
     table = pd.read_parquet(Path(output) / "study.parquet")
     return table.assign(start_time=clock_times(table["start_time"]))
+
+
+def _foreseen(wanted: Study) -> pd.DataFrame:
+    """Return what a study would do with each recording and each other file."""
+    import pandas as pd
+
+    from accelcal_cli.studies.run import preview
+
+    states, left, again = preview(with_learnt_prior(wanted), lambda text: warnings.warn(text, stacklevel=4))
+    rows = [(item.name, state, item.refusal or again.get(item.name)) for item, state in states.items()]
+    rows += [(name, "left_out", sentence(why)) for name, why in left.items()]
+    return pd.DataFrame(sorted(rows, key=lambda row: row[0]), columns=["path", "state", "why"])
 
 
 class _Bar:
@@ -413,6 +432,88 @@ def report(what: Report | AnyPath, output: AnyPath | None = None, *, force: bool
     write.refuse_foreign_page(page, force=force)
     write.write_page(Path(what), page)
     return page
+
+
+@public
+def verify(
+    report: AnyPath,
+    recording: AnyPath | None = None,
+    *,
+    values: bool = False,
+    layout: AnyPath | None = None,
+    poses: AnyPath | None = None,
+    coefficients: AnyPath | None = None,
+) -> dict[str, Any]:
+    """Reproduce a report from its recording and compare the two bit for bit, as `accelcal verify` does.
+
+    Args:
+        report: its path.
+        recording: None for the one that the report names, next to the report or where it was.
+        values: also compare every value of the Parquet file next to the report.
+        layout, poses, coefficients: files that the report was made with, if they have moved.
+
+    Returns:
+        what `accelcal verify --json` prints; `result` is `identical` or `differs`.
+
+    Raises:
+        AccelcalError: one of the files cannot be read, or the recording is not that of the report.
+
+    Example:
+        >>> import accelcal, tempfile
+        >>> with tempfile.TemporaryDirectory() as out:
+        ...     _, report = accelcal.calibrate("sample_data/evening.csv.gz", report_only=True).write(out)
+        ...     accelcal.verify(report, "sample_data/evening.csv.gz")["result"]
+        'identical'
+    """
+    from accelcal_cli import verify as verification  # few programs do both
+
+    def path_of(given: AnyPath | None) -> Path | None:
+        return None if given is None else paths_of(given, VERIFIED)[0]
+
+    _check_flags(values=values)
+    (own,) = paths_of(report, VERIFIED)
+    used = path_of(recording) or verification.recording_of(own)
+    files = path_of(layout), path_of(poses), path_of(coefficients)
+    verified = verification.verify(own, used, verification.VerifyOptions(*files, values=values))
+    return verification.as_json(own, used, verified)
+
+
+@public
+def devices(
+    output: AnyPath,
+    *,
+    device: str | None = None,
+    rules: Mapping[str, float] | None = None,
+    registry: AnyPath | None = None,
+) -> dict[str, Any]:
+    """Judge the devices of a study: which of them drift or need service, and why, as `accelcal devices` does.
+
+    Args:
+        output: the output folder of the study.
+        device: serial number of the only one that is wanted.
+        rules: numbers of the rules by name, such as `{"drift_mg": 2}`.
+        registry: a file to which the good calibrations are added; it is made if it is missing.
+
+    Returns:
+        what `accelcal devices --json` prints; `pandas.DataFrame(found["devices"])` has a row for each.
+
+    Raises:
+        AccelcalError: the folder holds no study, or there is no such device or rule.
+    """
+    from accelcal_cli.devices.review import as_json, chosen, review
+    from accelcal_cli.devices.table import added
+    from accelcal_cli.devices.trends import Rules
+
+    (out,) = paths_of(output, "give the output folder of a study")
+    known = [one.name for one in fields(Rules)]
+    for name, value in (rules or {}).items():
+        if name not in known:
+            raise UsageError(f"there is no rule {name!r}", hint=f"possible: {', '.join(known)}")
+        _check_number(f"rules[{name!r}]", value, *((-100, 200) if name == "reference_c" else (1e-9, 1e9)))
+    if registry is not None:
+        added(out, Path(registry))
+    found = review(out, Rules(**(rules or {})), datetime.now().timestamp())
+    return as_json(found, chosen(found, device, out))
 
 
 @public

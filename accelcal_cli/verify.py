@@ -153,6 +153,40 @@ def verify(
     return _verified(document, made_with, json_round_trip(report_now), parquet)
 
 
+def word(identical: bool) -> str:
+    """Return the word for a result."""
+    return "identical" if identical else "differs"
+
+
+def as_json(report: Path, recording: Path, verified: Verified) -> dict[str, Any]:
+    """Return the result as a JSON object."""
+    return {
+        "report": printable(report),
+        "recording": printable(recording),
+        "result": word(verified.identical),
+        "differs": list(verified.differs),
+        "largest_mg": verified.largest_mg,
+        "mean_mg": verified.mean_mg,
+        "versions": {"report": verified.made_by, "this": __version__},
+        "settings_assumed": list(verified.missing),
+        "settings_unknown": list(verified.unknown),
+        "parquet": None if verified.parquet is None else _parquet(verified.parquet),
+    }
+
+
+def _parquet(check: ParquetCheck) -> dict[str, Any]:
+    values = check.values
+    return {
+        "path": printable(check.path),
+        "metadata": word(not check.differs),
+        "differs": list(check.differs),
+        "values": None if values is None else word(values.first_row is None),
+        "rows": None if values is None else values.rows,
+        "first_row": None if values is None else values.first_row,
+        "column": None if values is None else values.column,
+    }
+
+
 def reproduced(
     document: Document,
     made_with: ReportSettings,

@@ -495,3 +495,57 @@ def test_reports_are_read_again_and_quality_is_a_frame(name: str, tmp_path: Path
     assert frame is not None and frame.index[0] == pd.Timestamp(rows["start"][0][:26])
     assert frame["samples"].tolist() == rows["samples"]
     assert frame["before_mg.p95"].tolist() == rows["before_mg"]["p95"]
+
+
+@pytest.mark.parametrize("name", ["recording.bin", "evening.csv.gz", "night.h5"])
+def test_a_report_is_verified_as_by_the_command(name: str, tmp_path: Path, capsys: Capture) -> None:
+    path = ROOT / "sample_data" / name
+    _, report = accelcal.calibrate(path).write(tmp_path)
+    found = accelcal.verify(report, path, values=True)
+    assert (found["result"], found["parquet"]["values"], found["largest_mg"]) == (
+        "identical",
+        "identical",
+        0.0,
+    )
+    assert found == json.loads(run(capsys, "verify", report, path, "--values", "--json").out)
+    content = json.loads(report.read_text("utf-8"))
+    content["calibration"]["offset_g"][0] += 0.001
+    report.write_text(json.dumps(content), "utf-8")
+    changed = accelcal.verify(report, path)
+    assert (changed["result"], changed["differs"]) == ("differs", ["calibration.offset_g[0]"])
+    with pytest.raises(TypeError, match=r"write the result first: result\.write\(FOLDER\)"):
+        accelcal.verify(accelcal.Report(report))  # type: ignore[arg-type]
+
+
+def test_devices_are_judged_as_by_the_command(tmp_path: Path, capsys: Capture) -> None:
+    folder = study_folder(tmp_path / "in", NAMES[:2])
+    accelcal.study([folder], tmp_path / "out", jobs=1, report_only=True)
+    found = accelcal.devices(tmp_path / "out", rules={"drift_mg": 2}, registry=tmp_path / "all.json")
+    assert found == json.loads(
+        run(capsys, "devices", tmp_path / "out", "--rule", "drift_mg=2", "--json", "-q").out
+    )
+    assert found["rules"]["drift_mg"] == 2 and (tmp_path / "all.json").exists()
+    assert found["recordings"] == 2 and len(pd.DataFrame(found["devices"])) == len(found["devices"])
+    for options, said in (
+        ({"device": "nobody"}, "no recording of device nobody"),
+        ({"rules": {"drift": 2}}, "no rule 'drift'; possible: .*drift_mg"),
+        ({"rules": {"drift_mg": 0}}, r"rules\['drift_mg'\] cannot be 0"),
+    ):
+        with pytest.raises(accelcal.AccelcalError, match=said):
+            accelcal.devices(tmp_path / "out", **options)  # type: ignore[arg-type]
+
+
+def test_a_dry_run_says_what_a_study_would_do_and_writes_nothing(tmp_path: Path) -> None:
+    folder = study_folder(tmp_path / "in", NAMES[:2])
+    (folder / "notes.pdf").write_bytes(b"%PDF")
+    out = tmp_path / "out"
+    foreseen = accelcal.study(folder, out, jobs=1, report_only=True, dry_run=True)
+    assert not out.exists() and set(foreseen["state"]) == {"todo", "left_out"}
+    table = accelcal.study(folder, out, jobs=1, report_only=True)
+    again = accelcal.study(folder, out, jobs=1, report_only=True, dry_run=True)
+    assert dict(zip(again["path"], again["state"], strict=True)) == {
+        **dict(zip(table["path"], table["outcome"], strict=True)),
+        **dict.fromkeys(("notes.pdf", "readme.txt"), "left_out"),
+    }
+    other = accelcal.study(folder, out, jobs=1, report_only=True, model="6", dry_run=True)
+    assert (other["state"] == "todo").sum() == 2 and other.loc[other["state"] == "todo", "why"].notna().all()

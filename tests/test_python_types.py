@@ -52,7 +52,7 @@ def test_the_examples_of_docstrings_run(name: str, monkeypatch: pytest.MonkeyPat
     found = [
         test for key, one in homes.items() for test in doctest.DocTestFinder(recurse=False).find(one, key)
     ]
-    assert sum(bool(test.examples) for test in found) == {"_api": 5, "_results": 1, "_studies": 2}[name]
+    assert sum(bool(test.examples) for test in found) == {"_api": 5, "_results": 1, "_studies": 3}[name]
     for test in found:
         runner.run(test)
     assert runner.summarize(verbose=False).failed == 0

@@ -48,6 +48,13 @@ accelcal.study("in", "out", jobs=1, borrow=True, progress=False, prior="populati
 accelcal.study(["a", "b"], Path("out"), executor=ThreadPoolExecutor(2), include=["*.cwa"], prior="device")
 accelcal.export([RIGHT, "b.calibration.json"], to="ggir", output="c.csv").upper()
 accelcal.report("out").name.upper()
+accelcal.verify("a.calibration.json", Path("a.cwa"), values=True)["result"]
+accelcal.devices("out", device="123", rules={"drift_mg": 2.0}, registry="devices.json")["devices"]
+accelcal.study("in", "out", dry_run=True)["state"].tolist()
+accelcal.calibrate(xyz, time=[datetime(2024, 3, 4)] * 1000, name="P001", serial="0042")
+accelcal.effect(RIGHT, epoch=60)
+accelcal.fit(RIGHT)
+RIGHT.to_pandas(local=True)
 accelcal.simulate("sim.cwa", format="cwa", days=2, temp_slope=(0, 0, 1))[0].exists()
 
 accelcal.nope  # wrong

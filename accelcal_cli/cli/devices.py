@@ -16,8 +16,8 @@ from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.help import Command, Named, NameValue
 from accelcal_cli.cli.options import FILE, Positive, Within
 from accelcal_cli.cli.output import aligned, refuse_both
-from accelcal_cli.core.errors import UsageError, counted, printable
-from accelcal_cli.devices.review import DeviceReview, Review, Verdict, as_json, columns, review, row
+from accelcal_cli.core.errors import counted, printable
+from accelcal_cli.devices.review import DeviceReview, Review, Verdict, as_json, chosen, columns, review, row
 from accelcal_cli.devices.table import OFFSETS, PARAMETERS, Kind, Usage, added
 from accelcal_cli.devices.trends import Rules, Trend
 from accelcal_cli.output.files import csv_text
@@ -188,22 +188,11 @@ def command(out: Path, **values: Any) -> int:
             return exit_codes.OK
     rules = Rules(**dict(values["rules"]))
     reviewed = review(out, rules, time.time(), keep_teaching=values["keep_teaching"])
-    devices = _chosen(reviewed, values["device"], out)
+    devices = chosen(reviewed, values["device"], out)
     exit_codes.show(_shown(reviewed, devices, values))
     if not values["quiet"]:
         exit_codes.say(_summary(reviewed, devices))
     return exit_codes.OK
-
-
-def _chosen(reviewed: Review, serial: str | None, out: Path) -> tuple[DeviceReview, ...]:
-    if serial is None:
-        return reviewed.devices
-    devices = tuple(device for device in reviewed.devices if device.key.serial == serial)
-    if not devices:
-        some = [printable(device.key.serial) for device in reviewed.devices[:5]]
-        hint = f"there are {', '.join(some)}{', ...' if len(reviewed.devices) > 5 else ''}" if some else None
-        raise UsageError(f"no recording of device {printable(serial)}", path=out, hint=hint)
-    return devices
 
 
 def _shown(reviewed: Review, devices: tuple[DeviceReview, ...], values: dict[str, Any]) -> str:

@@ -50,14 +50,14 @@ def command(report: Path, recording: Path | None, **values: Any) -> int:
     report, this version, and the keys that differ. The exit code is 1 if anything differs.
     """
     # with pyarrow, which --help does not need
-    from accelcal_cli.verify import VerifyOptions, recording_of, verify
+    from accelcal_cli.verify import VerifyOptions, as_json, recording_of, verify
 
     recording = recording or recording_of(report)
     names = ("layout", "poses", "coefficients", "values", "chunk_samples")
     options = VerifyOptions(**{name: values[name] for name in names})
     with progress_bars(recording.name, quiet=values["quiet"]) as bars:
         verified = verify(report, recording, options, bars)
-    text = json.dumps(as_object(report, recording, verified)) if values["as_json"] else line(report, verified)
+    text = json.dumps(as_json(report, recording, verified)) if values["as_json"] else line(report, verified)
     exit_codes.show(text)
     if not values["quiet"]:
         _comment(report, verified)
@@ -66,50 +66,19 @@ def command(report: Path, recording: Path | None, **values: Any) -> int:
 
 def line(report: Path, verified: Verified) -> str:
     """Write the result in tab-separated fields; `-` for an empty one."""
+    from accelcal_cli.verify import word
+
     keys = verified.all_differing
     shown, more = ", ".join(keys[:SHOWN_KEYS]), len(keys) - SHOWN_KEYS
     fields = [
         printable(report),
-        _word(verified.identical),
+        word(verified.identical),
         *("-" if value is None else f"{value:g}" for value in (verified.largest_mg, verified.mean_mg)),
         verified.made_by,
         __version__,
         (f"{shown} and {more} more" if more > 0 else shown) or "-",
     ]
     return "\t".join(printable(field) if field else "-" for field in fields)
-
-
-def _word(identical: bool) -> str:
-    return "identical" if identical else "differs"
-
-
-def as_object(report: Path, recording: Path, verified: Verified) -> dict[str, Any]:
-    """Return the result as a JSON object."""
-    return {
-        "report": printable(report),
-        "recording": printable(recording),
-        "result": _word(verified.identical),
-        "differs": list(verified.differs),
-        "largest_mg": verified.largest_mg,
-        "mean_mg": verified.mean_mg,
-        "versions": {"report": verified.made_by, "this": __version__},
-        "settings_assumed": list(verified.missing),
-        "settings_unknown": list(verified.unknown),
-        "parquet": None if verified.parquet is None else _parquet(verified.parquet),
-    }
-
-
-def _parquet(check: ParquetCheck) -> dict[str, Any]:
-    values = check.values
-    return {
-        "path": printable(check.path),
-        "metadata": _word(not check.differs),
-        "differs": list(check.differs),
-        "values": None if values is None else _word(values.first_row is None),
-        "rows": None if values is None else values.rows,
-        "first_row": None if values is None else values.first_row,
-        "column": None if values is None else values.column,
-    }
 
 
 def _comment(report: Path, verified: Verified) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from accelcal_cli.core.errors import Reason
+from accelcal_cli.core.errors import Reason, UsageError, printable
 from accelcal_cli.core.identity import identity
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT
@@ -399,6 +399,18 @@ def _held_out(records: table.Records, rows: Sequence[int]) -> HeldOut | None:
     if not pairs:
         return None
     return HeldOut(len(pairs), *(float(median(values)) for values in zip(*pairs, strict=True)))
+
+
+def chosen(reviewed: Review, serial: str | None, out: Path) -> tuple[DeviceReview, ...]:
+    """Return the devices of a serial number, all for None; raises UsageError if there is none."""
+    if serial is None:
+        return reviewed.devices
+    devices = tuple(device for device in reviewed.devices if device.key.serial == serial)
+    if not devices:
+        some = [printable(device.key.serial) for device in reviewed.devices[:5]]
+        hint = f"there are {', '.join(some)}{', ...' if len(reviewed.devices) > 5 else ''}" if some else None
+        raise UsageError(f"no recording of device {printable(serial)}", path=out, hint=hint)
+    return devices
 
 
 def as_json(review: Review, devices: tuple[DeviceReview, ...]) -> dict[str, Any]:
