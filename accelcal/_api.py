@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelcal._calling import public, speaking_python, values_of
+from accelcal._calling import check_epoch, public, speaking_python, values_of
 from accelcal._options import CalibrationOptions, FitOptions, PoseOptions, ReadingOptions
 from accelcal._results import Calibration, Report, Result
 from accelcal._sources import (
@@ -41,7 +41,7 @@ from accelcal_cli.output import report as reports
 from accelcal_cli.output.coefficients import read_coefficients
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline import jobs, outputs, survey
-from accelcal_cli.pipeline.activity import EPOCH_S, LONGEST_EPOCH_S
+from accelcal_cli.pipeline.activity import EPOCH_S
 from accelcal_cli.pipeline.calibrate import OwnCalibration, open_run
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, Job, Request, file_stamp
 from accelcal_cli.pipeline.options import (
@@ -473,10 +473,7 @@ def effect(
     """
     from accelcal_cli.activity_effect import effect as measured
 
-    if isinstance(epoch, bool) or not isinstance(epoch, int | np.integer):
-        raise TypeError(f"epoch cannot be {epoch!r}")
-    if not 1 <= epoch <= LONGEST_EPOCH_S:
-        raise UsageError(f"epoch cannot be {epoch}", hint=f"possible: 1 to {LONGEST_EPOCH_S}")
+    check_epoch("epoch", epoch)
     if any_device and coefficients is None:
         raise UsageError("any_device is for coefficients only", hint="omit it")
     if isinstance(source, Result):

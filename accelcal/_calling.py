@@ -16,11 +16,14 @@ from tempfile import gettempdir
 from textwrap import fill
 from typing import Any, ParamSpec, TypeVar, get_type_hints
 
-from accelcal_cli.core.errors import AccelcalError, Reason, counted, did_you_mean
+import numpy as np
+
+from accelcal_cli.core.errors import AccelcalError, Reason, UsageError, counted, did_you_mean
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import PoseSettings, Settings, setting_of
 from accelcal_cli.core.system import folder_start
 from accelcal_cli.output import sentences
+from accelcal_cli.pipeline.activity import LONGEST_EPOCH_S
 from accelcal_cli.pipeline.options import GIVEN_VALUE, field_values, not_given, option_fields
 
 # What to type instead of a name that other packages have and this one does not.
@@ -42,7 +45,7 @@ HINTS = {
     r"(batch|calibrate_(all|folder|many|files|study)|map)": "accelcal.study(FOLDER, OUT)",
     r"(plot|show|hist)\w*": f"{CALIBRATE}.plot()",
     r"(info|describe|summary|header|head|predict_outcome)": 'accelcal.inspect("recording.cwa")',
-    r"(enmo|ENMO|mad|metrics?|activity)": 'accelcal.effect("recording.cwa", epoch=60)',
+    r"(enmo|ENMO|mad|metrics?|activity|epochs?)": f"{CALIBRATE}.epochs(5)",
     r"(?i:ggir\w*|biobank\w*|omconvert|actipy|skdh)": "accelcal.export(RESULTS, to=..., folder=DIR)",
     r"(?i:version)": "accelcal.__version__",
     r"(options|set_option|config)": "help(accelcal.calibrate), which lists them",
@@ -63,7 +66,7 @@ OF_OBJECTS = {
     r"(error|error_mg|mean_error|score|rmse)": "result.calibration_error_mg",
     r"(show|display|figure|html)": "result.plot(), or result.to_html()",
     r"(status|success|ok|good|quality_flag|is_good)": "result.usable, result.outcome and result.cautions",
-    r"(enmo|ENMO|mad|MAD|metrics?|activity)": 'accelcal.effect("recording.cwa", epoch=60)',
+    r"(enmo|ENMO|mad|MAD|metrics?|activity|epoch)": "result.epochs(seconds=5)",
     r"(info|describe|meta|metadata|header)": 'result.report["recording"], or result.summary()',
 }  # fmt: skip
 """The same of attributes of results and calibrations."""
@@ -314,6 +317,14 @@ def sentence(reason: Reason) -> str:
 
 def _is_number(text: str) -> bool:
     return re.fullmatch(r"-?\d+(\.\d+)?", text) is not None
+
+
+def check_epoch(name: str, seconds: Any) -> None:
+    """Raise TypeError or UsageError for what cannot be the length of an epoch."""
+    if isinstance(seconds, bool) or not isinstance(seconds, int | np.integer):
+        raise TypeError(f"{name} cannot be {seconds!r}")
+    if not 1 <= seconds <= LONGEST_EPOCH_S:
+        raise UsageError(f"{name} cannot be {seconds}", hint=f"possible: 1 to {LONGEST_EPOCH_S}")
 
 
 def values_of(options: Mapping[str, Any], *kinds: type) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -13,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelcal._calling import no_such_attribute, public, speaking_python, worded
+from accelcal._calling import check_epoch, no_such_attribute, public, speaking_python, worded
 from accelcal._sources import NAMES, AnyPath, Given, clock_times, in_local_time, values_of_result
 from accelcal_cli.core import calibration as core
+from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import OutputError, Reason, UsageError, printable
 from accelcal_cli.core.identity import WINDOWS, identity
-from accelcal_cli.core.recording import METADATA_KEY
+from accelcal_cli.core.recording import METADATA_KEY, Chunk
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.advice import page_verdict
@@ -29,6 +31,7 @@ from accelcal_cli.output.report import ReportInput
 from accelcal_cli.output.report_reading import read_document
 from accelcal_cli.output.sections import EQUATION, ReportView, report_view
 from accelcal_cli.pipeline import export, jobs, survey
+from accelcal_cli.pipeline.activity import EPOCH_S
 from accelcal_cli.pipeline.calibrate import FirstPass
 from accelcal_cli.pipeline.calibrate import calibrate as run_job
 from accelcal_cli.pipeline.jobs import FileStamp, Job, Request
@@ -366,20 +369,61 @@ class Result(Report):
 
         from accelcal_cli.output.columns import schema_of, values_of
 
-        data, path, request = self._data, self._given.path, self._request
-        with speaking_python():
-            if data.judgement.calibration is None:
-                raise UsageError(f"there are no calibrated values: refused: {self.message}", path=path)
-            jobs.check_unchanged(path, self._before)
-            columns = export.columns_of(data)
+        data, columns = self._data, export.columns_of(self._data)
+        with speaking_python(), self._chunks(others=True) as chunks:
             schema = schema_of(columns, reports.parquet_metadata(data))
-            with survey.open_marked(path, request.options, request.threads, joined=request.joined) as reader:
-                reader.with_others = bool(data.recording.others)
-                chunks = reader.chunks(request.chunk_samples)
-                for chunk, xyz in export.calibrated(chunks, export.transform_of(data), lambda _byte: None):
-                    values = zip(values_of(columns, chunk, xyz), schema, strict=True)
-                    arrays = [pa.array(part, item.type) for part, item in values]
-                    yield pa.record_batch(arrays, schema=schema)
+            for chunk, xyz in export.calibrated(chunks, export.transform_of(data), lambda _byte: None):
+                values = zip(values_of(columns, chunk, xyz), schema, strict=True)
+                arrays = [pa.array(part, item.type) for part, item in values]
+                yield pa.record_batch(arrays, schema=schema)
+
+    @contextmanager
+    def _chunks(self, *, others: bool = False) -> Iterator[Iterator[Chunk]]:
+        """Open the recording again, and yield its chunks, with other quantities; raises as `batches` does."""
+        path, request = self._given.path, self._request
+        if self._data.judgement.calibration is None:
+            raise UsageError(f"there are no calibrated values: refused: {self.message}", path=path)
+        jobs.check_unchanged(path, self._before)
+        with survey.open_marked(path, request.options, request.threads, joined=request.joined) as reader:
+            reader.with_others = others and bool(self._data.recording.others)
+            yield reader.chunks(request.chunk_samples)
+
+    @public
+    def epochs(self, seconds: int = EPOCH_S, *, local: bool = False) -> pd.DataFrame:
+        """Return measures of activity of the calibrated values by epoch; reads the file again.
+
+        ENMO, MAD and the arm's angle have 95 % intervals, of what the calibration leaves uncertain. An epoch
+        of which less than four fifths was measured is left out, as in `effect`.
+
+        Args:
+            seconds: length of an epoch, 1 to 3600.
+            local: times in the recording's zone instead of UTC, if that is known.
+
+        Returns:
+            `enmo_mg`, `mad_mg` and `angle_deg` with their ends (`enmo_low_mg`, `enmo_high_mg`, ...),
+            `temperature_c`, `samples`, and `worn` by the hour, with the start of the epoch as index.
+
+        Raises:
+            AccelcalError: as `batches` does.
+        """
+        import pandas as pd
+
+        from accelcal_cli.activity_effect import epochs
+
+        check_epoch("seconds", seconds)
+        with self._chunks() as chunks:
+            frame = pd.DataFrame(epochs(chunks, self._data, int(seconds)))
+        if frame.empty:
+            return frame
+        offset_s, quality = self._data.facts.utc_offset_s, self.quality()
+        hours = pd.array([None] if quality is None else quality["rows"]["worn"], dtype="boolean")
+        row = frame.pop("sample") // (len(hours) if quality is None else quality["row"]["samples"])
+        frame["worn"] = hours.take(np.minimum(row, len(hours) - 1))
+        times = pd.to_datetime(frame.pop("time_us") - MICROSECONDS * (offset_s or 0), unit="us")
+        frame.index = pd.DatetimeIndex(times, name="time")
+        if offset_s is None:
+            return frame
+        return in_local_time(frame.tz_localize("UTC"), self.view.recording.timezone if local else None)
 
     def to_arrow(self) -> pa.Table:
         """Return all calibrated values in memory (a week at 100 Hz: 1.3 GB); raises as `batches` does."""

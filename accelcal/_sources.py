@@ -195,7 +195,7 @@ def paths_of(given: Any, instead: str) -> list[Path]:
     """
     if isinstance(given, str | PathLike):
         return [Path(given)]
-    is_table = isinstance(given, Mapping) or hasattr(given, "columns")  # whose names are no files
+    is_table = isinstance(given, Mapping) or hasattr(given, "columns") or hasattr(given, "_instead")
     several = [*given] if isinstance(given, Iterable) and not is_table else [given]
     for one in several:
         if not isinstance(one, str | PathLike):

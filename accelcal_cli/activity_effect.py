@@ -5,16 +5,40 @@ For a simulated recording, measures with its true parameters are compared too.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from accelcal_cli.core.calibration import Transform
+from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UsageError, printable
-from accelcal_cli.core.recording import Recording
+from accelcal_cli.core.recording import Chunk, Recording, Validity
+from accelcal_cli.output.report import ReportInput
 from accelcal_cli.output.sentences import explained
-from accelcal_cli.pipeline.activity import TRUE, EffectMeter, Version, drawn_of, versions_of
+from accelcal_cli.pipeline.activity import (
+    LEAST_MEASURED,
+    MG,
+    MOST_ROWS,
+    ONE_G,
+    TRUE,
+    DrawnActivity,
+    EffectMeter,
+    EpochCutter,
+    EpochMeasures,
+    Version,
+    WholeEpochs,
+    drawn_of,
+    ends,
+    fixed,
+    lengths,
+    versions_of,
+)
 from accelcal_cli.pipeline.apply import with_coefficients
 from accelcal_cli.pipeline.calibrate import OwnCalibration, open_run
+from accelcal_cli.pipeline.export import transform_of
 from accelcal_cli.pipeline.jobs import Job, Request
 from accelcal_cli.simulate import true_parameters
 
@@ -52,6 +76,63 @@ def effect(path: Path, request: Request, epoch_s: int, source: Path | None = Non
         "message": explained(judgement.reason, judgement.notes),
         "effect": meter.result(),
     }
+
+
+def epochs(chunks: Iterable[Chunk], data: ReportInput, epoch_s: int) -> dict[str, NDArray[Any]]:
+    """Measure the epochs of a calibrated recording as `effect` does; those without a value are left out.
+
+    Args:
+        epoch_s: length of an epoch, whole seconds.
+
+    Returns:
+        columns (m,): `time_us`, its start on the device's clock; `sample`, the number of its first row;
+        `samples`, how many were measured; ENMO, MAD and the arm's angle, with the ends of their 95 %
+        intervals (NaN without a posterior); and the mean temperature (NaN without any).
+    """
+    applied, drawn, rate_hz = transform_of(data), drawn_of(data), data.recording.rate_hz
+    cut = EpochCutter(epoch_s * MICROSECONDS, max(2, MOST_ROWS * round(epoch_s * rate_hz)))
+    found: list[WholeEpochs] = []
+    for chunk in chunks:
+        marks = np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity
+        kept = marks == Validity.MEASURED
+        xyz = [axis[kept] for axis in applied.apply(chunk)] if len(chunk) else []
+        if kept.any():
+            warm = np.zeros(len(chunk), np.int32) if chunk.temperature_mc is None else chunk.temperature_mc
+            samples = chunk.first_sample + np.flatnonzero(kept)
+            found += cut.feed(chunk.time_us[kept], samples, warm[kept].astype(np.int64), lengths(xyz), *xyz)
+    found += cut.finish()
+    parts = [_measured(one, drawn, LEAST_MEASURED * epoch_s * rate_hz) for one in found]
+    made = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]} if parts else {}
+    if made:
+        made["time_us"] *= epoch_s * MICROSECONDS
+        if not data.facts.has_temperature:
+            made["temperature_c"] = np.full(len(made["samples"]), np.nan)
+    return made
+
+
+def _measured(epochs: WholeEpochs, drawn: DrawnActivity, least: float) -> dict[str, NDArray[Any]]:
+    samples, warm, length, *xyz = epochs.columns
+    own = EpochMeasures.of(length, epochs)
+    mean = np.stack([np.add.reduceat(fixed(axis), epochs.start) for axis in xyz], axis=1)
+    mean = mean / epochs.rows[:, np.newaxis] / ONE_G
+    celsius = np.add.reduceat(warm, epochs.start) / epochs.rows / 1000
+    figures = {
+        "enmo_mg": own.enmo * MG, "mad_mg": own.mad * MG,
+        "angle_deg": np.degrees(np.arctan2(mean[:, 2], np.hypot(mean[:, 0], mean[:, 1]))),
+    }  # fmt: skip
+    limits = {name: np.full((2, len(celsius)), np.nan) for name in figures}
+    if drawn.draws:
+        other = drawn.measured(epochs, [*xyz, (warm / 1000).astype(np.float32)])
+        drawn_ones = (other.enmo * MG, other.mad * MG, drawn.angles(mean, celsius))
+        for name, values in zip(figures, drawn_ones, strict=True):
+            limits[name] = ends(np.vstack([values, figures[name]]))
+    columns = {"time_us": epochs.number, "sample": samples[epochs.start], "samples": epochs.rows}
+    for name, values in figures.items():
+        stem, unit = name.rsplit("_", 1)
+        low, high = limits[name]
+        columns |= {name: values, f"{stem}_low_{unit}": low, f"{stem}_high_{unit}": high}
+    valued = epochs.rows >= least
+    return {name: values[valued] for name, values in (columns | {"temperature_c": celsius}).items()}
 
 
 def _truth(path: Path, recording: Recording) -> list[Version]:

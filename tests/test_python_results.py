@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from pyarrow import feather
 
 import accelcal
+from tests.conftest import ROOT
 from tests.test_python_memory import FRAME, XYZ
 
 RESULT = accelcal.calibrate(FRAME)
@@ -117,3 +119,58 @@ def test_raw_values_of_a_reading_or_of_a_refused_recording_are_raw(tmp_path: Pat
     refused = raw.reset_index().astype(dict.fromkeys("xyz", np.float32))
     refused["validity"] |= 4  # as `--keep-refused` marks rows that are not calibrated
     assert accelcal.calibrate(refused).outcome == "calibrated"
+
+
+@pytest.mark.parametrize(
+    ("name", "seconds"), [("recording.bin", 5), ("evening.csv.gz", 60), ("night.h5", 30)]
+)
+def test_epochs_are_those_of_the_effect(name: str, seconds: int) -> None:
+    """Their means are the figures of the effect, their intervals hold them, and chunks make no difference."""
+    result = accelcal.calibrate(ROOT / "sample_data" / name, report_only=True)
+    epochs, effect = result.epochs(seconds), accelcal.effect(result, epoch=seconds)["effect"]
+    assert len(epochs) == effect["epochs"]
+    for figure in ("enmo_mg", "mad_mg"):
+        assert epochs[figure].mean() == pytest.approx(effect["versions"]["calibrated"][figure], abs=1e-4)
+    for stem, unit in (("enmo", "mg"), ("mad", "mg"), ("angle", "deg")):
+        low, own, high = (epochs[f"{stem}{end}_{unit}"] for end in ("_low", "", "_high"))
+        assert (low <= own).all() and (own <= high).all() and (low < high).any()
+    values = result.to_pandas()
+    start = epochs.index[7]
+    rows = values[(values.index >= start) & (values.index < start + pd.Timedelta(seconds=seconds))]
+    length, mean = np.linalg.norm(rows[[*"xyz"]].astype(float), axis=1), rows[[*"xyz"]].astype(float).mean()
+    assert epochs["enmo_mg"].iloc[7] == pytest.approx(1000 * np.maximum(length - 1, 0).mean(), abs=1e-3)
+    assert epochs["mad_mg"].iloc[7] == pytest.approx(1000 * np.abs(length - length.mean()).mean(), abs=1e-3)
+    angle = np.degrees(np.arctan2(mean["z"], np.hypot(mean["x"], mean["y"])))
+    assert epochs["angle_deg"].iloc[7] == pytest.approx(angle, abs=1e-3)
+    assert (epochs["samples"].iloc[7], epochs["worn"].dtype) == (len(rows), "boolean")
+    if "temperature" in rows:
+        assert epochs["temperature_c"].iloc[7] == pytest.approx(rows["temperature"].mean(), abs=0.01)
+    result._request = replace(result._request, chunk_samples=777)
+    pd.testing.assert_frame_equal(result.epochs(seconds), epochs, check_exact=True)
+
+
+def test_epochs_have_the_hours_of_wear_and_times_of_the_zone() -> None:
+    still = np.random.default_rng(1).normal(0, 1e-3, (540_000, 3)) + np.array([0.0, 0.0, 1.0])
+    values = np.concatenate([XYZ, still])
+    result = accelcal.calibrate(values, rate=25, start="2024-03-04T00:00:00", unit="g", timezone="+01:00")
+    epochs = result.epochs(60)
+    hours = pd.Series((result.quality() or {})["rows"]["worn"])
+    assert epochs["worn"].sum() == 60 * hours.sum() and epochs["worn"].iloc[-1] == hours.iloc[-1]
+    assert str(epochs.index[0]) == "2024-03-03 23:00:00+00:00"
+    assert str(result.epochs(60, local=True).index[0]) == "2024-03-04 00:00:00+01:00"
+    assert accelcal.calibrate(FRAME).epochs().index.tz is None
+
+
+@pytest.mark.parametrize(
+    ("seconds", "kind", "said"),
+    [
+        (0, accelcal.AccelcalError, "seconds cannot be 0; possible: 1 to 3600"),
+        (2.5, TypeError, "seconds cannot be 2.5"),
+        (True, TypeError, "seconds cannot be True"),
+    ],
+)
+def test_epochs_have_whole_seconds(seconds: Any, kind: type[Exception], said: str) -> None:
+    with pytest.raises(kind, match=said):
+        RESULT.epochs(seconds)
+    with pytest.raises(accelcal.AccelcalError, match="there are no calibrated values: refused"):
+        accelcal.calibrate(XYZ[:500], rate=25).epochs()

@@ -55,6 +55,7 @@ accelcal.calibrate(xyz, time=[datetime(2024, 3, 4)] * 1000, name="P001", serial=
 accelcal.effect(RIGHT, epoch=60)
 accelcal.fit(RIGHT)
 RIGHT.to_pandas(local=True)
+RIGHT.epochs(60, local=True)
 accelcal.simulate("sim.cwa", format="cwa", days=2, temp_slope=(0, 0, 1))[0].exists()
 
 accelcal.nope  # wrong

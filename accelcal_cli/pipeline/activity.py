@@ -171,6 +171,9 @@ MICRODEGREES = 1e6
 FIGURES = ("enmo_mg", "mad_mg", "mvpa_min", "pim_mg_s", "zcm", "angle_deg")
 """Figures that are given an interval."""
 
+MEASURES = ("enmo", "mad", "pim", "zcm")
+"""Measures of an epoch."""
+
 Singles = NDArray[np.float32]
 
 
@@ -253,15 +256,22 @@ class DrawnActivity:
         Args:
             columns: x, y, z [g] and temperature [degrees C], each (n,).
         """
-        names = ("enmo", "mad", "pim", "zcm")
         if not self.draws:
             return
-        parts = [self._measured(epochs, columns, part) for part in _blocks(epochs.rows)]
-        whole = (np.hstack([getattr(one, name) for one in parts]) for name in names)
-        found = EpochMeasures(*whole).select(valued)
-        for name in names:
+        found = self.measured(epochs, columns).select(valued)
+        for name in MEASURES:
             getattr(self, name)[:] += getattr(found, name).sum(axis=1)
         self.active += (found.enmo >= round(MVPA_MG / MG)).sum(axis=1)
+
+    def measured(self, epochs: WholeEpochs, columns: Sequence[Singles]) -> EpochMeasures:
+        """Return the measures (K, m) of whole epochs; `columns` as in `add`."""
+        parts = [self._measured(epochs, columns, part) for part in _blocks(epochs.rows)]
+        return EpochMeasures(*(np.hstack([getattr(one, name) for one in parts]) for name in MEASURES))
+
+    def angles(self, xyz: NDArray[np.float64], celsius: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the arm's angles (K, m) [degrees] of mean values, (m, 3) [g] and (m,)."""
+        turned = (draw.vectors(xyz, celsius) for draw in self.draws)
+        return np.stack([np.degrees(np.arctan2(z, np.hypot(x, y))) for x, y, z in turned])
 
     def totals(self) -> dict[str, Integers]:
         """Return the sums (K,) of each of FIGURES."""
@@ -270,9 +280,7 @@ class DrawnActivity:
 
     def turn(self, xyz: NDArray[np.float64], celsius: NDArray[np.float64]) -> None:
         """Take in mean values of 5 s, (m, 3) [g] and (m,), for the arm's angle."""
-        for place, draw in enumerate(self.draws):
-            x, y, z = draw.vectors(xyz, celsius)
-            self.angle[place] += int(np.rint(MICRODEGREES * np.degrees(np.arctan2(z, np.hypot(x, y)))).sum())
+        self.angle += np.rint(MICRODEGREES * self.angles(xyz, celsius)).astype(np.int64).sum(axis=1)
 
     def _measured(self, epochs: WholeEpochs, columns: Sequence[Singles], part: slice) -> EpochMeasures:
         first = int(epochs.start[part][0])
