@@ -33,7 +33,8 @@ CALIBRATE = f"accelcal.calibrate({NAME})"
 HINTS = {
     r"read_parquet": 'pandas.read_parquet("recording.calibrated.parquet"): it is an ordinary table',
     r"(read|load|open|scan)_(study|table)": 'pandas.read_parquet("OUT/study.parquet")',
-    r"(read|load|open)_(report|calibration|coefficients|json)|load": f"accelcal.Calibration({REPORT})",
+    r"(read|load|open)_(report|json)|load": f"accelcal.Report({REPORT})",
+    r"(read|load|open)_(calibration|coefficients)": f"accelcal.Calibration({REPORT})",
     r"(read|open|load|scan)_?\w*|Read\w*": f"accelcal.read({NAME}), which knows all formats",
     r"(to|write|save)_(csv|ggir|biobank|bids|npz|mhealth|omconvert)": f"accelcal.export({REPORT}, to=...)",
     r"(write|save|dump)\w*": f"{CALIBRATE}.write(FOLDER)",

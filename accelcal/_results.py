@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -45,6 +46,9 @@ if TYPE_CHECKING:
 
 LARGEST_MC = 2.0e9
 """Temperature [thousandths of a degree C] that fits 32 bits."""
+
+TEXT = re.compile(r"<(style|script)\b.*?</\1>|>[^<>]+<", re.DOTALL)
+"""Text between the tags of a page. Styles and scripts are found whole, to be left alone."""
 
 LINE = 160
 """Most characters of a line of a `repr`."""
@@ -284,7 +288,8 @@ class Report:
     def _repr_html_(self) -> str:
         from accelcal_cli.pages.recording import fragment
 
-        return fragment(self.report, self.quality())
+        shown = fragment(self.report, self.quality())
+        return TEXT.sub(lambda found: found[0] if found[1] else worded(found[0]), shown)
 
     def __repr__(self) -> str:
         view = self.view

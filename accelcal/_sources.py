@@ -97,9 +97,9 @@ class Channels:
         return self.arrays
 
 
-def transposed(name: str, array: NDArray[Any], rows: int | None = None) -> str:
+def transposed(name: str, array: Any, rows: int | None = None) -> str:
     """Return what to type for an array that lies on its side; empty if it does not."""
-    on_its_side = array.ndim == 2 and array.shape[0] == 3 and rows in (None, array.shape[1])
+    on_its_side = np.ndim(array) == 2 and array.shape[0] == 3 and rows in (None, array.shape[1])
     return f"; it lies on its side: give {name}.T" if on_its_side else ""
 
 
@@ -233,6 +233,8 @@ def _written(source: Any, extra: Channels, folder: Path, name: str | None, seria
         source = {name: source[name] for name in names}
     if isinstance(source, Mapping) and not hasattr(source, "data_vars"):  # a dataset of xarray is one, too
         _refuse_channels(extra, "name it among the columns")
+        if not source:
+            raise ValueError("there are no columns: give x, y, z and time")
         columns = {str(name): column_of(str(name), column) for name, column in source.items()}
         return _saved(folder / (name or "columns"), columns | device)
     if (table := arrow_of(source)) is not None:

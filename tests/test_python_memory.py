@@ -225,6 +225,8 @@ def test_no_room_for_a_temporary_file_is_an_error_with_a_remedy(monkeypatch: pyt
         (lambda: accelcal.calibrate(XYZ[0], rate=25), ValueError, r"\(3,\), not \(n, 3\)"),
         (lambda: accelcal.calibrate(XYZ), accelcal.AccelcalError, "^array: .* rate with rate=HZ"),
         (lambda: accelcal.calibrate(XYZ, rate=25, temperature=CELSIUS[1:]), ValueError, "temperature has"),
+        (lambda: accelcal.calibrate(XYZ, time=TIMES[:9].tolist()), ValueError, r"time has the shape \(9,"),
+        (lambda: accelcal.calibrate({}), ValueError, "there are no columns: give x, y, z and time"),
         (lambda: accelcal.calibrate(XYZ, rate=25, gyroscope=XYZ.T), ValueError, r"give gyroscope\.T"),
         (lambda: accelcal.calibrate(FRAME, temperature=CELSIUS), accelcal.AccelcalError, "make it a column"),
         (lambda: accelcal.calibrate("a.cwa", time=TIMES), accelcal.AccelcalError, "a file has its own"),

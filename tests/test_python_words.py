@@ -47,6 +47,10 @@ def test_no_sentence_has_an_option_of_the_command(code: str) -> None:
     )
 
 
+def text_of(page: str) -> str:
+    return re.sub(r"<(style|script)\b.*?</\1>|<[^<>]*>", " ", page, flags=re.DOTALL)
+
+
 CALLS: dict[str, Callable[[], Any]] = {
     "rate": lambda: accelcal.calibrate(XYZ),
     "unit": lambda: accelcal.calibrate((100_000 * XYZ).astype(int), rate=25),
@@ -55,6 +59,8 @@ CALLS: dict[str, Callable[[], Any]] = {
     "points": lambda: accelcal.fit(XYZ),
     "refused": lambda: accelcal.calibrate(XYZ[:500], rate=25).message,
     "advice": lambda: " ".join(map(accelcal.sentence, accelcal.calibrate(XYZ[:500], rate=25).advice)),
+    "notebook": lambda: text_of(accelcal.calibrate(7 * XYZ, rate=25, unit="g")._repr_html_()),
+    "notebook, refused": lambda: text_of(accelcal.calibrate(XYZ[:500], rate=25)._repr_html_()),
     "shown": lambda: repr(accelcal.calibrate(7 * XYZ, rate=25, unit="g")),
 }
 
