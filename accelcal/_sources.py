@@ -294,7 +294,10 @@ def column_of(name: str, values: Any) -> Any:
         return _unmasked(values)
     kind = getattr(values, "dtype", getattr(values, "type", None))
     zone = getattr(kind, "tz", None) or getattr(kind, "time_zone", None)  # of pandas and Arrow, of polars
-    array = None if zone else np.asarray(values)
+    try:
+        array = None if zone else np.asarray(values)
+    except ValueError:  # rows of different lengths
+        array = np.asarray(values, object)
     if array is not None and array.dtype.kind != "O":
         return array
     import pyarrow as pa
@@ -340,6 +343,8 @@ def arrow_of(source: Any) -> pa.Table | None:
     """Return a table of any library as one of pyarrow; None if it has no columns with names."""
     import pyarrow as pa
 
+    if type(source).__name__ == "LazyFrame":  # of polars
+        source = source.collect()
     if hasattr(source, "data_vars"):  # a dataset of xarray
         source, about = source.to_dataframe().reset_index(), source.attrs
         source.attrs = about
@@ -353,6 +358,8 @@ def arrow_of(source: Any) -> pa.Table | None:
         held = [name for name in source.index.names if name is not None and name not in source.columns]
         source = source.reset_index(held) if held else source
         frame = source.rename(columns=str)
+        for name in (name for name, kind in frame.dtypes.items() if isinstance(kind, pd.PeriodDtype)):
+            frame = frame.assign(**{str(name): frame[name].dt.to_timestamp()})
         mixed = frame.columns[(frame.dtypes == "object") & frame.columns.is_unique]
         objects = {name: column_of(name, frame[name]) for name in mixed}
         table = pa.Table.from_pandas(frame.drop(columns=[*objects]), preserve_index=False)

@@ -71,6 +71,7 @@ TABLES = {
     "pandas": lambda: FRAME,
     "pandas by time": lambda: FRAME.set_index("time"),
     "polars": lambda: pl.from_pandas(FRAME),
+    "lazy": lambda: pl.from_pandas(FRAME).lazy(),
     "arrow": lambda: pa.Table.from_pandas(FRAME),
     "batch": lambda: pa.Table.from_pandas(FRAME).combine_chunks().to_batches()[0],
     "columns": lambda: {name: FRAME[name].to_numpy() for name in FRAME},

@@ -31,6 +31,7 @@ ZONED: dict[str, Any] = {
     "chunks": pa.chunked_array([pa.array(BERLIN[:1000]), pa.array(BERLIN[1000:])]),
 }
 NAIVE: dict[str, Any] = {
+    "periods": pd.Series(TIMES).dt.to_period("us"),
     "index": pd.DatetimeIndex(TIMES),
     "datetimes": TIMES.tolist(),
     "stamps": list(pd.DatetimeIndex(TIMES)),
@@ -168,7 +169,8 @@ def test_what_is_masked_is_empty() -> None:
 def test_a_column_may_have_any_name_and_any_objects(name: str) -> None:
     plain: dict[str, Any] = {column: FRAME[column].to_numpy() for column in FRAME}
     texts = [number if number % 3 else f"note {number}" for number in range(NUMBER)]
-    for values in (np.arange(NUMBER), np.array(texts, object)):
+    ragged = [[number] * (number % 3) for number in range(NUMBER)]
+    for values in (np.arange(NUMBER), np.array(texts, object), ragged):
         found = accelcal.calibrate(plain | {name: values})
         assert found["calibration"] == PLAIN["calibration"]
     assert accelcal.calibrate(FRAME.assign(who=texts))["calibration"] == PLAIN["calibration"]
