@@ -270,7 +270,8 @@ def _call(command: str, rest: str, held: str) -> tuple[str, str]:
             rest = f" {found[2]}{rest}" if flag and found[2] else rest
         else:
             value = found[1].strip("'")
-            values.append("..." if held and found[1] == held else value if value.isupper() else repr(value))
+            plain = value.isupper() and kind == "value"
+            values.append("..." if held and found[1] == held else value if plain else repr(value))
     call = f"accelcal.{command.replace('six-pose', 'from_poses')}"
     return f"{call}({', '.join([*values, *more])})" if values or more else call, rest.removeprefix("`")
 

@@ -398,7 +398,7 @@ FIRST_LINES: dict[str, str | None] = {
     "accelcal.Calibration().fit(xyz).transform(xyz)": r"accelcal.calibrate\(xyz, rate=100\).calibration",
     "accelcal.CalibrateAccelerometer()": r'accelcal.calibrate\("recording.cwa"\).calibration',
     "accelcal.fit(xyz)": r"raw samples, .*accelcal.calibrate\(xyz, rate=HZ\)",
-    'accelcal.load("x.json")': r'accelcal.Calibration\("recording.calibration.json"\)',
+    'accelcal.load("x.json")': r'accelcal.Report\("recording.calibration.json"\)',
     'accelcal.calibrate("nope.cwa")': "check the path",
     "accelcal.calibrat(xyz)": "did you mean 'calibrate'",
     "result.to_csv('x.csv')": "type result.write",
@@ -412,7 +412,7 @@ FIRST_LINES: dict[str, str | None] = {
     'accelcal.calibrate("sample_data")': r"accelcal.study\('sample_data', 'OUT'\)",
     "accelcal.GGIR(df)": r"type accelcal.export\(RESULTS, to=...",
     "result.get_params()": "type result.calibration.gain",
-    "result.enmo": r'type accelcal.effect\("recording.cwa", epoch=60\)',
+    "result.enmo": r"type result.epochs\(seconds=5\)",
     "__import__('numpy').asarray(result)": r'use .to_pandas\(\)\[\["x", "y", "z"\]\].to_numpy\(\)',
 }
 """Lines that users of pandas, scikit-learn, actipy and skdh type first, and the answer to those that fail."""

@@ -23,7 +23,7 @@ from tests.test_python_memory import FRAME, XYZ
          "accelcal.calibrate('a.csv', time_format='%d/%m %H'); or time_column='none' and rate"),
         ("say: accelcal calibrate array -R time_format=ms", "say: accelcal.calibrate(..., time_format='ms')"),
         ("use accelcal study 'my folder' -d OUT --sensor each, or name one with --sensor",
-         "use accelcal.study('my folder', OUT, sensor='each'), or name one with sensor"),
+         "use accelcal.study('my folder', 'OUT', sensor='each'), or name one with sensor"),
         ("(accelcal apply, or accelcal study --borrow), or the device (accelcal six-pose).",
          "(accelcal.apply, or accelcal.study(borrow=True)), or the device (accelcal.from_poses)."),
         ("fitted with `accelcal fit`", "fitted with accelcal.fit"),
