@@ -52,9 +52,9 @@ def test_an_axis_that_is_another_field(tmp_path: Path) -> None:
 
 
 def test_inspect_says_two_rates_instead_of_a_drift_and_no_counts_for_decimals(tmp_path: Path) -> None:
-    path = write_csv(tmp_path / "a.csv", still_counts(directions(12)), rate_hz=24.4)
+    path = write_csv(tmp_path / "a.csv", still_counts(directions(12)), rate_hz=24.8)
     shown = run("inspect", "--full", path, "--rate", 25).out
-    assert "24.4 Hz measured, 25 Hz nominal" in shown and "s/day" not in shown
+    assert "24.8 Hz measured, 25 Hz nominal" in shown and "s/day" not in shown
     assert "decimal values, in steps of 2^-24 g" in shown
 
 

@@ -202,7 +202,7 @@ def test_records_of_real_logs(real_data: Path, name: str) -> None:
         at += 9 + size
     with accelcal.read(path) as reading:
         frame = reading.to_pandas()
-    seconds = frame.index.to_numpy().astype("datetime64[us]").astype(np.int64)
+    seconds = frame.index.tz_localize(None).to_numpy().astype("datetime64[us]").astype(np.int64)
     firsts = set((seconds[seconds % 1_000_000 == 0] // 1_000_000).tolist())
     offset = 0 if reading.recording.timezone is None else utc_offset(reading.recording.timezone)
     for name_of, values_of in stated.items():

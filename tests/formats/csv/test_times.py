@@ -307,4 +307,4 @@ def test_a_frame_of_arrow_that_begins_with_its_newest_row_is_refused(tmp_path: P
     pq.write_table(pa.table({"time": times, **axes}), tmp_path / "a.parquet")
     with pytest.raises(UnreadableError, match="newest first") as found:
         read_all(tmp_path / "a.parquet", PARQUET, 1000)
-    assert found.value.hint == "sort its rows by time, the oldest first"
+    assert (found.value.hint or "").startswith("sort its rows by time, the oldest first (in pandas:")
