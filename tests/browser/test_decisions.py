@@ -13,7 +13,7 @@ import pytest
 from accelcal_cli.core.errors import printable
 from accelcal_cli.output.decisions import Decisions, merged, read_decisions
 from accelcal_cli.pages.write import write_study_pages
-from accelcal_cli.studies import summary
+from accelcal_cli.studies import findings, summary
 from tests.browser.conftest import Opened
 from tests.browser.test_study import Opens, violations
 from tests.pages import made_study
@@ -42,7 +42,8 @@ def page(tmp_path_factory: pytest.TempPathFactory, table: list[dict[str, Any]]) 
     (out / "decisions.csv").write_text(EARLIER)
     made = merged(read_decisions(out / "decisions.csv"), table)
     rows = [row | made.changes.get(row["path"], {}) for row in table]
-    summary.write(summary.Summary(rows, {}, decisions=made), out, "study")
+    to_act_on = findings.as_json([*findings.of_decisions(made, {})])
+    summary.write(summary.Summary(rows, {}, decisions=made, findings=to_act_on), out, "study")
     write_study_pages(out)
     return out / "study.html"
 
