@@ -302,7 +302,9 @@ def mutant(random: Random) -> Mutant:
     once = data.count(b"PK\x01\x02") == 2 + len(more)
     held = truth(joined, applied) if known and once and done != "broken maker" else None
     if random.random() < 0.12:
-        data, what, held = damaged_zip(data, random), f"{what} zip", held and possible(held)
+        # the maker's calibration may be what is damaged
+        held = possible(held) if held is not None and applied is None else None
+        data, what = damaged_zip(data, random), f"{what} zip"
     options = ReadOptions(sensor="imu" if "schema" in what and random.random() < 0.5 else None)
     return Mutant(data, f"{what} {how}", held, options)
 
