@@ -91,6 +91,11 @@ def test_an_unnamed_number_behind(tmp_path: Path, behind: str) -> None:
     check(written(tmp_path, "time,x,y,z\n" + rows(behind=behind)))
 
 
+def test_an_unnamed_number_behind_a_column_of_texts(tmp_path: Path) -> None:
+    path = written(tmp_path, "device,time,x,y,z\n" + rows(before="AX3,", behind=",3.9"))
+    check(path)
+
+
 @pytest.mark.parametrize("before", ["{},", '"{}",', "r{},"])
 def test_an_unnamed_column_that_counts_the_rows(tmp_path: Path, before: str) -> None:
     check(written(tmp_path, "time,x,y,z\n" + rows(before=before)), note=False)

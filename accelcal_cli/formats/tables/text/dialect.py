@@ -658,8 +658,11 @@ class _DelimiterTrial:
         lines, rows = zip(*(fitting or whole), strict=True)
         offset += sum(map(len, self.raw_lines[:first]))
         names, units = (None if one is None else tuple(fitted(one, columns)) for one in (names, units))
-        layout = (self.normaliser, self.kinds, names, units, names_line)
-        return Dialect(*layout, rows, lines, first, offset, False, named, widths)
+        return Dialect(
+            normaliser=self.normaliser, kinds=self.kinds, names=names, units=units, names_line=names_line,
+            sample=rows, lines=lines, skipped=first, offset=offset, bare_returns=False, named=named,
+            widths=widths,
+        )  # fmt: skip
 
     def _widths(self, found: Sequence[int], named: int) -> frozenset[int]:
         """Return other numbers of cells that rows have: up to that of the names, or those of many rows."""
@@ -718,7 +721,7 @@ class _DelimiterTrial:
         cells, columns = self._cells(number), len(self.kinds)
         if len(cells) == columns + 1 and LABEL.match(decode(self.raw_lines[number])):
             cells = cells[1:]
-        if len(cells) == columns - 1 and _counts_rows(sample, self.kinds):
+        if len(cells) == columns - 1 and _is_shifted(cells, sample, self.kinds):
             cells = ["", *cells]
         elif len(cells) < columns - 1 or (len(cells) > columns and not names_all_axes(cells)):
             return None
@@ -758,15 +761,19 @@ def _are_units(cells: Sequence[str]) -> bool:
     return known == len(filled) or (2 * known >= len(filled) and any(map(acceleration_unit, filled)))
 
 
-def _counts_rows(sample: Sequence[list[str]], kinds: Sequence[Kind]) -> bool:
-    """Return True if the first column, which has no name, counts the rows: by one, or before times."""
-    if kinds[0] is Kind.TEXT or kinds[-1] is Kind.MISSING:
-        return kinds[-1] is not Kind.MISSING
-    first, second = ([number_of(row[column]) for row in sample] for column in (0, 1))
-    steps = [_steps(column) for column in (first, second)]
-    rises = bool(steps[0]) and all(step > 0 and step == int(step) for step in steps[0])
-    timed = kinds[1] is Kind.TIME or (bool(steps[1]) and min(steps[1]) > 0)
-    return rises and (timed or max(steps[0]) == 1)
+def _is_shifted(names: Sequence[str], sample: Sequence[list[str]], kinds: Sequence[Kind]) -> bool:
+    """Return True if the column without a name is the first one: it labels the rows, or counts them.
+
+    Labels are texts where the first name is that of a time or an axis. Numbers rise by one, or before times.
+    """
+    if kinds[-1] is Kind.MISSING:
+        return False
+    if kinds[0] is Kind.TEXT:
+        return name_of(names[0]).is_time or name_of(names[0]).axis is not None
+    first, second = (_steps([number_of(row[column]) for row in sample]) for column in (0, 1))
+    rises = bool(first) and all(step > 0 and step.is_integer() for step in first)
+    timed = kinds[1] is Kind.TIME or (bool(second) and min(second) > 0)
+    return rises and (timed or max(first) == 1)
 
 
 def _steps(column: Sequence[float | None]) -> list[float]:
