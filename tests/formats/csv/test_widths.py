@@ -128,3 +128,26 @@ def test_labels_of_biosppy(tmp_path: Path, head: str) -> None:
     path = written(tmp_path, f"# Simple Text Format\n# Sampling Rate (Hz):= 25.00\n{head}\n{lines}\n")
     found = read(path, unit="g", rate_hz=25)
     assert np.array_equal(found.g, TRUTH)
+
+
+@pytest.mark.parametrize(
+    "between", ["EVENT start", "# started by button", "-----", "x\ny", "a note, of two cells"]
+)
+@pytest.mark.parametrize("order", ["xyz", "zyx"])
+def test_lines_between_names_and_rows(tmp_path: Path, between: str, order: str) -> None:
+    """They hide no names, which may say that z comes first, or that nothing is acceleration."""
+    text = f"time,{','.join(order)}\n{between}\n" + rows(order=order)
+    check(written(tmp_path, text), note=False)
+    for names in ("time,gx,gy,gz", "time,x [rad/s],y [rad/s],z [rad/s]"):
+        with pytest.raises(UnreadableError, match="no column has a name known for acceleration"):
+            read(written(tmp_path, f"{names}\n{between}\n" + rows()))
+
+
+@pytest.mark.parametrize("cell", ["ERR", "over"])
+def test_a_text_in_the_first_row_hides_no_names(tmp_path: Path, cell: str) -> None:
+    lines = rows(order="zyx", behind=",5").splitlines()
+    for column in (1, 4):
+        cells = lines[0].split(",")
+        cells[column] = cell
+        path = written(tmp_path, "\n".join(["time,z,y,x,light", ",".join(cells), *lines[1:]]) + "\n")
+        assert np.array_equal(read(path, unit="g").g, TRUTH[1:])

@@ -705,13 +705,19 @@ class _DelimiterTrial:
     def _names(
         self, first: int, sample: Sequence[list[str]]
     ) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None, int]:
-        """Return the names, the units if a second line below them gives these, and the line of the names."""
-        above = [number for number in range(first) if self.raw_lines[number].strip()][-2:]
-        rows = [self._heading(number, sample) for number in above]
-        if len(rows) == 2 and rows[0] and rows[1] and _are_units(rows[1]):
-            return rows[0], rows[1], above[0] + 1
-        names = rows[-1] if rows else None
-        return names, None, (above[-1] if names else first) + 1
+        """Return the names, the units if a second line below them gives these, and the line of the names.
+
+        They are the last line above the rows that can be names; one with others below it names x, y and z.
+        """
+        above = [number for number in range(first) if self.raw_lines[number].strip()]
+        for before, number in reversed([*pairwise([-1, *above])]):
+            found = self._heading(number, sample)
+            names = self._heading(before, sample) if found and before >= 0 and _are_units(found) else None
+            if names is not None and (number == above[-1] or names_all_axes(names)):
+                return names, found, before + 1
+            if found is not None and (number == above[-1] or names_all_axes(found)):
+                return found, None, number + 1
+        return None, None, first + 1
 
     def _heading(self, number: int, sample: Sequence[list[str]]) -> tuple[str, ...] | None:
         """Return a line's cells if they can be names, none a number: of all columns but one, or of more.

@@ -111,7 +111,7 @@ class TextSource(Source):
         self.columns = columns_of(dialect)
         headings = (dialect.names is not stated.names) + (dialect.units is not None)
         above = dialect.skipped - stated.preamble - headings
-        said = f"{above} lines before the header or the first row were not used"
+        said = f"not used: {counted(above, 'line')} above the first row"
         self.last_notes = ((said,) if above > 0 else ()) + _note_on_widths(dialect)
 
     def _heads(self) -> RepeatedHeads:
