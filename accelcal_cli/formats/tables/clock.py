@@ -617,7 +617,7 @@ def _refuse_other_order(stamps: NDArray[np.int64], source: Source) -> None:
     if newest_first and not shuffled:
         what = "its rows are in the order newest first: their times go back"
         if source.first_line is not None:
-            name, above = shlex.quote(printable(source.path.name)), source.first_line - 1
+            name, above = shlex.quote(printable(source.path)), source.first_line - 1
             text = f"gzip -dc {name}" if source.path.suffix == ".gz" else f"cat {name}"
             command = f"({text} | head -n {above}; {text} | tail -n +{above + 1} | tac) > sorted.csv"
             hint = f"sort its rows by time, the oldest first: {command}"

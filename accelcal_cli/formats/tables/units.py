@@ -475,8 +475,10 @@ def refuse_grouped(values: NDArray[Any], lines: Numbers, source: Source, scale: 
     row, axis = np.argwhere(broken)[int(np.flatnonzero(sure)[0])].tolist()
     line = int(lines[row]) if source.first_line is not None and row < len(lines) else None
     value = float(values[row, axis])
-    what = f"holds {value:.3f} among whole numbers: that is {value:.3f} or {value * 1000:.0f}"
-    hint = "write its numbers without separators of thousands"
+    written = f"{value:.3f}".replace(".", "," if source.decimal_comma else ".")
+    plain = f"{value * 1000:.0f}"
+    what = f"holds {written} among whole numbers: a fraction, or {plain} with a mark between thousands"
+    hint = f"write {plain} without the mark, or the other numbers with decimals, too"
     raise UnreadableError(what, path=source.path, line=line, hint=hint)
 
 

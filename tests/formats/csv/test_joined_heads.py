@@ -42,7 +42,9 @@ def test_another_recordings_head_is_refused(tmp_path: Path, fault: str, chunk: i
     old, new = HEADS[fault]
     second = FIRST.replace(old, new)
     line = FIRST.count("\n") + 1
-    with pytest.raises(UnreadableError, match=f"another recording's head begins: its {fault} is") as refusal:
+    with pytest.raises(
+        UnreadableError, match=f"head of another recording begins: it has the {fault}"
+    ) as refusal:
         read(written(tmp_path, FIRST + second), chunk)
     assert refusal.value.line == line and "cut the file before that line" in (refusal.value.hint or "")
 
@@ -59,7 +61,7 @@ def geneactiv_export(hour: int, serial: str = "012967") -> str:
 
 @pytest.mark.parametrize("chunk", [1000, 90])
 def test_another_geneactiv_is_refused(tmp_path: Path, chunk: int) -> None:
-    with pytest.raises(UnreadableError, match="its serial number is 054321, not 012967"):
+    with pytest.raises(UnreadableError, match="it has the serial number 054321, not 012967"):
         read(written(tmp_path, geneactiv_export(0) + geneactiv_export(2, "054321")), chunk)
 
 
@@ -93,3 +95,24 @@ def test_other_columns_are_refused(tmp_path: Path, names: str, chunk: int) -> No
 def test_a_line_that_begins_as_the_names_do_is_damage(tmp_path: Path, line: str) -> None:
     found = read(written(tmp_path, "time,x,y,z\n" + rows("xyz", 0) + line + "\n" + rows("xyz", 40)), unit="g")
     assert len(found.g) == 80 and [problem.code for problem in found.problems] == ["bad_line"]
+
+
+@pytest.mark.parametrize(
+    "head", ["# Serial: {}\n", "Serial Number: {}\nSampling rate: 25 Hz\n", "Logger\nserial={}\n"]
+)
+@pytest.mark.parametrize("chunk", [1000, 7])
+def test_another_serial_number_is_refused_whoever_made_the_file(
+    tmp_path: Path, head: str, chunk: int
+) -> None:
+    def text(serial: str, first: int) -> str:
+        return head.format(serial) + "time,x,y,z\n" + rows("xyz", first)
+
+    with pytest.raises(UnreadableError, match=r"it has the line of the serial number .*B2, not .*A1"):
+        read(written(tmp_path, text("A1", 0) + text("B2", 40)), chunk)
+    found = read(written(tmp_path, text("A1", 0) + text("A1", 40)), chunk, unit="g")
+    assert len(found.g) == 80 and [problem.code for problem in found.problems] == ["repeated_head"]
+
+
+def test_what_a_second_head_does_not_say_is_not_another(tmp_path: Path) -> None:
+    found = read(written(tmp_path, FIRST + FIRST.replace("Serial Number: NEO1D00000017\n", "\n")))
+    assert len(found.counts) == 2 * len(actigraph.VALUES)

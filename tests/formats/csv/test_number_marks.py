@@ -105,10 +105,12 @@ def test_points_between_groups_alone_are_asked_about(
     """1.033 among whole numbers of mg; its first may stand far below. 1.500 may be a fraction."""
     values = np.concatenate([np.tile(MG[20:21], (first, 1)), MG])
     path = written(tmp_path, table("time,x [mg],y [mg],z [mg]", values, grouped(mark), delimiter))
-    with pytest.raises(UnreadableError, match=r"among whole numbers: that is 1\.003 or 1003") as refusal:
+    with pytest.raises(
+        UnreadableError, match=r"holds 1[.,]003 among whole numbers: a fraction, or 1003 with"
+    ) as refusal:
         read(path, 100_000)
     assert refusal.value.line == first + 31
-    assert "without separators of thousands" in (refusal.value.hint or "")
+    assert "write 1003 without the mark" in (refusal.value.hint or "")
 
 
 @pytest.mark.parametrize("unit", ["mg", "m/s2"])

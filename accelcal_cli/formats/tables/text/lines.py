@@ -56,8 +56,8 @@ CACHED_BYTES = 1 << 18
 
 LONGEST_LINE = 1 << 20
 LINE_END = ord("\n")
-MOST_NAMES, HEAD_MARK = 40, 16
-"""Names of columns with which a line may begin, and letters of a head, by which one is found again."""
+MOST_NAMES, HEAD_MARK = 40, re.compile(rb"[^\d:=,;\t\r\n]{4,60}")
+"""Names of columns with which a line may begin, and the first words of a head: they find one again."""
 
 RARE = re.compile(rb"[^\W\d_aefinAEFINTZ]")
 """A letter that numbers and times do not have."""
@@ -234,13 +234,17 @@ class RepeatedHeads:
 
     def __init__(self, path: Path, head: bytes, dialect: Dialect, stated: Stated) -> None:
         lines = head.removeprefix(BYTE_ORDER_MARK).splitlines(keepends=True)
-        self._path, self._dialect, self._stated, self._length = path, dialect, stated, len(lines)
-        self._names = self._cells(lines[-1]) if lines and dialect.names is not None else []
-        mark = dialect.normaliser.delimiter.encode()
-        names = lines[-1].split(mark)[:MOST_NAMES] if self._names else []
-        begins = [name.strip() + mark for name in names if name.strip()]
-        first = lines[0].rstrip() if len(lines) > 1 else b""
-        self._marks = begins + [first[:HEAD_MARK]] * (len(first) >= HEAD_MARK)
+        self._path, self._dialect, self._stated, self._head = path, dialect, stated, lines
+        has_names = dialect.names is not None and dialect.names_line <= len(lines)
+        named = lines[dialect.names_line - 1] if has_names else b""
+        self._names = self._cells(named) if has_names else []
+        delimiter = dialect.normaliser.delimiter.encode()
+        names = (name.strip() for name in named.split(delimiter)[:MOST_NAMES])
+        words = HEAD_MARK.match(lines[0]) if len(lines) > 1 else None
+        self._begin = None if words is None else words[0]
+        self._marks = [name + delimiter for name in names if name]
+        if self._begin is not None:
+            self._marks.append(self._begin)
         self._open: list[bytes] | None = None
         self._first = 0
         self.lines: list[int] = []
@@ -257,11 +261,11 @@ class RepeatedHeads:
             return block
         lines = block.data.splitlines(keepends=True)
         for number, line in enumerate(lines):
-            if self._open is not None and (len(self._open) == self._length or self._is_row(line)):
+            if self._open is not None and (len(self._open) == len(self._head) or self._is_row(line)):
                 self._close()
             if self._open is None and number in begins and not self._is_row(line):
-                cells = self._cells(line)
-                if line[:HEAD_MARK] != self._marks[-1] and not self._are_names(cells):
+                begun = self._begin is not None and line.startswith(self._begin)
+                if not begun and not self._are_names(self._cells(line)):
                     continue
                 self._open, self._first = [], block.line + number
             if self._open is not None:
@@ -291,26 +295,24 @@ class RepeatedHeads:
         line = self._first + (named[0] if named else 0)
         self.lines.append(line)
         if named and (found := cells[named[0]]) != self._names:
-            what = (
-                f"a second head begins: it names the columns {', '.join(found)}, not {', '.join(self._names)}"
-            )
-            raise UnreadableError(what, path=self._path, line=line, hint=CUT_THERE)
-        stated = export_description(b"".join(head))
-        if stated is None:
-            return
-        before, after = (
-            (one.device.serial, one.rate_hz, one.unit, one.lsb_per_g) for one in (self._stated, stated)
-        )
-        if before != after:
-            names = ("serial number", "rate", "unit", "scale")
-            name, old, new = next(one for one in zip(names, before, after, strict=True) if one[1] != one[2])
-            what = (
-                f"another recording's head begins: its {name} is {new or 'unknown'}, not {old or 'unknown'}"
-            )
-            raise UnreadableError(what, path=self._path, line=self._first, hint=CUT_THERE)
-        if stated.start is not None:
-            start_us = stated.start.us(stated.date_order, self._path)
-            self.restarts.append((self._first + len(head), start_us))
+            raise self._other_head(line, f"names the columns {', '.join(found)}", ", ".join(self._names))
+        stated = export_description(b"".join(head)) or Stated()
+        for what, before, after in (
+            ("serial number", self._stated.device.serial, stated.device.serial),
+            ("rate", self._stated.rate_hz, stated.rate_hz),
+            ("unit", self._stated.unit, stated.unit),
+            ("scale", self._stated.lsb_per_g, stated.lsb_per_g),
+            ("line of the serial number", _serial_of(self._head), _serial_of(head)),
+        ):
+            if None not in (before, after) and before != after:
+                raise self._other_head(self._first, f"has the {what} {after}", str(before))
+        start, order = stated.start, stated.date_order
+        if start is not None and (start.written is None or len(start.days(order)) == 1):
+            self.restarts.append((self._first + len(head), start.us(order, self._path)))
+
+    def _other_head(self, line: int, found: str, before: str) -> UnreadableError:
+        what = f"the head of another recording begins: it {found}, not {before}"
+        return UnreadableError(what, path=self._path, line=line, hint=CUT_THERE)
 
     def _cells(self, line: bytes) -> list[str]:
         text = decode(self._dialect.normaliser(line)).strip("\r\n")
@@ -326,6 +328,12 @@ class RepeatedHeads:
         cells = self._cells(line)
         comma = self._dialect.normaliser.delimiter != ","
         return len(cells) == self._dialect.columns and have_kinds(cells, self._dialect.kinds, comma)
+
+
+def _serial_of(head: Sequence[bytes]) -> str | None:
+    """Return the line of a head that states a serial number; None without one."""
+    found = next((line for line in head if b"serial" in line.lower()), None)
+    return None if found is None else decode(found).strip()
 
 
 def _cut(pieces: list[bytes]) -> tuple[bytes, bytes]:
