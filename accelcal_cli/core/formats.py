@@ -347,18 +347,18 @@ def _packed_head(path: Path, packing: Packing) -> bytes:
     Raises:
         UnreadableError: nothing can be unpacked.
     """
-    parts: list[bytes] = []
-    fault = None
+    head, fault = bytearray(), None
     with path.open("rb") as file:
         for piece in unpacked(file, packing):
-            parts, fault = [*parts, piece.data], piece.fault
-            if sum(map(len, parts)) >= HEAD_BYTES:
+            head += piece.data
+            fault = piece.fault
+            if len(head) >= HEAD_BYTES:
                 break
-    if fault is not None and not any(parts):
+    if fault is not None and not head:
         packing.refuse_large(fault, path)
         what, hint = f"damaged {packing.name} data ({fault.value})", "copy it again from its source"
         raise UnreadableError(what, path=path, byte_offset=0, hint=hint)
-    return b"".join(parts)[:HEAD_BYTES]
+    return bytes(head[:HEAD_BYTES])
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,7 +38,7 @@ NO_PART = re.compile(
 """Names that no part has: of logs (NHANES), options, layouts, lists of poses, and our own results."""
 
 HOUR = re.compile(
-    r"([^.]+\.[^.]+)\.\d{4}(?:-\d\d){5}-\d{3}-[PM]\d{4}(\.sensor\.csv(?:\.gz|\.bz2|\.xz|\.zst|\.lz4)?)", re.I
+    r"([^.]+\.[^.]+)\.\d{4}(?:-\d\d){5}-\d{3}-[PM]\d{4}(\.sensor\.csv(?:\.gz|\.bz2|\.xz|\.zst)?)", re.I
 )
 HALF_HOUR = re.compile(r"(.+)_\d{10}\.avro", re.IGNORECASE)
 DAY = re.compile(r"\d{4}-\d\d-\d\d")

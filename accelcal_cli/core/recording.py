@@ -85,12 +85,16 @@ def no_others(rows: int, columns: int) -> Others:
     return np.full((columns, rows), np.nan, np.float32).T
 
 
+MOTION = ("time", *"xyz", "temperature", "gx", "gy", "gz", "validity")
+"""Names of the columns of calibrated data besides other quantities."""
+
+
 def uniquely_named(columns: Iterable[OtherColumn]) -> tuple[OtherColumn, ...]:
     """Return columns of which the second of a name is called `light_2`, and so on."""
     found: dict[str, OtherColumn] = {}
     for column in columns:
         name, number = column.name, 2
-        while name in found:
+        while name in found or name in MOTION:
             name, number = f"{column.name}_{number}", number + 1
         found[name] = replace(column, name=name)
     return tuple(found.values())

@@ -1,9 +1,9 @@
-"""Files that are packed with gzip, bzip2, xz, Zstandard or LZ4: how each is known, and what is in it.
+"""Files that are packed with gzip, bzip2, xz or Zstandard: how each is known, and what is in it.
 
 Gzip (RFC 1952) is unpacked with zlib-ng where that is installed (`accelcal[fast]`), else with zlib. Both give
 the same bytes, also from damaged data, which are unpacked byte by byte up to the first impossible one. ISA-L
 is faster still, but accepts some damaged data, and so would give other bytes. bzip2 and xz are unpacked by
-the standard library, Zstandard and LZ4 by Arrow.
+the standard library, Zstandard by Arrow.
 """
 
 from __future__ import annotations
@@ -71,13 +71,14 @@ class _FaultError(Exception):
 class PackedBytes:
     """The bytes of a packed file from its beginning; those that were read last can be put back."""
 
-    closed = False
+    closed, at_once = False, MOST_BYTES
 
     def __init__(self, file: BinaryIO) -> None:
         self._file, self._data, self._at = file, b"", 0
 
     def read(self, count: int) -> bytes:
-        """Return `count` bytes, fewer only at the end of the file."""
+        """Return `count` bytes, fewer only at the end of the file; never more than `at_once`."""
+        count = min(count, self.at_once)
         self._fill(count)
         part = self._data[self._at : self._at + count]
         self._at += len(part)
@@ -106,6 +107,11 @@ class PackedBytes:
             found = several.match(self._data, self._at)
             self._at = self._at if found is None else found.end()
 
+    def begin_again(self) -> None:
+        """Go back to the beginning of the file."""
+        self._file.seek(0)
+        self._data, self._at = b"", 0
+
     def close(self) -> None:
         """Do nothing: Arrow closes what it has read, and a file is closed by who opened it."""
 
@@ -123,8 +129,8 @@ class Packing:
         suffix: usual end of the names of such files.
         command: program that unpacks them, with -k into a file next to it, with -c to where it is piped.
         magic: first bytes of each member; begins: pattern of these, and of more that tells them from others.
-        empty: pattern of a member without content, of which a file may have millions.
         pieces: yields what is in the next member, which is there; raises EOFError if it is cut short.
+        empty: pattern of a member without content, of which a file may have millions; else it fits nothing.
     """
 
     name: str
@@ -132,8 +138,8 @@ class Packing:
     command: str
     magic: bytes
     begins: bytes
-    empty: bytes
     pieces: Callable[[PackedBytes], Iterator[Piece]]
+    empty: bytes = rb"(?!)"
 
     def unpack_first(self, path: Path) -> str:
         """Return the hint to unpack a file that is not read packed."""
@@ -232,81 +238,81 @@ def _stream_pieces(begin: Callable[[], Any], source: PackedBytes) -> Iterator[Pi
     source.put_back(len(stream.unused_data))
 
 
-def _arrow_pieces(codec: str, source: PackedBytes) -> Iterator[Piece]:
-    """Yield the data of all members that are left, as Arrow unpacks them."""
+def _zstd_pieces(source: PackedBytes) -> Iterator[Piece]:
+    """Yield the data of all members, as Arrow unpacks them; where it fails, byte by byte up to that place."""
     import pyarrow as pa  # few files are packed like this
 
-    stream = pa.CompressedInputStream(pa.PythonFile(source, "r"), codec)
-    while True:
-        try:
-            data = stream.read(FIRST_BYTES)
-        except OSError as error:
-            if error.errno is not None:  # of the disk
-                raise
-            if "Truncated" in str(error):
-                raise EOFError from error
-            other = any(words in str(error) for words in UNKNOWN_FRAME)
-            raise _FaultError(UnpackFault.OTHER if other else UnpackFault.DAMAGED) from error
-        if not data:
-            return
-        yield Piece(data, source.tell())
+    def opened() -> Any:
+        return pa.CompressedInputStream(pa.PythonFile(source, "r"), "zstd")
+
+    stream, steps = opened(), 0
+    try:
+        while data := stream.read(FIRST_BYTES):
+            steps += 1
+            yield Piece(data, source.tell())
+    except OSError as error:
+        if error.errno is not None:  # of the disk
+            raise
+        source.begin_again()
+        source.at_once = 256  # what is unpacked together with the fault is lost
+        stream = opened()
+        for _ in range(steps):
+            stream.read(FIRST_BYTES)
+        with suppress(OSError):
+            while data := stream.read(1):
+                yield Piece(data, source.tell())
+        if "Truncated" in str(error):
+            raise EOFError from error
+        faults = (fault for words, fault in ZSTD_FAULTS.items() if words in str(error))
+        raise _FaultError(next(faults, UnpackFault.DAMAGED)) from error
 
 
-UNKNOWN_FRAME = ("Unknown frame descriptor", "frameType_unknown")
-"""Parts of what the libraries of Zstandard and LZ4 say: the next bytes do not begin a frame."""
-
-
-NOTHING = rb"(?!)"
-"""Pattern that matches nowhere: what Arrow unpacks in one go has no need of one."""
+ZSTD_FAULTS = {
+    "Unknown frame descriptor": UnpackFault.OTHER,
+    "too much memory": UnpackFault.TOO_LARGE,
+}
+"""Parts of what the library of Zstandard says."""
 
 PACKINGS = (
     Packing(
         *("gzip", ".gz", "gunzip"),
         GZIP_MAGIC,
         GZIP_MAGIC,
+        _gzip_pieces,
         rb"\x1f\x8b\x08(?:\0.{6}|\x08.{6}[^\0]{1,255}\0|\x04.{6}\x06\0.{6})"
         rb"(?:\x03\0|\x01\0\0\xff\xff)\0{8}",
-        _gzip_pieces,
     ),
     Packing(
         *("bzip2", ".bz2", "bunzip2"),
         b"BZh",
         rb"BZh[1-9](?:1AY&SY|\x17rE8P\x90)",
-        rb"BZh[1-9]\x17rE8P\x90\0{4}",
         partial(_stream_pieces, _bzip2_stream),
+        rb"BZh[1-9]\x17rE8P\x90\0{4}",
     ),
     Packing(
         *("xz", ".xz", "unxz"),
         b"\xfd7zXZ\0",
         b"\xfd7zXZ\0",
-        rb"\xfd7zXZ\0.{6}\0{4}\x1c\xdf\x44\x21.{10}YZ",
         partial(_stream_pieces, _xz_stream),
+        rb"\xfd7zXZ\0.{6}\0{4}\x1c\xdf\x44\x21.{10}YZ",
     ),
     Packing(
         *("Zstandard", ".zst", "unzstd"),
         b"\x28\xb5\x2f\xfd",
         rb"\x28\xb5\x2f\xfd|\x50\x2a\x4d\x18",
-        NOTHING,
-        partial(_arrow_pieces, "zstd"),
-    ),
-    Packing(
-        *("LZ4", ".lz4", "unlz4"),
-        b"\x04\x22\x4d\x18",
-        rb"\x04\x22\x4d\x18",
-        NOTHING,
-        partial(_arrow_pieces, "lz4"),
+        _zstd_pieces,
     ),
 )
 """All packings that are read; one of Zstandard may begin with a frame to be skipped, as pzstd writes it.
 
 Sources: RFC 1952 and 1951; the bzip2 format (a file of no blocks); the .xz file format 1.2.0, 2 and 4; RFC
-8878, 3.1; the LZ4 frame format 1.6.
+8878, 3.1.
 """
 
 LONGEST_BEGIN = 10
 """Bytes by which each is known."""
 
-PACKED_SUFFIXES = (".gz", ".bz2", ".xz", ".zst", ".lz4")
+PACKED_SUFFIXES = tuple(one.suffix for one in PACKINGS)
 
 
 def packing_of(head: bytes) -> Packing | None:

@@ -120,10 +120,7 @@ UNPACK_FIRST = "unpack it first: "
 KINDS: tuple[tuple[bytes, str, str, bool], ...] = (
     (rb"7z\xbc\xaf\x27\x1c", "a 7z archive", f"{UNPACK_FIRST}7z x FILE", True),
     (rb"Rar!\x1a\x07", "a RAR archive", f"{UNPACK_FIRST}unrar x FILE", True),
-    (rb"MSCF\0{4}", "a cabinet archive (.cab)", f"{UNPACK_FIRST}cabextract FILE", True),
-    (rb"\x1f\x9d[\x89-\x90]", "packed with compress (.Z)", f"{UNPACK_FIRST}gunzip -k FILE", True),
-    (rb"LZIP\x01", "packed with lzip", f"{UNPACK_FIRST}lzip -d -k FILE", True),
-    (rb"\x5d\0\0.\0", "packed with LZMA (.lzma)", f"{UNPACK_FIRST}unlzma -k FILE", True),
+    (rb"\x04\x22\x4d\x18", "packed with LZ4", f"{UNPACK_FIRST}unlz4 -k FILE", True),
     (
         rb"version https://git-lfs\.github\.com/",
         "a git-lfs pointer, not the file that it stands for",
@@ -144,7 +141,7 @@ KINDS: tuple[tuple[bytes, str, str, bool], ...] = (
         False,
     ),
     (
-        rb"PK\x03\x04.{26}(?:\[Content_Types\]\.xml|_rels/|docProps/|xl/|mimetypeapplication/vnd\.)",
+        rb"PK\x03\x04.{26}(?:\[Content_Types\]\.xml|_rels/|docProps/|xl/w|mimetypeapplication/vnd\.)",
         "a workbook or another document of an office program (.xlsx, .ods)",
         SAVE_SHEET,
         False,
@@ -158,7 +155,6 @@ KINDS: tuple[tuple[bytes, str, str, bool], ...] = (
     (rb"\$FL[23]", "a data file of SPSS", SAVE_TABLE, False),
     (rb"<stata_dta>", "a data file of Stata", SAVE_TABLE, False),
     (rb"RD[AX][23]\n|[AX]\n\0\0\0[\2\3]", "a data file of R", SAVE_TABLE, False),
-    (rb"\x80[\4\5]\x95.{5}\0{3}", "an object that Python pickled", SAVE_TABLE, False),
     (rb"%PDF-", "a PDF document", NOT_ONE, False),
     (rb"\xff\xd8\xff|\x89PNG\r\n|GIF8[79]a|II\*\0|MM\0\*", "a picture", NOT_ONE, False),
     (rb".{4}ftyp|\x1a\x45\xdf\xa3", "a video or a sound", NOT_ONE, False),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import pickle
 import shutil
 import subprocess
 from pathlib import Path
@@ -168,8 +167,7 @@ KINDS = {
         "; fetch that: git lfs pull --include ",
     ),
     "night.gt3x": (POINTER, "is a git-lfs pointer"),
-    "night.Z": (b"\x1f\x9d\x90\1\2", "is packed with compress (.Z); unpack it first: gunzip -k "),
-    "night.lz": (b"LZIP\1\x0c", "is packed with lzip"),
+    "night.lz4": (b"\x04\x22\x4d\x18@@", "is packed with LZ4; unpack it first: unlz4 -k "),
     "a.npy": (b"\x93NUMPY\1\0v\0{'descr'", "is a NumPy array (.npy); make an .npz of it: python3 -c "),
     "page.csv": (b"\xef\xbb\xbf\n<html lang='de'><body>", "is a web page (HTML)"),
     "page.gt3x": (b"<!-- a\nb --><!doctype HTML>", "is a web page (HTML)"),
@@ -181,7 +179,6 @@ KINDS = {
     "table.csv": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600), "save its sheet as CSV"),
     "data.rds": (gzip.compress(b"X\n\0\0\0\3\0\4"), "is a data file of R"),
     "data.sav": (b"$FL2@(#) SPSS DATA FILE", "is a data file of SPSS"),
-    "data.pkl": (pickle.dumps([1.0] * 99), "is an object that Python pickled"),
     "scan.pdf": (b"%PDF-1.4\n", "is a PDF document; give the recording itself"),
     "film.mp4": (b"\0\0\0\x20ftypisom", "is a video or a sound"),
     "a.json": (

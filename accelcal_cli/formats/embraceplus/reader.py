@@ -397,7 +397,7 @@ def other_tracks(fields: Mapping[str, Any], sensor: Sensor, rate_hz: float) -> I
         values, rate = about.get("values"), number(about.get("samplingFrequency"))
         start = number(about.get("timestampStart"))
         near = abs(start - sensor.start_us) < 3600 * MICROSECONDS
-        if isinstance(values, np.ndarray) and len(values) and near and 0 < rate <= rate_hz * (1 + 1e-6):
+        if isinstance(values, np.ndarray) and len(values) and near and 1e-3 <= rate <= rate_hz * (1 + 1e-6):
             after_s = np.arange(len(values)) / rate + (start - sensor.start_us) / MICROSECONDS
             yield Track(column, np.ceil(after_s * rate_hz - 1e-6).astype(np.int64), values.astype(np.float64))
     pressed = subrecord(raw, "tags").get("tagsTimeMicros")

@@ -228,7 +228,7 @@ class OtherSignals:
 
     def __call__(self, first: int, rows: int) -> Others:
         """Return the values of some rows, those of each sample at its first row."""
-        others, column = no_others(rows, len(self.columns)), 0
+        others, column = no_others(rows, sum(max(1, len(one.signal.channels)) for one in self.signals)), 0
         for one in self.signals:
             values = one.recorded(first, rows)
             with np.errstate(over="ignore"):
