@@ -51,9 +51,9 @@ if not TYPE_CHECKING:  # a name that is not there is an error for type checkers,
         for home, names in _HOMES.items():
             if name in names.split():
                 return globals().setdefault(name, getattr(import_module(home), name))
-        from accelcal._calling import no_such_name
+        from accelcal._calling import no_such_attribute
 
-        raise no_such_name(name, __all__)
+        raise no_such_attribute("module 'accelcal'", name, __all__)
 
 
 def __dir__() -> list[str]:

@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelcal._calling import check_epoch, public, speaking_python, values_of
+from accelcal._calling import check_number, public, speaking_python, values_of
 from accelcal._options import CalibrationOptions, FitOptions, PoseOptions, ReadingOptions
 from accelcal._results import Calibration, Report, Result
 from accelcal._sources import (
     AnyPath,
-    Channels,
     Given,
     Source,
     Times,
@@ -30,6 +29,7 @@ from accelcal._sources import (
     in_local_time,
     paths_of,
     refuse_own,
+    texts_of,
     values_of_result,
 )
 from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
@@ -41,7 +41,7 @@ from accelcal_cli.output import report as reports
 from accelcal_cli.output.coefficients import read_coefficients
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline import jobs, outputs, survey
-from accelcal_cli.pipeline.activity import EPOCH_S
+from accelcal_cli.pipeline.activity import EPOCH_S, LONGEST_EPOCH_S
 from accelcal_cli.pipeline.calibrate import OwnCalibration, open_run
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, Job, Request, file_stamp
 from accelcal_cli.pipeline.options import (
@@ -217,7 +217,7 @@ def read(
         ...     next(iter(reading)).xyz.shape[1]
         3
     """
-    given = as_file(source, None, name, serial)
+    given = as_file(source, name, serial)
     wanted = recording_options(given.path, read_options(values_of(options, ReadOptions)))
     return Reading(survey.open_marked(given.path, wanted, joined=parts), chunk_samples, given)
 
@@ -259,24 +259,22 @@ def calibrate(
         >>> accelcal.calibrate("sample_data/recording.bin").outcome
         'calibrated'
     """
-    channels = Channels(temperature, gyroscope, time)
     values = values_of(options, ReadOptions, Settings)
     if gyroscope is not None and values["gyro_unit"] is None:
         values["gyro_unit"] = "deg/s"
-    request = Request(
-        options=read_options(values),
-        settings=chosen_settings(values),
-        report_only=report_only,
-        parts=parts,
-        joined=parts,
-    )
-    given = as_file(source, channels, name, serial)
+    request = _request(values, chosen_settings(values), parts=parts, report_only=report_only)
+    given = as_file(source, name, serial, temperature=temperature, gyroscope=gyroscope, time=time)
     before = file_stamp(given.path)
     with open_run(given.job, request, source=given.path) as run:
         first_pass = run.result(OwnCalibration(request.recording_settings), logged=True)
         data = run.count_beyond(first_pass.data)
     jobs.check_unchanged(given.path, before)
     return Result(_report(data, "accelcal.calibrate"), data, run.request, first_pass, given, before)
+
+
+def _request(values: dict[str, Any], settings: Settings, *, parts: bool, **more: Any) -> Request:
+    """Return the request for one recording."""
+    return Request(read_options(values), settings, parts=parts, joined=parts, **more)
 
 
 def _report(data: ReportInput, command: str) -> dict[str, Any]:
@@ -321,9 +319,9 @@ def inspect(
     from accelcal_cli.pipeline import inspect as inspection  # few programs do both
 
     values = values_of(options, ReadOptions, Settings)
-    given = as_file(source, None, name, serial)
+    given = as_file(source, name, serial)
     settings = inspection.inspection_settings(values, full=full)
-    request = Request(read_options(values), settings, parts=parts, joined=parts)
+    request = _request(values, settings, parts=parts)
     found = inspection.inspect(given.path, request, full=full)
     return inspection.as_json(replace(found, recording=replace(found.recording, path=given.job.source)))
 
@@ -376,7 +374,7 @@ def from_poses(
     recordings: AnyPath | Sequence[AnyPath],
     *,
     poses: AnyPath | None = None,
-    roll: Sequence[str] = (),
+    roll: str | Sequence[str] = (),
     **options: Unpack[PoseOptions],
 ) -> Report:
     """Calibrate from a session of known orientations, as `accelcal six-pose` does.
@@ -404,7 +402,7 @@ def from_poses(
     values = values_of(options, ReadOptions, PoseSettings)
     request = Request(
         options=read_options(values),
-        settings=replace(with_values(POSES, values), roll=tuple(roll)),
+        settings=replace(with_values(POSES, values), roll=texts_of(roll)),
         poses=None if poses is None else Path(poses),
         report_only=True,
         parts=True,
@@ -473,24 +471,19 @@ def effect(
     """
     from accelcal_cli.activity_effect import effect as measured
 
-    check_epoch("epoch", epoch)
+    check_number("epoch", epoch, 1, LONGEST_EPOCH_S, whole=True)
     if any_device and coefficients is None:
         raise UsageError("any_device is for coefficients only", hint="omit it")
     if isinstance(source, Result):
         if options or parts or (coefficients, name, serial) != (None, None, None):
             raise UsageError("a result has its own options", hint="give the recording in its place")
-        given, request = source._given, replace(source._request, report_only=True)
+        given, request = source._given, source._request
         jobs.check_unchanged(given.path, source._before)
-        return _as_written(measured(given.job.source, request, int(epoch), source=given.path))
-    values = values_of(options, ReadOptions, Settings)
-    request = Request(
-        options=read_options(values),
-        settings=chosen_settings(values) if coefficients is None else recipient_settings(values),
-        coefficients=None if coefficients is None else read_coefficients(Path(coefficients)),
-        any_device=any_device,
-        report_only=True,
-        parts=parts,
-        joined=parts,
-    )
-    given = as_file(source, None, name, serial)
+    else:
+        values = values_of(options, ReadOptions, Settings)
+        settings = chosen_settings(values) if coefficients is None else recipient_settings(values)
+        donor = None if coefficients is None else read_coefficients(Path(coefficients))
+        request = _request(values, settings, parts=parts, coefficients=donor, any_device=any_device)
+        given = as_file(source, name, serial)
+    request = replace(request, report_only=True)
     return _as_written(measured(given.job.source, request, int(epoch), source=given.path))

@@ -7,7 +7,7 @@ import inspect
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache, partial, wraps
 from itertools import pairwise
@@ -22,9 +22,10 @@ from accelcal_cli.core.errors import AccelcalError, Reason, UsageError, counted,
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import PoseSettings, Settings, setting_of
 from accelcal_cli.core.system import folder_start
+from accelcal_cli.formats import all_formats
+from accelcal_cli.optimize import all_optimizers
 from accelcal_cli.output import sentences
-from accelcal_cli.pipeline.activity import LONGEST_EPOCH_S
-from accelcal_cli.pipeline.options import GIVEN_VALUE, field_values, not_given, option_fields
+from accelcal_cli.pipeline.options import field_values, not_given, option_fields
 
 # What to type instead of a name that other packages have and this one does not.
 
@@ -92,26 +93,13 @@ ELSEWHERE = {
 """What to type for a keyword that the function does not have."""
 
 
-def _found(hints: dict[str, str], name: str) -> str | None:
-    return next((said for pattern, said in hints.items() if re.fullmatch(pattern, name)), None)
-
-
-def no_such_name(name: str, known: list[str]) -> AttributeError:
-    """Return the error of a name that the module has not, with what to type."""
-    said = None if name.startswith("_") else _found(HINTS, name) or did_you_mean(name, known)
-    return AttributeError(_joined(f"module 'accelcal' has no attribute {name!r}", said), name=name)
-
-
-def no_such_attribute(kind: str, name: str, of: type) -> AttributeError:
-    """Return the error of an attribute that a class has not, with what to type."""
-    public = [one for one in dir(of) if not one.startswith("_")]
-    said = None if name.startswith("_") else _found(OF_OBJECTS, name) or did_you_mean(name, public)
-    return AttributeError(_joined(f"a {kind} has no attribute {name!r}", said), name=name)
-
-
-def _joined(what: str, said: str | None) -> str:
-    asked = not said or said.startswith("did you mean")
-    return "; ".join(filter(None, [what, said if asked else f"type {said}"]))
+def no_such_attribute(of: str | type, name: str, known: list[str]) -> AttributeError:
+    """Return the error of a name that the module, or a class, has not, with what to type."""
+    what, hints = (of, HINTS) if isinstance(of, str) else (f"a {of.__name__}", OF_OBJECTS)
+    typed = next((said for pattern, said in hints.items() if re.fullmatch(pattern, name)), None)
+    said = f"type {typed}" if typed else did_you_mean(name, [one for one in known if one[0] != "_"])
+    shown = None if name.startswith("_") else said
+    return AttributeError("; ".join(filter(None, [f"{what} has no attribute {name!r}", shown])), name=name)
 
 
 def no_such_option(name: str, known: list[str]) -> TypeError:
@@ -126,32 +114,20 @@ def no_such_option(name: str, known: list[str]) -> TypeError:
 P = ParamSpec("P")
 R = TypeVar("R")
 
-OPTION = re.compile(r"--([a-z][a-z-]*)(?: ([A-Z]+\b|[\w./-]+))?")
+FLAG = ("bool", "bool | None")
+"""Annotations of keywords that switch something on."""
 
-NAMED = re.compile(rf"-R ([a-z_]+){GIVEN_VALUE}")
+COMMANDS = "calibrate|study|apply|fit|inspect|six-pose|export|report|verify|devices|simulate"
+"""Commands that are functions here."""
 
-COMMAND = re.compile(
-    r"`?\baccelcal (calibrate|study|apply|fit|inspect|six-pose|export|report|verify|devices)\b"
-)
-"""A command that is a function here."""
+VALUE = r"(?:'[^']*'|(?:[\w@%+=/-]|[.,:](?=[\w%+-]))+)"
+"""The value of an option; a full stop or colon after it is the sentence's."""
 
-ELSEWHERE_TYPED = re.compile(r"\baccelcal [a-z-]+ ")
-"""Any other command, to be typed in a terminal; options of its clause stay as they are."""
+PLACE = r"(?:'[^']*'|[A-Z]{2,}\b|[^\s;,)`']*[./][^\s;,)`']*[\w*]|[^\s;,)`']+(?= -(?:-|[Rd] )))"
+"""A value of a command itself."""
 
-WORD = r"('[^']*'|[^\s;,)`']+)"
-GIVEN = {
-    "output": re.compile(rf" -d {WORD}"),
-    "named": re.compile(rf" -R ([a-z_]+)={WORD}"),
-    "option": re.compile(rf" --([a-z][a-z-]*)(?: {WORD})?"),
-    "value": re.compile(r" ('[^']*'|[A-Z]{2,}\b|[^\s;,)`']*[./][^\s;,)`']*\w|[^\s;,)`']+(?= -))"),
-}
-"""Forms of what follows the name of a command and belongs to it."""
-
-SHORT = re.compile(r",?( a name)? with -[do]\b")
+SHORT = r",?(?: or)?(?: a name)? with -[do]\b"
 """The way to name an output at a terminal."""
-
-FLAGS = ("parts", "force", "gzip", "measured_only", "borrow", "pool")
-"""Flags that no setting declares."""
 
 
 def public(function: Callable[P, R]) -> Callable[P, R]:
@@ -165,13 +141,17 @@ def public(function: Callable[P, R]) -> Callable[P, R]:
     shown = [
         inspect.Parameter(name, keyword, default=None, annotation=hint) for name, hint in options.items()
     ]
+    flags = [one.name for one in given if one.annotation in FLAG]
     positional = sum(one.kind is not keyword for one in given)
 
     @wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
-        for name in kwargs:
+        for name, value in kwargs.items():
             if name not in known:
                 raise no_such_option(name, known)
+            if name in flags and not isinstance(value, bool):
+                other = "; did you mean executor=?" if hasattr(value, "submit") else ""
+                raise TypeError(f"{name} is True or False, not {value!r:.60}{other}")
         if len(args) > positional:
             most = (
                 f"{function.__name__} takes {counted(positional - ('self' in known), 'value')} without a name"
@@ -210,12 +190,14 @@ def _with_options(text: str, kind: type | None) -> str:
     """Return a docstring with an entry for each option of a class in place of that of all."""
     if kind is None:
         return text
+    try:
+        said = _option_texts(kind.__module__)[kind.__name__]
+    except OSError:  # the package is installed without its source
+        return text
     filled = partial(
         fill, width=100, initial_indent=4 * " ", subsequent_indent=8 * " ", break_on_hyphens=False
     )
-    entries = [
-        filled(f"{name}: {said}") for name, said in _option_texts(kind.__module__)[kind.__name__].items()
-    ]
+    entries = [filled(f"{name}: {one}") for name, one in said.items()]
     return OPTIONS_LINE.sub(lambda _: "\n".join([*entries, ""]), text, count=1)
 
 
@@ -236,80 +218,99 @@ def speaking_python() -> Iterator[None]:
         raise error from error.__cause__
 
 
+@cache
+def _keywords() -> dict[str, dict[str, bool]]:
+    """Return the keywords of each function, and whether each is a flag."""
+    import accelcal  # whole: each of its modules imports this one
+
+    found = {}
+    for name in accelcal.__all__:
+        if inspect.isfunction(function := getattr(accelcal, name)):
+            parameters = inspect.signature(function).parameters.items()
+            found[name] = {keyword: str(one.annotation) in FLAG for keyword, one in parameters}
+    return found
+
+
+@cache
+def _forms() -> tuple[re.Pattern[str], re.Pattern[str]]:
+    """Return the pattern of an option or a value of a command, and that of all that is typed there.
+
+    Groups of the first: a flag; another option, what is before its value, the value; `d` or `o` with its
+    value; a value of the command itself.
+    """
+    known = {name for one in _keywords().values() for name, flag in one.items() if flag}
+    flags = "|".join(name.replace("_", "[_-]") for name in sorted(known))
+    named = rf"({flags})(?![\w-])(?:=true)?|([a-z][a-z_-]*)(?:([ =])(?!-[-Rdo])({VALUE}))?"
+    option = rf"(?<![\w/-])(?:(?:--|-R )(?:{named})|-([do]) ({VALUE}))"
+    name = rf"(?:accelcal (?P<command>[a-z-]+)|(?P<alone>{COMMANDS})(?= --))"
+    call = rf"`?\b{name}(?P<given>(?: (?:{option}|{PLACE}))*)`?"
+    whole = rf"`(?!accelcal )[^`]*`|{call}|{option}(?: {option})*|{SHORT}"
+    return re.compile(rf"{option}|({PLACE})"), re.compile(whole)
+
+
+@cache
+def _choices(name: str) -> tuple[str, ...]:
+    """Return the words that an option may have as its value."""
+    if name in ("format", "optimizer"):
+        return tuple(one.name for one in (all_formats() if name == "format" else all_optimizers()))
+    options = option_fields(ReadOptions, Settings) | option_fields(PoseSettings)
+    return setting_of(*options[name]).choices if name in options else ()
+
+
 def worded(text: str, held: str = "") -> str:
     """Return a text with functions and keywords in place of commands and options.
+
+    A command that is not a function here, or has an option that the function has not, stays as it is.
 
     Args:
         held: name of a recording in memory, which a command cannot name.
     """
-    clauses = []
-    for clause in text.split("; "):
-        made, rest = "", clause
-        while found := COMMAND.search(rest):
-            call, after = _call(found[1], rest[found.end() :], held)
-            made, rest = f"{made}{_keywords(rest[: found.start()])}{call}", after
-        clauses.append(made + (rest if ELSEWHERE_TYPED.search(rest) else _keywords(rest)))
-    return "; ".join(clauses)
+    return _forms()[1].sub(lambda found: _in_python(found, held), text)
 
 
-def _call(command: str, rest: str, held: str) -> tuple[str, str]:
-    """Return the call that a command stands for, and what follows it."""
-    values: list[str] = []
-    more: list[str] = []
-    while kind := next((kind for kind, form in GIVEN.items() if form.match(rest)), None):
-        found = GIVEN[kind].match(rest)
-        assert found is not None
-        rest = rest[found.end() :]
-        if kind == "named":
-            more.append(_named(found[1], found[2]))
-        elif kind == "option":
-            name = found[1].replace("-", "_")
-            flag = _is_flag(name)
-            made = _keyword(name, None if flag else found[2])
-            more.append(made if "=" in made or not found[2] else _named(name, found[2]))
-            rest = f" {found[2]}{rest}" if flag and found[2] else rest
+def _in_python(found: re.Match[str], held: str) -> str:
+    option, _ = _forms()
+    if command := found["command"] or found["alone"]:
+        given = [*option.finditer(found["given"])]
+        return _call(command.replace("six-pose", "from_poses"), given, held) or found[0]
+    if found[0].startswith("`"):
+        return found[0]
+    known = {name for one in _keywords().values() for name in one}
+    made = [_keyword(one, known) for one in option.finditer(found[0])]
+    glue = ", " if all(one and "=" in one for one in made) else " "
+    return found[0] if None in made else glue.join(filter(None, made))
+
+
+def _call(function: str, given: Sequence[re.Match[str]], held: str) -> str | None:
+    """Return the call that a command stands for; None if there is none."""
+    known = _keywords().get(function, {})
+    values, more = [], []
+    for one in given:
+        if place := one[7] or (function == "study" and one[6]):
+            plain = place.isupper() and one[7]
+            values.append("..." if place == held else place if plain else repr(place.strip("'")))
         else:
-            value = found[1].strip("'")
-            plain = value.isupper() and kind == "value"
-            values.append("..." if held and found[1] == held else value if plain else repr(value))
-    call = f"accelcal.{command.replace('six-pose', 'from_poses')}"
-    return f"{call}({', '.join([*values, *more])})" if values or more else call, rest.removeprefix("`")
+            more.append(_keyword(one, known, in_call=True))
+    if not known or None in more or any("*" in value for value in values):
+        return None
+    call = f"accelcal.{function}"
+    return f"{call}({', '.join([*values, *filter(None, more)])})" if given else call
 
 
-def _keywords(text: str) -> str:
-    text = NAMED.sub(lambda found: _named(found[1], found[2] or ""), SHORT.sub("", text))
-    return OPTION.sub(lambda found: _keyword(found[1], found[2]), text)
-
-
-def _option(name: str) -> tuple[type, str]:
-    """Return the class and the field of an option."""
-    known = option_fields(ReadOptions, Settings) | option_fields(PoseSettings)
-    return known.get(name, (Settings, "profile"))
-
-
-def _is_flag(name: str) -> bool:
-    kind, field = _option(name)
-    return name in FLAGS or get_type_hints(kind)[field] is bool
-
-
-def _keyword(option: str, value: str | None) -> str:
-    name = option.replace("-", "_")
-    kind, field = _option(name)
-    if _is_flag(name):
-        return f"{name}=True" if value is None else f"{name}=True {value}"
+def _keyword(found: re.Match[str], known: Container[str], *, in_call: bool = False) -> str | None:
+    """Return an option as a keyword, if it is a known one; None if it is not."""
+    flag, name, before, value, short, output, *_ = found.groups()
+    name = {"d": "folder", "o": "output"}[short] if short else (flag or name).replace("-", "_")
+    value = output if short else "True" if flag else value
+    if name not in known:
+        return None
     if value is None:
-        return name
-    if not value.isupper() and (name in ("to", "sensor") or value in setting_of(kind, field).choices):
-        return f"{name}={value!r}"
-    return f"{name}={value}" if value.isupper() or _is_number(value) else f"{name} {value}"
-
-
-def _named(name: str, given: str) -> str:
-    value = given.removeprefix("=")
-    if value == "true":
-        return f"{name}=True"
-    plain = not value or value.isupper() or _is_number(value)
-    return "=".join(filter(None, [name, value if plain else repr(value.strip("'"))]))
+        return f"{name}=..." if in_call else name
+    chosen = value in _choices(name) or name in ("to", "sensor")  # of which any word may be the value
+    if before == " " and not in_call and value.isalpha() and value.islower() and not chosen:
+        return f"{name} {value}"
+    plain = flag or (not chosen and re.fullmatch(r"(?!UTC)[A-Z]+|-?\d+(\.\d+)?", value))
+    return f"{name}={value if plain else repr(value.strip(chr(39)))}"
 
 
 def sentence(reason: Reason) -> str:
@@ -317,16 +318,13 @@ def sentence(reason: Reason) -> str:
     return worded(sentences.sentence(reason))
 
 
-def _is_number(text: str) -> bool:
-    return re.fullmatch(r"-?\d+(\.\d+)?", text) is not None
-
-
-def check_epoch(name: str, seconds: Any) -> None:
-    """Raise TypeError or UsageError for what cannot be the length of an epoch."""
-    if isinstance(seconds, bool) or not isinstance(seconds, int | np.integer):
-        raise TypeError(f"{name} cannot be {seconds!r}")
-    if not 1 <= seconds <= LONGEST_EPOCH_S:
-        raise UsageError(f"{name} cannot be {seconds}", hint=f"possible: 1 to {LONGEST_EPOCH_S}")
+def check_number(name: str, value: Any, low: float, high: float, *, whole: bool = False) -> None:
+    """Raise TypeError for what is not a (whole) number, and UsageError for one beyond its bounds."""
+    kinds = (int, np.integer) if whole else (int, float, np.number)
+    if isinstance(value, bool) or not isinstance(value, kinds):
+        raise TypeError(f"{name} cannot be {value!r}")
+    if not low <= value <= high:
+        raise UsageError(f"{name} cannot be {value}", hint=f"possible: {low:g} to {high:g}")
 
 
 def values_of(options: Mapping[str, Any], *kinds: type) -> dict[str, Any]:

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelcal._calling import check_epoch, no_such_attribute, public, speaking_python, worded
-from accelcal._sources import NAMES, AnyPath, Given, clock_times, in_local_time, values_of_result
+from accelcal._calling import check_number, no_such_attribute, public, speaking_python, worded
+from accelcal._sources import NAMES, AnyPath, Given, clock_times, in_local_time, transposed, values_of_result
 from accelcal_cli.core import calibration as core
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import OutputError, Reason, UsageError, printable
@@ -32,7 +32,7 @@ from accelcal_cli.output.report import ReportInput
 from accelcal_cli.output.report_reading import read_document
 from accelcal_cli.output.sections import EQUATION, ReportView, report_view
 from accelcal_cli.pipeline import export, jobs, survey
-from accelcal_cli.pipeline.activity import EPOCH_S
+from accelcal_cli.pipeline.activity import EPOCH_S, LONGEST_EPOCH_S
 from accelcal_cli.pipeline.calibrate import FirstPass
 from accelcal_cli.pipeline.calibrate import calibrate as run_job
 from accelcal_cli.pipeline.jobs import FileStamp, Job, Request
@@ -129,8 +129,7 @@ class Calibration:
             raise UsageError("these values are calibrated already", hint="give the raw ones")
         rows = np.asarray(xyz, np.float64)
         if rows.ndim not in (1, 2) or rows.shape[-1] != 3:
-            on_its_side = "; it lies on its side: give xyz.T" if rows.shape[:1] == (3,) else ""
-            raise ValueError(f"xyz has the shape {rows.shape}, not (n, 3) or (3,){on_its_side}")
+            raise ValueError(f"xyz has the shape {rows.shape}, not (n, 3) or (3,){transposed('xyz', rows)}")
         v = rows.reshape(-1, 3)
         warmth, unknown = self._warmth(temperature, len(v))
         transform = core.Transform.of(self._core, lsb_per_g=1.0)
@@ -165,7 +164,7 @@ class Calibration:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            raise no_such_attribute("Calibration", name, type(self))
+            raise no_such_attribute(type(self), name, dir(self))
 
 
 class Report:
@@ -324,7 +323,7 @@ class Report:
             raise TypeError('a result is not an array: use .to_pandas()[["x", "y", "z"]].to_numpy()')
 
         def __getattr__(self, name: str) -> Any:
-            raise no_such_attribute(type(self).__name__, name, type(self))
+            raise no_such_attribute(type(self), name, dir(self))
 
 
 class Result(Report):
@@ -409,17 +408,18 @@ class Result(Report):
             `temperature_c`, `samples`, and `worn` by the hour, with the start of the epoch as index.
 
         Raises:
-            AccelcalError: as `batches` does.
+            AccelcalError: as `batches` does; or no epoch was measured, as it is longer than the recording.
         """
         import pandas as pd
 
         from accelcal_cli.activity_effect import epochs
 
-        check_epoch("seconds", seconds)
+        check_number("seconds", seconds, 1, LONGEST_EPOCH_S, whole=True)
         with self._chunks() as chunks:
             frame = pd.DataFrame(epochs(chunks, self._data, int(seconds)))
         if frame.empty:
-            return frame
+            what = f"less than four fifths of each epoch of {seconds} s was measured"
+            raise UsageError(what, path=self.source, hint="give a smaller number of seconds")
         offset_s, quality = self._data.facts.utc_offset_s, self.quality()
         hours = pd.array([None] if quality is None else quality["rows"]["worn"], dtype="boolean")
         row = frame.pop("sample") // (len(hours) if quality is None else quality["row"]["samples"])

@@ -72,34 +72,17 @@ Source = (
 """A recording: a path, the content of a file, an open file, (n, 3) values, or a table with columns."""
 
 
-class Channels:
-    """Further channels of an array.
-
-    Attributes:
-        arrays: temperature (n,) [degrees C], gyroscope (n, 3) [degrees/s], time (n,): see `column_of`.
-    """
-
-    def __init__(
-        self,
-        temperature: ArrayLike | None = None,
-        gyroscope: ArrayLike | None = None,
-        time: Times | None = None,
-    ) -> None:
-        given = {"temperature": temperature, "gyroscope": gyroscope, "time": time}
-        self.arrays = {name: column_of(name, one) for name, one in given.items() if one is not None}
-
-    def checked(self, rows: int) -> dict[str, Any]:
-        """Return them by name; raises ValueError if one has another number of rows."""
-        for name, one in self.arrays.items():
-            wanted = (rows, 3) if name == "gyroscope" else (rows,)
-            if (shape := np.shape(one)) != wanted:
-                raise ValueError(f"{name} has the shape {shape}, not {wanted}{transposed(name, one, rows)}")
-        return self.arrays
+def check_channels(channels: Mapping[str, Any], rows: int) -> None:
+    """Raise ValueError if a further channel of an array has another number of rows."""
+    for name, one in channels.items():
+        wanted = (rows, 3) if name == "gyroscope" else (rows,)
+        if (shape := np.shape(one)) != wanted:
+            raise ValueError(f"{name} has the shape {shape}, not {wanted}{transposed(name, one, rows)}")
 
 
 def transposed(name: str, array: Any, rows: int | None = None) -> str:
     """Return what to type for an array that lies on its side; empty if it does not."""
-    on_its_side = np.ndim(array) == 2 and array.shape[0] == 3 and rows in (None, array.shape[1])
+    on_its_side = np.ndim(array) == 2 and len(array) == 3 and rows in (None, np.shape(array)[1])
     return f"; it lies on its side: give {name}.T" if on_its_side else ""
 
 
@@ -149,11 +132,12 @@ def _unpacked(name: str, content: bytes, changed_ns: int) -> Given:
 
 
 def as_file(
-    source: Source, channels: Channels | None = None, name: str | None = None, serial: str | None = None
+    source: Source, name: str | None = None, serial: str | None = None, **channels: Times | None
 ) -> Given:
     """Return a source as a file.
 
     Args:
+        channels: of an array: temperature (n,) [degrees C], gyroscope (n, 3) [degrees/s], time (n,).
         name, serial: of a recording in memory, and of its device.
 
     Raises:
@@ -163,7 +147,7 @@ def as_file(
         OutputError: there is no room for the temporary file.
     """
     refuse_own(source)
-    extra = Channels() if channels is None else channels
+    extra = {key: column_of(key, one) for key, one in channels.items() if one is not None}
     given = [word for word, value in (("name", name), ("serial", serial)) if value is not None]
     if isinstance(source, str | PathLike):
         _refuse_channels(extra, "a file has its own")
@@ -172,6 +156,8 @@ def as_file(
         return Given(Path(source))
     if name is not None and not (isinstance(name, str) and NAME.fullmatch(name)):
         raise UsageError(f"name cannot be {name!r}", hint="give a short one for a file, such as 'P001'")
+    if serial is not None and not isinstance(serial, str):
+        raise UsageError(f"serial cannot be {serial!r}", hint="give it as text, such as '0042'")
     try:
         folder = new_folder()
         try:
@@ -191,17 +177,25 @@ def paths_of(given: Any, instead: str) -> list[Path]:
         instead: what to call with what is in memory.
 
     Raises:
-        TypeError: it is a table, an array or anything else in memory.
+        TypeError: it is a table, an array or anything else in memory. UsageError: it is an empty list.
     """
-    if isinstance(given, str | PathLike):
-        return [Path(given)]
     is_table = isinstance(given, Mapping) or hasattr(given, "columns") or hasattr(given, "_instead")
-    several = [*given] if isinstance(given, Iterable) and not is_table else [given]
-    for one in several:
-        if not isinstance(one, str | PathLike):
-            kind = type(given if one is given or is_table else one).__name__
-            raise TypeError(f"a path is needed, not {kind!r}: {instead}")
-    return [Path(one) for one in several]
+    single = isinstance(given, str | PathLike) or is_table or not isinstance(given, Iterable)
+    if not (several := [given] if single else [*given]):
+        raise UsageError("there is no path in an empty list", hint="give one or more")
+    return [path_of(one, instead) for one in several]
+
+
+def path_of(given: Any, instead: str) -> Path:
+    """Return one path; raises TypeError for anything else, also for a list."""
+    if not isinstance(given, str | PathLike):
+        raise TypeError(f"a path is needed, not {type(given).__name__!r}: {instead}")
+    return Path(given)
+
+
+def texts_of(given: str | Sequence[str]) -> tuple[str, ...]:
+    """Return one text or several as several."""
+    return (given,) if isinstance(given, str) else tuple(given)
 
 
 def clock_times(texts: pd.Series) -> pd.Series:
@@ -221,7 +215,7 @@ def refuse_own(source: Any) -> None:
         raise TypeError(f"a {kind} of accelcal is not a recording: {said}")
 
 
-def _written(source: Any, extra: Channels, folder: Path, name: str | None, serial: str | None) -> Path:
+def _written(source: Any, extra: dict[str, Any], folder: Path, name: str | None, serial: str | None) -> Path:
     """Write a source into a folder, and return the path of the new file."""
     device = {} if serial is None else {"serial": np.array(serial)}
     if isinstance(source, BYTES) or hasattr(source, "read"):
@@ -248,14 +242,24 @@ def _written(source: Any, extra: Channels, folder: Path, name: str | None, seria
         pyarrow.feather.write_feather(table, str(path), compression="uncompressed")
         return path
     xyz = array_of(source)
-    if "time" in getattr(source, "coords", ()) and "time" not in extra.arrays:  # of xarray
-        extra.arrays["time"] = np.asarray(source.coords["time"])
-    arrays: dict[str, Any] = extra.checked(len(xyz))
-    return _saved(folder / (name or "array"), {"xyz": xyz, **arrays} | device)
+    if "time" in getattr(source, "coords", ()) and "time" not in extra:  # of xarray
+        extra["time"] = np.asarray(source.coords["time"])
+    check_channels(extra, len(xyz))
+    return _saved(folder / (name or "array"), {"xyz": xyz, **extra} | device)
 
 
 def _saved(path: Path, arrays: dict[str, Any]) -> Path:
-    """Write columns as an archive of NumPy, or as a table of Arrow if one is of Arrow."""
+    """Write columns as an archive of NumPy, or as a table of Arrow if one is of Arrow.
+
+    Raises:
+        ValueError: one has neither one value nor as many rows as the others.
+    """
+    shapes = {name: np.shape(one) for name, one in arrays.items()}
+    rows = max((max(shape) for shape in shapes.values() if shape), default=0)
+    single = {name for name, shape in shapes.items() if not shape or shape[0] == 1 != rows}
+    for name, shape in shapes.items():
+        if name not in single and rows not in shape:
+            raise ValueError(f"{name!r} has the shape {shape}, and the longest column {rows} rows")
     if all(isinstance(one, np.ndarray) for one in arrays.values()) and not arrays.keys() & ARGUMENTS:
         with path.open("wb") as file:
             np.savez(file, **arrays)
@@ -263,11 +267,9 @@ def _saved(path: Path, arrays: dict[str, Any]) -> Path:
     import pyarrow as pa
     from pyarrow import feather
 
-    rows = max(len(one) for one in arrays.values() if np.ndim(one))
-    single = {name: one for name, one in arrays.items() if not np.ndim(one) or len(one) == 1 != rows}
-    about = {name: str(np.asarray(one).item()) for name, one in single.items()}
+    about = {name: str(np.asarray(arrays[name]).item()) for name in single}
     whole = {name: _arrow_column(one, rows) for name, one in arrays.items() if name not in single}
-    table = pa.table({name: one for name, one in whole.items() if one is not None and len(one) == rows})
+    table = pa.table({name: one for name, one in whole.items() if one is not None})
     feather.write_feather(table.replace_schema_metadata(about), str(path), compression="uncompressed")
     return path
 
@@ -321,9 +323,9 @@ def _unmasked(values: Any) -> NDArray[Any]:
     return np.asarray(values.filled(empty))
 
 
-def _refuse_channels(extra: Channels, instead: str) -> None:
-    if extra.arrays:
-        raise UsageError(f"{' and '.join(extra.arrays)} can be given with an array only", hint=instead)
+def _refuse_channels(extra: Mapping[str, Any], instead: str) -> None:
+    if extra:
+        raise UsageError(f"{' and '.join(extra)} can be given with an array only", hint=instead)
 
 
 def _spooled(source: Any, folder: Path, name: str | None) -> Path:

@@ -7,18 +7,17 @@ import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import fields
 from datetime import datetime
+from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
-import numpy as np
-
-from accelcal._calling import public, sentence, values_of
+from accelcal._calling import check_number, public, sentence, values_of, worded
 from accelcal._options import StudyOptions
 from accelcal._results import Report, Result
-from accelcal._sources import NAMES, AnyPath, clock_times, paths_of
+from accelcal._sources import NAMES, AnyPath, clock_times, path_of, paths_of, texts_of
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.paths import is_file
@@ -44,6 +43,7 @@ SIMULATED = {
 }  # fmt: skip
 """Bounds of the numbers of `simulate`."""
 
+OUTPUT = "give the folder of a study's outputs"
 VERIFIED = "write the result first: result.write(FOLDER)"
 EXPORTED = "give results, or the output folder of a study"
 LEAST_HZ = 1e-3
@@ -55,8 +55,8 @@ def study(
     folder: AnyPath | Sequence[AnyPath],
     output: AnyPath,
     *,
-    include: Sequence[str] = (),
-    exclude: Sequence[str] = (),
+    include: str | Sequence[str] = (),
+    exclude: str | Sequence[str] = (),
     jobs: int | None = None,
     executor: Executor | None = None,
     timeout: float | None = None,
@@ -69,6 +69,7 @@ def study(
     keep_teaching: bool = False,
     html: bool = False,
     force: bool = False,
+    prune: bool = False,
     dry_run: bool = False,
     progress: bool | None = None,
     **options: Unpack[StudyOptions],
@@ -95,6 +96,7 @@ def study(
         keep_teaching: let recordings that you excluded lend, pool and teach like others.
         html: also write the pages of the study and of its recordings.
         force: redo what is up to date, and replace files that accelcal did not write.
+        prune: remove results whose recording is gone.
         dry_run: write nothing, and return what would be done instead: `path`, `state` (`todo`, `waiting`,
             `left_out` or the outcome that there is) and `why`.
         progress: show a bar; None: at a terminal and in a notebook.
@@ -120,15 +122,17 @@ def study(
     from accelcal_cli.studies.discovery import Where
     from accelcal_cli.studies.run import run
 
+    out = path_of(output, OUTPUT)
     if executor is not None and not isinstance(executor, Executor):
         raise TypeError("executor is a concurrent.futures.Executor, such as client.get_executor() of Dask")
-    _check_flags(borrow=borrow, pool=pool, report_only=report_only, html=html, force=force, dry_run=dry_run)
-    _check_number("jobs", jobs, 1, 1024, whole=True)
+    check_number("jobs", 1 if jobs is None else jobs, 1, 1024, whole=True)
     folders = tuple(paths_of(folder, "calibrate what is in memory one by one: accelcal.calibrate(frame)"))
-    for one in filter(is_file, folders):
-        names, inside = [path.name for path in folders], str(one.parent)
-        hint = f"accelcal.study({inside!r}, {str(output)!r}, include={names!r})"
-        raise UsageError("is a file: a study is of a folder", path=one, hint=hint)
+    if files := [one for one in folders if is_file(one)]:
+        inside = list(dict.fromkeys(str(one.parent if one in files else one) for one in folders))
+        given = f"{inside[0] if len(inside) == 1 else inside!r}, {str(out)!r}"
+        only = f", include={[escape(one.name) for one in files]!r}" if len(files) == len(folders) else ""
+        what = "is a file: a study is of a folder"
+        raise UsageError(what, path=files[0], hint=f"accelcal.study({given}{only})")
     values = values_of(options, ReadOptions, Settings)
     request = Request(
         options=read_options(values),
@@ -141,7 +145,7 @@ def study(
         parts=True,
     )
     wanted = Study(
-        Where(folders, Path(output), tuple(include), tuple(exclude)),
+        Where(folders, out, texts_of(include), texts_of(exclude)),
         request,
         jobs=jobs,
         timeout_s=None if timeout is None else 60 * timeout,
@@ -149,6 +153,7 @@ def study(
         retry_failed=retry_failed,
         borrow=borrow,
         pool=pool,
+        prune=prune,
         decisions=None if decisions is None else Path(decisions),
         keep_teaching=keep_teaching,
         executor=None if executor is None else lambda: nullcontext(executor),
@@ -156,11 +161,11 @@ def study(
     )
     if dry_run:
         return _foreseen(wanted)
-    with _Bar(progress) as bar:
+    with closing(_Bar(progress)) as bar:
         run(with_learnt_prior(wanted), bar)
     if html:
-        report(output, force=force)
-    table = pd.read_parquet(Path(output) / "study.parquet")
+        report(out, force=force)
+    table = pd.read_parquet(out / "study.parquet")
     return table.assign(start_time=clock_times(table["start_time"]))
 
 
@@ -170,10 +175,15 @@ def _foreseen(wanted: Study) -> pd.DataFrame:
 
     from accelcal_cli.studies.run import preview
 
-    states, left, again = preview(with_learnt_prior(wanted), lambda text: warnings.warn(text, stacklevel=4))
-    rows = [(item.name, state, item.refusal or again.get(item.name)) for item, state in states.items()]
+    states, left, again = preview(with_learnt_prior(wanted), _warn)
+    rows = [(one.name, state, one.refusal or again.get(one.name)) for one, state in states.items()]
     rows += [(name, "left_out", sentence(why)) for name, why in left.items()]
-    return pd.DataFrame(sorted(rows, key=lambda row: row[0]), columns=["path", "state", "why"])
+    frame = pd.DataFrame(sorted(rows, key=lambda row: row[0]), columns=["path", "state", "why"])
+    return frame.assign(why=frame["why"].map(worded, na_action="ignore"))
+
+
+def _warn(text: str) -> None:
+    warnings.warn(worded(text), stacklevel=5)
 
 
 class _Bar:
@@ -213,7 +223,7 @@ class _Bar:
     def found(self, line: str, *, new: bool) -> None:
         """See `StudyObserver`."""
         if new:
-            warnings.warn(line, stacklevel=4)
+            _warn(line)
 
     def stopped(self, done: int) -> None:
         """See `StudyObserver`."""
@@ -222,12 +232,6 @@ class _Bar:
         """Remove the bar."""
         if self._bar is not None:
             self._bar.close()
-
-    def __enter__(self) -> _Bar:
-        return self
-
-    def __exit__(self, *_failure: object) -> None:
-        self.close()
 
 
 @public
@@ -276,19 +280,13 @@ def export(
     from accelcal_cli.exports.rows import WIDEST
     from accelcal_cli.exports.selection import COEFFICIENTS, check_form, refuse_other_kind
 
-    rare = {
-        "gzip": gzip,
-        "jobs": jobs,
-        "resample": resample,
-        "smooth": smooth,
-        "measured_only": measured_only,
-    }
-    check_form(to, rare, folder=folder is not None)
+    data = {"resample": resample, "smooth": smooth, "measured_only": measured_only}
+    check_form(to, {"gzip": gzip, "jobs": jobs, **data}, folder=folder is not None)
     if folder is not None and output is not None:
         raise UsageError("output names one file, and folder a folder", hint="give one of them")
-    _check_number("jobs", jobs, 1, 64, whole=True)
-    _check_number("resample", resample, LEAST_HZ, 1e5)
-    _check_number("smooth", None if smooth == "auto" else smooth, 2, WIDEST, whole=True)
+    check_number("jobs", 1 if jobs is None else jobs, 1, 64, whole=True)
+    check_number("resample", 1 if resample is None else resample, LEAST_HZ, 1e5)
+    check_number("smooth", 2 if smooth in (None, "auto") else smooth, 2, WIDEST, whole=True)
     given = _results(results)
     _refuse_same_name([one for one in given if isinstance(one, Result)])
     width = 0 if smooth == "auto" else smooth
@@ -318,28 +316,11 @@ def _results(given: Any) -> list[Result | Path]:
     return found
 
 
-def _check_flags(**flags: Any) -> None:
-    for name, value in flags.items():
-        if not isinstance(value, bool):
-            other = "; did you mean executor=?" if isinstance(value, Executor) else ""
-            raise TypeError(f"{name} is True or False, not {value!r:.60}{other}")
-
-
 def _refuse_same_name(results: Sequence[Result]) -> None:
     """Raise UsageError if two recordings from memory have one name."""
     names = Counter(one.source for one in results if one.from_memory)
     for name in (name for name, count in names.items() if count > 1):
         raise UsageError(f"{names[name]} recordings have the name {str(name)!r}", hint=NAMES)
-
-
-def _check_number(name: str, value: Any, low: float, high: float, *, whole: bool = False) -> None:
-    if value is None:
-        return
-    kinds = (int, np.integer) if whole else (int, float, np.number)
-    if isinstance(value, bool) or not isinstance(value, kinds):
-        raise TypeError(f"{name} cannot be {value!r}")
-    if not low <= value <= high:
-        raise UsageError(f"{name} cannot be {value}", hint=f"possible: {low:g} to {high:g}")
 
 
 def _file(one: Result | AnyPath, folder: Path, *, data: bool) -> Path:
@@ -372,13 +353,13 @@ def _coefficients(form: str, paths: Sequence[Path], output: Path | None, *, forc
         except AccelcalError as error:
             if len(selected) == 1:
                 raise
-            warnings.warn(f"{error}; skipped", stacklevel=4)
+            _warn(f"{error}; skipped")
     if not done:
         raise UsageError("none of the recordings has coefficients that can be exported")
     text = coefficients.TABLES[form](done)
     for one in done if form != "json" else ():
         for note in filter(None, (coefficients.over_limit(one), coefficients.temperature_note(one, form))):
-            warnings.warn(f"{one.file_name}: {note}", stacklevel=4)
+            _warn(f"{one.file_name}: {note}")
     if output is not None:
         write_text(output, text)
     return text
@@ -394,12 +375,12 @@ def _folder(form: str, paths: Sequence[Path], wanted: ExportOptions, jobs: int |
     made = list(folder.export_folder(form, planned, wanted, jobs or cpus()))
     skipped = [f"{one.path}: {one.skipped}" for one in selected if one.skipped is not None]
     for text in [*skipped, *(str(one.error) for one in made if one.error is not None)]:
-        warnings.warn(f"{text}; skipped", stacklevel=4)
+        _warn(f"{text}; skipped")
     if not any(one.written for one in made):
         raise UsageError("none of the recordings has calibrated values that can be exported")
     messages, _ = folder.finish(form, made, wanted)
     for text in messages:
-        warnings.warn(text, stacklevel=4)
+        _warn(text)
     return str(wanted.output)
 
 
@@ -420,17 +401,17 @@ def report(what: Report | AnyPath, output: AnyPath | None = None, *, force: bool
     """
     from accelcal_cli.pages import write
 
-    (what,) = (what,) if isinstance(what, Report) else paths_of(what, "calibrate it, and give the result")
     if isinstance(what, Report):
         if output is None:
             raise UsageError("the page of a result needs a name", hint='give one: report(result, "x.html")')
         what.to_html(output, force=force)
         return Path(output)
-    if Path(what).is_dir():
-        return write.write_study_pages(Path(what), force=force).page
-    page = write.page_of(Path(what)) if output is None else Path(output)
+    source = path_of(what, "calibrate it, and give the result")
+    if source.is_dir():
+        return write.write_study_pages(source, force=force).page
+    page = write.page_of(source) if output is None else Path(output)
     write.refuse_foreign_page(page, force=force)
-    write.write_page(Path(what), page)
+    write.write_page(source, page)
     return page
 
 
@@ -467,14 +448,11 @@ def verify(
     """
     from accelcal_cli import verify as verification  # few programs do both
 
-    def path_of(given: AnyPath | None) -> Path | None:
-        return None if given is None else paths_of(given, VERIFIED)[0]
-
-    _check_flags(values=values)
-    (own,) = paths_of(report, VERIFIED)
-    used = path_of(recording) or verification.recording_of(own)
-    files = path_of(layout), path_of(poses), path_of(coefficients)
-    verified = verification.verify(own, used, verification.VerifyOptions(*files, values=values))
+    own, others = path_of(report, VERIFIED), (recording, layout, poses, coefficients)
+    given, *files = (None if one is None else path_of(one, VERIFIED) for one in others)
+    options = verification.VerifyOptions(files[0], files[1], files[2], values)
+    used = given or verification.recording_of(own)
+    verified = verification.verify(own, used, options)
     return verification.as_json(own, used, verified)
 
 
@@ -502,18 +480,19 @@ def devices(
     """
     from accelcal_cli.devices.review import as_json, chosen, review
     from accelcal_cli.devices.table import added
-    from accelcal_cli.devices.trends import Rules
+    from accelcal_cli.devices.trends import Rules, bounds_of
 
-    (out,) = paths_of(output, "give the output folder of a study")
+    out = path_of(output, OUTPUT)
     known = [one.name for one in fields(Rules)]
     for name, value in (rules or {}).items():
         if name not in known:
             raise UsageError(f"there is no rule {name!r}", hint=f"possible: {', '.join(known)}")
-        _check_number(f"rules[{name!r}]", value, *((-100, 200) if name == "reference_c" else (1e-9, 1e9)))
+        check_number(f"rules[{name!r}]", value, *bounds_of(name))
+    found = review(out, Rules(**(rules or {})), datetime.now().timestamp())
+    made = as_json(found, chosen(found, device, out))
     if registry is not None:
         added(out, Path(registry))
-    found = review(out, Rules(**(rules or {})), datetime.now().timestamp())
-    return as_json(found, chosen(found, device, out))
+    return made
 
 
 @public
@@ -565,5 +544,5 @@ def simulate(
         "no_temperature": no_temperature,
     }  # fmt: skip
     for name, (low, high) in SIMULATED.items():
-        _check_number(name.removesuffix("_hz"), values[name], low, high)
+        check_number(name.removesuffix("_hz"), values[name], low, high)
     return written(Path(output), format, plan_of(values), force=force, progress=lambda _done: None)

@@ -21,7 +21,6 @@ from accelcal_cli.output.sentences import explained
 from accelcal_cli.pipeline.activity import (
     LEAST_MEASURED,
     MG,
-    MOST_ROWS,
     ONE_G,
     TRUE,
     DrawnActivity,
@@ -38,7 +37,7 @@ from accelcal_cli.pipeline.activity import (
 )
 from accelcal_cli.pipeline.apply import with_coefficients
 from accelcal_cli.pipeline.calibrate import OwnCalibration, open_run
-from accelcal_cli.pipeline.export import transform_of
+from accelcal_cli.pipeline.export import calibrated, transform_of
 from accelcal_cli.pipeline.jobs import Job, Request
 from accelcal_cli.simulate import true_parameters
 
@@ -89,19 +88,15 @@ def epochs(chunks: Iterable[Chunk], data: ReportInput, epoch_s: int) -> dict[str
         `samples`, how many were measured; ENMO, MAD and the arm's angle, with the ends of their 95 %
         intervals (NaN without a posterior); and the mean temperature (NaN without any).
     """
-    applied, drawn, rate_hz = transform_of(data), drawn_of(data), data.recording.rate_hz
-    cut = EpochCutter(epoch_s * MICROSECONDS, max(2, MOST_ROWS * round(epoch_s * rate_hz)))
-    found: list[WholeEpochs] = []
-    for chunk in chunks:
-        marks = np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity
-        kept = marks == Validity.MEASURED
-        xyz = [axis[kept] for axis in applied.apply(chunk)] if len(chunk) else []
-        if kept.any():
-            warm = np.zeros(len(chunk), np.int32) if chunk.temperature_mc is None else chunk.temperature_mc
-            samples = chunk.first_sample + np.flatnonzero(kept)
-            found += cut.feed(chunk.time_us[kept], samples, warm[kept].astype(np.int64), lengths(xyz), *xyz)
-    found += cut.finish()
-    parts = [_measured(one, drawn, LEAST_MEASURED * epoch_s * rate_hz) for one in found]
+    drawn, rate_hz = drawn_of(data), data.recording.rate_hz
+    cut, parts, least = EpochCutter.of(epoch_s, rate_hz), [], LEAST_MEASURED * epoch_s * rate_hz
+    for chunk, xyz in calibrated(chunks, transform_of(data), lambda _byte: None):
+        kept = slice(None) if chunk.validity is None else chunk.validity == Validity.MEASURED
+        warm = np.zeros(len(chunk), np.int64) if chunk.temperature_mc is None else chunk.temperature_mc
+        samples = chunk.first_sample + np.arange(len(chunk))
+        columns: list[NDArray[Any]] = [chunk.time_us, samples, warm.astype(np.int64), *xyz]
+        parts += [_measured(one, drawn, least) for one in cut.feed(*(each[kept] for each in columns))]
+    parts += [_measured(one, drawn, least) for one in cut.finish()]
     made = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]} if parts else {}
     if made:
         made["time_us"] *= epoch_s * MICROSECONDS
@@ -111,8 +106,8 @@ def epochs(chunks: Iterable[Chunk], data: ReportInput, epoch_s: int) -> dict[str
 
 
 def _measured(epochs: WholeEpochs, drawn: DrawnActivity, least: float) -> dict[str, NDArray[Any]]:
-    samples, warm, length, *xyz = epochs.columns
-    own = EpochMeasures.of(length, epochs)
+    samples, warm, *xyz = epochs.columns
+    own = EpochMeasures.of(lengths(xyz), epochs)
     mean = np.stack([np.add.reduceat(fixed(axis), epochs.start) for axis in xyz], axis=1)
     mean = mean / epochs.rows[:, np.newaxis] / ONE_G
     celsius = np.add.reduceat(warm, epochs.start) / epochs.rows / 1000

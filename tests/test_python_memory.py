@@ -227,6 +227,8 @@ def test_no_room_for_a_temporary_file_is_an_error_with_a_remedy(monkeypatch: pyt
         (lambda: accelcal.calibrate(XYZ), accelcal.AccelcalError, "^array: .* rate with rate=HZ"),
         (lambda: accelcal.calibrate(XYZ, rate=25, temperature=CELSIUS[1:]), ValueError, "temperature has"),
         (lambda: accelcal.calibrate(XYZ, time=TIMES[:9].tolist()), ValueError, r"time has the shape \(9,"),
+        (lambda: accelcal.calibrate({"xyz": XYZ.T, "temp": CELSIUS[1:]}), ValueError, r"'temp' .*\(44999,\)"),
+        (lambda: accelcal.calibrate({"time": [*map(str, TIMES[1:])], "xyz": XYZ}), ValueError, "'time' has"),
         (lambda: accelcal.calibrate({}), ValueError, "there are no columns: give x, y, z and time"),
         (lambda: accelcal.calibrate(XYZ, rate=25, gyroscope=XYZ.T), ValueError, r"give gyroscope\.T"),
         (lambda: accelcal.calibrate(FRAME, temperature=CELSIUS), accelcal.AccelcalError, "make it a column"),

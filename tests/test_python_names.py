@@ -57,6 +57,13 @@ def test_a_name_is_that_of_a_file(name: Any) -> None:
         accelcal.calibrate(FRAME, name=name)
 
 
+@pytest.mark.parametrize("serial", [42, 4.2, ["A1"]])
+def test_a_serial_number_is_text(serial: Any) -> None:
+    for source in (FRAME, {name: FRAME[name] for name in FRAME}):
+        with pytest.raises(accelcal.AccelcalError, match=r"serial cannot be .*; give it as text, .* '0042'"):
+            accelcal.calibrate(source, serial=serial)
+
+
 @pytest.mark.parametrize("other", [OTHER, OTHER[:-1], FRAME.assign(temperature=20.0)])
 def test_a_second_recording_never_takes_the_place_of_the_first(other: Any, tmp_path: Path) -> None:
     first, second = accelcal.calibrate(FRAME), accelcal.calibrate(other)
@@ -85,7 +92,6 @@ def test_results_with_names_are_exported_together(tmp_path: Path) -> None:
     values = np.loadtxt(folder / "P2.csv", delimiter=",", skiprows=1, usecols=(1, 2, 3), max_rows=100)
     assert np.allclose(values, results[1].to_pandas()[[*"xyz"]][:100], atol=1e-6)
     same = [accelcal.calibrate(FRAME), accelcal.calibrate(OTHER)]
-    with pytest.raises(accelcal.AccelcalError, match="2 recordings have the name 'frame'; give each"):
-        accelcal.export(same, to="ggir")
-    with pytest.raises(accelcal.AccelcalError, match="2 recordings have the name 'frame'; give each"):
-        accelcal.export(same, to="csv", folder=tmp_path / "same")
+    for options in ({"to": "ggir"}, {"to": "csv", "folder": tmp_path / "same"}):
+        with pytest.raises(accelcal.AccelcalError, match="2 recordings have the name 'frame'; give each"):
+            accelcal.export(same, **options)  # type: ignore[arg-type]

@@ -167,6 +167,7 @@ def test_epochs_have_the_hours_of_wear_and_times_of_the_zone() -> None:
         (0, accelcal.AccelcalError, "seconds cannot be 0; possible: 1 to 3600"),
         (2.5, TypeError, "seconds cannot be 2.5"),
         (True, TypeError, "seconds cannot be True"),
+        (3600, accelcal.AccelcalError, "four fifths of each epoch of 3600 s was measured; give a smaller"),
     ],
 )
 def test_epochs_have_whole_seconds(seconds: Any, kind: type[Exception], said: str) -> None:

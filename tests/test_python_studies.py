@@ -176,6 +176,7 @@ def test_p10_a_study_shows_a_bar_only_if_asked_for(tmp_path: Path, capsys: Captu
     [
         ({"borrow": True, "include": ["*.raw"], "exclude": ["south/*"]},
          ["--borrow", "--include", "*.raw", "--exclude", "south/*"]),
+        ({"include": "*.raw", "exclude": "south/*"}, ["--include", "*.raw", "--exclude", "south/*"]),
         ({"pool": True, "model": "6"}, ["--pool", "device", "--model", 6]),
         ({"prior": "study", "newer_than": datetime(2020, 1, 2)},
          ["--prior", "study", "--newer-than", "2020-01-02"]),
@@ -191,21 +192,6 @@ def test_p10_options_of_a_study_are_those_of_the_command(
     made, told = results(tmp_path / "out"), results(tmp_path / "command")
     assert made.keys() == told.keys() and ("study.html" in made) == ("html" in options)
     assert {name for name in made if made[name] != told[name]} <= {name for name in made if "html" in name}
-
-
-@pytest.mark.parametrize(
-    ("options", "kind", "text"),
-    [
-        ({"prior": "device", "pool": True}, accelcal.AccelcalError, "prior='device' does not go with pool"),
-        ({"executor": 3}, TypeError, "executor is a concurrent.futures.Executor"),
-        ({"n_jobs": 3}, TypeError, "did you mean 'jobs'"),
-    ],
-)
-def test_a_study_that_cannot_be(
-    options: dict[str, Any], kind: type[Exception], text: str, tmp_path: Path
-) -> None:
-    with pytest.raises(kind, match=text):
-        accelcal.study(tmp_path, tmp_path / "out", **options)
 
 
 @pytest.fixture(scope="module")
@@ -454,19 +440,33 @@ def test_what_is_in_memory_is_not_a_path(given: Any, call: Callable[[Any], Any],
         call(given)
 
 
+@pytest.mark.parametrize(
+    "call", [accelcal.verify, accelcal.report, accelcal.devices, lambda one: accelcal.study("in", one)]
+)
+def test_a_list_is_not_one_path(call: Callable[[Any], Any]) -> None:
+    for given in ([], ["a"], ["a", "b"]):
+        with pytest.raises(TypeError, match=r"a path is needed, not 'list': .*"):
+            call(given)
+    with pytest.raises(accelcal.AccelcalError, match="there is no path in an empty list; give one or more"):
+        accelcal.study([], "out")
+
+
 def test_files_are_calibrated_by_the_call_that_the_error_gives(tmp_path: Path) -> None:
-    folder = study_folder(tmp_path / "in", NAMES[:2]) / "north"
-    for files in (
-        sorted(folder.glob("*.raw")),
-        pd.Series(map(str, sorted(folder.glob("*.raw")))),
-        folder / "a.raw",
-    ):
+    folder, other = study_folder(tmp_path / "in", NAMES[:2]) / "north", tmp_path / "other"
+    other.mkdir()
+    write_raw(other / "c[1].raw", still_counts(directions(60), seed=9))
+    both = sorted(folder.glob("*.raw"))
+    for number, (files, found) in enumerate([
+        (both, ["a.raw", "b.raw"]), (pd.Series(map(str, both)), ["a.raw", "b.raw"]), (both[0], ["a.raw"]),
+        ([both[0], other / "c[1].raw"], ["north/a.raw", "other/c[1].raw"]),
+        ([both[0], other], ["north/a.raw", "north/b.raw", "other/c[1].raw"]),
+    ]):  # fmt: skip
         with pytest.raises(accelcal.AccelcalError, match="is a file: a study is of a folder") as raised:
-            accelcal.study(files, tmp_path / "out", jobs=1, report_only=True)
-    call = str(raised.value.hint).removesuffix(")") + ", jobs=1, report_only=True)"
-    table = eval(call, {"accelcal": accelcal})
-    assert table["path"].tolist() == ["a.raw"] and table["start_time"].dtype == "datetime64[us]"
-    assert table["start_time"][0] == pd.Timestamp("2024-03-04")
+            accelcal.study(files, tmp_path / str(number), jobs=1)
+        call = str(raised.value.hint).removesuffix(")") + ", jobs=1, report_only=True)"
+        table = eval(call, {"accelcal": accelcal})
+        assert table["path"].tolist() == found and table["start_time"].dtype == "datetime64[us]"
+        assert table["start_time"][0] == pd.Timestamp("2024-03-04")
 
 
 @pytest.mark.parametrize(
@@ -474,12 +474,15 @@ def test_files_are_calibrated_by_the_call_that_the_error_gives(tmp_path: Path) -
     [
         ({"pool": ThreadPoolExecutor(1)}, "pool is True or False.*did you mean executor="),
         ({"borrow": "yes"}, "borrow is True or False, not 'yes'"),
+        ({"retry_failed": 1}, "retry_failed is True or False, not 1"),
         ({"executor": 4}, "executor is a concurrent.futures.Executor"),
         ({"jobs": "4"}, "jobs cannot be '4'"),
+        ({"n_jobs": 3}, "did you mean 'jobs'"),
+        ({"prior": "device", "pool": True}, "prior='device' does not go with pool=True"),
     ],
 )
 def test_options_are_checked_before_anything_is_computed(options: Any, said: str, tmp_path: Path) -> None:
-    with pytest.raises(TypeError, match=said):
+    with pytest.raises((TypeError, accelcal.AccelcalError), match=said):
         accelcal.study(study_folder(tmp_path / "in", NAMES[:1]), tmp_path / "out", **options)
     assert not (tmp_path / "out").exists()
 
@@ -532,7 +535,10 @@ def test_devices_are_judged_as_by_the_command(tmp_path: Path, capsys: Capture) -
         ({"rules": {"drift_mg": 0}}, r"rules\['drift_mg'\] cannot be 0"),
     ):
         with pytest.raises(accelcal.AccelcalError, match=said):
-            accelcal.devices(tmp_path / "out", **options)  # type: ignore[arg-type]
+            accelcal.devices(tmp_path / "out", registry=tmp_path / "new.json", **options)  # type: ignore[arg-type]
+    with pytest.raises(accelcal.AccelcalError, match=r"is a file.*given to accelcal\.study$"):
+        accelcal.devices(tmp_path / "all.json", registry=tmp_path / "new.json")
+    assert not (tmp_path / "new.json").exists()
 
 
 def test_a_dry_run_says_what_a_study_would_do_and_writes_nothing(tmp_path: Path) -> None:
@@ -548,4 +554,9 @@ def test_a_dry_run_says_what_a_study_would_do_and_writes_nothing(tmp_path: Path)
         **dict.fromkeys(("notes.pdf", "readme.txt"), "left_out"),
     }
     other = accelcal.study(folder, out, jobs=1, report_only=True, model="6", dry_run=True)
-    assert (other["state"] == "todo").sum() == 2 and other.loc[other["state"] == "todo", "why"].notna().all()
+    assert other.loc[other["state"] == "todo", "why"].tolist() == ["model"] * 2
+    (folder / "north/a.raw").unlink()
+    with pytest.warns(UserWarning, match="prune=True removes it"):
+        accelcal.study(folder, out, jobs=1, report_only=True)
+    accelcal.study(folder, out, jobs=1, report_only=True, prune=True)
+    assert sorted(one.name for one in out.rglob("*.calibration.json")) == ["b.calibration.json"]

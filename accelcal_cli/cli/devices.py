@@ -19,7 +19,7 @@ from accelcal_cli.cli.output import aligned, refuse_both
 from accelcal_cli.core.errors import counted, printable
 from accelcal_cli.devices.review import DeviceReview, Review, Verdict, as_json, chosen, columns, review, row
 from accelcal_cli.devices.table import OFFSETS, PARAMETERS, Kind, Usage, added
-from accelcal_cli.devices.trends import Rules, Trend
+from accelcal_cli.devices.trends import Rules, Trend, bounds_of
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.numbers import formatted, with_error
 from accelcal_cli.output.registry import is_registry
@@ -149,7 +149,7 @@ def known_rules() -> dict[str, Named]:
         for name, text in LIMITS.items()
     }
     text = "Temperature at which offsets are compared.  [default: the median of each device's recordings]"
-    return limits | {"reference_c": Named("C", text, Within(-100, 200))}
+    return limits | {"reference_c": Named("C", text, Within(*bounds_of("reference_c")))}
 
 
 @click.command(

@@ -224,12 +224,12 @@ def _check_there(path: Path) -> None:
             "does not exist; only shards have been run", path=path, hint="run the study with --collect first"
         )
     folder, reports = path.parent, "*.calibration.json"
+    hint = "give the folder that was given to `accelcal study` with -d"
     if is_file(folder):
-        hint = "give the folder that was given to `accelcal study` with -d"
         raise UsageError("is a file, not the output folder of a study", path=folder, hint=hint)
     if not is_folder(folder):
         raise UsageError("does not exist", path=folder, hint="check the path")
-    hint = "give the folder that was given to accelcal study with -d, or run the study first"
+    hint += ", or run the study first"
     if matching(folder, reports):
         hint += f"; for pages of single reports: accelcal report {shlex.quote(printable(folder))}/{reports}"
     raise UsageError(f"is not the output folder of a study: no {path.name}", path=folder, hint=hint)

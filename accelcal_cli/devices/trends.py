@@ -91,6 +91,11 @@ class Rules:
         return np.repeat([self.drift_percent, self.drift_percent, self.drift_mg, slope], 3)
 
 
+def bounds_of(rule: str) -> tuple[float, float]:
+    """Return the lowest and the highest value that one of the rules may have."""
+    return (-100.0, 200.0) if rule == "reference_c" else (1e-9, 1e9)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
     """Values of p parameters in n recordings, by device; NaN for none.

@@ -124,7 +124,7 @@ KINDS: tuple[tuple[bytes, str, str, bool], ...] = (
     (
         rb"version https://git-lfs\.github\.com/",
         "a git-lfs pointer, not the file that it stands for",
-        "fetch that: git lfs pull --include FILE",
+        "fetch that: `git lfs pull --include FILE`",
         True,
     ),
     (

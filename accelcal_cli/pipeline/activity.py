@@ -67,6 +67,11 @@ class EpochCutter:
         self._epoch_us, self._most = epoch_us, most_rows
         self._left: tuple[NDArray[Any], ...] = ()
 
+    @classmethod
+    def of(cls, epoch_s: int, rate_hz: float) -> EpochCutter:
+        """Return one for epochs of whole seconds."""
+        return cls(epoch_s * MICROSECONDS, max(2, MOST_ROWS * round(epoch_s * rate_hz)))
+
     def feed(self, time_us: Integers, *columns: NDArray[Any]) -> Iterator[WholeEpochs]:
         """Take rows in, and yield the epochs that they complete, if any."""
         rows = (time_us // self._epoch_us, *columns)
@@ -440,10 +445,7 @@ class ActivityMeter:
 
     def __post_init__(self) -> None:
         self._sums = [_ActivitySums() for _ in range(self.versions)]
-        self._cut, self._cut_angles = (
-            EpochCutter(seconds * MICROSECONDS, max(2, MOST_ROWS * round(seconds * self.rate_hz)))
-            for seconds in (self.epoch_s, ANGLE_S)
-        )
+        self._cut, self._cut_angles = (EpochCutter.of(one, self.rate_hz) for one in (self.epoch_s, ANGLE_S))
 
     def feed(
         self, time_us: Integers, versions: Sequence[Axes], temperature_mc: NDArray[np.int32] | None = None

@@ -345,9 +345,8 @@ def places(where: Where) -> list[tuple[Path, str]]:
     names = [jobs.resolved_path(folder).name for folder in where.folders]
     twice = sorted(name for name in set(names) if names.count(name) > 1)
     if twice:
-        raise UsageError(
-            f"several folders are called {twice[0]}", hint="run a separate study for each, with its own -d"
-        )
+        hint = "run a separate study for each, into another folder"
+        raise UsageError(f"several folders are called {twice[0]}", hint=hint)
     return [(folder, f"{name}/") for folder, name in zip(where.folders, names, strict=True)]
 
 

@@ -180,9 +180,7 @@ def test_wrong_words(tmp_path: Path, capsys: Capture, words: list) -> None:
 def test_no_study_and_no_table(tmp_path: Path, capsys: Capture) -> None:
     ran = run(capsys, "devices", tmp_path)
     assert (ran.code, ran.out) == (2, "")
-    assert_one_line(
-        ran, "is not the output folder of a study: no study.parquet", "given to accelcal study with -d"
-    )
+    assert_one_line(ran, "is not the output folder of a study: no study.parquet", "`accelcal study` with -d")
     (tmp_path / "study.parquet").write_bytes(b"PAR1 no table")
     ran = run(capsys, "devices", tmp_path)
     assert (ran.code, ran.out) == (3, "")

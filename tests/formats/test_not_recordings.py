@@ -164,7 +164,7 @@ KINDS = {
     "night.csv": (b"Rar!\x1a\7\0", "is a RAR archive; unpack it first: unrar x "),
     "night.cwa": (
         b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n",
-        "; fetch that: git lfs pull --include ",
+        "; fetch that: `git lfs pull --include ",
     ),
     "night.gt3x": (POINTER, "is a git-lfs pointer"),
     "night.lz4": (b"\x04\x22\x4d\x18@@", "is packed with LZ4; unpack it first: unlz4 -k "),

@@ -286,7 +286,7 @@ def no_such_sensor(wanted: str, columns: Mapping[str, Sequence[str]], path: Path
     """Return the error for a value that no column has."""
     names = sorted(columns, key=lambda name: (-meaning_of(name), name))
     known = "; ".join(f"{printable(name)} has {_shown(columns[name])}" for name in names)
-    hint = f"give --sensor a value of a column: {known}" if known else "omit --sensor"
+    hint = f"give a value of a column with --sensor: {known}" if known else "omit --sensor"
     return UsageError(f"no row is of the sensor {wanted!r}", path=path, hint=hint)
 
 
