@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelcal._calling import check_number, public, speaking_python, values_of
+from accelcal._calling import Answering, check_number, public, speaking_python
 from accelcal._options import CalibrationOptions, FitOptions, PoseOptions, ReadingOptions
 from accelcal._results import Calibration, Report, Result
 from accelcal._sources import (
@@ -45,7 +45,10 @@ from accelcal_cli.pipeline.activity import EPOCH_S, LONGEST_EPOCH_S
 from accelcal_cli.pipeline.calibrate import OwnCalibration, open_run
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, Job, Request, file_stamp
 from accelcal_cli.pipeline.options import (
+    MOST_DRAWS,
+    check_draws,
     chosen_settings,
+    field_values,
     fit_settings,
     read_options,
     recipient_settings,
@@ -87,7 +90,7 @@ class Samples:
         return len(self.xyz)
 
 
-class Reading:
+class Reading(Answering):
     """An open recording: iterate over it to get its `Samples`, as often as you like; close it, or use `with`.
 
     Attributes:
@@ -154,16 +157,10 @@ class Reading:
     def __exit__(self, *_failure: object) -> None:
         self.close()
 
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            from accelcal._calling import no_such_attribute
-
-            raise no_such_attribute("Reading", name, type(self))
-
 
 def _samples(chunk: Chunk, recording: Recording, time_us: NDArray[np.int64]) -> Samples:
     gyro, scale = chunk.gyro_counts, recording.gyro_dps_per_lsb
+    others = () if chunk.others is None else zip(recording.others, chunk.others.T, strict=True)
     return Samples(
         chunk.first_sample,
         time_us.astype("datetime64[us]"),
@@ -172,9 +169,7 @@ def _samples(chunk: Chunk, recording: Recording, time_us: NDArray[np.int64]) -> 
         None if gyro is None or scale is None else gyro * np.array(scale),
         np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity,
         tuple(problem.message for problem in chunk.problems),
-        {}
-        if chunk.others is None
-        else {one.name: column for one, column in zip(recording.others, chunk.others.T, strict=True)},
+        {one.name: column for one, column in others},
     )
 
 
@@ -218,7 +213,7 @@ def read(
         3
     """
     given = as_file(source, name, serial)
-    wanted = recording_options(given.path, read_options(values_of(options, ReadOptions)))
+    wanted = recording_options(given.path, read_options(field_values(options, ReadOptions)))
     return Reading(survey.open_marked(given.path, wanted, joined=parts), chunk_samples, given)
 
 
@@ -233,6 +228,8 @@ def calibrate(
     serial: str | None = None,
     parts: bool = False,
     report_only: bool = False,
+    keep_refused: bool = False,
+    draws: int = 0,
     **options: Unpack[CalibrationOptions],
 ) -> Result:
     """Calibrate a recording from its own periods without movement.
@@ -248,6 +245,8 @@ def calibrate(
         serial: serial number of its device, for an array or a table.
         parts: read the files in a folder, a pattern (`S01/*.csv`) or an archive as parts of one recording.
         report_only: skip the second pass over the file; `clipped_samples_after` is then None.
+        keep_refused: for `write`: also the raw data of a refused recording, marked as raw.
+        draws: for `write`: plausible sets of coefficients, 0 to 100 000, in NAME.draws.json.
         options: for reading and calibrating: `rate` [Hz], `start`, `unit`, `timezone`, `prior`, ...
 
     Raises:
@@ -259,10 +258,14 @@ def calibrate(
         >>> accelcal.calibrate("sample_data/recording.bin").outcome
         'calibrated'
     """
-    values = values_of(options, ReadOptions, Settings)
+    values = field_values(options, ReadOptions, Settings)
     if gyroscope is not None and values["gyro_unit"] is None:
         values["gyro_unit"] = "deg/s"
-    request = _request(values, chosen_settings(values), parts=parts, report_only=report_only)
+    settings, more = chosen_settings(values), {"keep_refused": keep_refused, "draws": draws}
+    check_number("draws", draws, 0, MOST_DRAWS, whole=True)
+    if draws:
+        check_draws(settings)
+    request = _request(values, settings, parts=parts, report_only=report_only, **more)
     given = as_file(source, name, serial, temperature=temperature, gyroscope=gyroscope, time=time)
     before = file_stamp(given.path)
     with open_run(given.job, request, source=given.path) as run:
@@ -318,7 +321,7 @@ def inspect(
     """
     from accelcal_cli.pipeline import inspect as inspection  # few programs do both
 
-    values = values_of(options, ReadOptions, Settings)
+    values = field_values(options, ReadOptions, Settings)
     given = as_file(source, name, serial)
     settings = inspection.inspection_settings(values, full=full)
     request = _request(values, settings, parts=parts)
@@ -346,7 +349,7 @@ def fit(points: Source | Result, **options: Unpack[FitOptions]) -> Report:
         >>> accelcal.fit(result.windows())["calibration"] == result["calibration"]
         True
     """
-    settings = fit_settings(values_of(options, Settings))
+    settings = fit_settings(field_values(options, Settings))
     if isinstance(points, Result):
         points = points.windows()
     if isinstance(points, str | PathLike):
@@ -399,7 +402,7 @@ def from_poses(
 
     several = paths_of(recordings, 'write it first: frame.to_parquet("session.parquet")')
     source = session_of(several, None if poses is None else Path(poses))
-    values = values_of(options, ReadOptions, PoseSettings)
+    values = field_values(options, ReadOptions, PoseSettings)
     request = Request(
         options=read_options(values),
         settings=replace(with_values(POSES, values), roll=texts_of(roll)),
@@ -480,7 +483,7 @@ def effect(
         given, request = source._given, source._request
         jobs.check_unchanged(given.path, source._before)
     else:
-        values = values_of(options, ReadOptions, Settings)
+        values = field_values(options, ReadOptions, Settings)
         settings = chosen_settings(values) if coefficients is None else recipient_settings(values)
         donor = None if coefficients is None else read_coefficients(Path(coefficients))
         request = _request(values, settings, parts=parts, coefficients=donor, any_device=any_device)

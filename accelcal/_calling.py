@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import ast
 import inspect
 import re
 import shlex
 import sys
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache, partial, wraps
-from itertools import pairwise
 from pathlib import Path
 from tempfile import gettempdir
 from textwrap import fill
-from typing import Any, ParamSpec, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, get_type_hints
 
 import numpy as np
 
@@ -25,7 +23,7 @@ from accelcal_cli.core.system import folder_start
 from accelcal_cli.formats import all_formats
 from accelcal_cli.optimize import all_optimizers
 from accelcal_cli.output import sentences
-from accelcal_cli.pipeline.options import field_values, not_given, option_fields
+from accelcal_cli.pipeline.options import option_fields
 
 # What to type instead of a name that other packages have and this one does not.
 
@@ -102,6 +100,15 @@ def no_such_attribute(of: str | type, name: str, known: list[str]) -> AttributeE
     return AttributeError("; ".join(filter(None, [f"{what} has no attribute {name!r}", shown])), name=name)
 
 
+class Answering:
+    """An object that answers the name of an attribute that it has not with what to type."""
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            raise no_such_attribute(type(self), name, dir(self))
+
+
 def no_such_option(name: str, known: list[str]) -> TypeError:
     """Return the error of a keyword that a function has not, with the one that was meant."""
     ours = next((one for one, others in KEYWORDS.items() if name.lower() in (one, *others)), "")
@@ -174,15 +181,10 @@ OPTIONS_LINE = re.compile(r"^    options: .*\n(?:     .*\n)*", re.MULTILINE)
 def _option_texts(module: str) -> dict[str, dict[str, str]]:
     """Return the text of each option, by the class that holds it, from the source of their module."""
     found: dict[str, dict[str, str]] = {}
-    for kind in ast.parse(inspect.getsource(sys.modules[module])).body:
-        if isinstance(kind, ast.ClassDef):
-            bases = [found.get(one.id, {}) for one in kind.bases if isinstance(one, ast.Name)]
-            own = {}
-            for entry, text in pairwise(kind.body):
-                if isinstance(entry, ast.AnnAssign) and isinstance(text, ast.Expr):
-                    assert isinstance(entry.target, ast.Name) and isinstance(text.value, ast.Constant)
-                    own[entry.target.id] = " ".join(str(text.value.value).split())
-            found[kind.name] = {name: said for one in [*bases, own] for name, said in one.items()}
+    source = inspect.getsource(sys.modules[module])
+    for kind, base, body in re.findall(r"^class (\w+)\((\w+).*?:\n(.*?)(?=^class |\Z)", source, re.S | re.M):
+        own = re.findall(r'^    (\w+): [^\n]*\n    """(.*?)"""$', body, re.S | re.M)
+        found[kind] = found.get(base, {}) | {name: " ".join(said.split()) for name, said in own}
     return found
 
 
@@ -325,12 +327,3 @@ def check_number(name: str, value: Any, low: float, high: float, *, whole: bool 
         raise TypeError(f"{name} cannot be {value!r}")
     if not low <= value <= high:
         raise UsageError(f"{name} cannot be {value}", hint=f"possible: {low:g} to {high:g}")
-
-
-def values_of(options: Mapping[str, Any], *kinds: type) -> dict[str, Any]:
-    """Return the options by field, None for those that are not given, as a command line would.
-
-    Raises:
-        TypeError, UsageError: see `field_values`.
-    """
-    return not_given(ReadOptions, Settings) | field_values(options, *kinds)

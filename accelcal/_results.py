@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelcal._calling import check_number, no_such_attribute, public, speaking_python, worded
+from accelcal._calling import Answering, check_number, public, speaking_python, worded
 from accelcal._sources import NAMES, AnyPath, Given, clock_times, in_local_time, transposed, values_of_result
 from accelcal_cli.core import calibration as core
 from accelcal_cli.core.clock import MICROSECONDS
@@ -54,7 +54,7 @@ LINE = 160
 """Most characters of a line of a `repr`."""
 
 
-class Calibration:
+class Calibration(Answering):
     """Coefficients, a = K (v + o + s (T - Tref)); call it with raw values.
 
     Args:
@@ -161,13 +161,8 @@ class Calibration:
         ]
         return "\n".join([f"<accelcal.Calibration of model {self.model}: {EQUATION}>", *lines])
 
-    if not TYPE_CHECKING:
 
-        def __getattr__(self, name: str) -> Any:
-            raise no_such_attribute(type(self), name, dir(self))
-
-
-class Report:
+class Report(Answering):
     """A verdict on a recording, on still-window means, or on a session of known orientations.
 
     Args:
@@ -322,9 +317,6 @@ class Report:
         def __array__(self, *_kind: Any, **_copy: Any) -> Any:
             raise TypeError('a result is not an array: use .to_pandas()[["x", "y", "z"]].to_numpy()')
 
-        def __getattr__(self, name: str) -> Any:
-            raise no_such_attribute(type(self), name, dir(self))
-
 
 class Result(Report):
     """One recording's calibration, and its values, calibrated.
@@ -450,9 +442,7 @@ class Result(Report):
         """Return all calibrated values as a polars data frame; raises as `batches` does."""
         import polars as pl
 
-        frame = pl.from_arrow(self.to_arrow())
-        assert isinstance(frame, pl.DataFrame)
-        return frame
+        return pl.DataFrame(self.to_arrow())
 
     def to_xarray(self) -> xr.Dataset:
         """Return all calibrated values as a dataset along `time` (UTC if the zone is known); needs xarray."""

@@ -14,11 +14,11 @@ from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
-from accelcal._calling import check_number, public, sentence, values_of, worded
+from accelcal._calling import check_number, public, sentence, worded
 from accelcal._options import StudyOptions
 from accelcal._results import Report, Result
 from accelcal._sources import NAMES, AnyPath, clock_times, path_of, paths_of, texts_of
-from accelcal_cli.core.errors import AccelcalError, UsageError
+from accelcal_cli.core.errors import AccelcalError, UsageError, counted
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.paths import is_file
 from accelcal_cli.core.settings import Settings
@@ -26,9 +26,10 @@ from accelcal_cli.core.system import temporary_folder
 from accelcal_cli.output.files import write_text
 from accelcal_cli.pipeline import outputs
 from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, Request
-from accelcal_cli.pipeline.options import chosen_settings, folder_rules, read_options
+from accelcal_cli.pipeline.options import chosen_settings, field_values, folder_rules, read_options
+from accelcal_cli.run_log import LOG, run_log
 from accelcal_cli.studies.records import FAILED, Item
-from accelcal_cli.studies.study import Study, with_learnt_prior
+from accelcal_cli.studies.study import Study, chosen_shard, with_learnt_prior
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,6 +64,7 @@ def study(
     borrow: bool = False,
     pool: bool = False,
     report_only: bool = False,
+    keep_refused: bool = False,
     retry_failed: bool = False,
     newer_than: datetime | None = None,
     decisions: AnyPath | None = None,
@@ -70,6 +72,9 @@ def study(
     html: bool = False,
     force: bool = False,
     prune: bool = False,
+    shard: str | None = None,
+    collect: bool = False,
+    log: AnyPath | None = None,
     dry_run: bool = False,
     progress: bool | None = None,
     **options: Unpack[StudyOptions],
@@ -90,6 +95,7 @@ def study(
             calibrated well.
         pool: calibrate all recordings of a device together.
         report_only: write reports but no Parquet.
+        keep_refused: write raw data of refused recordings, marked as raw.
         retry_failed: try again recordings that failed and have not changed since.
         newer_than: process only files that were modified since then.
         decisions: table of your decisions about recordings; None: decisions.csv in `output`.
@@ -97,6 +103,10 @@ def study(
         html: also write the pages of the study and of its recordings.
         force: redo what is up to date, and replace files that accelcal did not write.
         prune: remove results whose recording is gone.
+        shard: process one part only, such as `2/8`, or `slurm`: that of this job array task. The table is
+            that of the part.
+        collect: merge the results of all shards; a warning says how many recordings were not started.
+        log: file to which a dated log of this run is added.
         dry_run: write nothing, and return what would be done instead: `path`, `state` (`todo`, `waiting`,
             `left_out` or the outcome that there is) and `why`.
         progress: show a bar; None: at a terminal and in a notebook.
@@ -133,11 +143,12 @@ def study(
         only = f", include={[escape(one.name) for one in files]!r}" if len(files) == len(folders) else ""
         what = "is a file: a study is of a folder"
         raise UsageError(what, path=files[0], hint=f"accelcal.study({given}{only})")
-    values = values_of(options, ReadOptions, Settings)
+    values = field_values(options, ReadOptions, Settings)
     request = Request(
         options=read_options(values),
         settings=chosen_settings(values, in_study=True),
         report_only=report_only,
+        keep_refused=keep_refused,
         force=force,
         several=True,
         command=("accelcal.study",),
@@ -151,6 +162,10 @@ def study(
         timeout_s=None if timeout is None else 60 * timeout,
         newer_than_s=None if newer_than is None else newer_than.timestamp(),
         retry_failed=retry_failed,
+        shard=chosen_shard(
+            {"shard": shard, "collect": collect, "prune": prune, "decisions": decisions, "html": html}
+        ),
+        collect=collect,
         borrow=borrow,
         pool=pool,
         prune=prune,
@@ -161,11 +176,14 @@ def study(
     )
     if dry_run:
         return _foreseen(wanted)
-    with closing(_Bar(progress)) as bar:
-        run(with_learnt_prior(wanted), bar)
+    path = None if log is None else Path(log)
+    with closing(_Bar(progress)) as bar, run_log(path, "accelcal.study", _warn):
+        summary = run(with_learnt_prior(wanted), bar)
+    if collect and summary.waiting:
+        _warn(f"{counted(summary.waiting, 'recording')} not started")
     if html:
         report(out, force=force)
-    table = pd.read_parquet(out / "study.parquet")
+    table = pd.read_parquet(out / f"{wanted.shard.basename}.parquet")
     return table.assign(start_time=clock_times(table["start_time"]))
 
 
@@ -219,9 +237,11 @@ class _Bar:
 
     def note(self, text: str) -> None:
         """See `StudyObserver`."""
+        LOG.info("note: %s", text)
 
     def found(self, line: str, *, new: bool) -> None:
         """See `StudyObserver`."""
+        LOG.info("to act on: %s", line)
         if new:
             _warn(line)
 

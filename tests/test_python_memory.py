@@ -12,6 +12,7 @@ import tempfile
 import zipfile
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
@@ -169,7 +170,6 @@ LAZY: dict[str, tuple[Any, str]] = {
     "batches": (lambda: next(accelcal.calibrate(XYZ[:500], rate=RATE_HZ).batches()), "array: there are no "),
     "to_pandas": (lambda: accelcal.calibrate(FRAME[:500]).to_pandas(), "frame: there are no calibrated val"),
     "to_arrow": (lambda: accelcal.calibrate(pa.table(FRAME[:500])).to_arrow(), "table: there are no calibr"),
-    "polars": (lambda: accelcal.calibrate(pl.from_pandas(FRAME[:500])).to_polars(), "frame: there are no c"),
     "columns": (lambda: accelcal.calibrate({"a": [1.0], "b": [1.0]}), "columns: no column of numbers can be"),
     "changed": (lambda: changed(accelcal.calibrate(XYZ, rate=RATE_HZ)).to_arrow(), "array: changed while it"),
     "gone": (lambda: gone(accelcal.read(FRAME)).to_pandas(), "frame: file not found"),
@@ -211,10 +211,7 @@ def test_errors_name_what_was_given_and_no_temporary_file(
 
 
 def test_no_room_for_a_temporary_file_is_an_error_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_words: Any, **_more: Any) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(np, "savez", full)
+    monkeypatch.setattr(np, "savez", Mock(side_effect=OSError(28, "No space left on device")))
     with pytest.raises(accelcal.AccelcalError, match=r"No space left on device.*set TMPDIR"):
         accelcal.calibrate(XYZ, rate=RATE_HZ)
 
@@ -238,9 +235,7 @@ def test_no_room_for_a_temporary_file_is_an_error_with_a_remedy(monkeypatch: pyt
         (lambda: accelcal.calibrate(3), TypeError, "'int' is not a recording"),
         (lambda: accelcal.calibrate(["a.cwa", "b.cwa"]), TypeError, r"\(one\) for .*\.study\("),
         (lambda: accelcal.calibrate([FRAME, FRAME]), TypeError, r"several recordings: \[acc"),
-        (lambda: accelcal.inspect([{"x": [1.0]}, {"x": [1.0]}]), TypeError, r"several recordings: \["),
         (lambda: accelcal.fit(XYZ), accelcal.AccelcalError, r"raw samples.*\.calibrate\(xyz, rate=HZ\)"),
-        (lambda: accelcal.fit(XYZ.T), ValueError, "not \\(n, 3\\)"),
     ],
 )  # fmt: skip
 def test_p4_p5_what_cannot_be_a_recording_is_answered(call: Any, kind: type[Exception], text: str) -> None:

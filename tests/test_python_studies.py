@@ -24,7 +24,7 @@ from tests.cli.studies import NAMES, results, study_folder
 from tests.conftest import ROOT
 from tests.recordings import LSB_PER_G, directions, still_counts, write_raw
 
-Capture = pytest.CaptureFixture[str]
+Capture, Expected = pytest.CaptureFixture[str], tuple[Path, dict[str, object]]
 PLAIN = """
 import accelcal
 
@@ -92,7 +92,7 @@ FAST = ("script", "stdin")
 
 
 @pytest.fixture(scope="module")
-def expected(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, object]]:
+def expected(tmp_path_factory: pytest.TempPathFactory) -> Expected:
     """A folder of two recordings, and what the command makes of it."""
     here = tmp_path_factory.mktemp("study")
     study_folder(here / "in", NAMES[:2])
@@ -104,9 +104,7 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, 
 @pytest.mark.parametrize(
     "how", [pytest.param(one, marks=[] if one in FAST else pytest.mark.nightly) for one in PROGRAMS]
 )
-def test_p2_a_study_is_that_of_the_command_wherever_it_is_called(
-    how: str, tmp_path: Path, expected: tuple[Path, dict[str, object]]
-) -> None:
+def test_p2_a_study_is_that_of_the_command(how: str, tmp_path: Path, expected: Expected) -> None:
     if how == "notebook":
         pytest.importorskip("ipykernel")
     text, words = PROGRAMS[how]
@@ -127,7 +125,7 @@ def test_p2_a_study_is_that_of_the_command_wherever_it_is_called(
 
 @pytest.mark.parametrize("kind", ["one job", "pool of threads"])
 def test_p10_the_work_is_done_in_this_process(
-    kind: str, tmp_path: Path, expected: tuple[Path, dict[str, object]], monkeypatch: pytest.MonkeyPatch
+    kind: str, tmp_path: Path, expected: Expected, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(expected[0])
     monkeypatch.setattr("accelcal_cli.studies.run.ProcessPool", None)
@@ -141,16 +139,13 @@ def test_p10_the_work_is_done_in_this_process(
 @pytest.mark.nightly
 @pytest.mark.parametrize("kind", ["executor", "worker"])
 def test_p10_dask_does_the_work(
-    kind: str, tmp_path: Path, expected: tuple[Path, dict[str, object]], monkeypatch: pytest.MonkeyPatch
+    kind: str, tmp_path: Path, expected: Expected, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     distributed = pytest.importorskip("distributed")
     monkeypatch.chdir(expected[0])
-    with (
-        distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
+    how: dict[str, Any] = {"n_workers": 1, "threads_per_worker": 1, "processes": False}
+    cluster = distributed.LocalCluster(**how, dashboard_address=":0")
+    with cluster, distributed.Client(cluster) as client:
         if kind == "worker":
             client.submit(accelcal.study, "in", tmp_path / "out", jobs=1, pure=False).result()
             found = client.submit(accelcal.calibrate, "in/north/a.raw", pure=False).result()
@@ -176,6 +171,7 @@ def test_p10_a_study_shows_a_bar_only_if_asked_for(tmp_path: Path, capsys: Captu
     [
         ({"borrow": True, "include": ["*.raw"], "exclude": ["south/*"]},
          ["--borrow", "--include", "*.raw", "--exclude", "south/*"]),
+        ({"keep_refused": True, "report_only": False}, ["--keep-refused"]),
         ({"include": "*.raw", "exclude": "south/*"}, ["--include", "*.raw", "--exclude", "south/*"]),
         ({"pool": True, "model": "6"}, ["--pool", "device", "--model", 6]),
         ({"prior": "study", "newer_than": datetime(2020, 1, 2)},
@@ -187,11 +183,44 @@ def test_p10_options_of_a_study_are_those_of_the_command(
     options: dict[str, Any], words: list[object], tmp_path: Path, capsys: Capture
 ) -> None:
     folder = study_folder(tmp_path / "in")
+    write_raw(folder / "few.raw", still_counts(directions(1)))
+    only = [] if options.get("report_only") is False else ["--report-only"]
     accelcal.study([folder], tmp_path / "out", **{"jobs": 1, "report_only": True, **options})
-    run(capsys, "study", folder, "-d", tmp_path / "command", "-j", 1, "--report-only", "-q", *words)
+    run(capsys, "study", folder, "-d", tmp_path / "command", "-j", 1, *only, "-q", *words)
     made, told = results(tmp_path / "out"), results(tmp_path / "command")
     assert made.keys() == told.keys() and ("study.html" in made) == ("html" in options)
     assert {name for name in made if made[name] != told[name]} <= {name for name in made if "html" in name}
+
+
+def test_parts_of_a_study_are_collected(tmp_path: Path, expected: Expected) -> None:
+    source, out, log = expected[0] / "in", tmp_path / "out", tmp_path / "night.log"
+    assert accelcal.study(source, out, jobs=1, shard="1/2")["path"].tolist() == ["north/b.raw"]
+    with pytest.warns(UserWarning, match="1 recording not started"):
+        accelcal.study(source, out, jobs=1, collect=True)
+    accelcal.study(source, out, jobs=1, shard="2/2")
+    accelcal.study(source, out, jobs=1, collect=True, log=log)
+    made, told = results(out), expected[1]
+    assert all(made[name] == held for name, held in told.items() if name.startswith("north"))
+    story = [line.partition("] ")[2] for line in log.read_text().splitlines()]
+    assert story[0].startswith("begins: accelcal ") and story[0].endswith(": accelcal.study")
+    assert story[-2:] == ['outcomes: {"calibrated": 2}; unchanged: 2', "ends with exit code 0"]
+    for name, value in {"collect": True, "prune": True, "html": True, "decisions": "d.csv"}.items():
+        said = rf"shard processes one part, {name}\b.* is for the whole study; give (one of them|it to collect=True)"
+        with pytest.raises(accelcal.AccelcalError, match=said):
+            accelcal.study(source, out, shard="1/2", **{name: value})  # type: ignore[arg-type]
+
+
+def test_draws_and_raw_data_of_refused_recordings_are_written(tmp_path: Path, capsys: Capture) -> None:
+    for name, draws, error in (("recording.bin", 7, 10.0), ("night.h5", 8, 0.001)):
+        path, options = ROOT / "sample_data" / name, {"strict": True, "max_error": error}
+        accelcal.calibrate(path, draws=draws, keep_refused=True, **options).write(tmp_path / "python")  # type: ignore[arg-type]
+        words = ("--draws", draws, "--keep-refused", "--strict", "--max-error", error, "-q")
+        run(capsys, "calibrate", path, "-d", tmp_path / "command", *words)
+    assert (made := results(tmp_path / "python")) == results(tmp_path / "command")
+    assert {"recording.draws.json", "night.uncalibrated.parquet"} <= made.keys()
+    for value, said in ((-1, "draws cannot be -1"), (7, "draws needs a prior: .*; omit draws")):
+        with pytest.raises(accelcal.AccelcalError, match=said):
+            accelcal.calibrate(path, draws=value, prior="none")
 
 
 @pytest.fixture(scope="module")
@@ -244,11 +273,9 @@ def test_an_export_that_cannot_be_is_refused_as_by_the_command(
     _, report = result.write(tmp_path)
     with pytest.raises(kind, match=text):
         accelcal.export(report, **options)
+    report.write_text("{}")
     with pytest.raises(accelcal.AccelcalError, match=r"recording\.calibration\.json.*use force=True"):
-        foreign = tmp_path / "foreign" / report.name
-        foreign.parent.mkdir()
-        foreign.write_text("{}")
-        result.write(foreign.parent)
+        result.write(tmp_path)
 
 
 def test_p3_a_study_is_exported_as_by_the_command(tmp_path: Path, capsys: Capture) -> None:
@@ -309,10 +336,8 @@ def test_p12_temperatures_that_are_not_there(result: accelcal.Result) -> None:
     assert (found(xyz, 21) == accelcal.apply(result, xyz, [21.0] * 3)).all()
     assert found(np.zeros((0, 3)), []).shape == (0, 3)
     plain = accelcal.calibrate(ROOT / "sample_data/recording.bin", no_temperature=True, report_only=True)
-    assert (
-        np.isfinite(plain.calibration(xyz, [np.nan] * 3)).all()
-        and plain.calibration.reference_temperature is None
-    )
+    assert np.isfinite(plain.calibration(xyz, [np.nan] * 3)).all()
+    assert plain.calibration.reference_temperature is None
     for wrong in (xyz.T[:, :2], xyz[0, :2], xyz[np.newaxis], 1.0):
         with pytest.raises(ValueError, match="not"):
             found(wrong, 20)
@@ -343,11 +368,8 @@ def test_p7_a_refusal_shows_itself() -> None:
     with pytest.raises(accelcal.AccelcalError, match="nothing to apply"):
         _ = still.calibration
     points = accelcal.fit(np.eye(3))
-    assert (
-        "refused" in repr(points)
-        and "Refused" in points._repr_html_()
-        and points.summary()["outcome"] == "refused"
-    )
+    assert "refused" in repr(points) and "Refused" in points._repr_html_()
+    assert points.summary()["outcome"] == "refused"
 
 
 def test_p7_values_in_the_forms_of_other_libraries(result: accelcal.Result) -> None:
@@ -380,6 +402,7 @@ FIRST_LINES: dict[str, str | None] = {
     "result.data": r"type result.to_pandas\(\)",
     "data, info = result": r"one object: use .to_pandas\(\) and .report",
     "result.calibration.transform(xyz)": r"type result.calibration\(xyz, temperature\)",
+    'accelcal.read("sample_data/recording.bin").data': r"a Reading has no attribute 'data'; type result.to_p",
     "result.coef_": "type result.calibration.gain, .offset and .slope",
     "accelcal.Calibration().fit(xyz).transform(xyz)": r"accelcal.calibrate\(xyz, rate=100\).calibration",
     "accelcal.CalibrateAccelerometer()": r'accelcal.calibrate\("recording.cwa"\).calibration',
@@ -433,20 +456,17 @@ TABLE = pd.DataFrame({"time": [1.0], "x": [0.0], "y": [0.0], "z": [1.0]})
         (accelcal.from_poses, r'frame\.to_parquet\("session\.parquet"\)'),
         (accelcal.report, "calibrate it, and give the result"),
     ],
-    ids=["study", "export", "from_poses", "report"],
 )
 def test_what_is_in_memory_is_not_a_path(given: Any, call: Callable[[Any], Any], said: str) -> None:
     with pytest.raises(TypeError, match=f"a path is needed, not .*: .*{said}"):
         call(given)
 
 
-@pytest.mark.parametrize(
-    "call", [accelcal.verify, accelcal.report, accelcal.devices, lambda one: accelcal.study("in", one)]
-)
-def test_a_list_is_not_one_path(call: Callable[[Any], Any]) -> None:
-    for given in ([], ["a"], ["a", "b"]):
+def test_a_list_is_not_one_path() -> None:
+    calls: list[Any] = [accelcal.verify, accelcal.report, lambda one: accelcal.study("in", one)]
+    for call in calls:
         with pytest.raises(TypeError, match=r"a path is needed, not 'list': .*"):
-            call(given)
+            call(["a", "b"])
     with pytest.raises(accelcal.AccelcalError, match="there is no path in an empty list; give one or more"):
         accelcal.study([], "out")
 
@@ -473,8 +493,7 @@ def test_files_are_calibrated_by_the_call_that_the_error_gives(tmp_path: Path) -
     ("options", "said"),
     [
         ({"pool": ThreadPoolExecutor(1)}, "pool is True or False.*did you mean executor="),
-        ({"borrow": "yes"}, "borrow is True or False, not 'yes'"),
-        ({"retry_failed": 1}, "retry_failed is True or False, not 1"),
+        ({"retry_failed": "yes"}, "retry_failed is True or False, not 'yes'"),
         ({"executor": 4}, "executor is a concurrent.futures.Executor"),
         ({"jobs": "4"}, "jobs cannot be '4'"),
         ({"n_jobs": 3}, "did you mean 'jobs'"),
@@ -505,11 +524,7 @@ def test_a_report_is_verified_as_by_the_command(name: str, tmp_path: Path, capsy
     path = ROOT / "sample_data" / name
     _, report = accelcal.calibrate(path).write(tmp_path)
     found = accelcal.verify(report, path, values=True)
-    assert (found["result"], found["parquet"]["values"], found["largest_mg"]) == (
-        "identical",
-        "identical",
-        0.0,
-    )
+    assert {found["result"], found["parquet"]["values"]} == {"identical"} and found["largest_mg"] == 0
     assert found == json.loads(run(capsys, "verify", report, path, "--values", "--json").out)
     content = json.loads(report.read_text("utf-8"))
     content["calibration"]["offset_g"][0] += 0.001
@@ -524,9 +539,8 @@ def test_devices_are_judged_as_by_the_command(tmp_path: Path, capsys: Capture) -
     folder = study_folder(tmp_path / "in", NAMES[:2])
     accelcal.study([folder], tmp_path / "out", jobs=1, report_only=True)
     found = accelcal.devices(tmp_path / "out", rules={"drift_mg": 2}, registry=tmp_path / "all.json")
-    assert found == json.loads(
-        run(capsys, "devices", tmp_path / "out", "--rule", "drift_mg=2", "--json", "-q").out
-    )
+    told = run(capsys, "devices", tmp_path / "out", "--rule", "drift_mg=2", "--json", "-q").out
+    assert found == json.loads(told)
     assert found["rules"]["drift_mg"] == 2 and (tmp_path / "all.json").exists()
     assert found["recordings"] == 2 and len(pd.DataFrame(found["devices"])) == len(found["devices"])
     for options, said in (

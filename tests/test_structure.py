@@ -17,7 +17,7 @@ LAYER = {
     "core": 0, "parquet": 1, "formats": 2, "segment": 2, "collect": 2, "optimize": 2, "judge": 2,
     "output": 2, "pipeline": 3, "six_pose": 4, "watching": 4, "simulate": 4, "activity_effect": 5,
     "exports": 4, "studies": 4, "verify": 5, "devices": 5, "pages": 6, "cli": 8, "laboratory": 9,
-    "__main__": 9, "": 9,
+    "run_log": 5, "__main__": 9, "": 9,
 }  # fmt: skip
 """Each top-level package or module, lowest first (docs/architecture.md); "" is the package's own face."""
 

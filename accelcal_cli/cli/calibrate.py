@@ -17,13 +17,9 @@ from accelcal_cli.cli.options import (
     request_of,
 )
 from accelcal_cli.cli.output import run_jobs
-from accelcal_cli.core.errors import UsageError
-from accelcal_cli.core.settings import NO_PRIOR, PAPER
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Result, plan
-from accelcal_cli.pipeline.options import chosen_settings
+from accelcal_cli.pipeline.options import MOST_DRAWS, check_draws, chosen_settings
 from accelcal_cli.pipeline.windows import check_table_path
-
-MOST_DRAWS = 100_000
 
 
 @click.command(
@@ -57,9 +53,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     from accelcal_cli.pipeline.registry import calibrate  # it takes longer to load than to show --help
 
     if values["draws"]:
-        settings = chosen_settings(values)
-        if settings.prior == NO_PRIOR and settings.profile != PAPER.profile:
-            raise UsageError("--draws needs a prior: without one no posterior is known", hint="omit --draws")
+        check_draws(chosen_settings(values))
     jobs = plan(recordings_of(recordings, values), values["output_dir"], values["output"])
     if values["windows"] is not None:
         check_table_path(values["windows"], jobs)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -19,16 +20,16 @@ from accelcal_cli.cli.help import Command, Rare
 from accelcal_cli.cli.options import FILE, OneOf, Positive, precision_option, request_of, study_options
 from accelcal_cli.cli.output import say_refused, show_row
 from accelcal_cli.cli.report import study_pages
-from accelcal_cli.cli.run_log import LOG, run_log
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.system import workers
 from accelcal_cli.output.sentences import clause, sentence
 from accelcal_cli.pipeline.jobs import refuse_dash
 from accelcal_cli.pipeline.options import json_value
+from accelcal_cli.run_log import LOG, run_log
 from accelcal_cli.studies.discovery import Where
 from accelcal_cli.studies.records import FAILED, Item
-from accelcal_cli.studies.study import Study, shard, with_learnt_prior
+from accelcal_cli.studies.study import Study, chosen_shard, with_learnt_prior
 from accelcal_cli.studies.summary import Summary
 
 if TYPE_CHECKING:
@@ -194,7 +195,7 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
         )
     if values["dry_run"]:
         return _preview(study, values)
-    with run_log(values["log"]) as log:
+    with run_log(values["log"], shlex.join(["accelcal", *sys.argv[1:]]), exit_codes.say) as log:
         code = _run(study, values)
         if log is not None:
             log.code = code
@@ -245,11 +246,6 @@ def _unlock(study: Study) -> int:
 def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
     request = replace(request_of(values, folders), several=True)
     refuse_dash(values["out"])
-    if values["shard"] and values["collect"]:
-        raise UsageError("--shard processes one part, --collect merges all parts", hint="give one of them")
-    for name in ("prune", "decisions", "html"):
-        if values["shard"] and values[name]:
-            raise UsageError(f"--{name} is for the whole study", hint="give it to --collect, not to --shard")
     study = Study(
         Where(folders, values["out"], values["include"], values["exclude"]),
         request,
@@ -258,7 +254,7 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         settle_s=values["settle"] or 0.0,
         newer_than_s=_seconds(values["newer_than"]),
         retry_failed=values["retry_failed"],
-        shard=shard(values["shard"]),
+        shard=chosen_shard(values),
         collect=values["collect"],
         executor=_executor(values),
         pool=values["pool"] is not None,
@@ -332,7 +328,6 @@ def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, value
         what = f"{counted(summary.ahead, 'recording')} that wait: modified in the future by this clock"
         exit_codes.say(f"{what}; check the clocks of the machines")
     unfinished = study.collect and summary.waiting > 0
-    LOG.info("outcomes: %s; unchanged: %d", json.dumps(summary.outcomes()), summary.up_to_date)
     if not values["quiet"] or unfinished:
         counts = [f"{number} {name.replace('_', ' ')}" for name, number in summary.outcomes().items()]
         counts += [f"{summary.copies} copied from others"] if summary.copies else []

@@ -45,6 +45,7 @@ from accelcal_cli.core.settings import (
     LEARNT_PRIORS,
     NEVER,
     NO_PRIOR,
+    PAPER,
     POSES_IF_ASKED,
     PROFILES,
     RANGE_RULES,
@@ -325,6 +326,7 @@ CHECKED_ALONE = {"timezone", "start"}
 GIVEN_VALUE = r"(=(?:'[^']*'|[\w:+./%-]+(?:,\w+)*))?"
 """Pattern of the value of `-R NAME=VALUE` in a message, with its `=`."""
 
+MOST_DRAWS = 100_000
 PAPER_ONLY = ("min_distance_g", "min_subset_points", "max_subset_points")
 """Settings that only profile `paper` has."""
 
@@ -394,8 +396,10 @@ def _typed(kind: type, name: str, text: str) -> Any:
 
 
 def field_values(options: Mapping[str, Any], *kinds: type) -> dict[str, Any]:
-    """Return the values of options given by keyword, by field; raises what `_field_values` raises."""
-    return _field_values(options, option_fields(*kinds))
+    """Return the values of options given by keyword, by field, None for those that are not given, as a
+    command line would; raises what `_field_values` raises.
+    """
+    return not_given(ReadOptions, Settings) | _field_values(options, option_fields(*kinds))
 
 
 def _field_values(options: Mapping[str, Any], known: Mapping[str, tuple[type, str]]) -> dict[str, Any]:
@@ -467,6 +471,12 @@ def read_options(values: dict[str, Any]) -> ReadOptions:
         if text is not None and re.search("[\ud800-\udfff]", text):  # stand for bytes that are not UTF-8
             raise UsageError(f"{printable(text)!r} is not UTF-8", hint="give columns by number, or rename it")
     return options
+
+
+def check_draws(settings: Settings) -> None:
+    """Raise UsageError if no plausible coefficients can be drawn."""
+    if settings.prior == NO_PRIOR and settings.profile != PAPER.profile:
+        raise UsageError("--draws needs a prior: without one no posterior is known", hint="omit --draws")
 
 
 def chosen_settings(values: dict[str, Any], *, in_study: bool = False) -> Settings:

@@ -173,11 +173,8 @@ def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force:
         if not is_there(path) or _is_study_file(path):
             continue
         if not force or jobs.resolved_path(path) in set(map(jobs.resolved_path, recordings)):
-            raise OutputError(
-                "would be overwritten by the study's summary, but was not written by accelcal",
-                path=path,
-                hint="move it, or choose another folder with -d",
-            )
+            what = "would be overwritten by the study's summary, but was not written by accelcal"
+            raise OutputError(what, path=path, hint="move it, or choose another folder with -d")
 
 
 def _is_study_file(path: Path) -> bool:

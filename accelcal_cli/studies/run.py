@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import json
 import logging
 import time
 from collections import ChainMap
@@ -280,6 +281,7 @@ class StudyRun:
         for line, new in findings.lines(found, plan.last):
             self._observer.found(line, new=new)
         result = self._summary(rows, decisions, [] if study.prune else left, found)
+        LOG.info("outcomes: %s; unchanged: %d", json.dumps(result.outcomes()), result.up_to_date)
         self.lease.confirm()
         summary.write(result, study.out, study.shard.basename)
         self.lease.confirm()

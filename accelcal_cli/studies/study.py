@@ -71,16 +71,23 @@ def shard(text: str | None, environment: Mapping[str, str] = os.environ) -> Shar
         return _slurm(environment)
     part = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
     if part is None or not 1 <= int(part[1]) <= int(part[2]):
-        raise UsageError(
-            f"--shard {text} is not a part such as 2/8", hint="give I/N with I from 1 to N, or slurm"
-        )
+        hint = "give I/N with I from 1 to N, or slurm"
+        raise UsageError(f"--shard {text} is not a part such as 2/8", hint=hint)
     return Shard(int(part[1]), int(part[2]))
+
+
+def chosen_shard(values: Mapping[str, Any]) -> Shard:
+    """Return the shard that options name; raises UsageError for one with what is for the whole study."""
+    for name in ("collect", "prune", "decisions", "html"):
+        if values["shard"] and values[name]:
+            hint = "give one of them" if name == "collect" else "give it to --collect, not to --shard"
+            raise UsageError(f"--shard processes one part, --{name} is for the whole study", hint=hint)
+    return shard(values["shard"])
 
 
 def _slurm(environment: Mapping[str, str]) -> Shard:
     """Return the shard of a task of a job array (sbatch(1), "output environment variables")."""
-    names = ("SLURM_ARRAY_TASK_ID", "SLURM_ARRAY_TASK_MIN", "SLURM_ARRAY_TASK_COUNT")
-    words = [environment.get(name, "") for name in names]
+    words = [environment.get(f"SLURM_ARRAY_TASK_{name}", "") for name in ("ID", "MIN", "COUNT")]
     if not all(word.isdecimal() for word in words):
         raise UsageError("--shard slurm works only in a job array", hint="submit it with sbatch --array")
     task, least, number = map(int, words)
@@ -171,10 +178,8 @@ def with_learnt_prior(study: Study) -> Study:
     """
     settings = study.request.recording_settings
     if study.pool and settings.profile != DEFAULT.profile:
-        raise UsageError(
-            f"recordings calibrated with profile {settings.profile} cannot be pooled",
-            hint="omit --pool or --profile",
-        )
+        text = f"recordings calibrated with profile {settings.profile} cannot be pooled"
+        raise UsageError(text, hint="omit --pool or --profile")
     learnt = settings.prior
     if learnt not in LEARNT_PRIORS:
         return study

@@ -32,7 +32,7 @@ from accelcal_cli.pipeline.registry import calibrate
 from accelcal_cli.studies import summary
 from accelcal_cli.studies.records import Entry, Item, ProgressCallback
 
-REFUSED, BUG, NO_MEMORY = 4, 70, 71
+REFUSED, BUG, NO_MEMORY, INTERRUPTED = 4, 70, 71, 130
 """Exit codes in rows of the summary."""
 
 REPORT_S = 0.2

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from accelcal_cli.cli import run_log
+from accelcal_cli import run_log
 from accelcal_cli.core.version import __version__
 from tests.cli.run import Ran, command, run
 from tests.recordings import directions, still_counts, write_raw

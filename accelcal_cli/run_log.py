@@ -10,19 +10,17 @@ import contextlib
 import logging
 import os
 import re
-import shlex
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import IO
 
-from accelcal_cli.cli import exit_codes
 from accelcal_cli.core.errors import AccelcalError, OutputError, UsageError, printable
 from accelcal_cli.core.paths import stat_or_none as look
 from accelcal_cli.core.system import host
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output.files import looking_at, open_plain
+from accelcal_cli.studies.task import BUG, INTERRUPTED
 
 LOG = logging.getLogger("accelcal")
 FIRST = re.compile(rb"\s*\d{4}-\d\d-\d\dT[\d:.]+[+-]\d\d:\d\d \[\d+\] ")
@@ -31,15 +29,15 @@ HEAD_BYTES = 80
 
 
 class RunLog(logging.Handler):
-    """Adds lines with times to a file.
+    """Adds lines with times to a file; `say` takes the one that it cannot be written.
 
     Attributes:
         code: exit code of the run, once it is known.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, say: Callable[[str], None]) -> None:
         super().__init__(logging.INFO)
-        self.path = path
+        self.path, self._say = path, say
         self.code: int | None = None
         self._file: IO[str] | None = None
         self._failed = False
@@ -61,9 +59,7 @@ class RunLog(logging.Handler):
         except (OSError, OutputError) as error:
             why = getattr(error, "strerror", None) or str(error)
         if not self._failed:
-            exit_codes.say(
-                f"{printable(self.path)}: the log cannot be written ({why}), and lines are missing"
-            )
+            self._say(f"{printable(self.path)}: the log cannot be written ({why}), and lines are missing")
         self._failed = True
 
     def close(self) -> None:
@@ -92,27 +88,27 @@ def _is_empty(path: Path) -> bool:
 
 
 @contextlib.contextmanager
-def run_log(path: Path | None) -> Iterator[RunLog | None]:
+def run_log(path: Path | None, what: str, say: Callable[[str], None]) -> Iterator[RunLog | None]:
     """Write a log of the block: who, what, where, and how it ended."""
     if path is None:
         yield None
         return
-    handler = RunLog(path)
+    handler = RunLog(path, say)
     LOG.addHandler(handler)
     LOG.setLevel(logging.INFO)
-    LOG.info("begins: accelcal %s on %s: %s", __version__, host(), shlex.join(["accelcal", *sys.argv[1:]]))
-    code, why = exit_codes.BUG, ""
+    LOG.info("begins: accelcal %s on %s: %s", __version__, host(), what)
+    code, why = BUG, ""
     try:
         yield handler
-        code = handler.code or exit_codes.OK
-    except (KeyboardInterrupt, exit_codes.InterruptedBySignalError):
-        code, why = exit_codes.INTERRUPTED, ": interrupted"
-        raise
+        code = handler.code or 0
     except AccelcalError as error:
         code, why = error.exit_code, f": {error}"
         raise
     except Exception as error:
         why = f": {type(error).__name__}: {error}"
+        raise
+    except BaseException:
+        code, why = INTERRUPTED, ": interrupted"
         raise
     finally:
         LOG.info("ends with exit code %s%s", code, why)
