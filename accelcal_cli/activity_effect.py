@@ -115,16 +115,14 @@ def _measured(epochs: WholeEpochs, drawn: DrawnActivity, least: float) -> dict[s
         "enmo_mg": own.enmo * MG, "mad_mg": own.mad * MG,
         "angle_deg": np.degrees(np.arctan2(mean[:, 2], np.hypot(mean[:, 0], mean[:, 1]))),
     }  # fmt: skip
-    limits = {name: np.full((2, len(celsius)), np.nan) for name in figures}
+    limits = [np.full((2, len(celsius)), np.nan)] * len(figures)
     if drawn.draws:
         other = drawn.measured(epochs, [*xyz, (warm / 1000).astype(np.float32)])
-        drawn_ones = (other.enmo * MG, other.mad * MG, drawn.angles(mean, celsius))
-        for name, values in zip(figures, drawn_ones, strict=True):
-            limits[name] = ends(np.vstack([values, figures[name]]))
+        several = (other.enmo * MG, other.mad * MG, drawn.angles(mean, celsius))
+        limits = [ends(np.vstack(pair)) for pair in zip(several, figures.values(), strict=True)]
     columns = {"time_us": epochs.number, "sample": samples[epochs.start], "samples": epochs.rows}
-    for name, values in figures.items():
+    for (name, values), (low, high) in zip(figures.items(), limits, strict=True):
         stem, unit = name.rsplit("_", 1)
-        low, high = limits[name]
         columns |= {name: values, f"{stem}_low_{unit}": low, f"{stem}_high_{unit}": high}
     valued = epochs.rows >= least
     return {name: values[valued] for name, values in (columns | {"temperature_c": celsius}).items()}
