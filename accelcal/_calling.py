@@ -124,9 +124,6 @@ R = TypeVar("R")
 FLAG = ("bool", "bool | None")
 """Annotations of keywords that switch something on."""
 
-COMMANDS = "calibrate|study|apply|fit|inspect|six-pose|export|report|verify|devices|simulate"
-"""Commands that are functions here."""
-
 VALUE = r"(?:'[^']*'|(?:[\w@%+=/-]|[.,:](?=[\w%+-]))+)"
 """The value of an option; a full stop or colon after it is the sentence's."""
 
@@ -244,7 +241,7 @@ def _forms() -> tuple[re.Pattern[str], re.Pattern[str]]:
     flags = "|".join(name.replace("_", "[_-]") for name in sorted(known))
     named = rf"({flags})(?![\w-])(?:=true)?|([a-z][a-z_-]*)(?:([ =])(?!-[-Rdo])({VALUE}))?"
     option = rf"(?<![\w/-])(?:(?:--|-R )(?:{named})|-([do]) ({VALUE}))"
-    name = rf"(?:accelcal (?P<command>[a-z-]+)|(?P<alone>{COMMANDS})(?= --))"
+    name = r"(?:accelcal (?P<command>[a-z-]+)|(?P<alone>calibrate|study|apply|six-pose)(?= --))"
     call = rf"`?\b{name}(?P<given>(?: (?:{option}|{PLACE}))*)`?"
     whole = rf"`(?!accelcal )[^`]*`|{call}|{option}(?: {option})*|{SHORT}"
     return re.compile(rf"{option}|({PLACE})"), re.compile(whole)
