@@ -398,9 +398,9 @@ def _folder(form: str, paths: Sequence[Path], wanted: ExportOptions, jobs: int |
         _warn(f"{text}; skipped")
     if not any(one.written for one in made):
         raise UsageError("none of the recordings has calibrated values that can be exported")
-    messages, _ = folder.finish(form, made, wanted)
-    for text in messages:
+    for text in folder.write_coefficients(form, made, wanted.output):
         _warn(text)
+    folder.write_script(form, made, wanted)
     return str(wanted.output)
 
 

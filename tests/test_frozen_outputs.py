@@ -137,7 +137,7 @@ def test_development_versions_are_named_by_verify_and_python(developed: Path, ca
     report = developed / "out" / "a.calibration.json"
     assert_named(run(capsys, "verify", report, developed / "in" / "a.raw"))
     for use in (accelcal.Calibration, lambda path: accelcal.export(path, to="ggir")):
-        with pytest.raises(accelcal.AccelcalError, match=rf"{AGAIN} \(0\.3\.0\) of accelcal"):
+        with pytest.raises(accelcal.AccelcalError, match=AGAIN):
             use(report)
 
 

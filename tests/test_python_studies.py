@@ -128,7 +128,7 @@ def test_p10_the_work_is_done_in_this_process(
     kind: str, tmp_path: Path, expected: Expected, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(expected[0])
-    monkeypatch.setattr("accelcal_cli.studies.run.ProcessPool", None)
+    monkeypatch.setattr("accelcal_cli.studies.executors.ProcessPool", None)
     with ThreadPoolExecutor(2) as pool:
         how: dict[str, Any] = {"jobs": 1} if kind == "one job" else {"executor": pool}
         table = accelcal.study("in", tmp_path / "out", **how)

@@ -70,7 +70,12 @@ class Width(AnyType):
     help="Leave out rows that the device filled in while it slept, and those of damaged blocks.",
 )
 @click.option("--force", is_flag=True, help="Replace existing files.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
+@click.option(
+    "-q",
+    "--quiet",
+    is_flag=True,
+    help="On stderr print only errors, skipped recordings, and coefficients over the limit.",
+)
 def command(files: tuple[Path, ...], **values: Any) -> int:
     """Export coefficients or calibrated data to other tools.
 
@@ -106,12 +111,10 @@ def _coefficients(files: tuple[Path, ...], values: dict[str, Any]) -> int:
     if output is not None:
         refuse_outputs((output,), files, force=values["force"])
     done, codes = _each(select(files, data=False), coefficients.read_for(form))
-    for one in done if form != "json" and not values["quiet"] else ():
-        for text in filter(None, (coefficients.cost(one), coefficients.temperature_note(one, form))):
-            say(f"{one.path}: {text}")
     for one in done if form != "json" else ():
-        if (doubt := coefficients.over_limit(one)) is not None:
-            say(f"{one.path}: {doubt}")
+        notes = () if values["quiet"] else (coefficients.cost(one), coefficients.temperature_note(one, form))
+        for text in filter(None, (*notes, coefficients.over_limit(one))):
+            say(f"{one.path}: {text}")
     text = coefficients.TABLES[form](done)
     if output is None:
         show(text.rstrip("\n")) if done else None
@@ -173,10 +176,10 @@ def _end_folder(
     number = sum(one.written is not None for one in made)
     if not number:
         return SOME_FAILED
-    messages, script = folder.finish(form, made, wanted)
+    for message in folder.write_coefficients(form, made, wanted.output):
+        say(message)
+    script = folder.write_script(form, made, wanted)
     if not quiet:
-        for message in messages:
-            say(message)
         what = f"{number} of {counted(len(selected), 'recording')} exported to {printable(wanted.output)}"
         how = "" if script is None else f"; next: {folder.RUN_BY[script.suffix]} {printable(script)}"
         say(f"{what}{how}")

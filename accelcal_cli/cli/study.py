@@ -182,7 +182,7 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
 
     Run it again: only new, changed and unfinished recordings are processed. OUT/decisions.csv holds people's
     decisions, FOLDER/study.toml reading options by file name. Prints a line for each recording, as
-    `calibrate` does; with -q, only new failures and refusals.
+    `calibrate` does; with -q, only what is new and needs a person.
     """
     from accelcal_cli.studies.rounds import overlooked  # what runs a study takes longer to load than --help
 

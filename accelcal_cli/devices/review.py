@@ -420,6 +420,7 @@ def as_json(review: Review, devices: tuple[DeviceReview, ...]) -> dict[str, Any]
         "recordings": len(review.records) + review.records.nameless,
         "without_serial": review.records.nameless,
         "failed_without_serial": review.records.failed,
+        "excluded": review.records.excluded,
         "rules": asdict(review.rules),
         "kinds": [
             {"model": model or None, "format": name or None, **asdict(known)}

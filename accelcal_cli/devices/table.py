@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -189,19 +189,21 @@ def read(out: Path, now_s: float, *, keep_teaching: bool = False) -> Records:
         UsageError: there is no table.
         UnreadableError: it cannot be read, or is not the table of a study.
     """
-    table = columns(out / NAME)
-    gone = set() if keep_teaching else _excluded(out)
-    kept = [at for at, path in enumerate(table["path"]) if path not in gone]
-    if len(kept) < len(table["path"]):
-        for name, values in table.items():
-            table[name] = values[kept] if isinstance(values, np.ndarray) else [values[at] for at in kept]
-    return replace(records(table, now_s / DAY_S + AHEAD_DAYS), excluded=len(gone))
-
-
-def columns(path: Path) -> dict[str, Any]:
-    """Read the requested columns: lists of text, arrays of numbers (NaN for none)."""
+    path = out / NAME
     _check_there(path)
+    rows = [] if keep_teaching else read_columns(path, decisions.READ).to_pylist()
+    gone = decisions.excluded(out, rows)
+    return replace(records(columns(path, gone), now_s / DAY_S + AHEAD_DAYS), excluded=len(gone))
+
+
+def columns(path: Path, gone: Collection[str]) -> dict[str, Any]:
+    """Read the requested columns: lists of text, arrays of numbers (NaN for none).
+
+    Args:
+        gone: paths of recordings that are left out.
+    """
     table = read_columns(path, WANTED)
+    table = table.filter([one not in gone for one in table["path"].to_pylist()]) if gone else table
     try:
         found: dict[str, Any] = {name: _values(table[name], "text", str) for name in TEXT}
         for name in (*NUMBERS, *COLUMNS, *ERRORS):
@@ -209,11 +211,6 @@ def columns(path: Path) -> dict[str, Any]:
         return found
     except ValueError as error:
         raise UnreadableError(f"cannot be read ({error})", path=path, hint="run the study again") from error
-
-
-def _excluded(out: Path) -> set[str]:
-    """Return the paths of the recordings that people excluded."""
-    return set(decisions.excluded(out, read_columns(out / NAME, decisions.READ).to_pylist()))
 
 
 def _check_there(path: Path) -> None:
@@ -431,8 +428,7 @@ def added(out: Path, path: Path, *, keep_teaching: bool = False) -> str:
             "is there, and is not a registry of devices", path=path, hint="give the name of a new file"
         )
     held = read_registry(path) if is_file(path) else []
-    more = read_registry(out) if is_registry(out) else _of_study(out)
-    gone = set() if keep_teaching or is_registry(out) else _hashes_of_excluded(out)
+    more, gone = (read_registry(out), set()) if is_registry(out) else _of_study(out, keep_teaching)
     entries = merged(one for one in (*held, *more) if one.order()[1] not in gone)
     write_registry(path, entries)
     devices = len({one.order()[0] for one in entries})
@@ -443,21 +439,18 @@ def added(out: Path, path: Path, *, keep_teaching: bool = False) -> str:
     return f"{printable(path)}: {calibrations} of {counted(devices, 'device')}, {news}"
 
 
-def _hashes_of_excluded(out: Path) -> set[str]:
-    """Return the hashes of the recordings that people excluded."""
-    gone, rows = _excluded(out), read_columns(out / NAME, ("path", "sha256")).to_pylist()
-    return {row["sha256"] for row in rows if row["path"] in gone}
-
-
-def _of_study(out: Path) -> Iterator[RegistryEntry]:
-    """Yield the entries of the reports in a study's table."""
+def _of_study(out: Path, keep_teaching: bool) -> tuple[list[RegistryEntry], set[str]]:
+    """Return the entries of the reports in a study's table, and the hashes of those that people excluded."""
     path = out / NAME
     if not is_file(path):
         hint = "give the folder that was given to `accelcal study` with -d, or a registry"
         raise UsageError("does not exist", path=path, hint=hint)
-    for name in read_columns(path, ["report"])["report"].to_pylist():
-        if isinstance(name, str):
-            report = out / name
-            quality = report.with_name(report.name.removesuffix(REPORT_SUFFIX) + QUALITY_SUFFIX)
-            if (entry := entry_of(report, quality)) is not None:
-                yield entry
+    rows = read_columns(path, ("report", *decisions.READ)).to_pylist()
+    gone = {} if keep_teaching else decisions.excluded(out, rows)
+    kept = [row for row in rows if row["path"] not in gone]
+    entries = []
+    for report in (out / row["report"] for row in kept if isinstance(row["report"], str)):
+        quality = report.with_name(report.name.removesuffix(REPORT_SUFFIX) + QUALITY_SUFFIX)
+        if (entry := entry_of(report, quality)) is not None:
+            entries.append(entry)
+    return entries, {row["sha256"] for row in rows if row["path"] in gone} - {row["sha256"] for row in kept}

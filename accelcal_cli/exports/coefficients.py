@@ -67,10 +67,6 @@ class Degrees:
     per_degree: float = 1.0
     zero: float = 0.0
 
-    def of(self, celsius: float) -> float:
-        """Return what the tool reads at one of our temperatures."""
-        return self.per_degree * celsius + self.zero
-
 
 def degrees_of(tool: str, recording: RecordingSection) -> Degrees | None:
     """Return the degrees in which a tool reads a recording; None if it reads none, or unknown ones."""
@@ -134,7 +130,8 @@ class AxisCoefficients:
         if degrees is None:
             return replace(self, slope_g_per_c=(0.0, 0.0, 0.0), reference_c=0.0)
         x, y, z = (slope / degrees.per_degree for slope in self.slope_g_per_c)
-        return replace(self, slope_g_per_c=(x, y, z), reference_c=degrees.of(self.reference_c))
+        zero = degrees.per_degree * self.reference_c + degrees.zero
+        return replace(self, slope_g_per_c=(x, y, z), reference_c=zero)
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,26 +204,25 @@ def read_exported(path: Path) -> ExportedReport:
     windows_s = from_json(FitSection, report["fit"]).windows.used * report["settings"]["segment_seconds"]
     errors, place = from_json(Errors, report), file_place(report, "recording")
     limit = float(report["settings"].get("max_error_mg") or DEFAULT.max_error_mg)
-    if whole.model in ALIGNED:
-        return _judged(ExportedReport(path, recording, windows_s, whole, errors, whole, errors, place, limit))
-    simple = without_misalignment(found)
+    aligned = whole.model in ALIGNED
+    simple = whole if aligned else without_misalignment(found)
     if simple is None:
         orientations = "was calibrated on known orientations, and " if whole.model == FULL_GAIN else ""
         text = f"{orientations}has no fit without misalignment"
         raise UsageError(text, path=path, hint="export the calibrated data (--to csv), or use --to json")
-    simple_errors = from_json(Errors, report["without_misalignment"])
-    return _judged(
-        ExportedReport(path, recording, windows_s, whole, errors, simple, simple_errors, place, limit)
-    )
+    simple_errors = errors if aligned else from_json(Errors, report["without_misalignment"])
+    one = ExportedReport(path, recording, windows_s, whole, errors, simple, simple_errors, place, limit)
+    _refuse_worse(one)
+    return one
 
 
-def _judged(one: ExportedReport) -> ExportedReport:
-    """Return what is exported; raises UsageError if it is worse than the raw data."""
+def _refuse_worse(one: ExportedReport) -> None:
+    """Raise UsageError if what is exported is worse than the raw data."""
     everywhere, held_out = one.simple_errors.calibration_error_mg, one.simple_errors.holdout
     pair = None if held_out is None else (held_out.before_mg.mean, held_out.after_mg.mean)
     before, after = pair or (0.0, 0.0) if everywhere is None else (everywhere.before, everywhere.mean)
     if after <= before:
-        return one
+        return
     error = "held-out" if everywhere is None else "calibration"
     text = f"model {one.simple.model} is worse than the raw data: {error} error {mg(before)} mg before, "
     hint = "export the calibrated data (-d DIR), which keep the misalignment, or use --to json"

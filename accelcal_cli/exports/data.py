@@ -34,13 +34,14 @@ from accelcal_cli.exports.rows import (
     LEAST_RATIO,
     CalibratedFile,
     SampleRows,
-    breaks,
     open_calibrated,
     resampled,
     smoothed,
+    starts_in,
     width_for,
 )
-from accelcal_cli.exports.selection import refuse_outputs
+from accelcal_cli.exports.selection import refuse_outputs, why_excluded
+from accelcal_cli.output import decisions
 from accelcal_cli.output.columns import schema_of
 from accelcal_cli.output.files import replacing, stored_schema
 from accelcal_cli.parquet import Column, Memory, ParquetSink
@@ -86,8 +87,7 @@ class ExportedData:
     def count(self, rows: SampleRows) -> None:
         """Count the next rows."""
         last_us = self._clock.last_us
-        times = rows.time_us if last_us is None else np.append(last_us, rows.time_us)
-        found = breaks(times, self.about.rate_hz) - (last_us is not None)
+        found = starts_in(rows, last_us, self.about.rate_hz)
         self._clock.add(StampClock(rows.time_us), len(rows), found)
         self.stretches += len(found) + (last_us is None)
 
@@ -177,7 +177,12 @@ def export_data(
 def export_file(
     form: str, path: Path, options: ExportOptions, progress: ProgressMaker = no_progress, *, force: bool
 ) -> ExportedData:
-    """Write one file as `export_data` does; see `refuse_outputs` for what it is not written over."""
+    """Write one file as `export_data` does; see `refuse_outputs` for what it is not written over.
+
+    Raises UsageError if people excluded the recording from its study.
+    """
+    if (why := why_excluded(path, {})) is not None:
+        raise UsageError(f"is not exported: {why}", path=path, hint=f"change {decisions.NAME} if it is to be")
     refuse_outputs(outputs_of(form, options.output), [path], force=force)
     return export_data(form, path, options, progress)
 

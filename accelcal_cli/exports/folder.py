@@ -187,11 +187,6 @@ def export_folder(
             stopped.set()
 
 
-def finish(form: str, made: Sequence[Made], options: ExportOptions) -> tuple[list[str], Path | None]:
-    """Write coefficients and script; return messages on recordings without coefficients, and the script."""
-    return write_coefficients(form, made, options.output), write_script(form, made, options)
-
-
 def write_script(form: str, made: Sequence[Made], options: ExportOptions) -> Path | None:
     """Write the tool's script for what was exported; return its path, None for a form without."""
     if form not in SCRIPTS:

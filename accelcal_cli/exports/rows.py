@@ -74,7 +74,6 @@ WIDEST = 1000
 STEPS_PER_UNIT = float(1 << 32)
 """Steps in one unit: values are summed as whole numbers of them, so that their order does not matter."""
 
-
 LAST = 1 << 62
 LEAST_RATIO, LARGEST_RATIO = 0.01, 100.0
 """Smallest and largest ratio of output rate to input rate.
@@ -278,24 +277,22 @@ def _clock_ahead_s(start: Any) -> int:
     return 0 if offset is None else round(offset.total_seconds())
 
 
-def breaks(time_us: NDArray[np.int64], rate_hz: float) -> NDArray[np.int64]:
-    """Return the numbers of the rows that begin a new stretch, except the first row."""
-    steps = np.diff(time_us)
-    return np.flatnonzero((steps <= 0) | (steps > LONGEST_STEP * MICROSECONDS / rate_hz)) + 1
+def starts_in(rows: SampleRows, last_us: int | None, rate_hz: float) -> NDArray[np.int64]:
+    """Return the numbers of the rows that begin a new stretch, by the time of the row before, if any."""
+    steps = np.diff(rows.time_us if last_us is None else np.append(last_us, rows.time_us))
+    found = np.flatnonzero((steps <= 0) | (steps > LONGEST_STEP * MICROSECONDS / rate_hz))
+    return found + (last_us is None)
 
 
 def resampled(portions: Iterable[SampleRows], rate_hz: float, wanted_hz: float) -> Iterator[SampleRows]:
     """Yield rows at a fixed rate within each unbroken stretch, whatever the portions are.
 
     Times are those of a stretch's first sample and exact multiples of 1 / wanted_hz after it, to the nearest
-    us,
-    up to its last sample. Temperature is linear between samples.
+    us, up to its last sample. Temperature is linear between samples.
     """
     sampler = _Resampler(rate_hz, wanted_hz)
     for rows in portions:
-        last = sampler.last_us
-        time_us = rows.time_us if last is None else np.concatenate([[last], rows.time_us])
-        starts = (breaks(time_us, rate_hz) - (last is not None)).tolist()
+        starts = starts_in(rows, sampler.last_us, rate_hz).tolist()
         for start, stop in zip([0, *starts], [*starts, len(rows)], strict=True):
             if start in starts:
                 yield from sampler.made(finish=True)
@@ -400,8 +397,7 @@ def smoothed(portions: Iterable[SampleRows], rate_hz: float, width: int) -> Iter
     """Yield the same rows with means of up to `width` samples around each, whatever the portions are."""
     stretch, last_us = _Stretch(width), None
     for rows in portions:
-        times = rows.time_us if last_us is None else np.concatenate([[last_us], rows.time_us])
-        starts = set((breaks(times, rate_hz) - (last_us is not None)).tolist())
+        starts = set(starts_in(rows, last_us, rate_hz).tolist())
         measured = ~np.isin(rows.validity, NOT_MEASURED)
         changes = np.flatnonzero(np.diff(measured)) + 1
         borders = sorted({0, len(rows), *starts, *changes.tolist()})

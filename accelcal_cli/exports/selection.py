@@ -99,8 +99,6 @@ def refuse_existing(outputs: Iterable[Path]) -> None:
 # Finds the recordings that paths stand for.
 
 SUMMARY = "study.json"
-READ = ("report", "message", *decisions.READ)
-"""Columns of a study's table."""
 SECTIONS = ("recording", "outcome", "message", "file_health")
 
 
@@ -132,21 +130,42 @@ def select(inputs: Iterable[Path], *, data: bool) -> list[Selected]:
         UsageError: a pattern or a folder has none.
     """
     found: list[Selected] = []
+    known: dict[Path, dict[str, str]] = {}
     for path in inputs:
         there = list(_of(path, data=data))
         if not there:
             hint = f"name the output folder of a study, or reports ({REPORT_SUFFIX})"
             raise UsageError("holds no reports of recordings", path=path, hint=hint)
-        found += there
+        for one in there:
+            why = why_excluded(one.report or one.parquet, known)
+            found.append(one if why is None else Selected(one.path, one.report, skipped=why))
     once = {(one.report or one.parquet or one.path).absolute(): one for one in found}
     return list(once.values()) if data else found
 
 
+def why_excluded(path: Path | None, known: dict[Path, dict[str, str]]) -> str | None:
+    """Return why people excluded a recording from the study that it belongs to; None if they did not.
+
+    Args:
+        path: its report or its calibrated file; None for one that failed.
+        known: receives why the recordings of a study are excluded, by its folder and their reports.
+    """
+    if path is None:
+        return None
+    report = (path if path.name.endswith(REPORT_SUFFIX) else report_of(path)).absolute()
+    folder = next((one for one in report.parents if is_file(one / TABLE)), None)
+    if folder is None:
+        return None
+    if folder not in known:
+        rows = read_columns(folder / TABLE, ("report", *decisions.READ)).to_pylist()
+        why, reports = decisions.excluded(folder, rows), {row["path"]: row["report"] for row in rows}
+        known[folder] = {reports[one]: begun_small(text).removesuffix(".") for one, text in why.items()}
+    return known[folder].get(printable(report.relative_to(folder)))
+
+
 def _of(path: Path, *, data: bool) -> Iterator[Selected]:
-    if is_folder(path):
-        yield from _of_folder(path, data=data)
-    elif path.name == SUMMARY and is_file(path.with_name(TABLE)):
-        yield from _of_folder(path.parent, data=data)
+    if is_folder(path) or (path.name == SUMMARY and is_file(path.with_name(TABLE))):
+        yield from _of_folder(path if is_folder(path) else path.parent, data=data)
     elif is_pattern(path):
         reports = sorted(one for one in matching(path) if one.name.endswith((REPORT_SUFFIX, PARQUET_SUFFIX)))
         if not reports:
@@ -164,14 +183,10 @@ def _of_folder(folder: Path, *, data: bool) -> Iterator[Selected]:
     """Yield a study's recordings: those of its table where there is one, or all whose reports lie there."""
     table = folder / TABLE
     is_study = is_file(table)
-    rows = read_columns(table, READ).to_pylist() if is_study else []
-    paths = {row["report"]: row["path"] for row in rows}
-    excluded = decisions.excluded(folder, rows)
+    rows = read_columns(table, ("report", "message", "path")).to_pylist() if is_study else []
+    names = {row["report"] for row in rows}
     for report in _reports_below(folder):
-        name = printable(report.relative_to(folder))
-        if paths.get(name) in excluded:
-            yield Selected(report, report, skipped=begun_small(excluded[paths[name]]).removesuffix("."))
-        elif name in paths or not is_study:
+        if not is_study or printable(report.relative_to(folder)) in names:
             one = of_report(report)
             if not data and one.held is not None and one.held["outcome"] != Outcome.REFUSED:
                 one = Selected(report, report, held=one.held)  # its calibrated file does not matter

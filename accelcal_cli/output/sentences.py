@@ -189,18 +189,22 @@ FILES: dict[str, FormOfValues] = {
     "decided_by_a_person": _decided,
     "decision_outdated": "The result of {recording} has changed since row {row} decided {decided}. "
     "The more cautious of both counts: {use}.",
+    "decision_followed": "Row {row} excludes {recording}, which is now called {now} and stays excluded. "
+    "Write the new name.",
+    "decision_without_data": "Row {row} decides {decided} on {recording}, which has no calibrated data. It "
+    "stays {use}.",
     "decision_unreadable": _no_decision,
     "decision_without_recording": "Row {row} names {recording}, which is not a recording of the study.",
     "decisions_contradict": lambda values: (
         f"Rows {listed([*map(str, values['rows']), *_others(values)])} contradict each other on "
         f"{values['recording']}. The most cautious of them counts: {values['use']}."
     ),
-    "decisions_more": "{number:n more finding} about rows.",
-    "decisions_gone": "It is gone, and {number:n decision} with it. Put it back. If that was meant, "
-    "write an empty one (recording,use).",
+    "decisions_gone": "The file is gone, and {number:n decision} with it. Put it back. If no decision is to "
+    "count any more, write a file with the line recording,use alone.",
     # what else a person must act on in a study
-    "disk_may_be_away": "No recording of the last run is left there, or its disk is another one. The results "
-    "stay ({results:n recording}). Mount the disk, or remove the folder if its recordings are gone.",
+    "disk_may_be_away": "No recording of the last run is left in this folder, or it is on another disk than "
+    "then. The results stay ({results:n recording}). Mount the disk, or remove the folder if its recordings "
+    "are really gone.",
     "file_cut_short": lambda values: (
         f"The file is cut short{_share_missing(values['lost_percent'])}. Copy it again from the device."
     ),

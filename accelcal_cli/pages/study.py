@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from math import isfinite
@@ -23,10 +23,12 @@ from markupsafe import Markup
 from accelcal_cli.core.errors import counted, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.devices.review import Verdict
+from accelcal_cli.devices.trends import Drift
 from accelcal_cli.output import sentences
 from accelcal_cli.output.advice import LIMIT_MG
-from accelcal_cli.output.decisions import CAUTIOUS, COLUMNS, MOST_LISTED
+from accelcal_cli.output.decisions import CAUTIOUS, COLUMNS, MOST_LISTED, excludes
 from accelcal_cli.output.numbers import mg_of_two_digits
+from accelcal_cli.output.report_reading import section
 from accelcal_cli.output.sentences import OUTCOMES, outcome_words
 from accelcal_cli.pages import study_figures as figures
 from accelcal_cli.pages.rendering import rendered
@@ -40,16 +42,10 @@ USE = COLUMNS.index("use")
 """Place of the decision in a row."""
 
 
-def _section(summary: Mapping[str, Any], name: str) -> list[Any]:
-    """Return a list under `decisions` of `study.json`; empty if there is none."""
-    held = summary.get("decisions")
-    found = held.get(name) if isinstance(held, dict) else None
-    return found if isinstance(found, list) else []
-
-
-def rows(summary: Mapping[str, Any]) -> list[list[str]]:
+def rows(summary: dict[str, Any]) -> list[list[str]]:
     """Return the rows of the file for the script of the page: texts in the order of COLUMNS."""
-    return [list(map(printable, row)) for row in _section(summary, "rows") if _fits(row)]
+    held = section(summary, "decisions").get("rows")
+    return [list(map(printable, row)) for row in held if _fits(row)] if isinstance(held, list) else []
 
 
 def _fits(row: Any) -> bool:
@@ -58,21 +54,22 @@ def _fits(row: Any) -> bool:
     return texts and row[USE] in CAUTIOUS
 
 
-def findings(summary: Mapping[str, Any]) -> list[str]:
+def findings(summary: dict[str, Any]) -> list[str]:
     """Return a line for each finding that a person must act on, and one for those that are not listed."""
-    held = summary.get("findings")
-    listed = held.get("listed") if isinstance(held, dict) else None
-    texts = [one for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
-    lines = [printable(str(one.get("message"))) for one in texts[:MOST_LISTED]]
-    number = held.get("number") if isinstance(held, dict) else None
+    held = section(summary, "findings")
+    lines = [printable(str(one.get("message"))) for one in _objects(held.get("listed"))[:MOST_LISTED]]
+    number = held.get("number")
     more = number - len(lines) if isinstance(number, int) else 0
     return [*lines, f"and {more} more"] if more > 0 else lines
 
 
-def _not_listed(summary: Mapping[str, Any]) -> int:
+def _objects(listed: Any) -> list[dict[str, Any]]:
+    return [one for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
+
+
+def _not_listed(summary: dict[str, Any]) -> int:
     """Return the number of decisions that the page does not have, so that it must not save the others."""
-    held = summary.get("decisions")
-    number = held.get("rows_not_listed") if isinstance(held, dict) else None
+    number = section(summary, "decisions").get("rows_not_listed")
     return number if isinstance(number, int) else 0
 
 
@@ -133,8 +130,8 @@ class DeviceLine:
     first: str | None
     last: str | None
     held_out_mg: float | None
-    offset: figures.Drift | None
-    percent: figures.Drift | None
+    offset: Drift | None
+    percent: Drift | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,7 +302,7 @@ class _Entry:
     @property
     def excluded(self) -> bool:
         """True if a person decided not to use it."""
-        return bool(self.row["decided_by"]) and self.row["use"] == "no"
+        return excludes(self.row)
 
     @property
     def problem_name(self) -> str:
@@ -374,8 +371,7 @@ def _shown(value: Any) -> Any:
 
 
 def _limit_mg(summary: dict[str, Any]) -> float:
-    settings = summary.get("settings")
-    limit = settings.get("max_error_mg") if isinstance(settings, dict) else None
+    limit = section(summary, "settings").get("max_error_mg")
     return float(limit) if isinstance(limit, int | float) else LIMIT_MG
 
 
@@ -415,7 +411,7 @@ def _headline(entries: Sequence[_Entry], copies: int) -> dict[str, str]:
 
 def _notes(summary: dict[str, Any]) -> list[str]:
     """Return what users must know that the study says of itself."""
-    waiting, pools = summary.get("waiting"), summary.get("pools") or {}
+    waiting, pools = summary.get("waiting"), section(summary, "pools")
     notes = []
     if isinstance(waiting, int) and waiting:
         notes.append(f"{counted(waiting, 'recording')} waiting: not started yet.")
@@ -426,11 +422,9 @@ def _notes(summary: dict[str, Any]) -> list[str]:
 
 def _left_out(summary: dict[str, Any]) -> list[tuple[str, str]]:
     """Return name and reason of the files that the study leaves out, those by its options aside."""
-    listed = summary.get("files_left_out")
-    found = [one for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
     texts = [
         (printable(str(one.get("path"))), printable(str(one.get("message"))))
-        for one in found
+        for one in _objects(summary.get("files_left_out"))
         if one.get("code") != "excluded"
     ]
     return texts[:LISTED]
@@ -531,7 +525,7 @@ def _devices_table(devices: Sequence[DeviceLine]) -> dict[str, Any]:
     }
 
 
-def _drift(key: str, label: str, drifts: Sequence[figures.Drift | None]) -> list[dict[str, Any]]:
+def _drift(key: str, label: str, drifts: Sequence[Drift | None]) -> list[dict[str, Any]]:
     """Return two columns: the drift and its standard error."""
     pairs = [(None, None) if drift is None else (drift.per_month, drift.error) for drift in drifts]
     return [

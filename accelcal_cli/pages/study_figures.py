@@ -13,6 +13,7 @@ from math import floor, log10
 from typing import Any
 
 from accelcal_cli.core.arithmetic import mean
+from accelcal_cli.devices.trends import Drift
 from accelcal_cli.output.advice import LIKELY_YEARS
 from accelcal_cli.output.numbers import number
 
@@ -33,15 +34,6 @@ NAMES = 150
 BAR = 1000
 """Width of a bar of 100 %."""
 LONGEST_NAME = 20
-
-
-@dataclass(frozen=True, slots=True)
-class Drift:
-    """Change in a month with its standard error, and whether it is certain."""
-
-    per_month: float
-    error: float
-    certain: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +206,7 @@ def drifts(devices: Sequence[tuple[str, Drift | None]], limit: float) -> DriftFi
             x(drift.per_month + 2 * drift.error),
             x(drift.per_month),
             TOP + ROW * (index + 0.5),
-            drift.certain,
+            drift.significant,
         )
         for index, (name, drift) in enumerate(fastest)
     ]

@@ -35,7 +35,7 @@ from accelcal_cli.output.report_reading import (
 )
 from accelcal_cli.output.sentences import in_words, of_device
 from accelcal_cli.pages import recording, study
-from accelcal_cli.pages.study_figures import MOST_STRIPS, Drift, states_of
+from accelcal_cli.pages.study_figures import MOST_STRIPS, states_of
 from accelcal_cli.pipeline.jobs import PAGE_SUFFIX, QUALITY_SUFFIX, REPORT_SUFFIX, Job, refuse_overwriting
 
 STUDY_PAGE = "study.html"
@@ -221,14 +221,9 @@ def _device_line(device: DeviceReview) -> study.DeviceLine:
         device.begin,
         device.end,
         device.held_out_mg,
-        _fastest(device, Kind.OFFSET),
-        _fastest(device, Kind.SCALE, Kind.MISALIGNMENT),
+        device.fastest_drift(Kind.OFFSET),
+        device.fastest_drift(Kind.SCALE, Kind.MISALIGNMENT),
     )
-
-
-def _fastest(device: DeviceReview, *kinds: Kind) -> Drift | None:
-    fastest = device.fastest_drift(*kinds)
-    return None if fastest is None else Drift(fastest.per_month, fastest.error, fastest.significant)
 
 
 def stamp_for(*parts: bytes) -> str:

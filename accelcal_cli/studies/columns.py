@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 from accelcal_cli.core.calibration import PARAMETER_NAMES
@@ -52,24 +53,15 @@ OF_CSV = {
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column: its name, the kind of its values, which may be empty, and what they mean."""
+    """A column: its name, what its values mean, and their kind; they may be empty."""
 
     name: str
-    kind: Literal["text", "whole", "number"]
     meaning: str
+    kind: Literal["text", "whole", "number"]
 
 
-def _text(name: str, meaning: str) -> Column:
-    return Column(name, "text", meaning)
-
-
-def _whole(name: str, meaning: str) -> Column:
-    return Column(name, "whole", meaning)
-
-
-def _number(name: str, meaning: str) -> Column:
-    return Column(name, "number", meaning)
-
+_text, _whole = partial(Column, kind="text"), partial(Column, kind="whole")
+_number = partial(Column, kind="number")
 
 ALL = (
     _text("path", "the recording, relative to the study's folder"),

@@ -27,19 +27,9 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from accelcal_cli.core import version
+from accelcal_cli.core import system, version
 from accelcal_cli.core.errors import AccelcalError, ClusterError, OutputError, UsageError, printable
 from accelcal_cli.core.paths import is_folder, is_there
-from accelcal_cli.core.system import (
-    collect_seldom,
-    folder_start,
-    has_fork_server,
-    interruptions_blocked,
-    keep_freed_memory,
-    lives,
-    one_thread_each,
-    remove_folder,
-)
 from accelcal_cli.output.files import discard, owner, sweep_left, temporary_beside
 from accelcal_cli.studies.records import Finished, ProgressCallback, TaskFunction, TaskProgress
 from accelcal_cli.studies.study import Study
@@ -102,20 +92,20 @@ def forkserver_folder() -> Iterator[None]:
 @cache
 def _temporary_folder() -> Path:
     sweep_folders()
-    folder = Path(tempfile.mkdtemp(prefix=f"{folder_start()}{os.getpid()}-", dir=_parent()))
-    Finalize(None, remove_folder, (folder,), exitpriority=EXIT_PRIORITY)
+    folder = Path(tempfile.mkdtemp(prefix=f"{system.folder_start()}{os.getpid()}-", dir=_parent()))
+    Finalize(None, system.remove_folder, (folder,), exitpriority=EXIT_PRIORITY)
     return folder
 
 
 def sweep_folders() -> None:
     """Remove the folders of killed processes of this host and user."""
-    start = folder_start()
+    start = system.folder_start()
     for place in {_parent(), tempfile.gettempdir()}:
         with contextlib.suppress(OSError), os.scandir(place) as entries:
             for entry in entries:
                 owner = entry.name.removeprefix(start).split("-")[0]
-                if entry.name.startswith(start) and owner.isdigit() and not lives(int(owner)):
-                    remove_folder(Path(entry.path))
+                if entry.name.startswith(start) and owner.isdigit() and not system.lives(int(owner)):
+                    system.remove_folder(Path(entry.path))
 
 
 def _parent() -> str:
@@ -278,9 +268,9 @@ def _started(work: TaskFunction, preload: str) -> _Worker:
     pipe: tuple[Any, Any] = multiprocessing.Pipe()  # connections are of another class on Windows
     ours, theirs = pipe
     try:
-        with _STARTING, one_thread_each(), forkserver_folder():
+        with _STARTING, system.one_thread_each(), forkserver_folder():
             _keep_main_out()
-            forked = has_fork_server() and _start_server(preload)
+            forked = system.has_fork_server() and _start_server(preload)
             context: Any = multiprocessing.get_context("forkserver" if forked else "spawn")
             process = context.Process(target=_serve, args=(theirs, work), name=NAME, daemon=True)
             process.start()
@@ -301,7 +291,7 @@ def _start_server(preload: str) -> bool:
     multiprocessing.get_context("forkserver").set_forkserver_preload([preload])
     try:
         resource_tracker.ensure_running()
-        with interruptions_blocked():
+        with system.interruptions_blocked():
             forkserver.ensure_running()
     except ChildProcessError:
         return False
@@ -330,8 +320,8 @@ def _serve(pipe: PipeEnd, work: TaskFunction) -> None:
     """Do one task after another until None is received: the loop of a worker process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _terminate)
-    collect_seldom()
-    keep_freed_memory()
+    system.collect_seldom()
+    system.keep_freed_memory()
     try:
         threading.Thread(target=_end_with_parent, daemon=True).start()
     except RuntimeError:
@@ -469,7 +459,7 @@ def check_worker(work: RemoteWork) -> None:
         hint = "give its user permission to write there"
         raise OutputError(f"{here}: {error.message}", path=work.mark.parent, hint=hint) from error
     if work.study != owner():
-        keep_freed_memory()
+        system.keep_freed_memory()
 
 
 def _hidden(work: RemoteWork) -> Path | None:

@@ -12,21 +12,18 @@ from dataclasses import dataclass
 from typing import Any
 
 from accelcal_cli.core.errors import Reason, printable
+from accelcal_cli.core.local_time import UNKNOWN, UTC
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.output.decisions import MOST_LISTED, Merged
+from accelcal_cli.output.decisions import MOST_LISTED, Merged, excludes, of_another_name
 from accelcal_cli.output.report_reading import section
 from accelcal_cli.output.sentences import clause, sentence
 from accelcal_cli.studies.orphans import Orphans
 from accelcal_cli.studies.records import FAILED
-from accelcal_cli.studies.summary import mixed_times, of_another_name
+from accelcal_cli.studies.summary import time_zones
 
 STAYS = "stays, and --prune removes it"
 FINDINGS = "findings"
 """Key of `study.json`."""
-
-
-NAMED_ONCE = ("times_mixed",)
-"""Codes of findings that more recordings do not change."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +35,8 @@ class Finding:
 
     @property
     def key(self) -> str:
-        """Text by which the next run knows it."""
-        return self.reason.code if self.reason.code in NAMED_ONCE else self.line
+        """Text by which the next run knows it; more recordings of mixed times change nothing."""
+        return self.reason.code if self.reason.code == "times_mixed" else self.line
 
     def as_json(self) -> dict[str, Any]:
         """Return the object of `study.json`."""
@@ -53,23 +50,20 @@ def of_decisions(merged: Merged | None, last: Mapping[str, Any]) -> Iterator[Fin
         last: what `study.json` says of the last run.
     """
     if merged is not None:
-        for one in merged.said():
+        for one in merged.findings:
             yield Finding(one, f"{merged.decisions.file}: {sentence(one)}")
         return
-    for held in _listed(last):
-        if held.get("code") == "decisions_gone":
-            reason = Reason.of("decisions_gone", **section(held, "values"))
-            yield Finding(reason, str(held.get("message")))
-            return
     held = section(dict(last), "decisions")
-    if held.get("decided"):
-        reason = Reason.of("decisions_gone", number=held["decided"])
+    if isinstance(number := held.get("decided"), int) and number:
+        reason = Reason.of("decisions_gone", number=number)
         yield Finding(reason, f"{printable(str(held.get('file')))}: {sentence(reason)}")
+    else:
+        yield from (one for one in _listed(last) if one.reason.code == "decisions_gone")
 
 
 def of_rows(rows: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
     """Yield recordings whose file is cut short, and those of two names with the same bytes."""
-    excluded = {row["path"] for row in rows if row.get("decided_by") and row.get("use") == "no"}
+    excluded = {row["path"] for row in rows if excludes(row)}
     for row in rows:
         path, first = row["path"], row.get("copy_of")
         if first and of_another_name(path, first) and excluded.isdisjoint((path, first)):
@@ -80,10 +74,8 @@ def of_rows(rows: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
             yield Finding(reason, f"{path}: {sentence(reason)}")
 
 
-def of_orphans(orphans: Orphans | None, *, pruned: bool) -> Iterator[Finding]:
+def of_orphans(orphans: Orphans, *, pruned: bool) -> Iterator[Finding]:
     """Yield results whose recording is gone, and folders whose disk may be away."""
-    if orphans is None:
-        return
     for folder, number in sorted(orphans.away.items()):
         reason = Reason.of("disk_may_be_away", results=number)
         yield Finding(reason, f"{printable(folder)}: {sentence(reason)}")
@@ -93,7 +85,9 @@ def of_orphans(orphans: Orphans | None, *, pruned: bool) -> Iterator[Finding]:
 
 def of_times(rows: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
     """Yield a warning against joining the Parquet files, if `time` is not of one type in all of them."""
-    if (reason := mixed_times(rows)) is not None:
+    zones = time_zones(rows)
+    if len(zones) > 1:
+        reason = Reason.of("times_mixed", utc=zones[UTC], unknown=zones[UNKNOWN])
         yield Finding(reason, sentence(reason))
 
 
@@ -120,7 +114,7 @@ def lines(findings: Sequence[Finding], last: Mapping[str, Any]) -> Iterator[tupl
     Args:
         last: what `study.json` says of the last run.
     """
-    said = {one.get(name) for one in _listed(last) for name in ("code", "message")}
+    said = {text for one in _listed(last) for text in (one.reason.code, one.line)}
     rest = as_json(findings)["rest"]
     for one in findings[:MOST_LISTED]:
         yield one.line, one.key not in said
@@ -129,6 +123,10 @@ def lines(findings: Sequence[Finding], last: Mapping[str, Any]) -> Iterator[tupl
         yield more, rest != section(dict(last), FINDINGS).get("rest")
 
 
-def _listed(last: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _listed(last: Mapping[str, Any]) -> list[Finding]:
+    """Return the findings of the last run, as far as others have not changed them."""
     listed = section(dict(last), FINDINGS).get("listed")
-    return [one for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
+    held = [one for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
+    return [
+        Finding(Reason(str(one.get("code")), section(one, "values")), str(one.get("message"))) for one in held
+    ]

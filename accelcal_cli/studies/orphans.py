@@ -28,6 +28,7 @@ from accelcal_cli.core.errors import (
 )
 from accelcal_cli.core.paths import files_below, is_there, matching
 from accelcal_cli.core.paths import stat_or_none as look
+from accelcal_cli.output.decisions import content
 from accelcal_cli.output.files import looking_at, read_columns
 from accelcal_cli.output.report_reading import load_our_json, load_report, section, sensor_of
 from accelcal_cli.output.sentences import sentence
@@ -38,7 +39,6 @@ from accelcal_cli.studies.other_recordings import PREFIX
 from accelcal_cli.studies.records import Item
 from accelcal_cli.studies.sensors import report_of_all
 from accelcal_cli.studies.study import WHOLE, Study
-from accelcal_cli.studies.summary import content
 
 SUMMARY_NAME = f"{WHOLE.basename}{SUMMARY[-1]}"
 IDENTITY = ("path", "bytes", "sha256", "sensor")
@@ -109,8 +109,9 @@ def folders_before(study: Study, items: Sequence[Item]) -> list[Folder]:
         if study.request.force:
             return []
         named = " and ".join(printable(jobs.resolved_path(folder)) for folder in study.where.folders)
+        theirs = " and ".join(printable(held.path) for held in before)
         raise UsageError(
-            f"holds the results of {printable(one.path)}, not of {named}",
+            f"holds the results of {theirs}, not of {named}",
             path=study.out,
             hint="choose another folder with -d, or replace them with --force",
         )
@@ -200,9 +201,11 @@ class Orphans:
         wholes: files whose sensors are known, by the report that each would have as one recording.
         before: folders of the last run; none if that is not known.
         known: recordings that were found, and that an earlier run found too.
+        looks: False for none.
 
     Attributes:
-        found: the results, by name; filled by `find`.
+        found: the results, by name.
+        sizes: of recordings that are gone, perhaps to another name.
         away: number of results that stay since their disk may be away, by the folder where it may be.
     """
 
@@ -212,14 +215,16 @@ class Orphans:
     wholes: Mapping[Path, Path]
     before: Sequence[Folder]
     known: Collection[Path]
+    looks: bool
     found: list[Orphan] = field(default_factory=list)
+    sizes: set[int] = field(default_factory=set)
     away: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Look through OUT."""
         self._names = {content(row): row["path"] for row in self.rows if row.get("sha256")}
         self._holding = {folder for one in self.known for folder in one.parents}
-        for folder, folders, files in files_below(self.where.out, []):
+        for folder, folders, files in files_below(self.where.out, []) if self.looks else ():
             if folder != self.where.out and load_our_json(folder / SUMMARY_NAME) is not None:
                 folders.clear()  # another study
                 continue
@@ -239,7 +244,7 @@ class Orphans:
             return None if held is None else reason
         report, source = held
         known = place_of_report(report)
-        ours = self._was_ours(source or known)
+        ours = self._was_ours(source or known, gone=source is not None)
         spots = [*self._spots(path.relative_to(self.where.out), known.name)]
         stays = source is None if ours else not _made_by_study(report)
         if stays or any(map(is_there, spots)):
@@ -250,12 +255,13 @@ class Orphans:
         name, folder = printable(known.name), printable(known.parent)
         if now is not None:
             return Reason.of("recording_renamed", source=name, now=now)
+        self.sizes.add(report["recording"]["bytes"])
         elsewhere = Reason.of("recording_elsewhere", source=name, folder=folder)
         return Reason.of("recording_gone", source=name) if ours else elsewhere
 
-    def _was_ours(self, source: Path) -> bool:
-        """Return True if a recording was in a folder of the study as this run or the last one knows it."""
-        last = [Path(one.path) for one in self.before]
+    def _was_ours(self, source: Path, *, gone: bool) -> bool:
+        """Return True if a recording was in a folder of the study, or is gone from one of the last run."""
+        last = [Path(one.path) for one in self.before] if gone else []
         return any(
             source.is_relative_to(one) for one in (*map(jobs.resolved_path, self.where.folders), *last)
         )

@@ -30,6 +30,7 @@ from accelcal_cli.judge.learning import (
     together,
 )
 from accelcal_cli.output.coefficients import prior_json
+from accelcal_cli.output.decisions import Content, content
 from accelcal_cli.output.files import looking_at
 from accelcal_cli.output.report import FORMAT, Member
 from accelcal_cli.output.report_reading import load_report, read_document
@@ -247,15 +248,16 @@ class PoolTask:
 
     Attributes:
         item: represents all of them; its report is the pool's.
-        names: names of the members.
+        names: names of the members; more: of recordings with the content of one, which do not count.
         stamps: stamps of the members' files when their own results were found.
         inputs: hashes of the members' own results, by name; then names of the copies.
-        copies: recordings with the content of a member, which do not count.
+        copies: the recordings of `more`.
     """
 
     item: Item
     common: Common
     names: tuple[str, ...]
+    more: tuple[str, ...]
     members: tuple[Member, ...]
     stamps: tuple[FileStamp | None, ...]
     serial: str
@@ -286,17 +288,14 @@ class PoolTask:
 
 
 def pool_tasks(study: Study, known: StudyState) -> list[PoolTask]:
-    """Return a task for each pool (see `Round`)."""
-    return [pool_of(study, known, members) for members in pools(_heard(known))]
+    """Return a task for each pool (see `Round`) of recordings that people did not exclude."""
+    rows = {name: row for name, row in known.own_rows().items() if name not in known.silent}
+    again = summary.copies(rows)
+    return [_pool_of(study, known, members, again) for members in pools(rows)]
 
 
-def _heard(known: StudyState) -> dict[str, dict[str, Any]]:
-    """Return the own rows of the recordings that people did not exclude."""
-    return {name: row for name, row in known.own_rows().items() if name not in known.silent}
-
-
-def pool_of(study: Study, known: StudyState, names: list[str]) -> PoolTask:
-    """Return the task of a pool of these members."""
+def _pool_of(study: Study, known: StudyState, names: list[str], again: Mapping[str, str]) -> PoolTask:
+    """Return the task of a pool of these members, and of their copies among all copies."""
     states = [known.recordings[name] for name in names]
     rows: list[Row] = [one.own.row or {} for one in states]
     shared = [rows[0][name] for name in ("device_serial", "device_model", "lsb_per_g", "range_g")]
@@ -308,7 +307,7 @@ def pool_of(study: Study, known: StudyState, names: list[str]) -> PoolTask:
         ((sum(one.item.size for one in states), 0),),
         sensor=states[0].item.sensor,
     )
-    more = sorted(name for name, first in summary.copies(_heard(known)).items() if first in names)
+    more = sorted(name for name, first in again.items() if first in names)
 
     def member(name: str) -> Member:
         return Member(known.recordings[name].item.source, (known.recordings[name].own.row or {})["sha256"])
@@ -317,6 +316,7 @@ def pool_of(study: Study, known: StudyState, names: list[str]) -> PoolTask:
         stands_for,
         common_of(study),
         tuple(names),
+        tuple(more),
         tuple(map(member, names)),
         stamps=tuple(one.item.stamps[0] for one in states),
         serial=serial,
@@ -367,15 +367,13 @@ class PooledTask(ReplacementTask):
 
 def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:
     """Return a task for each member of a pool that has coefficients (see `Round`)."""
-    tasks, common, rows = [], common_of(study), _heard(known)
-    again = summary.copies(rows)
-    for members in pools(rows):
-        one = pool_of(study, known, members)
+    tasks, common = [], common_of(study)
+    for one in pool_tasks(study, known):
         entry = known.pools.get(one.item.name)
         if entry is None or entry.row is None or entry.row["outcome"] not in GOOD:
             continue
         together = hashlib.sha256("".join(one.inputs).encode()).hexdigest()[:16]
-        for name in (*members, *(name for name, first in again.items() if first in members)):
+        for name in (*one.names, *one.more):
             state = known.recordings[name]
             inputs = (identity(state.own.row or {}), together)
             tasks.append(PooledTask(state.item, common, state.own, inputs, one.item.job.report))
@@ -460,11 +458,11 @@ class Learning:
 
     def __post_init__(self) -> None:
         """Sort good results by model and device; of copies the first by name counts."""
-        first: dict[summary.Content, _Good] = {}
+        first: dict[Content, _Good] = {}
         for name in sorted(self.rows):
             row = self.rows[name]
             if name not in self.silent and _is_good(row, self.max_error_mg):
-                first.setdefault(summary.content(row), _Good(name, row))
+                first.setdefault(content(row), _Good(name, row))
         # an order that has nothing to do with how devices are numbered
         for one in sorted(first.values(), key=lambda one: _sha256(one.row["device_serial"])):
             devices = self._devices.setdefault(_model(one.row), {})
@@ -501,7 +499,7 @@ class Learning:
 
 def _others(good: Sequence[_Good], row: Row) -> list[_Good]:
     """Return the recordings with other content."""
-    return [one for one in good if summary.content(one.row) != summary.content(row)]
+    return [one for one in good if content(one.row) != content(row)]
 
 
 def _sha256(text: str) -> str:

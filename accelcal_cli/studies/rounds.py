@@ -6,6 +6,7 @@ once more at the report that is there (`pipeline/outputs.py`), for a study whose
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
 from collections import Counter
@@ -26,10 +27,11 @@ from accelcal_cli.core.settings import Settings, setting_of
 from accelcal_cli.core.version import __version__
 from accelcal_cli.formats import refuse_unused
 from accelcal_cli.output.decisions import NAME as DECISIONS
-from accelcal_cli.output.decisions import Decisions, Merged, merged, read_decisions
-from accelcal_cli.output.files import looking_at
+from accelcal_cli.output.decisions import READ, Decisions, Merged, merged, read_decisions
+from accelcal_cli.output.files import NAME as TABLE
+from accelcal_cli.output.files import looking_at, read_columns
 from accelcal_cli.output.numbers import mg
-from accelcal_cli.output.report_reading import load_our_json
+from accelcal_cli.output.report_reading import load_our_json, section
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.pipeline.options import STUDY_FILE, FolderRules, sidecar_fingerprint, with_stated
 from accelcal_cli.studies import summary
@@ -497,8 +499,13 @@ def plan(study: Study, ledger: Ledger, lister: Lister = lambda _tasks: ()) -> Pl
     """
     notes: list[str] = []
     last = said_last(study, notes)
-    found = Plan(study, ledger, study.asked(), last, options_changed(study, last), _decisions(study), notes)
+    found = Plan(
+        study, ledger, study.asked(), last, options_changed(study, last), _decisions(study, last), notes
+    )
     listed = found.listed = files(study.where, notes, found.by_name)
+    if not (listed or found.by_name):
+        hint = "check the path, and that its disk is mounted"
+        raise UsageError("holds no file that may be a recording", path=study.where.folders[0], hint=hint)
     notes += unfit_patterns(study.request.rules, listed)
     found.reports |= {item.job.report for item in listed}
     wanted = [item for item in listed if found.wants(item)]
@@ -521,13 +528,28 @@ def plan(study: Study, ledger: Ledger, lister: Lister = lambda _tasks: ()) -> Pl
     return found
 
 
-def _decisions(study: Study) -> Decisions | None:
-    """Return what people decided; nothing for a shard, whose table nobody decides by."""
+def _decisions(study: Study, last: dict[str, Any]) -> Decisions | None:
+    """Return what people decided; nothing for a shard, whose table nobody decides by.
+
+    Args:
+        last: what `study.json` says of the last run.
+    """
     path = study.decisions or study.out / DECISIONS
     if not study.shard.whole or (study.decisions is None and not is_there(path)):
         return None
+    gone = section(last, "decisions", "gone").items()
+    table, known = (
+        [],
+        {
+            name: tuple(one)
+            for name, one in gone
+            if isinstance(one, list) and all(isinstance(part, str | None) for part in one)
+        },
+    )
+    with contextlib.suppress(UnreadableError):  # of another version, which names the recordings again
+        table = read_columns(study.out / TABLE, READ).to_pylist()
     try:
-        return read_decisions(path)
+        return replace(read_decisions(path), last=table, gone=known)
     except FileNotFoundError as error:
         raise UsageError("there is no such file", path=path, hint="correct or omit --decisions") from error
     except OSError as error:

@@ -20,39 +20,14 @@ from typing import Any, Protocol
 from accelcal_cli.core.errors import LockedError, OutputError, UsageError, counted, printable
 from accelcal_cli.core.paths import is_folder, is_there, matching
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.output.decisions import Merged
+from accelcal_cli.output.decisions import Merged, of_another_name
 from accelcal_cli.output.files import disk_errors, looking_at, sweep, sweep_left
 from accelcal_cli.output.sentences import clause, copied
+from accelcal_cli.pipeline.jobs import sha256
 from accelcal_cli.pipeline.outputs import withdraw
-from accelcal_cli.studies import findings, lock, summary
+from accelcal_cli.studies import executors, findings, lock, orphans, other_recordings, summary
 from accelcal_cli.studies.discovery import SUMMARY, Left, job_without_others, places, refuse_foreign
-from accelcal_cli.studies.executors import (
-    ProcessPool,
-    done_by,
-    done_here,
-    may_not_start_processes,
-    sweep_folders,
-    work_for,
-)
 from accelcal_cli.studies.lock import Lease
-from accelcal_cli.studies.orphans import (
-    FOLDERS,
-    Folder,
-    Orphan,
-    Orphans,
-    folders_before,
-    folders_now,
-    prune,
-    refuse_too_many,
-)
-from accelcal_cli.studies.other_recordings import (
-    APPLY_POOLS,
-    BORROWING,
-    LEARNING,
-    POOLING,
-    remove_pools,
-    without_prior,
-)
 from accelcal_cli.studies.records import (
     FAILED,
     OWN,
@@ -117,15 +92,18 @@ def rounds(study: Study) -> tuple[Round, ...]:
     """Return the rounds after that of the own results; a shard, which may split a device, has none."""
     if not study.shard.whole:
         return ()
-    wanted = ((POOLING, study.pool), (APPLY_POOLS, study.pool), (BORROWING, study.borrow))
-    return tuple(one for one, asked in (*wanted, (LEARNING, study.prior is not None)) if asked)
+    of = other_recordings
+    wanted = ((of.POOLING, study.pool), (of.APPLY_POOLS, study.pool), (of.BORROWING, study.borrow))
+    return tuple(one for one, asked in (*wanted, (of.LEARNING, study.prior is not None)) if asked)
 
 
 def run(study: Study, observer: StudyObserver) -> Summary:
     """Carry out a study.
 
     Raises:
-        UsageError: see `plan`; or there is nothing to collect, or `--prune` would remove too much.
+        UsageError: see `plan`; or OUT holds the results of other folders, there is nothing to collect, or
+            `--prune` would remove too much.
+        UnreadableError: decisions cannot be read.
         LockedError: another run works in the output folder, or has taken this one over.
         OutputError: the folder or the summary cannot be written, or would overwrite what no study wrote.
     """
@@ -161,15 +139,15 @@ def _other_locks(study: Study) -> tuple[Path, ...]:
     return (study.out / "study.lock",)
 
 
-def _orphans(plan: Plan, rows: Sequence[Mapping[str, Any]], folders: Sequence[Folder]) -> Orphans | None:
-    """Find results whose recording is gone; None for a shard, which does not know all recordings."""
+def _orphans(
+    plan: Plan, rows: Sequence[Mapping[str, Any]], folders: Sequence[orphans.Folder]
+) -> orphans.Orphans:
+    """Find results whose recording is gone; none for a shard, which does not know all recordings."""
     study = plan.study
-    if not study.shard.whole:
-        return None
-    return Orphans(study.where, plan.reports, rows, plan.whole, folders, plan.met)
+    return orphans.Orphans(study.where, plan.reports, rows, plan.whole, folders, plan.met, study.shard.whole)
 
 
-def _refuse(plan: Plan) -> list[Folder]:
+def _refuse(plan: Plan) -> list[orphans.Folder]:
     """Refuse what must not be done; return the folders of the last run.
 
     Raises:
@@ -182,22 +160,18 @@ def _refuse(plan: Plan) -> list[Folder]:
     if study.collect and plan.waiting and not plan.done:
         text = f"no results of {counted(len(plan.waiting), 'recording')} were found for these options"
         raise UsageError(text, hint="run the parts first, or give --collect the options used for them")
-    return folders_before(study, plan.listed)
+    return orphans.folders_before(study, plan.listed)
 
 
-def _found(orphans: Orphans | None) -> list[Orphan]:
-    return [] if orphans is None else orphans.found
-
-
-def _say_orphans(left: Sequence[Orphan], what: str, note: Callable[[str], None]) -> None:
+def _say_orphans(left: Sequence[orphans.Orphan], what: str, note: Callable[[str], None]) -> None:
     for one in left:
         note(f"{printable(one.name)} {what}: {clause(one.reason)}")
 
 
-def _refuse_pruning(plan: Plan, left: Sequence[Orphan]) -> None:
+def _refuse_pruning(plan: Plan, left: Sequence[orphans.Orphan]) -> None:
     stay = {*(item.name for item in plan.items()), *(entry.name for entry in plan.kept)}
     if plan.study.prune:
-        refuse_too_many(left, len(stay), force=plan.study.request.force)
+        orphans.refuse_too_many(left, len(stay), force=plan.study.request.force)
 
 
 class StudyRun:
@@ -239,10 +213,10 @@ class StudyRun:
         for text in (*plan.notes, *upgrade_notice(plan.why)):
             self._observer.note(printable(text))
         if study.prune:
-            _refuse_pruning(plan, _found(_orphans(plan, (), self._folders)))
+            _refuse_pruning(plan, _orphans(plan, (), self._folders).found)
         counts = [len(plan.todo), len(plan.done), len(plan.waiting), len(plan.left_out) + len(plan.by_name)]
         LOG.info("planned: %d to do, %d done, %d waiting, %d left out", *counts)
-        sweep_folders()  # of runs that were killed, on this machine or another
+        executors.sweep_folders()  # of runs that were killed, on this machine or another
         outputs = [path for item in (*plan.todo, *plan.waiting) for path in item.job.outputs]
         sweep_left([*outputs, *map(study.lock.with_suffix, (".lock", ".ledger", *SUMMARY))])
 
@@ -265,55 +239,46 @@ class StudyRun:
         made = {name: one.last.row or {} for name, one in self.known.recordings.items()}
         if (change := changed_coefficients_notice(plan.before, made)) is not None:
             self._observer.note(printable(change))
-        orphans = _orphans(plan, rows, self._folders)
-        left = _found(orphans)
+        gone = _orphans(plan, rows, self._folders)
+        left = gone.found
         _refuse_pruning(plan, left)
         if study.prune:
-            prune(left)
+            orphans.prune(left)
             _say_orphans(left, "removed", self._observer.note)
         found = [
-            *findings.of_decisions(decisions, plan.last),
-            *findings.of_orphans(orphans, pruned=study.prune),
+            *findings.of_orphans(gone, pruned=study.prune),
             *findings.of_rows(rows),
             *findings.of_pools(self._pools()),
             *findings.of_times(rows),
+            *findings.of_decisions(decisions, plan.last),  # of which there may be most
         ]
         for line, new in findings.lines(found, plan.last):
             self._observer.found(line, new=new)
-        result = self._summary(rows, decisions, [] if study.prune else left, found)
+        states, now = self.known.recordings, time.time()
+        now_in = orphans.folders_now(study.where, self._folders, plan.met)
+        result = Summary(
+            rows=rows,
+            decisions=decisions,
+            settings=_settings(study),
+            waiting=len(plan.waiting),
+            ahead=sum(item.changed_s > now for item in plan.waiting),
+            left_out=len(plan.left_out),
+            files_left_out=plan.reasons(),
+            kept=len({entry.name for entry in plan.kept}),
+            orphans=[] if study.prune else [one.as_json() for one in left],
+            up_to_date=sum(states[name].item.refusal is None for name in set(states) - self.worked),
+            pools=self._pools(),
+            findings=findings.as_json(found),
+            provenance={orphans.FOLDERS: [asdict(one) for one in now_in]},
+        )
         LOG.info("outcomes: %s; unchanged: %d", json.dumps(result.outcomes()), result.up_to_date)
         self.lease.confirm()
         summary.write(result, study.out, study.shard.basename)
         self.lease.confirm()
         self._ledger.tidy(self._entries())
         if study.shard.whole and not (plan.waiting or study.where.include):
-            remove_pools(study.out, keep=self.known.pools)
+            other_recordings.remove_pools(study.out, keep=self.known.pools)
         return result
-
-    def _summary(
-        self,
-        rows: list[Mapping[str, Any]],
-        decisions: Merged | None,
-        left: Sequence[Orphan],
-        found: Sequence[findings.Finding],
-    ) -> Summary:
-        plan, states, now = self.plan, self.known.recordings, time.time()
-        now_in = folders_now(self.study.where, self._folders, plan.met)
-        return Summary(
-            rows=rows,
-            decisions=decisions,
-            settings=_settings(self.study),
-            waiting=len(plan.waiting),
-            ahead=sum(item.changed_s > now for item in plan.waiting),
-            left_out=len(plan.left_out),
-            files_left_out=plan.reasons(),
-            kept=len({entry.name for entry in plan.kept}),
-            orphans=[one.as_json() for one in left],
-            up_to_date=sum(states[name].item.refusal is None for name in set(states) - self.worked),
-            pools=self._pools(),
-            findings=findings.as_json(found),
-            provenance={FOLDERS: [asdict(one) for one in now_in]},
-        )
 
     def _pools(self) -> dict[str, dict[str, Any]]:
         return {name: one.row or {} for name, one in sorted(self.known.pools.items())}
@@ -339,16 +304,15 @@ class StudyRun:
         last = {entry.name: entry.row for entry in kept}
         last |= {name: one.last.row for name, one in self.known.recordings.items()}
         rows = {name: row for name, row in sorted(last.items()) if row is not None}
-        more: dict[str, dict[str, Any]]
-        copies = summary.copies(rows)
-        more = {name: {"copy_of": printable(one)} for name, one in copies.items()}
-        decided = _decided(self.plan, rows, copies)
-        changes = {} if decided is None else decided.changes
-        for name, row in rows.items():
-            if (decision := changes.get(row["path"])) is not None:
-                more[name] = {**more.get(name, {}), **decision}
+        decided = self.plan.merged(rows.values())
+        changes, excluded = ({}, set()) if decided is None else (decided.changes, decided.excluded)
+        more: dict[str, dict[str, Any]] = {
+            name: dict(changes.get(row["path"], {})) for name, row in rows.items()
+        }
+        for name, first in summary.copies(rows, excluded).items():
+            more[name]["copy_of"] = printable(first)
         # a row of a hundred columns is not copied for some of them
-        return [ChainMap(more[name], row) if name in more else row for name, row in rows.items()], decided
+        return [ChainMap(more[name], row) if more[name] else row for name, row in rows.items()], decided
 
     def _write_table_if_due(self) -> None:
         """Update `study.csv` while the study runs, if the last update is long enough ago."""
@@ -384,10 +348,11 @@ class StudyRun:
             if item.job != (alone := job_without_others(item)):
                 withdraw(alone, item.sensor)
         self._calibrate(plan.todo)
-        for name, first in summary.copies(self.known.own_rows()).items():
-            self._observer.note(printable(f"{name}: {copied(first)}"))
+        copies = summary.copies(self.known.own_rows()).items()
+        again = [pair for pair in copies if not of_another_name(*pair)]  # the others are findings
         self.known.silent.update(_silent(plan, self.known))
-        for text in without_prior(self.study, self.known):
+        notes = other_recordings.without_prior(self.study, self.known)
+        for text in (*(printable(f"{name}: {copied(first)}") for name, first in again), *notes):
             self._observer.note(text)
         for one in self._rounds:
             tasks = list(one.tasks(self.study, self.known))
@@ -452,26 +417,12 @@ class StudyRun:
             self._pending[item.name] = result
 
 
-def _decided(plan: Plan, rows: Mapping[str, Mapping[str, Any]], copies: Mapping[str, str]) -> Merged | None:
-    """Put what people decided to rows by name; who is excluded is so under the names of copies too."""
-    decided = plan.merged(rows.values())
-    changes = {} if decided is None else decided.changes
-    for pair in copies.items():
-        for one, other in (pair, pair[::-1]):
-            change = changes.get(rows[one]["path"], {})
-            if change.get("use") == "no" and not summary.of_another_name(one, other):
-                changes.setdefault(rows[other]["path"], change)
-    return decided
-
-
 def _silent(plan: Plan, known: StudyState) -> set[str]:
     """Return the names of the recordings that lend, pool and teach nothing, since people excluded them."""
-    if plan.study.keep_teaching or plan.decisions is None or not rounds(plan.study):
-        return set()
     rows = {name: one.own.row for name, one in known.recordings.items() if one.own.row is not None}
-    decided = _decided(plan, rows, summary.copies(rows))
-    changes = {} if decided is None else decided.changes
-    return {name for name, row in rows.items() if changes.get(row["path"], {}).get("use") == "no"}
+    if plan.study.keep_teaching or not rounds(plan.study) or (found := plan.merged(rows.values())) is None:
+        return set()
+    return {name for name, row in rows.items() if row["path"] in found.excluded}
 
 
 def _settings(study: Study) -> dict[str, Any]:
@@ -546,12 +497,12 @@ def _done(
     """
     if study.executor is not None and work is calibrated:
         with study.executor() as executor:
-            yield from done_by(executor, work_for(study), tasks, on_progress)
-    elif study.in_process or may_not_start_processes():
-        yield from done_here(work, tasks, on_progress)
+            yield from executors.done_by(executor, executors.work_for(study), tasks, on_progress)
+    elif study.in_process or executors.may_not_start_processes():
+        yield from executors.done_here(work, tasks, on_progress)
     else:
         number = workers_of(study, len(tasks))
-        yield from ProcessPool(work, number, study.timeout_s, PRELOAD, on_progress).run(tasks)
+        yield from executors.ProcessPool(work, number, study.timeout_s, PRELOAD, on_progress).run(tasks)
 
 
 def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str], Left, dict[str, str]]:
@@ -584,7 +535,10 @@ def preview(study: Study, note: Callable[[str], None]) -> tuple[dict[Item, str],
         for task, entry in taken:
             known.take(one, task.item.name, entry)
     rows = {one.item: one.last.row or {} for one in known.recordings.values()}
-    left = _found(_orphans(planned, list(rows.values()), folders))
+    sizes = _orphans(planned, (), folders).sizes
+    new = [item for item in planned.todo if item.size in sizes and item.refusal is None]
+    named = [{"path": item.name, "sha256": sha256(item.source), "sensor": item.sensor} for item in new]
+    left = _orphans(planned, [*rows.values(), *named], folders).found
     _say_orphans(left, "would be removed" if study.prune else findings.STAYS, note)
     _refuse_pruning(planned, left)
     of_now = {item: row["outcome"] for item, row in rows.items() if not item.aside} | states

@@ -20,10 +20,9 @@ from accelcal_cli.core.input_files import files_of
 from accelcal_cli.core.unpacking import plain_name
 from accelcal_cli.formats import all_formats, open_recording
 from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, ProgressMaker, Request
-from accelcal_cli.studies import summary
 from accelcal_cli.studies.discovery import job_at
 from accelcal_cli.studies.records import Entry, Item, ProgressCallback
-from accelcal_cli.studies.task import Common, StageProgress, TaskResult, guarded
+from accelcal_cli.studies.task import CalibrationTask, StageProgress, TaskResult, guarded
 
 SENSORS = "sensors"
 """Round, in entries of the ledger, of the lists of sensors: an entry has them as `inputs`."""
@@ -38,23 +37,12 @@ NOT_PLAIN = re.compile(r"[^\w-]+")
 
 
 @dataclass(frozen=True, slots=True)
-class SensorsTask:
+class SensorsTask(CalibrationTask):
     """One file whose sensors are to be listed."""
 
-    item: Item
-    common: Common
-
-    @property
-    def sources(self) -> tuple[Path, ...]:
-        """See `Task`."""
-        return (self.item.source,)
-
     def failure(self, code: int, message: str, *, again: bool) -> Entry:
-        """See `Task`: the file counts as one recording, which failed."""
-        item = self.item
-        return Entry(
-            item.name, item.stamps, self.common.asked, summary.failed(item, code, message), again=True
-        )
+        """See `Task`: the file counts as one recording, which failed; the next run tries again."""
+        return CalibrationTask.failure(self, code, message, again=True)
 
 
 @guarded

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from itertools import islice
@@ -19,14 +18,13 @@ from typing import IO, TYPE_CHECKING, Any
 from accelcal_cli.core.calibration import PARAMETER_NAMES
 from accelcal_cli.core.errors import Reason, printable
 from accelcal_cli.core.identity import STUDY, identity
-from accelcal_cli.core.local_time import UNKNOWN, UTC
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.recording import METADATA_KEY
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output import files
 from accelcal_cli.output.advice import MILD, page_verdict
-from accelcal_cli.output.decisions import MOST_LISTED, Merged
+from accelcal_cli.output.decisions import CONTENT, MOST_LISTED, WORD, Merged, alike, words_of
 from accelcal_cli.output.files import json_text, replacing, write_text
 from accelcal_cli.output.report import failure_code
 from accelcal_cli.output.report_reading import sensor_of
@@ -62,51 +60,30 @@ EFFECT_INTERVALS = {
     "mvpa_min": ("mvpa_low_min", "mvpa_high_min"),
 }  # fmt: skip
 """Columns of their 95 % intervals, calibrated."""
-Content = tuple[str | None, str | None]
-
-
-def content(row: Mapping[str, Any]) -> Content:
-    """Return the identity of a recording: the hash of its file, and the sensor that is read of it."""
-    return row.get("sha256"), row.get("sensor")
-
-
-WORD = re.compile(r"[^\W_]+")
 COPIES = frozenset(("copy", "copies", "copie", "copia", "kopie", "duplicate", "backup"))
 """Words in the names of copies."""
 
 
-def _words(path: str) -> tuple[set[str], set[str]]:
-    """Return the words of a recording's name, and those of its folders that have a digit."""
-    folder, _, name = path.lower().rpartition("/")
-    stem = name.partition(" [")[0].removesuffix(".gz").rpartition(".")[0] or name
-    return set(WORD.findall(stem)), {one for one in WORD.findall(folder) if any(map(str.isdigit, one))}
-
-
-def of_another_name(path: str, other: str) -> bool:
-    """Return True unless all words of one name are in the other's, as in `P001` and `P001 (copy)`."""
-    one, two = (named | numbered for named, numbered in map(_words, (path, other)))
-    return not (one <= two or two <= one)
-
-
 def _as_original(path: str) -> tuple[int, bool, str]:
     """Return the place of a recording among those of the same content, of which the first counts."""
-    named, _ = _words(path)
+    named, _ = words_of(path)
     return len(named), not COPIES.isdisjoint(WORD.findall(path.lower())), path
 
 
-def copies(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+def copies(rows: Mapping[str, Mapping[str, Any]], excluded: Collection[str] = ()) -> dict[str, str]:
     """Return the names of copies, each with that of the recording of the same content and device that counts.
 
-    That is the one whose name has the fewest words.
+    That is the one whose name has the fewest words, of those that people did not exclude if there are any.
 
     Args:
         rows: rows by name; those of files that could not be read have no hash.
+        excluded: paths of excluded recordings.
     """
-    first: dict[tuple[str | None, Content], str] = {}
-    read = {name: rows[name] for name in sorted(rows, key=_as_original) if rows[name].get("sha256")}
-    firsts = {
-        name: first.setdefault((row["device_serial"], content(row)), name) for name, row in read.items()
-    }
+    firsts: dict[str, str] = {}
+    for names in alike(rows, "device_serial", *CONTENT).values():
+        if len(names) > 1:
+            best = min(names, key=lambda one: (rows[one].get("path") in excluded, *_as_original(one)))
+            firsts |= dict.fromkeys(names, best)
     return {name: one for name, one in sorted(firsts.items()) if name != one}
 
 
@@ -332,7 +309,6 @@ class Summary:
 
     def counts(self) -> dict[str, Any]:
         """Return the content of `study.json`."""
-        mixed = mixed_times(self.rows)
         return {
             **identity(STUDY),
             "recordings": len(self.rows),
@@ -341,7 +317,6 @@ class Summary:
             "uses": dict(sorted(Counter(row["use"] for row in self.once if row.get("use")).items())),
             "models": dict(sorted(Counter(row["model"] for row in self.once if row["model"]).items())),
             "time_zones": time_zones(self.rows),
-            "mixed_times": None if mixed is None else sentence(mixed),
             "waiting": self.waiting,
             "left_out": self.left_out,
             "files_left_out": [
@@ -367,12 +342,6 @@ def time_zones(rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     """Return the number of Parquet files with times in UTC, and in an unknown zone."""
     zones = (row.get("time_zone") for row in rows if row["parquet"])
     return dict(sorted(Counter(zone for zone in zones if zone).items()))
-
-
-def mixed_times(rows: Sequence[Mapping[str, Any]]) -> Reason | None:
-    """Return a warning against joining the Parquet files, if `time` is not of one type in all of them."""
-    zones = time_zones(rows)
-    return None if len(zones) < 2 else Reason.of("times_mixed", utc=zones[UTC], unknown=zones[UNKNOWN])
 
 
 def write(summary: Summary, out: Path, name: str) -> None:

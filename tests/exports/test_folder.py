@@ -75,7 +75,7 @@ def test_p3_usable_recordings_are_exported_and_refused_ones_are_a_line(
     assert "not in coefficients.csv: another recording has the name night.csv" in done.err
     again = exported(capsys, study, tmp_path)
     assert again.code == 5 and "night.csv: is there already; use --force to replace it" in again.err
-    assert exported(capsys, study, tmp_path, "--force", "-q").err.count("\n") == 1
+    assert exported(capsys, study, tmp_path, "--force", "-q").err.count("\n") == 2
 
 
 def test_p3_a_folder_its_summary_patterns_reports_and_calibrated_files_are_the_same(

@@ -292,7 +292,7 @@ class Nights:
         self.left, self.maybe_left = now, set()
 
 
-LEFT = ("stays, and --prune removes it: ", "No recording of the last run is left there")
+LEFT = ("stays, and --prune removes it: ", "No recording of the last run is left in this folder")
 """Parts of the lines about results whose recording is gone."""
 
 
@@ -340,7 +340,8 @@ def orphans(found: Contents) -> list[str]:
 def without_orphans(found: Contents) -> Contents:
     """What is compared: the names of what is left over are looked at apart."""
     about: Any = found["study.json"]
-    kept = {name: held for name, held in about.items() if name not in ("orphans", "not_listed", "findings")}
+    kept = {name: held for name, held in about.items() if name not in ("orphans", "not_listed")}
+    kept["findings"] = [one for one in about["findings"]["listed"] if not is_of_left(one["message"])]
     return {**found, "study.json": kept}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import os
 import time
@@ -90,9 +91,12 @@ def test_two_columns_are_enough(tmp_path: Path) -> None:
 
 
 def test_the_table_of_a_study_that_a_person_saved_under_another_name_is_read(tmp_path: Path) -> None:
-    head = ["path", "use", "why", "decided_by", "note", "result"]
-    found = read(tmp_path, csv_text(head, [["=1+1.cwa", "no", "because", None, None, "r2"]]))
-    assert [(one.recording, one.use, one.result) for one in found.rows] == [("=1+1.cwa", "no", "r2")]
+    head = ["path", "use", "why", "decided_by", "decided_at", "note", "result"]
+    rows = [
+        ["=1+1.cwa", "no", "because", by, "2026-11-27", None, "r2"] for by in ("B. Meyer", "a person", None)
+    ]
+    found = cells(read(tmp_path, csv_text(head, rows)))
+    assert found == [("=1+1.cwa", "no", "", by, "2026-11-27", "r2") for by in ("B. Meyer", "", "")]
 
 
 def test_hostile_cells_stay_texts(tmp_path: Path) -> None:
@@ -247,15 +251,57 @@ def test_a_decision_on_another_result_is_told_and_the_more_cautious_counts(
     changes, findings = decided(tmp_path, f"recording,use,result\n{path},{said},r9\n")
     values = {"recording": path, "row": 2, "decided": said, "use": counts}
     assert findings == [("decision_outdated", values)]
-    assert changes[path]["use"] == counts
+    assert [change["use"] for change in changes.values()] == ([said] if said == counts else [])
 
 
-def test_many_findings_end_with_their_number(tmp_path: Path) -> None:
-    text = "recording,use\n" + "".join(f"x{n}.cwa,no\n" for n in range(150))
-    found = merged(read(tmp_path, text), TABLE)
-    assert len(found.said()) == module.MOST_FINDINGS + 1
-    assert sentence(found.said()[-1]) == "50 more findings about rows."
-    assert found.as_json()["findings"][-1]["values"] == {"number": 50}
+@pytest.mark.parametrize(
+    ("said", "parquet"), [("yes", None), ("with care", None), ("yes", "a"), ("no", None)]
+)
+def test_t_without_data_nobody_decides_to_use_a_recording(
+    said: str, parquet: str | None, tmp_path: Path
+) -> None:
+    row = TABLE[1] | {"outcome": "refused", "parquet": parquet}
+    found = merged(read(tmp_path, f"recording,use\nb/c.cwa,{said}\n"), [row])
+    stays = said != "no" and parquet is None
+    assert [one.code for one in found.findings] == ["decision_without_data"] * stays
+    assert [change["use"] for change in found.changes.values()] == ([] if stays else [said])
+
+
+BYTES = [{"sha256": "1", "sensor": None, "device_serial": "A"}, {"sha256": "2", "sensor": None}]
+
+
+def of_bytes(*paths: str, at: int = 0, **more: Any) -> list[dict[str, Any]]:
+    return [{**TABLE[0], **BYTES[at], "path": path, "decided_by": None} | more for path in paths]
+
+
+@pytest.mark.parametrize("path", ["P1 (copy).b", "P1 backup.b", "P1.b", "x/P1 (2).b"])
+def test_r2_an_exclusion_reaches_all_copies_of_its_person(path: str, tmp_path: Path) -> None:
+    """In any order of names, but neither those of other people nor what a row is about."""
+    rows = of_bytes("P1 (copy).b", "P1 backup.b", "P1 mine.b", "P1.b", "P2.b", "x/P1 (2).b")
+    found = merged(read(tmp_path, f"recording,use\n{path},no\nP1 mine.b,yes\n"), rows)
+    assert found.excluded == {"P1 (copy).b", "P1 backup.b", "P1.b", "x/P1 (2).b"}
+    assert (found.named, found.as_json()["decided"]) == ({path, "P1 mine.b"}, 2)
+
+
+@pytest.mark.parametrize("night", ["first", "later", "gone between"])
+def test_r2_an_exclusion_follows_the_bytes_to_a_new_name(night: str, tmp_path: Path) -> None:
+    """Not to a name that they had before, unless it was excluded; nor where a row is about that."""
+    decisions, excluded = read(tmp_path, "recording,use\nP1.b,no\n"), {"use": "no", "decided_by": "B"}
+    last = (
+        of_bytes("P7.b")
+        + of_bytes("P5.b", at=1)
+        + of_bytes("P9.b" if night == "later" else "P1.b", **excluded)
+    )
+    gone = {} if night == "first" else {"P1.b": ("1", None)}
+    last = last[:2] if night == "gone between" else last
+    for text, follows in (("", ["P5.b", "P9.b"]), ("P9.b,yes\n", ["P5.b"])):
+        decisions = read(tmp_path, f"recording,use\nP1.b,no\n{text}")
+        decisions = dataclasses.replace(decisions, last=last, gone=gone)
+        found = merged(decisions, of_bytes("P5.b", "P7.b", "P9.b") + of_bytes("P6.b", at=1))
+        assert sorted(found.excluded) == follows
+        (one,) = found.findings
+        assert (one.code, one.values["now"]) == ("decision_followed", follows[0])
+        assert found.as_json()["gone"] == {"P1.b": ("1", None)}
 
 
 @pytest.mark.parametrize("note", ["", "x" * 100, "\u00e9" * module.LONGEST])
@@ -271,7 +317,7 @@ def test_h3_what_a_study_keeps_of_many_decisions_can_be_read_again(note: str, tm
 
 def test_h3_rows_that_contradict_are_named_with_how_many_more(tmp_path: Path) -> None:
     text = "recording,use\n" + "".join(f"a.cwa,{use}\n" for use in ["no", "yes"] * 50)
-    (found,) = merged(read(tmp_path, text), TABLE).said()
+    (found,) = merged(read(tmp_path, text), TABLE).findings
     assert found.values == {"recording": "a.cwa", "rows": list(range(2, 12)), "more": 90, "use": "no"}
     assert sentence(found).startswith(
         "Rows 2, 3, 4, 5, 6, 7, 8, 9, 10, 11 and 90 more contradict each other on "

@@ -152,7 +152,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     ],
     "damaged": [{"lost_percent": 61.53, "lost_bytes": 1234567, "limit_percent": 50.0}],
     "decided_by_a_person": [
-        {"who": who, "when": when, "note": note, "decided": decided, "own": "yes"}
+        {"who": who, "when": when, "note": note, "decided": decided}
         for who, when, note, decided in (
             ("", "", "", "yes"),
             ("", "2026-11-27", "", "with care"),
@@ -169,7 +169,8 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
         {"recording": "a.cwa", "rows": [2, 5], "more": 7, "use": "no"},
         {"recording": "a.cwa", "rows": [2, 5], "use": "no"},
     ],
-    "decisions_more": [{"number": 12}],
+    "decision_followed": [{"row": 2, "recording": "a.cwa", "now": "b.cwa"}],
+    "decision_without_data": [{"row": 2, "recording": "a.cwa", "decided": "yes", "use": "no"}],
     "donor": [{"path": "a.cwa", "why": {"code": "not_less", "values": WORSE_HERE}}],
     "error_may_reach": [{"high_mg": 12.34, "everywhere": everywhere} for everywhere in (False, True)],
     "factory_calibration_differs": [{"applied_here": here} for here in (False, True)],

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from accelcal_cli.devices.trends import Drift
 from accelcal_cli.output import sentences
 from accelcal_cli.output.sentences import outcome_words
 from accelcal_cli.pages import study_figures
@@ -60,7 +61,7 @@ def content(*rows: dict[str, Any], **more: Any) -> StudyContent:
 def device(
     name: str, verdict: str = "good", drift: float | None = None, reasons: tuple[str, ...] = ()
 ) -> DeviceLine:
-    offset = None if drift is None else study_figures.Drift(drift, 0.1, abs(drift) > 1)
+    offset = None if drift is None else Drift(drift, 0.1, 1.0, 9, 0.5, abs(drift) > 1)
     return DeviceLine(
         name, verdict, reasons, 8, 7, 1, "2025-01-06T09:30", "2025-08-04T09:30", 0.5, offset, None
     )
@@ -262,9 +263,9 @@ def test_dots_lie_where_their_errors_are() -> None:
 def test_drifts_are_drawn_the_fastest_first_with_their_limits() -> None:
     figure = study_figures.drifts(
         [
-            ("slow", study_figures.Drift(0.5, 0.1, False)),
+            ("slow", Drift(0.5, 0.1, 1.0, 9, 0.5, False)),
             ("none", None),
-            ("fast", study_figures.Drift(-4, 0.2, True)),
+            ("fast", Drift(-4, 0.2, 1.0, 9, 0.0, True)),
         ],
         2.0,
     )

@@ -84,7 +84,7 @@ def test_u50_each_trouble_with_a_decision_is_one_line(folder: Path) -> None:
         "accelcal: decisions.csv: Rows 3 and 4 contradict each other on sub/b.raw. The most cautious of them "
         "counts: no.",
     ]
-    found = summary(folder)["decisions"]["findings"]
+    found = summary(folder)["findings"]["listed"]
     assert [one["code"] for one in found] == [
         "decision_unreadable", "decision_without_recording", "decision_outdated", "decisions_contradict",
     ]  # fmt: skip
@@ -149,6 +149,13 @@ def test_u50_an_export_skips_what_a_person_excluded(folder: Path) -> None:
     decide(folder, "recording,use\na.raw,yes\nsub/b.raw,no\n")
     ran = run("export", out, "--to", "csv", "-d", folder.parent / "two")
     assert [one.name for one in (folder.parent / "two").iterdir()] == ["a.csv"]
+    given = [f"{out}/sub/*.json", f"{out}/sub/b.calibrated.parquet", f"{out}/sub/b.calibration.json"]
+    for number, words in enumerate((given[:1], given[1:2], given[2:])):
+        ran = run("export", *words, "--to", "csv", "-d", folder.parent / f"other{number}", code=1)
+        assert ran.err.endswith("a person decided not to use it; skipped\n")
+    assert run("export", *given[2:], "--to", "ggir", code=1).out == ""
+    ran = run("export", given[1], "--to", "csv", "-o", folder.parent / "b.csv", code=2)
+    assert "is not exported: a person decided not to use it; change decisions.csv" in ran.err
     decide(folder, "nothing\n")
     assert run("export", out, "--to", "csv", "-d", folder.parent / "three").code == 3
 
@@ -170,6 +177,6 @@ def test_u50_a_name_like_a_formula_comes_back_from_a_spreadsheet(tmp_path: Path)
         (row,) = csv.DictReader(file)
     assert row["path"] == "'=1+1.raw"
     with (tmp_path / "out" / "decisions.csv").open("w", newline="") as file:
-        csv.writer(file).writerows([["path", "use"], [row["path"], "with care"]])
+        csv.writer(file).writerows([["path", "use", "who"], [row["path"], "no", "B"]])
     exit_code(*words)
-    assert rows(tmp_path / "out")[0]["use"] == "with care"
+    assert rows(tmp_path / "out")[0]["decided_by"] == "B"

@@ -12,12 +12,13 @@ from typing import Any
 import pytest
 
 from accelcal_cli.core.errors import Reason
-from accelcal_cli.output.decisions import MOST_LISTED
-from accelcal_cli.studies import findings, summary
+from accelcal_cli.output import decisions, sentences
+from accelcal_cli.output.decisions import MOST_LISTED, of_another_name
+from accelcal_cli.studies import findings, orphans, summary
 from accelcal_cli.studies.findings import Finding
 from tests.cli.run import Ran
 from tests.cli.studies import csv_rows, rows, study, study_folder
-from tests.recordings import directions, still_counts, write_csv
+from tests.recordings import directions, still_counts, write_csv, write_raw
 
 NAMES = ("P001.raw", "site/P002.raw", "site/P003.raw")
 
@@ -52,6 +53,20 @@ def contradiction(folder: Path) -> None:
 
 def outdated(folder: Path) -> None:
     decide(folder, "P001.raw,no,r0123456789\n")
+
+
+def followed(folder: Path) -> None:
+    decide(folder, "P001.raw,no,\n")
+    night(folder, "-q")
+    renamed(folder)
+    for one in (folder.parent / "out").glob("P001.*"):
+        one.unlink()
+
+
+def without_data(folder: Path) -> None:
+    write_raw(folder / "P004.raw", still_counts(directions(1)))
+    night(folder, "-q")
+    decide(folder, "P004.raw,yes,\n")
 
 
 def decisions_deleted(folder: Path) -> None:
@@ -91,17 +106,24 @@ EVERY: dict[str, tuple[Callable[[Path], None], str]] = {
     "decision_without_recording": (no_such_name, "decisions.csv: Row 2 names P01, which is not a recording "),
     "decisions_contradict": (contradiction, "decisions.csv: Rows 2 and 3 contradict each other on P001.raw."),
     "decision_outdated": (outdated, "decisions.csv: The result of P001.raw has changed since row 2 decided "),
-    "decisions_gone": (decisions_deleted, "decisions.csv: It is gone, and 2 decisions with it. Put it back."),
+    "decision_followed": (
+        followed,
+        "decisions.csv: Row 2 excludes P001.raw, which is now called P009.raw and ",
+    ),
+    "decision_without_data": (without_data, "decisions.csv: Row 2 decides yes on P004.raw, which has no "),
+    "decisions_gone": (
+        decisions_deleted,
+        "decisions.csv: The file is gone, and 2 decisions with it. Put it ",
+    ),
     "recording_gone": (deleted, "site/P003.calibration.json stays, and --prune removes it: its recording "),
     "recording_renamed": (renamed, "P001.calibration.json stays, and --prune removes it: its recording P001"),
-    "disk_may_be_away": (unmounted, "site: No recording of the last run is left there, or its disk is "),
+    "disk_may_be_away": (unmounted, "site: No recording of the last run is left in this folder, or it "),
     "file_cut_short": (cut_short, "P004.csv.gz: The file is cut short"),
     "copied_under_another_name": (two_names, "P007.raw: It has the same bytes as P001.raw, under another "),
 }
 """Findings by code: what makes each, and how its line begins, which a run, the log and the page have."""
 
 OTHERS = {
-    "decisions_more": "many findings of decisions, tests/output/test_decisions.py",
     "recording_elsewhere": "test_whose_study.py",
     "sensor_gone": "test_sensors.py",
     "pool_refused": "test_pool.py",
@@ -131,10 +153,9 @@ def test_d2_a_quiet_night_says_it_once_and_all_else_has_it(code: str, folder: Pa
 
 
 def test_every_finding_has_its_line() -> None:
-    source = Path(findings.__file__).read_text() + Path(findings.__file__).with_name("orphans.py").read_text()
-    source += Path(findings.__file__).parents[1].joinpath("output/decisions.py").read_text()
-    for code in EVERY | OTHERS:
-        assert f'"{code}"' in source + Path(summary.__file__).read_text()
+    source = "".join(Path(str(one.__file__)).read_text() for one in (findings, orphans, decisions, summary))
+    made = {code for code in sentences.FILES if f'"{code}"' in source}
+    assert made - {"decided_by_a_person", "excluded"} == {*EVERY, *OTHERS}
 
 
 def test_d2_what_changes_is_said_again_and_what_ends_is_not(folder: Path) -> None:
@@ -174,11 +195,23 @@ def test_h3_of_many_findings_the_first_are_listed_and_the_rest_is_said_once(numb
     assert [line for line, new in findings.lines(other, held) if new] == [lines[-1][0] if more else "another"]
 
 
-@pytest.mark.parametrize("odd", [None, 3, [], {"listed": 3}, {"listed": [3, {}]}, {"listed": [], "rest": []}])
+@pytest.mark.parametrize(
+    "odd",
+    [
+        None, 3, [], {"listed": 3}, {"listed": [3, {}]}, {"listed": [], "rest": []}, {"decided": "3"},
+        {"listed": [{"code": [], "message": {}, "values": {"code": 3}}]},
+    ],
+)  # fmt: skip
 def test_findings_that_others_changed_are_none(odd: Any) -> None:
     one = Finding(Reason("recording_gone"), "it is gone")
     assert list(findings.lines([one], {"findings": odd})) == [("it is gone", True)]
     assert list(findings.of_decisions(None, {"findings": odd, "decisions": odd})) == []
+
+
+def test_decisions_that_others_say_are_gone_are_as_they_say() -> None:
+    odd = {"code": "decisions_gone", "message": 3, "values": {"code": 3}}
+    (one,) = findings.of_decisions(None, {"findings": {"listed": [odd]}})
+    assert one.as_json() == odd | {"message": "3"}
 
 
 @pytest.mark.parametrize(
@@ -194,7 +227,7 @@ def test_findings_that_others_changed_are_none(odd: Any) -> None:
 def test_d9_the_original_has_the_fewest_words(paths: tuple[str, ...], original: str) -> None:
     table = {path: {"sha256": "1", "device_serial": "A", "sensor": None} for path in paths}
     assert summary.copies(table) == dict.fromkeys(sorted({*paths} - {original}), original)
-    assert not any(summary.of_another_name(path, original) for path in paths)
+    assert not any(of_another_name(path, original) for path in paths)
 
 
 @pytest.mark.parametrize(
@@ -207,7 +240,7 @@ def test_d9_the_original_has_the_fewest_words(paths: tuple[str, ...], original: 
     ],
 )
 def test_d9_two_people_are_of_another_name(path: str, other: str) -> None:
-    assert summary.of_another_name(path, other) and summary.of_another_name(other, path)
+    assert of_another_name(path, other) and of_another_name(other, path)
 
 
 @pytest.mark.parametrize("excluded", ["P001.raw", "P001 (copy).raw"])
@@ -224,7 +257,16 @@ def test_d9_who_is_excluded_is_not_there_as_a_copy(excluded: str, folder: Path) 
 
 
 def test_d9_of_two_people_the_excluded_one_settles_it(folder: Path) -> None:
+    """Whichever it is: the other one counts, and a pair is said once."""
     two_names(folder)
-    decide(folder, "P007.raw,no,\n")
-    assert night(folder, "-q").err == ""
-    assert {row["path"]: row["use"] for row in csv_rows(folder.parent / "out")}["P001.raw"] == "yes"
+    assert night(folder).err.count("P007.raw: ") == 1
+    for excluded, other in (("P007.raw", "P001.raw"), ("P001.raw", "P007.raw")):
+        decide(folder, f"{excluded},no,\n")
+        assert night(folder, "-q").err == ""
+        table = {row["path"]: row for row in csv_rows(folder.parent / "out")}
+        assert (table[other]["use"], table[other]["copy_of"], table[excluded]["copy_of"]) == (
+            "yes",
+            "",
+            other,
+        )
+        assert json.loads((folder.parent / "out/study.json").read_text())["uses"] == {"yes": 3}

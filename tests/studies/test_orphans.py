@@ -35,6 +35,7 @@ def test_u3_results_whose_recording_is_gone_are_listed_and_pruned(tmp_path: Path
     (folder / "a.raw").unlink()
     (folder / "north/b.raw").rename(folder / "north/d.raw")
     (folder / "north/b.layout.toml").rename(folder / "north/d.layout.toml")
+    assert "now called north/d.raw" in study(folder, "--dry-run").err
     gone = {"a.calibration.json": "recording_gone", "north/b.calibration.json": "recording_renamed"}
     for _ in range(2):
         ran = study(folder)
@@ -49,6 +50,14 @@ def test_u3_results_whose_recording_is_gone_are_listed_and_pruned(tmp_path: Path
     assert not [name for name in left if name.startswith(("a.", "north/b."))]
     assert {"north/c.calibration.json", "north/d.calibrated.parquet"} <= left
     assert told(out) == {}
+
+
+def test_t_a_folder_without_files_is_said_to_be_one(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    ran = study(tmp_path / "in", code=2)
+    assert ran.err.endswith(
+        "holds no file that may be a recording; check the path, and that its disk is mounted\n"
+    )
 
 
 def test_u3_nothing_is_pruned_that_may_be_there(tmp_path: Path) -> None:

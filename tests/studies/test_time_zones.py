@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from accelcal_cli.studies.findings import as_json, lines, of_times
-from accelcal_cli.studies.summary import Summary, mixed_times
+from accelcal_cli.studies.summary import Summary
 
 
 def rows(*zones: str | None) -> list[dict[str, str | None]]:
@@ -20,21 +20,22 @@ def rows(*zones: str | None) -> list[dict[str, str | None]]:
 )
 def test_times_of_one_type_need_no_word(zones: tuple[str | None, ...], counts: dict[str, int]) -> None:
     content = Summary(rows(*zones), {}).counts()
-    assert (content["time_zones"], content["mixed_times"]) == (counts, None)
+    assert (content["time_zones"], [*of_times(rows(*zones))]) == (counts, [])
 
 
 def test_mixed_times_are_told_with_the_way_out() -> None:
     content = Summary(rows("UTC", "unknown", "UTC"), {}).counts()
     assert content["time_zones"] == {"UTC": 2, "unknown": 1}
-    assert content["mixed_times"].startswith(
+    (found,) = of_times(rows("UTC", "unknown", "UTC"))
+    assert found.line.startswith(
         "Times are in UTC in 2 Parquet files, and in local time of an unknown zone in 1 "
     )
-    assert "--timezone" in content["mixed_times"]
+    assert "--timezone" in found.line
 
 
 def test_what_wrote_no_parquet_is_not_counted() -> None:
     refused = {"outcome": "refused", "model": None, "parquet": None, "time_zone": "unknown"}
-    assert mixed_times([*rows("UTC"), refused]) is None
+    assert [*of_times([*rows("UTC"), refused])] == []
 
 
 def test_a_quiet_run_tells_of_mixed_times_once() -> None:

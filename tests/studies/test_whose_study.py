@@ -66,7 +66,7 @@ def test_one_of_several_folders_is_a_part_and_a_further_one_is_not(tmp_path: Pat
     one, two, three = (study_folder(tmp_path / name, (f"{name}.raw",)) for name in ("A", "B", "C"))
     out = tmp_path / "out"
     study(one, two, out=out, code=0)
-    assert f"{out}: holds the results of {two}, not of {one}" not in study(one, out=out, code=2).out
+    assert f"{out}: holds the results of {one} and {two}, not of {one};" in study(one, out=out, code=2).err
     study(one, three, out=out, code=2)
     study(one, two, three, out=out, code=0)
     assert [row["path"] for row in rows(out)] == ["A/A.raw", "B/B.raw", "C/C.raw"]
@@ -100,6 +100,15 @@ def test_the_same_folder_is_known_again(way: Any, folder: Path) -> None:
     assert list(codes(out)) == ["p1/a.calibration.json"]
     study(there, out=out, words=("--prune",), code=0)
     assert not (out / "p1/a.calibration.json").exists() and (out / "p1/b.calibration.json").exists()
+
+
+def test_t_what_a_copy_lacks_is_said_at_once(folder: Path) -> None:
+    """Also while the first folder is there; the second run says the same."""
+    out, copy = folder.parent / "out", Path(shutil.copytree(folder, folder.parent / "copy"))
+    (copy / "p1/a.raw").unlink()
+    for _ in range(2):
+        study(copy, out=out, code=0)
+        assert codes(out) == {"p1/a.calibration.json": "recording_elsewhere"}
 
 
 @pytest.mark.parametrize("change", ["content", "size", "few"])

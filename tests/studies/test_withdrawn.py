@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -70,6 +71,11 @@ def test_d11_who_is_excluded_is_in_no_pool_and_gets_nothing_from_one(here: Path)
     }  # fmt: skip
     study(here, "--report-only", "--keep-teaching")
     assert members(here) == ["a", "b", "c", "short"]
+    (pooled,) = [one["result"] for one in rows(here / "out") if one["path"] == "short.raw"]
+    for result in ("", pooled, "r0123456789"):  # of the pool, of which its own result knows nothing
+        (here / "out/decisions.csv").write_text(f"recording,use,result\nshort.raw,yes,{result}\n")
+        study(here, "--report-only")
+        assert members(here) == ["a", "b", "c", "short"]
 
 
 @pytest.mark.parametrize("silent", [["d1"], ["d1", "d4"], ["more"]])
@@ -97,6 +103,20 @@ def test_d11_who_is_excluded_is_in_no_registry(before: bool, here: Path) -> None
     assert "1 recording excluded by people" in ran.err
     held = json.loads(registry.read_text())["devices"]["A1"]
     assert sorted(one["report"]["recording"]["path"] for one in held) == ["b.raw", "c.raw"]
-    shown = [run("devices", here / "out", "--json", *more, "-q").out for more in ((), ("--keep-teaching",))]
-    assert [len(json.loads(one)["devices"][0]["history"]) for one in shown] == [3, 4]
+    shown = [
+        json.loads(run("devices", here / "out", "--json", *more, "-q").out)
+        for more in ((), ("--keep-teaching",))
+    ]
+    assert [(len(one["devices"][0]["history"]), one["excluded"]) for one in shown] == [(3, 1), (4, 0)]
     assert "3 good calibrations" in run(*words, "--keep-teaching").err
+
+
+def test_r2_the_same_bytes_under_another_name_stay_in_the_registry(here: Path) -> None:
+    for suffix in ("raw", "layout.toml"):
+        shutil.copy(here / f"in/a.{suffix}", here / f"in/d.{suffix}")
+    study_in(here, "--report-only")
+    exclude(here, "a")
+    ran = run("devices", here / "out", "--registry", here / "registry.json")
+    assert "3 good calibrations of 1 device" in ran.err
+    held = json.loads((here / "registry.json").read_text())["devices"]["A1"]
+    assert sorted(one["report"]["recording"]["path"] for one in held) == ["b.raw", "c.raw", "d.raw"]
