@@ -293,9 +293,7 @@ _PRINTING = [
     click.option("--json", "as_json", is_flag=True, help="Print the reports, one JSON object a line."),
     click.option("--tsv", is_flag=True, help="Print tab-separated fields at a terminal too."),
     click.option("--force", is_flag=True, help="Redo what is up to date; overwrite foreign files."),
-    click.option(
-        "-q", "--quiet", is_flag=True, help="Say less: only errors and refusals."
-    ),
+    click.option("-q", "--quiet", is_flag=True, help="Say less: only errors and refusals."),
     click.option("-v", "--verbose", is_flag=True, help="Say more."),
 ]
 

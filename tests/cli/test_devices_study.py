@@ -22,9 +22,8 @@ def write_month(folder: Path, serial: str, month: int, drift_mg: np.ndarray) -> 
     """A recording of the device in a month, with its layout beside it."""
     offset = OFFSET_G + month * drift_mg / 1000
     held = np.repeat(directions(40) @ np.linalg.inv(GAIN).T - offset, round(SECONDS * RATE_HZ), axis=0)
-    held = held + 0.003 * np.random.RandomState(month + 10 * len(serial) + int(drift_mg.any())).randn(
-        *held.shape
-    )
+    noise = np.random.RandomState(month + 10 * len(serial) + int(drift_mg.any())).randn(*held.shape)
+    held = held + 0.003 * noise
     path = folder / f"{serial}-{month}.raw"
     path.write_bytes(np.rint(held * LSB_PER_G).astype("<i2").tobytes())
     begin = (datetime.fromisoformat(START) + timedelta(days=month * 365.25 / 12)).isoformat()
@@ -42,19 +41,16 @@ def test_a_drift_put_into_recordings_is_found(tmp_path: Path, capsys: Capture) -
     assert study(capsys, folder, "-q").code == 0
     told = json.loads(run(capsys, "devices", tmp_path / "out", "--json").out)
     moves, stays = told["devices"]
-    assert [(one["serial"], one["verdict"]) for one in (moves, stays)] == [
-        ("moves", "service"), ("stays", "good"),
-    ]  # fmt: skip
+    assert (moves["serial"], moves["verdict"]) == ("moves", "service")
+    assert (stays["serial"], stays["verdict"]) == ("stays", "good")
     for axis, drift in zip("xyz", DRIFT_MG, strict=True):
         found = moves["parameters"][f"offset_{axis}"]["drift"]
         assert abs(found["per_month"] - drift) < 4 * found["error"]
         assert found["error"] < 0.1
         still = stays["parameters"][f"offset_{axis}"]
         assert abs(still["drift"]["per_month"]) < 4 * still["drift"]["error"]
-        first = OFFSET_G["xyz".index(axis)]
-        assert moves["parameters"][f"offset_{axis}"]["value"] == pytest.approx(
-            1000 * first + 4 * drift, abs=0.2
-        )
+        last = 1000 * OFFSET_G["xyz".index(axis)] + 4 * drift
+        assert moves["parameters"][f"offset_{axis}"]["value"] == pytest.approx(last, abs=0.2)
     assert moves["reasons"][0]["text"].startswith("offset x drifts by +6.0")
     assert moves["history"][0]["k_yx"] == pytest.approx(GAIN[1, 0], abs=1e-3)
     assert moves["history"][0]["k_zy"] == pytest.approx(GAIN[2, 1], abs=1e-3)

@@ -182,18 +182,14 @@ def test_a_foreign_ledger_stays(tmp_path: Path) -> None:
 
 
 def test_a_copy_is_known_by_device_and_content() -> None:
-    def row(serial: str | None, sha256: str, outcome: str = "refused") -> dict[str, Any]:
+    def row(serial: str | None, sha256: str | None, outcome: str = "refused") -> dict[str, Any]:
         same = {"device_model": None, "lsb_per_g": 256.0, "range_g": 8.0, "lost_percent": 0.0}
         return {"device_serial": serial, "sha256": sha256, "outcome": outcome, **same}
 
-    table = {
-        "c": row("A", "1"),
-        "a": row("A", "2"),
-        "b": row("A", "1"),
-        "d": row("B", "1"),
-        "e": row("B", "1"),
-    }
+    serials = {"c": "A1", "a": "A2", "b": "A1", "d": "B1", "e": "B1"}
+    table = {name: row(serial, sha256) for name, (serial, sha256) in serials.items()}
     table |= {"f": row(None, "3"), "g": row(None, "3"), "h": row("A", "4", "borrowed")}
+    table |= {"i": row(None, None), "j": row(None, None)}
     assert copies(table) == {"c": "b", "e": "d", "g": "f"}
     assert pools(table) == [["a", "b"]]
 
@@ -211,16 +207,15 @@ def test_copies_of_one_file_count_once_in_a_pool(tmp_path: Path) -> None:
     alone = report_of(pool)
     write_device(folder / "two again.raw", values[half:])
     ran = study(folder, "--pool", "device", "--report-only", code=0)
-    assert "two.raw: a copy of two again.raw, which counts once" in ran.err
+    assert "two again.raw: a copy of two.raw, which counts once" in ran.err
     (pool,) = (tmp_path / "out").glob("study.pool.*.json")
     made = report_of(pool)
     for section in ("calibration", "holdout", "fit", "coverage", "models_tried"):
         assert made[section] == alone[section]
     assert [len(made["pool"][name]) for name in ("recordings", "copies")] == [2, 1]
-    assert made["pool"]["copies"][0]["path"].endswith("two.raw")
+    assert made["pool"]["copies"][0]["path"].endswith("two again.raw")
     table = {row["path"]: row for row in rows(tmp_path / "out")}
     assert [row["pool_recordings"] for row in table.values()] == ["2"] * 3
-    assert {path: row["copy_of"] for path, row in table.items()} == {
-        "one.raw": "", "two again.raw": "", "two.raw": "two again.raw",
-    }  # fmt: skip
+    copied = {path: row["copy_of"] for path, row in table.items()}
+    assert copied == {"one.raw": "", "two again.raw": "two.raw", "two.raw": ""}
     assert "3 unchanged" in study(folder, "--pool", "device", "--report-only").err

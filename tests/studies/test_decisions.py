@@ -149,12 +149,12 @@ def test_u50_an_export_skips_what_a_person_excluded(folder: Path) -> None:
     decide(folder, "recording,use\na.raw,yes\nsub/b.raw,no\n")
     ran = run("export", out, "--to", "csv", "-d", folder.parent / "two")
     assert [one.name for one in (folder.parent / "two").iterdir()] == ["a.csv"]
-    given = [f"{out}/sub/*.json", f"{out}/sub/b.calibrated.parquet", f"{out}/sub/b.calibration.json"]
-    for number, words in enumerate((given[:1], given[1:2], given[2:])):
-        ran = run("export", *words, "--to", "csv", "-d", folder.parent / f"other{number}", code=1)
+    data, report = out / "sub/b.calibrated.parquet", out / "sub/b.calibration.json"
+    for number, one in enumerate((f"{out}/sub/*.json", data, report)):
+        ran = run("export", one, "--to", "csv", "-d", folder.parent / f"other{number}", code=1)
         assert ran.err.endswith("a person decided not to use it; skipped\n")
-    assert run("export", *given[2:], "--to", "ggir", code=1).out == ""
-    ran = run("export", given[1], "--to", "csv", "-o", folder.parent / "b.csv", code=2)
+    assert run("export", report, "--to", "ggir", code=1).out == ""
+    ran = run("export", data, "--to", "csv", "-o", folder.parent / "b.csv", code=2)
     assert "is not exported: a person decided not to use it; change decisions.csv" in ran.err
     decide(folder, "nothing\n")
     assert run("export", out, "--to", "csv", "-d", folder.parent / "three").code == 3

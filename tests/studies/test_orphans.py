@@ -52,14 +52,6 @@ def test_u3_results_whose_recording_is_gone_are_listed_and_pruned(tmp_path: Path
     assert told(out) == {}
 
 
-def test_t_a_folder_without_files_is_said_to_be_one(tmp_path: Path) -> None:
-    (tmp_path / "in").mkdir()
-    ran = study(tmp_path / "in", code=2)
-    assert ran.err.endswith(
-        "holds no file that may be a recording; check the path, and that its disk is mounted\n"
-    )
-
-
 def test_u3_nothing_is_pruned_that_may_be_there(tmp_path: Path) -> None:
     """Not what is excluded, nor of a recording elsewhere, nor most of a study, as when a disk is missing."""
     folder, out = study_folder(tmp_path / "in", NAMES), tmp_path / "out"

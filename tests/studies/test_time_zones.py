@@ -9,9 +9,8 @@ from accelcal_cli.studies.summary import Summary
 
 
 def rows(*zones: str | None) -> list[dict[str, str | None]]:
-    return [
-        {"outcome": "calibrated", "model": "9", "parquet": "a.parquet", "time_zone": zone} for zone in zones
-    ]
+    row = {"outcome": "calibrated", "model": "9", "parquet": "a.parquet"}
+    return [{**row, "time_zone": zone} for zone in zones]
 
 
 @pytest.mark.parametrize(
@@ -19,23 +18,16 @@ def rows(*zones: str | None) -> list[dict[str, str | None]]:
     [(("UTC", "UTC"), {"UTC": 2}), (("unknown",), {"unknown": 1}), ((None,), {}), ((), {})],
 )
 def test_times_of_one_type_need_no_word(zones: tuple[str | None, ...], counts: dict[str, int]) -> None:
-    content = Summary(rows(*zones), {}).counts()
-    assert (content["time_zones"], [*of_times(rows(*zones))]) == (counts, [])
+    table = [*rows(*zones), {"outcome": "refused", "model": None, "parquet": None, "time_zone": "unknown"}]
+    assert (Summary(table, {}).counts()["time_zones"], [*of_times(table)]) == (counts, [])
 
 
 def test_mixed_times_are_told_with_the_way_out() -> None:
-    content = Summary(rows("UTC", "unknown", "UTC"), {}).counts()
-    assert content["time_zones"] == {"UTC": 2, "unknown": 1}
-    (found,) = of_times(rows("UTC", "unknown", "UTC"))
-    assert found.line.startswith(
-        "Times are in UTC in 2 Parquet files, and in local time of an unknown zone in 1 "
-    )
-    assert "--timezone" in found.line
-
-
-def test_what_wrote_no_parquet_is_not_counted() -> None:
-    refused = {"outcome": "refused", "model": None, "parquet": None, "time_zone": "unknown"}
-    assert [*of_times([*rows("UTC"), refused])] == []
+    table = rows("UTC", "unknown", "UTC")
+    assert Summary(table, {}).counts()["time_zones"] == {"UTC": 2, "unknown": 1}
+    (found,) = of_times(table)
+    start = "Times are in UTC in 2 Parquet files, and in local time of an unknown zone in 1 "
+    assert found.line.startswith(start) and "--timezone" in found.line
 
 
 def test_a_quiet_run_tells_of_mixed_times_once() -> None:
