@@ -441,11 +441,8 @@ def added(out: Path, path: Path, *, keep_teaching: bool = False) -> str:
 
 def _of_study(out: Path, keep_teaching: bool) -> tuple[list[RegistryEntry], set[str]]:
     """Return the entries of the reports in a study's table, and the hashes of those that people excluded."""
-    path = out / NAME
-    if not is_file(path):
-        hint = "give the folder that was given to `accelcal study` with -d, or a registry"
-        raise UsageError("does not exist", path=path, hint=hint)
-    rows = read_columns(path, ("report", *decisions.READ)).to_pylist()
+    _check_there(out / NAME)
+    rows = read_columns(out / NAME, ("report", *decisions.READ)).to_pylist()
     gone = {} if keep_teaching else decisions.excluded(out, rows)
     kept = [row for row in rows if row["path"] not in gone]
     entries = []

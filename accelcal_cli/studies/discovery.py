@@ -65,12 +65,6 @@ UNFINISHED = (
 """Ends of the names of downloads and copies that are not finished."""
 
 
-def unfinished(path: Path) -> Reason | None:
-    """Return the reason to leave out a download or a copy that is not finished; None for any other file."""
-    suffix = path.suffix.lower()
-    return Reason.of("unfinished_copy", suffix=suffix) if suffix in UNFINISHED else None
-
-
 def why_left_out(item: Item, options: ReadOptions, *, asked_for: bool) -> Reason | None:
     """Return why a file is not one of the study's recordings, by content; None for a recording.
 
@@ -393,8 +387,8 @@ def _never(path: Path) -> bool:
 
 def _why_by_name(path: Path, below: str, where: Where) -> Reason | None:
     """Return why a file is left out by its name or as what it is; None if its content decides."""
-    if (reason := unfinished(path)) is not None:
-        return reason
+    if (suffix := path.suffix.lower()) in UNFINISHED:
+        return Reason.of("unfinished_copy", suffix=suffix)
     if fits_pattern(below, where.exclude):
         return Reason.of("excluded", by="--exclude")
     if (whole := belongs_to(path)) is not None:

@@ -23,7 +23,6 @@ from accelcal_cli.core.errors import (
     Reason,
     UnreadableError,
     UsageError,
-    counted,
     printable,
 )
 from accelcal_cli.core.paths import files_below, is_there, matching
@@ -312,21 +311,6 @@ def _held(path: Path) -> tuple[dict[str, Any], Path | None] | None:
 def _made_by_study(report: dict[str, Any]) -> bool:
     command = section(report, "provenance").get("command")
     return isinstance(command, list) and not {"study", "accelcal.study"}.isdisjoint(map(str, command[:2]))
-
-
-def refuse_too_many(found: Collection[Orphan], rows: int, *, force: bool) -> None:
-    """Refuse to remove more results than stay: a disk may be missing.
-
-    Args:
-        rows: number of recordings of the study.
-
-    Raises:
-        UsageError: there are more orphans than recordings, and `force` is not given.
-    """
-    if len(found) > rows and not force:
-        what = f"--prune would remove {counted(len(found), 'result')}, more than the {rows} that stay"
-        hint = "check that all disks are there; --force removes them, and calibrates all recordings again"
-        raise UsageError(what, hint=hint)
 
 
 def prune(found: Collection[Orphan]) -> None:

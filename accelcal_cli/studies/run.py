@@ -169,9 +169,12 @@ def _say_orphans(left: Sequence[orphans.Orphan], what: str, note: Callable[[str]
 
 
 def _refuse_pruning(plan: Plan, left: Sequence[orphans.Orphan]) -> None:
+    """Raise UsageError if `--prune` would remove more results than stay: a disk may be missing."""
     stay = {*(item.name for item in plan.items()), *(entry.name for entry in plan.kept)}
-    if plan.study.prune:
-        orphans.refuse_too_many(left, len(stay), force=plan.study.request.force)
+    if plan.study.prune and len(left) > len(stay) and not plan.study.request.force:
+        what = f"--prune would remove {counted(len(left), 'result')}, more than the {len(stay)} that stay"
+        hint = "check that all disks are there; --force removes them, and calibrates all recordings again"
+        raise UsageError(what, hint=hint)
 
 
 class StudyRun:
