@@ -147,7 +147,7 @@ NUMBERS = [column.name for column in ALL if column.kind == "number"]
 @pytest.mark.nightly
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=20)
 @given(st.lists(st.tuples(st.integers(0, 99), st.sampled_from(NUMBERS), ODD), min_size=1, max_size=60))
-def test_numbers_that_cannot_be_stop_nothing(
+def test_odd_numbers_stop_nothing(
     tmp_path: Path, capsys: Capture, damage: list[tuple[int, str, float]]
 ) -> None:
     rows = [dict(row) for row in MIXED]

@@ -151,9 +151,7 @@ def test_data_say_what_they_are(tmp_path: Path, capsys: Capture) -> None:
         (("--to", "csv", "-o", "-"), "results are not written to standard output"),
     ],
 )
-def test_words_that_do_not_fit_together(
-    tmp_path: Path, capsys: Capture, words: tuple[str, ...], text: str
-) -> None:
+def test_words_that_do_not_fit(tmp_path: Path, capsys: Capture, words: tuple[str, ...], text: str) -> None:
     ran = run(capsys, "export", tmp_path / "a.calibrated.parquet", *words)
     assert ran.code == 2
     assert_one_line(ran, text)

@@ -110,9 +110,7 @@ def test_an_outlying_held_out_error(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("others", "limit"), [((1, 2, 3, 4, 5, 6), 4 + 5 * 1.4826 * 2), ((2, 2, 2, 2, 2, 2), 2 + 5 * 0.5)]
 )
-def test_what_is_usual_is_the_median_and_its_robust_deviation(
-    tmp_path: Path, others: tuple[int, ...], limit: float
-) -> None:
+def test_usual_is_the_median_and_its_deviation(tmp_path: Path, others: tuple[int, ...], limit: float) -> None:
     """Of seven errors, the last beyond the others: the median distance is the fourth, but at least 0.5 mg."""
     rows = [fitted(f"{number}", 0, after_mg=float(error)) for number, error in enumerate(others)]
     for error, found in ((limit - 0.01, []), (limit + 0.01, [("device_held_out", False)])):

@@ -99,7 +99,7 @@ def test_verdicts_14_sensors_in_turn_return_and_one_that_steps_does_not(tmp_path
 
 @pytest.mark.parametrize(("days", "lasts_days", "code"), [(2.0, 0, "two_sensors"), (2.1, 0, "device_step"),
                                                           (6.0, 7, "two_sensors")])  # fmt: skip
-def test_verdicts_14_near_in_time_is_two_days_or_an_overlap(
+def test_verdicts_14_near_is_two_days_or_an_overlap(
     tmp_path: Path, days: float, lasts_days: float, code: str
 ) -> None:
     rows = [sure("A", 0, duration_s=86_400.0 * lasts_days), sure("A", days, 0.03)]
@@ -126,9 +126,7 @@ def test_verdicts_14_a_fast_drift_is_a_drift_and_no_step(tmp_path: Path) -> None
     assert device.jumps and codes(device) == ["device_drift"]
 
 
-def test_verdicts_14_the_row_of_a_copy_names_the_original(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_verdicts_14_a_copy_names_its_original(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     row = fitted("A", 0, path="b")
     out = write(tmp_path, [row, row | {"path": "a"}, row | {"path": "c"}, fitted("A", 30, path="d")])
     told = csv.DictReader(io.StringIO(run(capsys, "devices", out, "--csv").out))
@@ -139,9 +137,7 @@ def test_verdicts_14_the_row_of_a_copy_names_the_original(
     assert (device["recordings"], device["uses"]) == (2, {"copy": 2, "used": 2})
 
 
-def test_verdicts_are_codes_with_values_and_a_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_verdicts_have_codes_and_sentences(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = write(tmp_path, drifting("D", 0.005))
     (device,) = json.loads(run(capsys, "devices", out, "--json").out)["devices"]
     (reason,) = device["reasons"]

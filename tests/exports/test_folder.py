@@ -61,9 +61,7 @@ def exported(capsys: Capture, study: Path, tmp_path: Path, *words: object, form:
     return run(capsys, "export", study, "--to", form, "-d", tmp_path / "to", *words)
 
 
-def test_p3_usable_recordings_are_exported_and_refused_ones_are_a_line(
-    study: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_p3_usable_ones_are_exported_and_others_said(study: Path, tmp_path: Path, capsys: Capture) -> None:
     done = exported(capsys, study, tmp_path)
     assert done.code == 1
     assert sorted(Path(line).name for line in done.lines) == ["a-night.csv", "b-night.csv", "warm.csv"]
@@ -78,9 +76,7 @@ def test_p3_usable_recordings_are_exported_and_refused_ones_are_a_line(
     assert exported(capsys, study, tmp_path, "--force", "-q").err.count("\n") == 2
 
 
-def test_p3_a_folder_its_summary_patterns_reports_and_calibrated_files_are_the_same(
-    study: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_p3_all_ways_to_name_recordings_are_the_same(study: Path, tmp_path: Path, capsys: Capture) -> None:
     given = {
         "folder": [study],
         "summary": [study / "study.json"],
@@ -101,9 +97,7 @@ def test_p3_a_folder_its_summary_patterns_reports_and_calibrated_files_are_the_s
     assert all(found == contents["folder"] for found in contents.values())
 
 
-def test_p3_coefficients_of_a_study_leave_out_the_refused(
-    study: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_p3_coefficients_are_without_the_refused(study: Path, tmp_path: Path, capsys: Capture) -> None:
     for form, lines in (("biobank", 3), ("omconvert", 3), ("json", 3)):
         done = run(capsys, "export", study, "--to", form, "-q")
         assert (done.code, len(done.lines), done.err.count("skipped")) == (1, lines, 1)
@@ -115,9 +109,7 @@ def test_p3_coefficients_of_a_study_leave_out_the_refused(
     assert [row["filename"] for row in rows_of(tmp_path / "c.csv")] == ["warm.csv"]
 
 
-def test_values_gaps_and_zones_for_ggir_are_those_of_the_parquet(
-    study: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_what_ggir_gets_is_what_the_parquet_has(study: Path, tmp_path: Path, capsys: Capture) -> None:
     for words in ((), ("--gzip",)):
         exported(capsys, study, tmp_path, "--force", *words, "-j", len(words) + 1)
         for path in (tmp_path / "to").rglob("*night.csv*" if words else "*/*.csv"):
@@ -254,9 +246,7 @@ GGIR <- function(...) {
 
 
 @NEEDS_R
-def test_the_script_for_ggir_runs_in_r_and_reads_the_values(
-    study: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_the_script_runs_in_r_and_reads_the_values(study: Path, tmp_path: Path, capsys: Capture) -> None:
     """With a stand-in for GGIR that reads tables as its read.myacc.csv does, by the arguments it is given."""
     exported(capsys, study, tmp_path)
     out = in_r(f"{STUB}\nsource({json.dumps(str(tmp_path / 'to/run_ggir.R'))}, chdir = TRUE)")
@@ -274,9 +264,7 @@ def test_the_script_for_ggir_runs_in_r_and_reads_the_values(
 
 
 @NEEDS_R
-def test_the_lines_of_ggir_that_rescale_give_what_our_coefficients_give(
-    study: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_ggir_rescales_by_our_coefficients(study: Path, tmp_path: Path, capsys: Capture) -> None:
     """`scale(data, center = -offset, scale = 1/scale)` and the term of the temperature: R/g.getmeta.R."""
     report = study / "warm.calibration.json"
     run(capsys, "export", report, "--to", "ggir", "-q", "-o", tmp_path / "c.csv")

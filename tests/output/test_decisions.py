@@ -120,9 +120,7 @@ def test_hostile_cells_stay_texts(tmp_path: Path) -> None:
         ("a,,n", "use"),
     ],
 )
-def test_a_row_that_says_nothing_is_told_and_the_rest_counts(
-    tmp_path: Path, line: str, column: str | None
-) -> None:
+def test_a_row_that_says_nothing_is_told(tmp_path: Path, line: str, column: str | None) -> None:
     found = read(tmp_path, f"recording,use,note\n{line}\nb.cwa,no\n")
     assert [one.recording for one in found.rows] == ["b.cwa"]
     assert [one.values["column"] for one in found.findings] == ([] if column is None else [column])
@@ -242,7 +240,7 @@ def test_of_rows_that_contradict_each_other_the_most_cautious_counts(tmp_path: P
     ("path", "said", "counts"),
     [("a.cwa", "no", "no"), ("b/c.cwa", "yes", "no"), ("b/d.cwa", "yes", "with care")],
 )
-def test_a_decision_on_another_result_is_told_and_the_more_cautious_counts(
+def test_on_another_result_the_more_cautious_counts(
     tmp_path: Path, path: str, said: str, counts: str
 ) -> None:
     changes, findings = decided(tmp_path, f"recording,use,result\n{path},{said},r9\n")

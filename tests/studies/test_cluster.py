@@ -59,9 +59,7 @@ def ran(here: Path, *words: object, **environment: str) -> Ran:
     return ended(begun(here, *words, **environment))
 
 
-def test_the_bytes_are_those_of_one_process(
-    scheduler: Path, folder: Path, undisturbed: dict[str, object]
-) -> None:
+def test_the_bytes_are_the_same(scheduler: Path, folder: Path, undisturbed: dict[str, object]) -> None:
     done = ran(folder.parent, "in", "-d", "two", "--dask", scheduler)
     assert done.code == 1
     assert "4 recordings: 3 calibrated, 1 failed" in done.err

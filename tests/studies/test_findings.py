@@ -221,17 +221,9 @@ def test_d9_the_original_has_the_fewest_words(paths: tuple[str, ...], original: 
     assert not any(of_another_name(path, original) for path in paths)
 
 
-@pytest.mark.parametrize(
-    ("path", "other"),
-    [
-        ("P001.cwa", "P002.cwa"),
-        ("P001/raw.cwa", "P002/raw.cwa"),
-        ("anna.csv", "bob.csv"),
-        ("v1/P1.b", "v2/P1.b"),
-    ],
-)
-def test_d9_two_people_are_of_another_name(path: str, other: str) -> None:
-    assert of_another_name(path, other) and of_another_name(other, path)
+@pytest.mark.parametrize("pair", [("1.cwa", "2.cwa"), ("P1/raw.cwa", "P2/raw.cwa"), ("anna.csv", "bob.csv")])
+def test_d9_two_people_are_of_another_name(pair: tuple[str, str]) -> None:
+    assert of_another_name(*pair) and of_another_name(*pair[::-1])
 
 
 def test_d9_of_two_people_the_excluded_one_settles_it(folder: Path) -> None:

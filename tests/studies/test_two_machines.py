@@ -56,7 +56,7 @@ def test_unlocked_the_other_does_the_rest_and_who_comes_back_stops(
 
 
 @pytest.mark.nightly
-def test_a_part_that_went_down_does_not_hinder_the_collection(
+def test_a_part_that_went_down_hinders_nobody(
     six: Path, undisturbed: dict[str, object], tmp_path: Path
 ) -> None:
     """Each part, of which the first is killed at its table, and its lock removed on another machine."""

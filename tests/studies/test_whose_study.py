@@ -176,9 +176,7 @@ def test_h4_results_stay_where_a_disk_may_be_away(left: str, folder: Path) -> No
     assert not (out / "p2/c.calibration.json").exists()
 
 
-def test_h4_results_stay_once_if_the_disk_is_another_one(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_h4_results_stay_once_on_another_disk(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a recording beside others, too: these may be a copy on the disk below."""
     out = folder.parent / "out"
     (folder / "p1/a.raw").unlink()
