@@ -90,7 +90,7 @@ OTHERS |= {
 STAND_FOR_ONE = {
     "a.7z": b"7z\xbc\xaf\x27\x1c\0\4" + bytes(99),
     "b.rar": b"Rar!\x1a\7\1\0" + bytes(99),
-    "c.csv.Z": b"\x1f\x9d\x90" + bytes(99),
+    "c.csv.lz4": b"\x04\x22\x4d\x18" + bytes(99),
     "d.csv": b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n",
     "e.csv.xz": b"\xfd7zXZ\0" + bytes(99),
 }
