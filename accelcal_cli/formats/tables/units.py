@@ -30,7 +30,7 @@ from accelcal_cli.core.vocabulary import (
     unit_of,
 )
 from accelcal_cli.formats._gravity import guess_unit, usual_length
-from accelcal_cli.formats.tables.header import FLOAT, Block, Source, readable
+from accelcal_cli.formats.tables.header import DECIMAL, FLOAT, Block, Source, readable
 from accelcal_cli.formats.tables.roles import Group, Roles
 
 # Counts that are never negative, as converters give them: the count that stands for 0 g.
@@ -475,7 +475,7 @@ def refuse_grouped(values: NDArray[Any], lines: Numbers, source: Source, scale: 
     row, axis = np.argwhere(broken)[int(np.flatnonzero(sure)[0])].tolist()
     line = int(lines[row]) if source.first_line is not None and row < len(lines) else None
     value = float(values[row, axis])
-    written = f"{value:.3f}".replace(".", "," if source.decimal_comma else ".")
+    written = f"{value:.3f}".replace(".", "," if source.comma == DECIMAL else ".")
     plain = f"{value * 1000:.0f}"
     what = f"holds {written} among whole numbers: a fraction, or {plain} with a mark between thousands"
     hint = f"write {plain} without the mark, or the other numbers with decimals, too"

@@ -10,6 +10,7 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError
 from tests.formats.csv import test_actigraph as actigraph
+from tests.formats.csv import test_gcdc as gcdc
 from tests.formats.csv import test_geneactiv as geneactiv
 from tests.formats.make_csv import read, stamp, written
 
@@ -57,6 +58,15 @@ def geneactiv_export(hour: int, serial: str = "012967") -> str:
     )
     head = geneactiv.HEADER.replace("00:00:00:000", f"{hour:02d}:00:00:000").replace("012967", serial)
     return head + "\n".join(rows) + "\n"
+
+
+@pytest.mark.parametrize("head", [gcdc.X16, gcdc.HAM])
+def test_seconds_since_another_start_are_refused(tmp_path: Path, head: tuple[str, ...]) -> None:
+    """Rows of both count from 0, each from the start in its own head."""
+    first, second = gcdc.table(head), gcdc.table(head).replace("10:41:40", "11:41:40")
+    with pytest.raises(UnreadableError, match=r"it has the start 2024-03-04T11:41:40\.25") as refusal:
+        read(written(tmp_path, first + second), lsb_per_g=2000)
+    assert "cut the file before that line" in (refusal.value.hint or "")
 
 
 @pytest.mark.parametrize("chunk", [1000, 90])

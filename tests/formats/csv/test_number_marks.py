@@ -30,13 +30,33 @@ def grouped(mark: str, quote: str = "") -> Cell:
     return lambda value: quote + f"{value:,.0f}".replace(",", mark) + quote
 
 
-@pytest.mark.parametrize("mark", [" ", "\u00a0", "\u202f", "\u2009", "'", "\u2019", "_"])
+@pytest.mark.parametrize("mark", [" ", "\u00a0", "\u202f", "\u2009", "'", "\u2019"])
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])
 def test_groups_of_digits(tmp_path: Path, mark: str, delimiter: str) -> None:
     text = table("time,x [mg],y [mg],z [mg]", MG, grouped(mark), delimiter)
     for chunk in (1000, 7):
         found = read(written(tmp_path, text), chunk_samples=chunk)
         assert np.array_equal(found.counts, MG) and found.problems == []
+
+
+@pytest.mark.parametrize("other", ["1 001", "1\u00a0001", "1'001", "1_001", "0 001", "1\u2212001"])
+@pytest.mark.parametrize("delimiter", [",", ";"])
+def test_texts_are_no_numbers(tmp_path: Path, other: str, delimiter: str) -> None:
+    """Two people stay two, whatever their numbers look like without marks."""
+    plain = "".join(letter for letter in other.replace("\u2212", "-") if letter in "01-")
+    lines = table("time,x [g],y [g],z [g],participant", G, repr, delimiter).splitlines()
+    rows = [f"{line}{delimiter}{who}" for line in lines[1:] for who in (other, plain)]
+    with pytest.raises(UnreadableError, match=f"column 'participant' has .*, {plain}"):
+        read(written(tmp_path, "\n".join([lines[0], *rows]) + "\n"))
+
+
+@pytest.mark.parametrize("number", ["1_033", "0 033", "01,033", "1,03", "1,125", "1.033.500"])
+def test_what_is_no_number_far_below(tmp_path: Path, number: str) -> None:
+    """Where decimals have points, a comma may stand before decimals of another file: 1,125 is never 1125."""
+    rows = np.tile(G, (50, 1))
+    text = table("time,x [g],y [g],z [g]", rows, repr, ";") + f"{stamp(3000 * 40_000)};{number};0.5;0.5\n"
+    found = read(written(tmp_path, text), 100_000)
+    assert len(found.g) == 3000 and [one.code for one in found.problems] == ["bad_line"]
 
 
 def test_blanks_of_latin_1(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import islice, pairwise
 
 import numpy as np
@@ -27,10 +27,11 @@ from accelcal_cli.formats.tables.cells import (
     is_unit_cell,
     least_of,
     number_of,
+    plain_number,
     split_line,
     year_first,
 )
-from accelcal_cli.formats.tables.header import Kind
+from accelcal_cli.formats.tables.header import BETWEEN_GROUPS, DECIMAL, UNKNOWN, Kind
 from accelcal_cli.formats.tables.names import AXES, name_of
 
 # Quotes in lines of text: one grammar, RFC 4180, before whatever splits them into cells.
@@ -237,24 +238,16 @@ SHORT_HOUR = re.compile(rb"(?m)(?:^|(?<=[,;\t|\"]))(?=\d:\d\d)")
 AFTER_SHORT_HOUR = re.compile(rb":(?:(?<=[\n,;\t|\"]\d:)|(?<=\A\d:))\d\d")
 """The same place by the colon behind it, whose absence is found sooner."""
 
-GROUPED = rb"[-+]?\d{1,3}(?:(?: |\xc2\xa0|\xa0|\xe2\x80[\x89\xaf\x99]|'|_)\d{3})+(?:[.,]\d*)?"
-"""A number with blanks of four kinds, apostrophes or underscores between groups of three digits."""
-
-GROUP = re.compile(rb"[ '_\x80-\xff]\d{3}(?!\d)")
-TWO_MARKS = rb"[-+]?\d{1,3}(?:(?:\.\d{3})+,|(?:,\d{3})+\.)\d*"
-"""A number with points and commas: one of them between groups of digits."""
-
-COMMA_IN_QUOTES = re.compile(rb'(?m:^|(?<=,))"([-+]?\d*[.\d]*,[.,\d]*\d)"(?=[,\r\n]|\Z)')
-GROUPS_OF_DIGITS = re.compile(rb"[-+]?[1-9]\d{0,2}(?:,\d{3})+")
-MINUS = "\u2212".encode()
+DECIMALS_IN_QUOTES = re.compile(rb'"[^\d",]{0,3}(?![1-9]\d{0,2},\d{3}")\d*,\d+"')
+"""A number with a comma that does not stand before a group of three digits."""
 
 LONG_FRACTION = re.compile(rb"(:\d\d[.,]\d{9})\d+")
 SECONDS = re.compile(rb"\d:\d\d:\d\d(?!\d|:)")
 COMMA_FRACTION = re.compile(rb"(:\d\d),(\d{3}|\d{6})(?=,)")
 """Decimals of seconds behind a comma, as Python's logging writes them, between commas."""
 
-COLON, POINT = b":."
-TAB_TO_BLANK = bytes.maketrans(b"\t", b" ")
+COLON, COMMA, POINT = b":,."
+TAB_TO_BLANK, SLASH_TO_HYPHEN = bytes.maketrans(b"\t", b" "), bytes.maketrans(b"/", b"-")
 NO_HOUR = 99
 """Stands for an hour that does not exist."""
 
@@ -288,7 +281,7 @@ class Normaliser:
         delimiter: between the columns; a blank stands for any run of blanks and tabs.
         padded: blanks stand around the delimiter.
         split_date: date and time of day are separated by the delimiter itself.
-        decimal_comma: decimals are written with a comma.
+        comma: what a comma alone in its numbers becomes.
         slash_dates: dates are written 2024/03/04.
         long_fraction: seconds have more than nine decimals.
         colon_fraction: a colon stands before the decimals of seconds.
@@ -296,15 +289,13 @@ class Normaliser:
         twelve_hours: times of day have AM or PM.
         short_hours: times of day in a column of their own have hours of one digit.
         date_order: of day, month and year, such as `dmy`, where dates do not begin with the year.
-        odd_numbers: some have marks between groups of digits, a typographic minus, or commas in quotes;
-            quoted_decimals: such a comma stands before decimals.
         thorough: look at every line for what differs from the others.
     """
 
     delimiter: str
     padded: bool = False
     split_date: bool = False
-    decimal_comma: bool = False
+    comma: str = UNKNOWN
     slash_dates: bool = False
     long_fraction: bool = False
     colon_fraction: bool = False
@@ -312,8 +303,6 @@ class Normaliser:
     twelve_hours: bool = False
     short_hours: bool = False
     date_order: str | None = None
-    odd_numbers: bool = False
-    quoted_decimals: bool = False
     thorough: bool = False
 
     def __call__(self, block: bytes) -> bytes:
@@ -322,32 +311,8 @@ class Normaliser:
             block = trimmed(collapsed(block.translate(TAB_TO_BLANK)), b"\n")
         elif self.padded or self.thorough:
             block = trimmed(trimmed(collapsed(block), self.delimiter.encode()), b"\n")
-        if self.odd_numbers or self.thorough:
-            block = self._with_plain_numbers(block)
         block = self._with_times(block)
-        pairs = [(b",", b".")] * self.decimal_comma + [(b"/", b"-")] * self.slash_dates
-        if not pairs:
-            return block
-        return block.translate(bytes.maketrans(*(b"".join(letters) for letters in zip(*pairs, strict=True))))
-
-    def _with_plain_numbers(self, block: bytes) -> bytes:
-        """Return the block with an ASCII minus, and numbers without marks between groups of digits."""
-        block = block.replace(MINUS, b"-")
-        for pattern in odd_numbers(self.delimiter):
-            block = pattern.sub(lambda found: self._with_one_mark(found[0]), block)
-        if self.delimiter != ",":
-            return block
-        return COMMA_IN_QUOTES.sub(lambda found: self._with_one_mark(found[1]), block)
-
-    def _with_one_mark(self, number: bytes) -> bytes:
-        """Return a number without marks between groups of digits, and a point before decimals behind both."""
-        plain = re.sub(rb"[^-+\d.,]", b"", number)
-        if plain != number or b"," not in plain:
-            return plain
-        if b"." not in number and not self.quoted_decimals and GROUPS_OF_DIGITS.fullmatch(number):
-            return number.replace(b",", b"")
-        last = max(number.rfind(b"."), number.rfind(b","))
-        return re.sub(rb"[.,]", b"", number[:last]) + b"." + number[last + 1 :]
+        return block.translate(SLASH_TO_HYPHEN) if self.slash_dates else block
 
     def _with_times(self, block: bytes) -> bytes:
         """Return the block with dates, hours and fractions of seconds as in ISO 8601."""
@@ -362,27 +327,12 @@ class Normaliser:
         if self.split_date:
             block = SPLIT_DATE.sub(rb"\1T", block)
         if self.colon_fraction:
-            block = with_points(block)
+            block = with_points(block, COLON)
+        if self.comma == DECIMAL and self.delimiter != ",":
+            block = with_points(block, COMMA)
         if self.long_fraction:
             block = LONG_FRACTION.sub(rb"\1", block)
         return block
-
-
-@lru_cache(maxsize=len(DELIMITERS))
-def odd_numbers(delimiter: str) -> tuple[re.Pattern[bytes], ...]:
-    """Return patterns of whole cells of a file that are numbers with marks that Arrow does not know."""
-    mark = re.escape(delimiter.encode())
-    begin, end = rb"(?m:^|(?<=[\"" + mark + rb"]))", rb"(?=[\"\r\n" + mark + rb"]|\Z)"
-    cells = () if delimiter == " " else (GROUPED,) if delimiter == "," else (GROUPED, TWO_MARKS)
-    return tuple(re.compile(begin + cell + end) for cell in cells)
-
-
-def has_odd_numbers(text: bytes, delimiter: str) -> bool:
-    """Return True if numbers of a text have a typographic minus, or marks that Arrow does not know."""
-    if MINUS in text or (delimiter == "," and b'"' in text and COMMA_IN_QUOTES.search(text)):
-        return True
-    likely = delimiter != "," or GROUP.search(text) is not None  # is found three times as fast
-    return likely and any(one.search(text) for one in odd_numbers(delimiter))
 
 
 def collapsed(block: bytes) -> bytes:
@@ -402,11 +352,13 @@ def in_24_hours(found: re.Match[bytes]) -> bytes:
     return b"%02d%s" % (hour, found[2])
 
 
-def with_points(block: bytes) -> bytes:
-    """Rewrite `12:34:56:789` as `12:34:56.789`."""
+def with_points(block: bytes, mark: int) -> bytes:
+    """Rewrite `12:34:56:789` or `12:34:56,789` as `12:34:56.789`."""
+    if b":" not in block:
+        return block
     text = np.frombuffer(block, np.uint8).copy()
     colon = text == COLON
-    text[6:][colon[6:] & colon[3:-3] & colon[:-6]] = POINT
+    text[6:][(text[6:] == mark) & colon[3:-3] & colon[:-6]] = POINT
     return text.tobytes()
 
 
@@ -469,15 +421,19 @@ class Dialect:
             return False
         text = decode(self.normaliser(line + b"\n")).strip("\r\n")
         cells = [cell.strip() for cell in split_line(text, self.normaliser.delimiter)]
-        comma = self.normaliser.delimiter != ","
-        fits = len(cells) == self.columns and have_kinds(cells, self.kinds, comma)
+        fits = len(cells) == self.columns and have_kinds(cells, self.kinds)
         above = [row[-1].strip() for row in self.sample]
         decimals = [len(cell.replace(",", ".").partition(".")[2]) for cell in (cells[-1], *above)]
         return fits and len(cells[-1]) >= min(map(len, above)) and decimals[0] >= min(decimals[1:])
 
     def cells(self, column: int) -> list[str]:
         """Return the sample's cells of one column."""
-        return [row[column] for row in self.sample]
+        return [self.cell(row, column) for row in self.sample]
+
+    def cell(self, row: Sequence[str], column: int) -> str:
+        """Return a cell of a row, numbers without the marks that people write in them."""
+        is_number = self.kinds[column] is Kind.NUMBER
+        return plain_number(row[column], self.normaliser.comma) if is_number else row[column]
 
     def fitted(self, lines: bytes) -> bytes:
         """Return lines with a cell for each column, those that rows may have more or fewer of."""
@@ -502,10 +458,10 @@ def fitted(cells: Sequence[str], columns: int) -> list[str]:
     return [*cells[:columns], *[""] * (columns - len(cells))]
 
 
-def have_kinds(cells: Sequence[str], kinds: Sequence[Kind], decimal_comma: bool) -> bool:
+def have_kinds(cells: Sequence[str], kinds: Sequence[Kind]) -> bool:
     """Return True if cells hold a number or time, or nothing, wherever their columns have one."""
     return all(
-        cell_kind(cell, decimal_comma) in (kind, Kind.MISSING)
+        cell_kind(cell) in (kind, Kind.MISSING)
         for cell, kind in zip(cells, kinds, strict=True)
         if kind in (Kind.NUMBER, Kind.TIME)
     )
@@ -620,14 +576,16 @@ class _DelimiterTrial:
         if width < 3:
             return cls(raw_lines, normaliser, (), False)
         rows = [row[:width] for row in rows if len(row) == width or (len(row) > width and not is_sure)]
-        kinds = _column_kinds(rows, delimiter, 0.9)
+        kinds = _column_kinds(rows, 0.9)
         if Kind.MISSING in kinds or tail < SURE_LINES:
             share = 0.5 if tail < SURE_LINES else 0.9
             everywhere = [row for row in _rows(raw_lines, normaliser) if len(row) == width]
-            kinds = _column_kinds(everywhere, delimiter, share)
+            kinds = _column_kinds(everywhere, share)
         cells = [cell.strip() for row in rows for cell in row]
-        commas = any(map(COMMA_NUMBER.fullmatch, cells)) or not any(map(POINT_NUMBER.fullmatch, cells))
-        return cls(raw_lines, replace(normaliser, decimal_comma=commas and delimiter != ","), kinds, is_sure)
+        if delimiter != ",":
+            commas = any(map(COMMA_NUMBER.fullmatch, cells)) or not any(map(POINT_NUMBER.fullmatch, cells))
+            normaliser = replace(normaliser, comma=DECIMAL if commas else UNKNOWN)
+        return cls(raw_lines, normaliser, kinds, is_sure)
 
     @property
     def score(self) -> float:
@@ -653,8 +611,7 @@ class _DelimiterTrial:
             for line, row in sample
             if len(row) == columns or len(row) in widths
         ]
-        comma = self.normaliser.delimiter != ","
-        fitting = [(line, row) for line, row in whole if have_kinds(row, self.kinds, comma)]
+        fitting = [(line, row) for line, row in whole if have_kinds(row, self.kinds)]
         lines, rows = zip(*(fitting or whole), strict=True)
         offset += sum(map(len, self.raw_lines[:first]))
         names, units = (None if one is None else tuple(fitted(one, columns)) for one in (names, units))
@@ -696,9 +653,8 @@ class _DelimiterTrial:
     def _is_row(self, row: list[str]) -> bool:
         if len(row) != len(self.kinds):
             return False
-        comma = self.normaliser.delimiter != ","
         pairs = zip(row, self.kinds, strict=True)
-        found = {(kind, cell_kind(cell, comma)) for cell, kind in pairs if kind in (Kind.NUMBER, Kind.TIME)}
+        found = {(kind, cell_kind(cell)) for cell, kind in pairs if kind in (Kind.NUMBER, Kind.TIME)}
         filled = any(kind is other for kind, other in found)
         return filled and all(other in (kind, Kind.MISSING) for kind, other in found if kind is Kind.NUMBER)
 
@@ -731,7 +687,7 @@ class _DelimiterTrial:
             cells = ["", *cells]
         elif len(cells) < columns - 1 or (len(cells) > columns and not names_all_axes(cells)):
             return None
-        kinds = {cell_kind(cell, False) for cell in cells}
+        kinds = {*map(cell_kind, cells)}
         words = Kind.TEXT in kinds and Kind.NUMBER not in kinds
         return tuple(cells) if words else None
 
@@ -801,7 +757,7 @@ def numbered_rows(
     Args:
         columns: how many there are, if that is known: then a cell in quotes may reach over several lines.
     """
-    plain = replace(normaliser, decimal_comma=False, slash_dates=False)
+    plain = replace(normaliser, slash_dates=False)
     lines, numbers = [plain(line).rstrip(b"\r\n") for line in raw_lines], [*range(len(raw_lines))]
     if columns is not None:
         settled = Quotes(plain, normaliser.delimiter, columns).settled(b"\n".join(lines))
@@ -817,14 +773,13 @@ def _last_rows(raw_lines: list[bytes], normaliser: Normaliser, number: int) -> l
     return _rows(last, normaliser) if any(mark in line for line in last for mark in marks) else []
 
 
-def _column_kinds(rows: list[list[str]], delimiter: str, share: float) -> tuple[Kind, ...]:
-    return tuple(column_kind(cells, delimiter != ",", share) for cells in zip(*rows, strict=True))
+def _column_kinds(rows: list[list[str]], share: float) -> tuple[Kind, ...]:
+    return tuple(column_kind(cells, share) for cells in zip(*rows, strict=True))
 
 
 def _normalisers(head: bytes) -> list[Normaliser]:
     """Return what each delimiter would need; the times are looked for once."""
     split_date = b" " in head and SPLIT_DATE.search(head) is not None
-    quoted = [found[1] for found in COMMA_IN_QUOTES.finditer(head)]
     any_delimiter = Normaliser(
         "",
         slash_dates=b"/" in head and SLASH_DATE.search(head) is not None,
@@ -832,13 +787,12 @@ def _normalisers(head: bytes) -> list[Normaliser]:
         colon_fraction=COLON_FRACTION.search(head) is not None,
         twelve_hours=HALF_OF_THE_DAY.search(head) is not None and TWELVE_HOURS.search(head) is not None,
         short_hours=AFTER_SHORT_HOUR.search(head) is not None,
-        quoted_decimals=any(b"." not in one and not GROUPS_OF_DIGITS.fullmatch(one) for one in quoted),
+        comma=DECIMAL if DECIMALS_IN_QUOTES.search(head) else BETWEEN_GROUPS,
     )
     return [
         replace(
             any_delimiter,
             delimiter=delimiter,
-            odd_numbers=has_odd_numbers(head, delimiter),
             comma_fraction=delimiter == "," and _has_comma_fractions(head),
             padded=delimiter != " "
             and (b" " + delimiter.encode() in head or delimiter.encode() + b" " in head),
