@@ -192,6 +192,7 @@ class _Understood:
             *heat_notes,
             *[SPARSE.format(stride)] * (stride > 1),
             *turn_notes,
+            *self.roles.other_notes,
             *layout.pace.notes,
             *self.source.last_notes,
         )

@@ -13,7 +13,7 @@ from accelcal_cli.core.errors import AccelcalError, UnreadableError, counted, pr
 from accelcal_cli.core.formats import WIDE_BYTES, ReadOptions, wide_text
 from accelcal_cli.core.recording import CUT_SHORT, Problem, Reader
 from accelcal_cli.core.unpacking import packing_of
-from accelcal_cli.formats.tables.cells import MISSING, decode, is_year_first, year_first
+from accelcal_cli.formats.tables.cells import MISSING, decode, is_year_first, split_line, year_first
 from accelcal_cli.formats.tables.clock import rate_above
 from accelcal_cli.formats.tables.header import (
     SAMPLE_ROWS,
@@ -45,6 +45,7 @@ from accelcal_cli.formats.tables.text.dialect import (
     Dialect,
     find_deep_dialect,
     find_dialect,
+    names_all_axes,
     numbered_rows,
 )
 from accelcal_cli.formats.tables.text.lines import (
@@ -106,13 +107,14 @@ class TextSource(Source):
         rows = head[dialect.offset : end if end > dialect.offset else len(head)]
         self._first = self._heads().without(lone_block(rows, dialect.skipped + 1, dialect.offset))
         self.row_bytes = len(self._first.data) / max(self._first.lines, 1) or 1.0
-        self.has_names, self.decimal_comma = dialect.names is not None, dialect.normaliser.decimal_comma
+        self.has_names, self.comma = dialect.names is not None, dialect.normaliser.comma
         self.names_line, self.first_line = dialect.names_line, dialect.skipped + 1
         self.columns = columns_of(dialect)
         headings = (dialect.names is not stated.names) + (dialect.units is not None)
         above = dialect.skipped - stated.preamble - headings
         said = f"not used: {counted(above, 'line')} above the first row"
-        self.last_notes = ((said,) if above > 0 else ()) + _note_on_widths(dialect)
+        self.width_notes = _notes_on_widths(dialect, self._above)
+        self.last_notes = ((said,) if above > 0 else ()) + self.width_notes
 
     def _heads(self) -> RepeatedHeads:
         return RepeatedHeads(self.path, self._above, self.dialect, self.stated)
@@ -177,7 +179,7 @@ class TextSource(Source):
         lines = first.piece.data.splitlines(keepends=True)
         rows = numbered_rows(lines, dialect.normaliser, first.piece.line, dialect.columns)
         cells: list[tuple[str, int | None]] = [
-            (row[number], line)
+            (dialect.cell(row, number), line)
             for line, row in rows
             if number < len(row) and (first.lines is None or line in first.lines)
         ]
@@ -252,9 +254,16 @@ class TextSource(Source):
         return cut
 
 
-def _note_on_widths(dialect: Dialect) -> tuple[str, ...]:
-    """Return the note that rows do not have a cell for each name, if that is so."""
+def _notes_on_widths(dialect: Dialect, above: bytes) -> tuple[str, ...]:
+    """Return the note that rows do not have a cell for each name, if that is so.
+
+    Args:
+        above: the lines above the rows.
+    """
     named, columns = dialect.named, dialect.columns
+    cells = split_line(decode(above.rstrip().rpartition(b"\n")[2]), dialect.normaliser.delimiter)
+    if dialect.names is None and names_all_axes(cells):
+        return (f"the last line above the rows names {len(cells)} columns and they have {columns}: unused",)
     if named in (0, columns):
         return ()
     usual = f"the header names {named} columns and rows usually have {columns}"
