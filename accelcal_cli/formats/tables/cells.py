@@ -109,8 +109,8 @@ class Written:
         around = [parts[name] for name in names if name not in ("h", "m", "s", "f")]
         days, shift, late = self._days(pc, around, len(found))
         halves = late >= 0
-        hours = np.where(halves, h % 12 + 12 * late, h)
-        wrong = (hours > 24) | (m > 59) | (s > 60) | (halves & ((h > 12) | (h == 0))) | (days <= NO_DAY)
+        hours = np.where(halves & (h <= 12), h % 12 + 12 * late, h)
+        wrong = (hours > 24) | (m > 59) | (s > 60) | ((late == 0) & (h > 12)) | (days <= NO_DAY)
         seconds = (np.where(wrong, 0, days) * 24 + hours % 24) * 3600 + m * 60 + s - shift
         times = seconds * 1_000_000 + (ns + 500) // 1000
         wrong |= (times < FIRST_US) | (times > LAST_US)

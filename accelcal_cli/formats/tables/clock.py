@@ -75,7 +75,7 @@ from accelcal_cli.formats.tables.units import EMPTY, as_floats
 from accelcal_cli.formats.tables.values import in_arrow, moments, told
 
 STAMP = re.compile(
-    r"(?P<year>\d{4})[-/]\d\d[-/]\d\d([T ]\d\d:\d\d(:\d\d(\.\d+)?)?(?P<zone>Z|[+-]\d\d(:?\d\d)?)?)?"
+    r"(?P<year>\d{4})[-/]\d\d[-/]\d\d([T ]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(?P<zone>Z|[+-]\d\d(:?\d\d)?)?)?"
 )
 YEAR = re.compile(r"\d{4}\D")
 NS_YEARS = frozenset(str(year) for year in range(1678, 2262))

@@ -31,8 +31,8 @@ NO_ROWS = np.empty(0, np.int64)
 SHOWN = 40
 """Letters of a line that a message shows."""
 
-UNTIDY = r"^ | $|  |^[0-9]:[0-9]"
-"""Cells that more changes may mend: with blanks, or with an hour of one digit."""
+UNTIDY = r"^ | $|  "
+"""Cells that more changes may mend: with blanks."""
 
 RARE = 8
 """Texts of a length that one in this number, or fewer, have are looked at by themselves."""

@@ -223,34 +223,18 @@ LABEL = re.compile(r"\s*[;#%]+\s*(headers?|columns?|names?|fields?|labels?)\b", 
 SPLIT_DATE = re.compile(rb"(\d{4}[-/]\d\d[-/]\d\d) (?=\d\d:\d\d)")
 SLASH_DATE = re.compile(rb"(?:^|[^\d/])\d{4}/\d\d/\d\d[ T]")
 COLON_FRACTION = re.compile(rb":(?<=\d:)(?<!\d\d\d:)\d\d:\d\d:\d{1,9}(?!\d|:)")
-TWELVE_HOURS = re.compile(
-    rb"(?<![\d:.])(\d{1,2})(:\d\d(?::\d\d(?:[.,:]\d+)?)?)"
-    rb"(?: |\xc2\xa0|\xe2\x80\xaf)?([AaPp])\.? ?[Mm](?![A-Za-z])\.?"
-)
-"""A time of day followed by AM or PM, with a blank of any kind between them or none."""
-
-HALF_OF_THE_DAY = re.compile(rb"[AaPp](?<=[\d \xa0\xaf].)\.? ?[Mm]")
-"""The end of TWELVE_HOURS, whose absence is found sooner."""
-
-SHORT_HOUR = re.compile(rb"(?m)(?:^|(?<=[,;\t|\"]))(?=\d:\d\d)")
-"""The place before an hour of one digit at the beginning of a cell."""
-
-AFTER_SHORT_HOUR = re.compile(rb":(?:(?<=[\n,;\t|\"]\d:)|(?<=\A\d:))\d\d")
-"""The same place by the colon behind it, whose absence is found sooner."""
+HALF_OF_THE_DAY = re.compile(rb"(?<=\d) (?=[AaPp]\.?[Mm])")
+"""The blank between a time of day and AM or PM."""
 
 DECIMALS_IN_QUOTES = re.compile(rb'"[^\d",]{0,3}(?![1-9]\d{0,2},\d{3}")\d*,\d+"')
 """A number with a comma that does not stand before a group of three digits."""
 
-LONG_FRACTION = re.compile(rb"(:\d\d[.,]\d{9})\d+")
 SECONDS = re.compile(rb"\d:\d\d:\d\d(?!\d|:)")
 COMMA_FRACTION = re.compile(rb"(:\d\d),(\d{3}|\d{6})(?=,)")
 """Decimals of seconds behind a comma, as Python's logging writes them, between commas."""
 
 COLON, COMMA, POINT = b":,."
 TAB_TO_BLANK, SLASH_TO_HYPHEN = bytes.maketrans(b"\t", b" "), bytes.maketrans(b"/", b"-")
-NO_HOUR = 99
-"""Stands for an hour that does not exist."""
-
 TAIL_LINES = 40
 """Last lines of the head by which the delimiter is judged."""
 
@@ -283,11 +267,8 @@ class Normaliser:
         split_date: date and time of day are separated by the delimiter itself.
         comma: what a comma alone in its numbers becomes.
         slash_dates: dates are written 2024/03/04.
-        long_fraction: seconds have more than nine decimals.
         colon_fraction: a colon stands before the decimals of seconds.
         comma_fraction: a comma stands before them, and between the columns.
-        twelve_hours: times of day have AM or PM.
-        short_hours: times of day in a column of their own have hours of one digit.
         date_order: of day, month and year, such as `dmy`, where dates do not begin with the year.
         thorough: look at every line for what differs from the others.
     """
@@ -297,11 +278,8 @@ class Normaliser:
     split_date: bool = False
     comma: str = UNKNOWN
     slash_dates: bool = False
-    long_fraction: bool = False
     colon_fraction: bool = False
     comma_fraction: bool = False
-    twelve_hours: bool = False
-    short_hours: bool = False
     date_order: str | None = None
     thorough: bool = False
 
@@ -309,6 +287,7 @@ class Normaliser:
         """Return the block in pyarrow's terms, with the same lines in the same order."""
         if self.delimiter == " ":
             block = trimmed(collapsed(block.translate(TAB_TO_BLANK)), b"\n")
+            block = HALF_OF_THE_DAY.sub(b"", block) if b"M" in block or b"m" in block else block
         elif self.padded or self.thorough:
             block = trimmed(trimmed(collapsed(block), self.delimiter.encode()), b"\n")
         block = self._with_times(block)
@@ -318,10 +297,6 @@ class Normaliser:
         """Return the block with dates, hours and fractions of seconds as in ISO 8601."""
         if self.comma_fraction:
             block = COMMA_FRACTION.sub(rb"\1.\2", block)
-        if self.twelve_hours:
-            block = TWELVE_HOURS.sub(in_24_hours, block)
-        if self.short_hours or (self.thorough and AFTER_SHORT_HOUR.search(block)):
-            block = SHORT_HOUR.sub(b"0", block)
         if self.date_order is not None:
             block = year_first(block, self.date_order, self.thorough)
         if self.split_date:
@@ -330,8 +305,6 @@ class Normaliser:
             block = with_points(block, COLON)
         if self.comma == DECIMAL and self.delimiter != ",":
             block = with_points(block, COMMA)
-        if self.long_fraction:
-            block = LONG_FRACTION.sub(rb"\1", block)
         return block
 
 
@@ -340,16 +313,6 @@ def collapsed(block: bytes) -> bytes:
     while b"  " in block:
         block = block.replace(b"  ", b" ")
     return block
-
-
-def in_24_hours(found: re.Match[bytes]) -> bytes:
-    """Return `1:05:30 PM` as `13:05:30`; a morning after 12 becomes a time that does not exist."""
-    hour, afternoon = int(found[1]), found[3] in b"pP"
-    if hour <= 12:
-        hour = hour % 12 + 12 * afternoon
-    elif not afternoon:
-        hour = NO_HOUR
-    return b"%02d%s" % (hour, found[2])
 
 
 def with_points(block: bytes, mark: int) -> bytes:
@@ -783,10 +746,7 @@ def _normalisers(head: bytes) -> list[Normaliser]:
     any_delimiter = Normaliser(
         "",
         slash_dates=b"/" in head and SLASH_DATE.search(head) is not None,
-        long_fraction=LONG_FRACTION.search(head) is not None,
         colon_fraction=COLON_FRACTION.search(head) is not None,
-        twelve_hours=HALF_OF_THE_DAY.search(head) is not None and TWELVE_HOURS.search(head) is not None,
-        short_hours=AFTER_SHORT_HOUR.search(head) is not None,
         comma=DECIMAL if DECIMALS_IN_QUOTES.search(head) else BETWEEN_GROUPS,
     )
     return [
