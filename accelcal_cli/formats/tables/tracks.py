@@ -54,6 +54,11 @@ BLOCK_ROWS = 65_536
 PIECE_BYTES = 16 << 20
 """Bytes of values that are read at a time, however many samples are wanted: wide numbers take memory."""
 
+HIGHEST_RATIO = 1032
+"""Most rows, or bytes of an array, for each byte of a file: deflate makes no more of one byte."""
+
+AGAIN = "copy it again from its source"
+
 REFUSE_ABOVE_BYTES = 128 << 20
 """Bytes of all columns that may be unpacked whole together; at moments it takes three times as much."""
 

@@ -382,12 +382,21 @@ class Dialect:
         """Return True if a line without its end is a row that does not look as if it were cut off."""
         if not self.is_whole(line) or line.count(b'"') % 2:
             return False
-        text = decode(self.normaliser(line + b"\n")).strip("\r\n")
-        cells = [cell.strip() for cell in split_line(text, self.normaliser.delimiter)]
-        fits = len(cells) == self.columns and have_kinds(cells, self.kinds)
+        cells = self.cells_of(line)
         above = [row[-1].strip() for row in self.sample]
         decimals = [len(cell.replace(",", ".").partition(".")[2]) for cell in (cells[-1], *above)]
-        return fits and len(cells[-1]) >= min(map(len, above)) and decimals[0] >= min(decimals[1:])
+        longer = len(cells[-1]) >= min(map(len, above)) and decimals[0] >= min(decimals[1:])
+        return longer and self.fits(line)
+
+    def cells_of(self, line: bytes) -> list[str]:
+        """Return the cells of a line without blanks around them."""
+        text = decode(self.normaliser(line)).strip("\r\n")
+        return [cell.strip() for cell in split_line(text, self.normaliser.delimiter)]
+
+    def fits(self, line: bytes) -> bool:
+        """Return True if a line has a cell for each column, of its kind."""
+        cells = self.cells_of(line)
+        return len(cells) == self.columns and have_kinds(cells, self.kinds)
 
     def cells(self, column: int) -> list[str]:
         """Return the sample's cells of one column."""

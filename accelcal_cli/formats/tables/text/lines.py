@@ -28,7 +28,6 @@ from accelcal_cli.formats.tables.text.dialect import (
     QUOTE,
     Dialect,
     Quotes,
-    have_kinds,
     names_all_axes,
 )
 from accelcal_cli.formats.tables.values import (
@@ -128,7 +127,9 @@ class LineCutter:
             pieces = [data[self._skip :]]
             self._skip -= min(self._skip, len(data))
         endless = self._zeros > 0 and any(piece.strip(b"\0") for piece in pieces)
-        lines, self._rest = _cut([self._rest, *pieces])
+        data = b"".join((self._rest, *pieces))
+        whole = data.rfind(b"\n") + 1
+        lines, self._rest = data[:whole], data[whole:]
         if len(self._rest) > LONGEST_LINE and not lines:
             text = self._rest.rstrip(b"\0")
             self._zeros, self._rest = self._zeros + len(self._rest) - len(text), text
@@ -237,7 +238,7 @@ class RepeatedHeads:
         self._path, self._dialect, self._stated, self._head = path, dialect, stated, lines
         has_names = dialect.names is not None and dialect.names_line <= len(lines)
         named = lines[dialect.names_line - 1] if has_names else b""
-        self._names = self._cells(named) if has_names else []
+        self._names = dialect.cells_of(named) if has_names else []
         delimiter = dialect.normaliser.delimiter.encode()
         names = (name.strip() for name in named.split(delimiter)[:MOST_NAMES])
         words = HEAD_MARK.match(lines[0]) if len(lines) > 1 else None
@@ -261,11 +262,11 @@ class RepeatedHeads:
             return block
         lines = block.data.splitlines(keepends=True)
         for number, line in enumerate(lines):
-            if self._open is not None and (len(self._open) == len(self._head) or self._is_row(line)):
+            if self._open is not None and (len(self._open) == len(self._head) or self._dialect.fits(line)):
                 self._close()
-            if self._open is None and number in begins and not self._is_row(line):
+            if self._open is None and number in begins and not self._dialect.fits(line):
                 begun = self._begin is not None and line.startswith(self._begin)
-                if not begun and not self._are_names(self._cells(line)):
+                if not begun and not self._are_names(self._dialect.cells_of(line)):
                     continue
                 self._open, self._first = [], block.line + number
             if self._open is not None:
@@ -290,7 +291,7 @@ class RepeatedHeads:
     def _close(self) -> None:
         """Take the lines of a head that is over."""
         head, self._open = self._open or [], None
-        cells = [self._cells(line) for line in head]
+        cells = [self._dialect.cells_of(line) for line in head]
         named = [number for number, row in enumerate(cells) if self._are_names(row)]
         line = self._first + (named[0] if named else 0)
         self.lines.append(line)
@@ -322,35 +323,17 @@ class RepeatedHeads:
         what = f"the head of another recording begins: it {found}, not {before}"
         return UnreadableError(what, path=self._path, line=line, hint=CUT_THERE)
 
-    def _cells(self, line: bytes) -> list[str]:
-        text = decode(self._dialect.normaliser(line)).strip("\r\n")
-        return [cell.strip() for cell in split_line(text, self._dialect.normaliser.delimiter)]
-
     def _are_names(self, cells: list[str]) -> bool:
         """Return True if cells are the names of the columns in any order, or other names of x, y and z."""
         return len(cells) == len(self._names) and (
             sorted(cells) == sorted(self._names) or names_all_axes(cells)
         )
 
-    def _is_row(self, line: bytes) -> bool:
-        cells = self._cells(line)
-        return len(cells) == self._dialect.columns and have_kinds(cells, self._dialect.kinds)
-
 
 def _serial_of(head: Sequence[bytes]) -> str | None:
     """Return the line of a head that states a serial number; None without one."""
     found = next((line for line in head if b"serial" in line.lower()), None)
     return None if found is None else decode(found).strip()
-
-
-def _cut(pieces: list[bytes]) -> tuple[bytes, bytes]:
-    """Return all whole lines of pieces that follow each other, and the rest."""
-    for number in reversed(range(len(pieces))):
-        piece = pieces[number]
-        if cut := piece.rfind(b"\n") + 1:
-            whole = b"".join((*pieces[:number], memoryview(piece)[:cut]))
-            return whole, b"".join((piece[cut:], *pieces[number + 1 :]))
-    return b"", b"".join(pieces)
 
 
 def count_lines(data: bytes) -> int:
