@@ -396,10 +396,6 @@ class Source:
         """Return a source that reads the dates of a column in this order by itself; None if it cannot."""
         return None
 
-    def constant_cells(self, piece: Piece, columns: Sequence[int]) -> dict[int, str]:
-        """Return the cells of columns that, as far as a short look shows, are the same in all rows."""
-        return {}
-
     def offset_of(self, column: int, row: int) -> int | None:
         """Return the byte in the file of the part that holds a row of a column; None if it is not known."""
         return None

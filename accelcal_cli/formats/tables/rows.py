@@ -264,11 +264,9 @@ class RowParser:
     def _rows_of(self, piece: Piece) -> tuple[Rows, Piece, Any]:
         """Return the rows of a piece by themselves, and what the watch saw; this may run in any order."""
         watch, layout = self._watch, self._layout
-        constant = {} if watch is None else watch.constant(piece)
-        looked_at = () if watch is None else (one for one in watch.columns if one.number not in constant)
-        codes = codes_of(looked_at)
+        codes = codes_of(() if watch is None else watch.columns)
         block, others = self._parsed(piece, self._wanted | codes)
-        seen = None if watch is None else watch.look(block, constant)
+        seen = None if watch is None else watch.look(block)
         if layout.scale.is_of_whole:
             refuse_grouped(group_values(block.values, layout.xyz), block.line, self._source, layout.scale)
         rows = rows_of(block, layout)

@@ -13,7 +13,7 @@ from accelcal_cli.core.errors import AccelcalError, UnreadableError, counted, pr
 from accelcal_cli.core.formats import WIDE_BYTES, ReadOptions, wide_text
 from accelcal_cli.core.recording import CUT_SHORT, Problem, Reader
 from accelcal_cli.core.unpacking import packing_of
-from accelcal_cli.formats.tables.cells import MISSING, decode, is_year_first, split_line, year_first
+from accelcal_cli.formats.tables.cells import decode, is_year_first, split_line, year_first
 from accelcal_cli.formats.tables.clock import rate_above
 from accelcal_cli.formats.tables.header import (
     SAMPLE_ROWS,
@@ -70,9 +70,6 @@ TAIL_BYTES = 1 << 16
 
 BLOCK_BYTES = 1 << 21
 """Text that is parsed at a time, however many samples are wanted: its table takes as much again."""
-
-LOOK_BYTES = 1 << 16
-"""Bytes of the file among which one line is looked at for a column that changes."""
 
 NO_LINE_END = "no_line_end"
 BROKEN_OFF = "the compressed data ends early or is damaged; the rows before that were read"
@@ -198,25 +195,6 @@ class TextSource(Source):
         source = copy.copy(self)
         source.dialect = replace(self.dialect, normaliser=normaliser, sample=sample)
         return source
-
-    def constant_cells(self, piece: Piece, columns: Sequence[int]) -> dict[int, str]:
-        """Return the cells of columns that are the same in all lines that are looked at."""
-        assert isinstance(piece, LineBlock)
-        data, first = piece.data, -piece.offset % LOOK_BYTES
-        starts = [0, *(data.find(b"\n", place) + 1 for place in range(first, len(data), LOOK_BYTES))]
-        starts.append(data.rfind(b"\n", 0, len(data) - 1) + 1)
-        delimiter = self.dialect.normaliser.delimiter.encode()
-        found: list[set[bytes]] = [set() for _ in columns]
-        for start in (start for start in starts if start < len(data)):
-            line = data[start : data.find(b"\n", start)].rstrip(b"\r")
-            cells = line.split(delimiter)
-            if len(cells) != self.dialect.columns or b'"' in line:
-                return {}
-            for column, cells_of in zip(columns, found, strict=True):
-                cells_of.add(cells[column])
-        pairs, clean = zip(columns, found, strict=True), self.dialect.normaliser
-        texts = {column: decode(clean(cells.pop())).strip() for column, cells in pairs if len(cells) == 1}
-        return {column: "" if text in MISSING else text for column, text in texts.items()}
 
     def end_problems(self, piece: Piece, samples: int, lost_bytes: int) -> tuple[Problem, ...]:
         """Return what is wrong with the end: files that were joined, and a last line that is cut off.
