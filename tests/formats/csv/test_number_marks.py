@@ -34,8 +34,8 @@ def grouped(mark: str, quote: str = "") -> Cell:
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])
 def test_groups_of_digits(tmp_path: Path, mark: str, delimiter: str) -> None:
     text = table("time,x [mg],y [mg],z [mg]", MG, grouped(mark), delimiter)
-    for chunk in (1000, 7):
-        found = read(written(tmp_path, text), chunk_samples=chunk)
+    for chunk, encoding in ((1000, "utf-8"), (7, "latin-1" if mark == "\u00a0" else "utf-8")):
+        found = read(written(tmp_path, text.encode(encoding)), chunk_samples=chunk)
         assert np.array_equal(found.counts, MG) and found.problems == []
 
 
@@ -59,22 +59,11 @@ def test_what_is_no_number_far_below(tmp_path: Path, number: str) -> None:
     assert len(found.g) == 3000 and [one.code for one in found.problems] == ["bad_line"]
 
 
-def test_blanks_of_latin_1(tmp_path: Path) -> None:
-    text = table("time,x [mg],y [mg],z [mg]", MG, grouped("\u00a0"))
-    assert np.array_equal(read(written(tmp_path, text.encode("latin-1"))).counts, MG)
-
-
 def test_groups_that_first_stand_far_below(tmp_path: Path) -> None:
     """Behind what shows the layout of the file."""
     values = np.concatenate([np.tile(MG[20:21], (60_000, 1)), MG])
     found = read(written(tmp_path, table("time,x [mg],y [mg],z [mg]", values, grouped(" "))), 100_000)
     assert np.array_equal(found.counts, values) and found.problems == []
-
-
-@pytest.mark.parametrize("delimiter", [",", ";"])
-def test_commas_between_groups_in_quotes(tmp_path: Path, delimiter: str) -> None:
-    text = table("time,x [mg],y [mg],z [mg]", MG + 0.5, lambda value: f'"{value:,.1f}"', delimiter)
-    assert np.array_equal(read(written(tmp_path, text)).counts, np.rint((MG + 0.5) / 1000 * GRID))
 
 
 def test_whole_numbers_with_commas_in_quotes(tmp_path: Path) -> None:
@@ -86,9 +75,10 @@ def test_whole_numbers_with_commas_in_quotes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("delimiter", "quote"), [(",", '"'), (";", ""), (";", '"'), ("\t", "")])
-def test_points_between_groups_and_a_comma(tmp_path: Path, delimiter: str, quote: str) -> None:
+@pytest.mark.parametrize("marks", [",.", ".,"])
+def test_points_and_commas(tmp_path: Path, delimiter: str, quote: str, marks: str) -> None:
     def cell(value: float) -> str:
-        return quote + f"{value:,.1f}".translate(str.maketrans(".,", ",.")) + quote
+        return quote + f"{value:,.1f}".translate(str.maketrans(",.", marks)) + quote
 
     text = table("time,x [mg],y [mg],z [mg]", MG + 0.5, cell, delimiter)
     assert np.array_equal(read(written(tmp_path, text)).counts, np.rint((MG + 0.5) / 1000 * GRID))
