@@ -187,10 +187,7 @@ class _Lines:
     """Lines of a text by their number, without their ends."""
 
     def __init__(self, text: bytes) -> None:
-        self.text = text
-        self.ends = np.flatnonzero(np.frombuffer(text, np.uint8) == LINE_END)
-        if text and not text.endswith(b"\n"):
-            self.ends = np.append(self.ends, len(text))
+        self.text, self.ends = text, line_ends(text)
 
     def __len__(self) -> int:
         return len(self.ends)
@@ -202,6 +199,12 @@ class _Lines:
     def __getitem__(self, line: int) -> bytes:
         start, stop = self.bounds(line)
         return self.text[start:stop]
+
+
+def line_ends(text: bytes) -> NDArray[np.int64]:
+    """Return the places of the ends of lines, also of a last one without."""
+    ends: NDArray[np.int64] = np.flatnonzero(np.frombuffer(text, np.uint8) == LINE_END)
+    return ends if not text or text.endswith(b"\n") else np.append(ends, len(text))
 
 
 def _behind_closing(line: bytes, place: int) -> int:

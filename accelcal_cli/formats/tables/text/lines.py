@@ -28,6 +28,7 @@ from accelcal_cli.formats.tables.text.dialect import (
     QUOTE,
     Dialect,
     Quotes,
+    line_ends,
     names_all_axes,
 )
 from accelcal_cli.formats.tables.values import (
@@ -286,7 +287,7 @@ class RepeatedHeads:
             place = -1
             while (place := data.find(b"\n" + mark, place + 1)) >= 0:
                 places.add(place + 1)
-        return {*np.searchsorted(_line_ends(data), [*places]).tolist()}
+        return {*np.searchsorted(line_ends(data), [*places]).tolist()}
 
     def _close(self) -> None:
         """Take the lines of a head that is over."""
@@ -530,11 +531,11 @@ class _BlockLines:
 
     @cached_property
     def _raw_ends(self) -> NDArray[np.int64]:
-        return _line_ends(self._raw)
+        return line_ends(self._raw)
 
     @cached_property
     def _ends(self) -> NDArray[np.int64]:
-        return self._raw_ends if self.text is self._raw else _line_ends(self.text)
+        return self._raw_ends if self.text is self._raw else line_ends(self.text)
 
     @cached_property
     def _first(self) -> NDArray[np.int64]:
@@ -580,12 +581,6 @@ def _cut_cells(
     return [text[start:end] for start, end in zip(starts, ends[last].tolist(), strict=True)]
 
 
-def _line_ends(text: bytes) -> NDArray[np.int64]:
-    """Return the places of the ends of lines, also of a last one without."""
-    ends: NDArray[np.int64] = np.flatnonzero(np.frombuffer(text, np.uint8) == ord("\n"))
-    return ends if not text or text.endswith(b"\n") else np.append(ends, len(text))
-
-
 def _in_utf8(text: bytes) -> bytes:
     """Return lines in UTF-8; those that are not are taken as Latin-1."""
     if text.isascii():
@@ -607,7 +602,7 @@ def _with_line_ends(text: bytes) -> tuple[bytes, NDArray[np.int64]]:
     if not alone.any():
         return text, np.empty(0, np.int64)
     changed = np.where(alone, np.uint8(ord("\n")), letters).tobytes()
-    return changed, np.searchsorted(_line_ends(changed), np.flatnonzero(alone)) + 1
+    return changed, np.searchsorted(line_ends(changed), np.flatnonzero(alone)) + 1
 
 
 def _picked(parts: Sequence[Any], place: NDArray[np.int64]) -> Any:
