@@ -314,7 +314,8 @@ def _no_axes(source: Source, cells: Cells) -> UnreadableError:
     if not columns or all(column.kind is Kind.TEXT for column in columns):
         hint = source.unread or "give it x, y and z, and times, as numbers"
         return NoRecordingError("no column of numbers can be found", path=path, line=line, hint=hint)
-    if source.has_names and not could_be_axes(columns):
+    unknown = (one for one in columns if not (one.name.is_elsewhere or _is_of_other_sensor(one)))
+    if source.has_names and sum(one.width for one in unknown) < len(AXES):
         hint = "give --columns X,Y,Z as names, or as numbers from 0, if it is there"
         return NoRecordingError(
             f"no column has a name known for acceleration: {', '.join(names)}",
@@ -331,12 +332,6 @@ def _no_axes(source: Source, cells: Cells) -> UnreadableError:
         return UnreadableError(what, path=path, line=line, hint=hint)
     what, hint = f"cannot tell which of {listed} are x, y and z", _advice_on_axes(source, cells)
     return UnreadableError(what, path=path, line=line, hint=hint)
-
-
-def could_be_axes(columns: Iterable[Column]) -> bool:
-    """Return True if three columns or more have names that do not say that they are something else."""
-    unknown = (one for one in columns if not (one.name.is_elsewhere or _is_of_other_sensor(one)))
-    return sum(one.width for one in unknown) >= len(AXES)
 
 
 def _advice_on_axes(source: Source, cells: Cells) -> str:

@@ -122,12 +122,6 @@ def are_unsigned(values: Floats) -> bool:
     return bool(len(known) and known.min() >= 0 and (known == np.rint(known)).all())
 
 
-def refuse_other_zero(values: Floats, path: Path) -> None:
-    """Raise UnreadableError if rest lies around another count than 0, in counts of an unknown scale."""
-    if (sphere := sphere_of_rest(values)) is not None:
-        raise _off_zero(sphere, path)
-
-
 def zero_of(values: Floats, lsb_per_g: float, path: Path) -> int | None:
     """Return the count of 0 g that counts (n, 3) of a known scale show; None where it is 0, or unknown.
 
@@ -347,8 +341,9 @@ def find_scale(
             _refuse_fractions(values, lines, source)
         return scale, False
     unit = unit or about.unit
-    if lsb is None and options.zero is None and unit in (None, COUNTS):
-        refuse_other_zero(values, path)
+    of_no_scale = lsb is None and options.zero is None and unit in (None, COUNTS)
+    if of_no_scale and (sphere := sphere_of_rest(values)) is not None:
+        raise _off_zero(sphere, path)
     guessed = unit is None and lsb is None
     unit = guess_unit(values, path) if guessed else unit or COUNTS
     if unit != COUNTS:

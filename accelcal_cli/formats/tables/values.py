@@ -6,7 +6,6 @@ second; these do without.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from datetime import date
 from typing import Any
@@ -93,11 +92,6 @@ def shortened(text: str) -> str:
 def told_of(rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return those of some lost rows that are reported with their fault: the first ones of stretches."""
     return rows[np.diff(rows, prepend=-2) > 1][:TOLD]
-
-
-def is_stamp(cell: str, zoned: bool) -> bool:
-    """Return True if a cell is written as ISO 8601 with the year first; the time need not exist."""
-    return re.match(STAMPS[zoned], cell) is not None
 
 
 def values_of(column: Any, how: As) -> Any:

@@ -36,10 +36,10 @@ from accelcal_cli.formats.tables.values import (
     NO_ROWS,
     NOT_ROWS,
     NULLS,
+    STAMPS,
     TYPES,
     UNREAD,
     in_arrow,
-    is_stamp,
     read_as,
     shortened,
     told_of,
@@ -509,7 +509,7 @@ class LineParser:
             cell = cells[column].strip()
             if how in (As.TEXT, As.CODES) or cell in MISSING:
                 continue
-            if how in MOMENTS and not is_stamp(cell, how is As.ZONED_MOMENT):
+            if how in MOMENTS and not re.match(STAMPS[how is As.ZONED_MOMENT], cell):
                 return wrong_cell(column, cells[column], "time")
             if how is As.NUMBER and number_of(cell, self._dialect.normaliser.comma) is None:
                 return wrong_cell(column, cells[column], "number")
