@@ -236,8 +236,8 @@ SECONDS = re.compile(rb"\d:\d\d:\d\d(?!\d|:)")
 COMMA_FRACTION = re.compile(rb"(:\d\d),(\d{3}|\d{6})(?=,)")
 """Decimals of seconds behind a comma, as Python's logging writes them, between commas."""
 
-COLON, COMMA, POINT = b":,."
-TAB_TO_BLANK, SLASH_TO_HYPHEN = bytes.maketrans(b"\t", b" "), bytes.maketrans(b"/", b"-")
+COLON, COMMA, POINT, SLASH, HYPHEN = b":,./-"
+TAB_TO_BLANK = bytes.maketrans(b"\t", b" ")
 TAIL_LINES = 40
 """Last lines of the head by which the delimiter is judged."""
 
@@ -294,7 +294,7 @@ class Normaliser:
         elif self.padded or self.thorough:
             block = trimmed(trimmed(collapsed(block), self.delimiter.encode()), b"\n")
         block = self._with_times(block)
-        return block.translate(SLASH_TO_HYPHEN) if self.slash_dates else block
+        return with_hyphens(block) if self.slash_dates else block
 
     def _with_times(self, block: bytes) -> bytes:
         """Return the block with dates, hours and fractions of seconds as in ISO 8601."""
@@ -325,6 +325,14 @@ def with_points(block: bytes, mark: int) -> bytes:
     text = np.frombuffer(block, np.uint8).copy()
     colon = text == COLON
     text[6:][(text[6:] == mark) & colon[3:-3] & colon[:-6]] = POINT
+    return text.tobytes()
+
+
+def with_hyphens(block: bytes) -> bytes:
+    """Rewrite `2024/03/04` as `2024-03-04`."""
+    text = np.frombuffer(block, np.uint8).copy()
+    first = np.flatnonzero((text[:-3] == SLASH) & (text[3:] == SLASH))
+    text[first] = text[first + 3] = HYPHEN
     return text.tobytes()
 
 
