@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.help import Command
 from accelcal_cli.cli.output import aligned, bytes_of, counted_once, progress_bars
 from accelcal_cli.core.errors import AccelcalError, Reason, UsageError, counted, printable
-from accelcal_cli.core.recording import FLOAT_LSB_PER_G
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G, OtherColumn
 from accelcal_cli.formats import refuse_unused
 from accelcal_cli.output.sentences import sentence
 from accelcal_cli.pipeline.inspect import Inspection, as_json, failed_json, inspect, inspection_settings
@@ -144,7 +144,7 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
     scope = "all of it" if inspection.whole else f"{inspection.facts.samples} samples in pieces"
     problems = counted_once((one["code"], one["message"]) for one in shown["file_health"]["problems"])[:5]
     lines = [
-        *_recording(shown["recording"], inspection.facts.rate_hz),
+        *_recording(shown["recording"], inspection.facts.rate_hz, inspection.recording.others),
         f"  read         {scope}: {windows} windows still",
         *_values(shown["values"]),
         f"  problems     {'; '.join(problems) or 'none found'}",
@@ -159,10 +159,10 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
     return "\n".join(map(printable, lines + notes))
 
 
-def _recording(about: dict[str, Any], rate_hz: float | None) -> list[str]:
+def _recording(about: dict[str, Any], rate_hz: float | None, others: Iterable[OtherColumn]) -> list[str]:
     """Write lines about a recording, by the object of its inspection and its measured rate."""
     device = " ".join(value for value in about["device"].values() if value) or "unknown"
-    extras = ", ".join(name for name in ("temperature", "gyroscope") if about[name]) or "nothing"
+    extras = [*(name for name in ("temperature", "gyroscope") if about[name]), *(one.name for one in others)]
     scale = f"{about['lsb_per_g']:.10g} counts per g"
     if about["lsb_per_g"] >= FLOAT_LSB_PER_G:
         scale = "decimal values, in steps of 2^-24 g"
@@ -175,7 +175,7 @@ def _recording(about: dict[str, Any], rate_hz: float | None) -> list[str]:
         f"  scale        {scale}{_known(', range +-{:g} g', about['range_g'])}",
         f"  start        {about['start_time'] or 'unknown'} ({about['timezone'] or 'device clock'})",
         f"  duration     {hours or 'unknown'}{_known(', {} samples', about['samples'])}",
-        f"  also holds   {extras}",
+        f"  also holds   {', '.join(extras) or 'nothing'}",
     ]
 
 

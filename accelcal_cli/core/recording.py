@@ -269,7 +269,7 @@ class Problem:
 
     Attributes:
         code: stable lower-case name, such as `checksum` or `truncated`.
-        byte_offset: place in the file (in the uncompressed stream for .gz), None if unknown.
+        byte_offset: place in the file (in the unpacked stream of a packed one), None if unknown.
         sample: number of the first sample after the problem.
         count: number of units (pages, rows, bytes: as the message says) that are affected.
         lost_bytes: number of bytes of the (uncompressed) file that could not be used because they are

@@ -298,7 +298,7 @@ MEASURES = frozenset({
 """Words in the name of a column that measures or counts something."""
 
 QUANTITIES: Mapping[str, tuple[str, ...]] = {
-    "light": ("light", "lux", "illuminance", "lightadc", "ambientlight", "als"),
+    "light": ("light", "lux", "lx", "illuminance", "lightadc", "ambientlight", "als"),
     "button": ("button", "btn", "pushbutton"),
     "battery": ("battery", "batt", "bat", "vbat", "vbatt", "batteryadc"),
     "pressure": ("pressure", "press", "baro", "barometer", "barometric"),

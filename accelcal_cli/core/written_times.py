@@ -98,7 +98,7 @@ AMBIGUOUS = {
 _HALVES = {"a": False, "p": True, "上午": False, "下午": True, "午前": False, "午後": True}
 _HALVES |= {"오전": False, "오후": True}
 
-_TIME = r"(?P<h>\d{1,2}):(?P<m>\d\d)(?::(?P<s>\d\d)(?:[.,:](?P<f>\d{1,12}))?)?"
+_TIME = r"(?P<h>\d{1,2}):(?P<m>\d\d)(?::(?P<s>\d\d)(?:[.,:](?P<f>\d+))?)?"
 COLONS = rf"^(?P<before>|.*?[^\d.:]|\d{{1,2}}[A-Za-z]{{3}}\d{{2,4}}:){_TIME}(?P<after>|[^\d.,:].*)$"
 BASIC = (
     r"^(?P<before>\d{8}[T _-]?|\d{4}-\d\d-\d\d[T _]|\d{4}-?\d{3}[T _]|\d{4}-?W\d\d-?\d[T _])"

@@ -50,7 +50,7 @@ class FrameFile:
     Attributes:
         announced: number of frames by the header, None if it does not say; the bytes after them are not
             frames.
-        compressed: gzip; such a file is only read from its beginning.
+        compressed: it is packed; such a file is only read from its beginning.
         origin_us: time of the first frame.
         decode: decodes frames (n, frame_bytes), given the number of the first one.
         first_values: first measured value of each channel that may lack values; None if none is measured.
@@ -103,7 +103,7 @@ class FrameReader(Reader):
             return next((int(chunk.clock.times(0, 1)[0]) for chunk in chunks if len(chunk)), None)
 
     def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
-        """Enter the file at evenly spread frames; a short or gzip file gives its first chunks."""
+        """Enter the file at evenly spread frames; a short or packed file gives its first chunks."""
         size = self._size(chunk_samples)
         total = 0 if self._file.compressed else self._file.whole_frames()
         if total < pieces * size:

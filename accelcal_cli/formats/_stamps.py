@@ -191,10 +191,8 @@ class SharedStamps:
 
     def __init__(self, pace: Pace) -> None:
         self._row_us, self._usual, self.longest = pace.period_us, pace.rows_per_stamp, pace.longest_group
-        self._is_shared, self._period = (
-            pace.stamp_period_us > 0,
-            pace.stamp_period_us or round(pace.period_us),
-        )
+        self._is_shared = pace.stamp_period_us > 0
+        self._period = pace.stamp_period_us or round(pace.period_us)
         self._waiting = np.empty(0, np.int64)
         self._before, self._joined, self._coarse_us, self._early_us = NO_TIME, False, 0, 0
 

@@ -13,6 +13,7 @@ import pytest
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats import open_recording
 from accelcal_cli.formats.gt3x import records
+from tests.cli.run import run
 from tests.formats import (
     make_csv,
     make_cwa,
@@ -312,6 +313,15 @@ def test_a_cell_that_is_not_a_number_costs_no_row(tmp_path: Path) -> None:
     chunks = chunks_of(path)
     assert sum(map(len, chunks)) == 300 and not [one for chunk in chunks for one in chunk.problems]
     assert list(kept(path)["battery"]) == [*range(100), *range(103, 300)]
+
+
+def test_the_unit_alone_names_a_quantity_and_cells_with_units_are_told(tmp_path: Path) -> None:
+    path = table(tmp_path, "Licht [lux],battery,Helligkeit", ["5,80%,12 lux"] * 300)
+    assert units(path) == {"light": "lux"} and kept(path)["light"][299] == 5
+    with open_recording(path, ReadOptions()) as reader:
+        notes = [note for note in reader.recording.notes if note.startswith("not read")]
+    assert notes == ["not read: column 5 ('battery') holds '80%', not numbers"]
+    assert "also holds   light\n" in run("inspect", path).out
 
 
 def test_a_column_that_may_tell_sensors_apart_is_kept_as_well(tmp_path: Path) -> None:

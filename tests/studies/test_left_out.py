@@ -220,7 +220,7 @@ def test_t7_what_stands_for_a_recording_fails_by_its_name(tmp_path: Path) -> Non
     ran = study(folder)
     assert ran.code == 1 and not left_out(tmp_path / "out")
     lines = {line.split(": ")[1].rpartition("/")[2]: line for line in ran.err.splitlines()}
-    words = ("7z x ", "unrar x ", "gunzip -k ", "git lfs pull --include ", "copy it again from its source")
+    words = ("7z x ", "unrar x ", "unlz4 -k ", "git lfs pull --include ", "copy it again from its source")
     assert all(
         word in lines[name.rpartition("/")[2]] for name, word in zip(STAND_FOR_ONE, words, strict=True)
     )

@@ -99,7 +99,7 @@ class PageFile(Generic[AnyBlock]):
         start_byte: where the first page, or the search for it, begins.
         page_bytes: length of a page, or the usual one.
         size: bytes on disk.
-        compressed: gzip; such a file is only read from its beginning.
+        compressed: it is packed; such a file is only read from its beginning.
         scanner: makes a scanner of bytes that begin at a place of the file.
         proved: its pages have checksums of their own.
     """
@@ -120,7 +120,7 @@ class PageFile(Generic[AnyBlock]):
         """Yield the pages from a position on, `amount` bytes at a time; the last block may be empty.
 
         Only pages of one length can be entered after the first one. Raises UnreadableError if the disk fails,
-        or a gzip file without checksums of its own is damaged inside.
+        or a packed file without checksums of its own is damaged inside.
         """
         start = self.start_byte + first_position * self.page_bytes
         cutter, last = Cutter(self.scanner(start), start, first_position), False

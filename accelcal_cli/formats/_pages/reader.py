@@ -268,7 +268,7 @@ class PageScheme(Generic[AnyBlock]):
         return self.file.amount(chunk_samples // self.spacing.rows)
 
     def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk]:
-        """Yield all rows of the file; `threads` may work at a time on a gzip file."""
+        """Yield all rows of the file; `threads` may work at a time on a packed file."""
         assembler = self.assembler()
         with closing(self.file.blocks(self.amount(chunk_samples), threads=threads)) as blocks:
             for block in blocks:
@@ -364,7 +364,7 @@ class FixedPages(PageScheme[RawBlock]):
         """Return samples and seconds, by the first valid page and the last; None if these do not show it.
 
         The number of samples assumes that all pages between are full and present; it is None if the
-        sequence numbers contradict that, and for a gzip file, whose end is not known.
+        sequence numbers contradict that, and for a packed file, whose end is not known.
         """
         if self.file.compressed:
             return None, None

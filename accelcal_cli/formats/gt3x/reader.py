@@ -325,7 +325,10 @@ class Gt3xReader(Reader):
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order."""
-        return self._file.stream(chunk_samples, self.threads, with_others=self.with_others)
+        file = self._file
+        if isinstance(file, LogFile) and not self.with_others:
+            file = replace(file, readings=())
+        return file.stream(chunk_samples, self.threads)
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
@@ -462,14 +465,12 @@ class LogFile:
     applied: AppliedCalibration = NOTHING
     readings: tuple[Reading, ...] = ()
 
-    def stream(
-        self, chunk_samples: int, threads: int = 1, *, with_others: bool = False
-    ) -> Generator[Chunk, None, None]:
+    def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk, None, None]:
         """Yield all chunks, of at least a second."""
         most = max(chunk_samples, self.sensor.rate)
         timeline = Timeline(self.sensor, self.span, self.applied.thermometer())
         found, rows = ProblemLog(self.problems), 0
-        others = PlacedReadings(self.readings) if with_others else None
+        others = PlacedReadings(self.readings) if self.readings else None
         with (
             MemberStream(self.archive, self.member) as source,
             closing(batches(source, self.span, threads)) as parts,

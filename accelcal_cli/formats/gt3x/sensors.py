@@ -599,9 +599,7 @@ class ActivityFile:
         size = None if self.archive.problems else self.member.unpacked_bytes
         return None if size is None else int(packed_samples(np.array(size)))
 
-    def stream(
-        self, chunk_samples: int, threads: int = 1, *, with_others: bool = False
-    ) -> Generator[Chunk, None, None]:
+    def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk, None, None]:
         """Yield all chunks; raises UnreadableError if the disk fails, or the part is damaged.
 
         Without checksums of their own, any of the values may then be wrong.

@@ -19,16 +19,12 @@ from accelcal_cli.core.recording import Problem
 from accelcal_cli.core.vocabulary import normalized
 from accelcal_cli.formats._bytes import ByteSource, refuse_packed
 from accelcal_cli.formats.tables.header import As, Attributes, readable
-from accelcal_cli.formats.tables.tracks import TEXT, OpenRows, Track, TrackSource
+from accelcal_cli.formats.tables.tracks import AGAIN, HIGHEST_RATIO, TEXT, OpenRows, Track, TrackSource
 
 HEAD_BYTES, LONGEST_NAME = 128, 1024
 PIECE_BYTES = 1 << 16
 """Most bytes that are unpacked at once, and kept of each array: there may be a thousand."""
 
-HIGHEST_RATIO = 1100
-"""Deflate makes at most 1032 bytes of one."""
-
-AGAIN = "copy it again from its source"
 UNPACK_ERRORS = (zipfile.BadZipFile, zlib.error, EOFError)
 
 Read = Callable[[int, int], bytes]

@@ -32,7 +32,16 @@ from accelcal_cli.formats._bytes import refuse_packed
 from accelcal_cli.formats.tables import signatures
 from accelcal_cli.formats.tables.header import Attributes, readable
 from accelcal_cli.formats.tables.reader import TableReader, open_table
-from accelcal_cli.formats.tables.tracks import BLOCK_ROWS, READ_ERRORS, TEXT, OpenRows, Track, TrackSource
+from accelcal_cli.formats.tables.tracks import (
+    AGAIN,
+    BLOCK_ROWS,
+    HIGHEST_RATIO,
+    READ_ERRORS,
+    TEXT,
+    OpenRows,
+    Track,
+    TrackSource,
+)
 from accelcal_cli.formats.tables.units import EMPTY
 
 ARROW_ERRORS = (pa.ArrowException, *READ_ERRORS)
@@ -43,9 +52,6 @@ UNNAMED_INDEX = "__index_level_0__"
 
 DEEPEST = 8
 """Structures within structures; no laboratory has more, and a damaged schema may have no end."""
-
-HIGHEST_RATIO = 1100
-"""No recording has more rows for each byte of its file; damaged metadata may claim any number."""
 
 PAGES_BYTES, WHOLE_BYTES = 1 << 20, 32 << 20
 """Bytes of a column that are read at a time: a row group may be as long as the recording. In shorter ones a
@@ -61,7 +67,6 @@ MOST_LOOKED_AT = 1 << 22
 """Longest footer [bytes] that is searched for where row groups begin (2 s)."""
 
 LONGEST_WORD, LARGEST_MG = 40, 1e6
-AGAIN = "copy it again from its source"
 
 
 def open_parquet(path: Path, options: ReadOptions) -> TableReader:

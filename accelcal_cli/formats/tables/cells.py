@@ -33,7 +33,7 @@ from accelcal_cli.core.written_times import (
     undated,
 )
 from accelcal_cli.formats._stamps import HOUR_24, IMPOSSIBLE, NO_TIME
-from accelcal_cli.formats.tables.header import Kind, Source, unclear_date
+from accelcal_cli.formats.tables.header import BETWEEN_GROUPS, DECIMAL, Kind, Source, unclear_date
 
 # Reads columns of times that people wrote, many cells at a time (`core/written_times.py` knows the
 # forms).
@@ -109,8 +109,8 @@ class Written:
         around = [parts[name] for name in names if name not in ("h", "m", "s", "f")]
         days, shift, late = self._days(pc, around, len(found))
         halves = late >= 0
-        hours = np.where(halves, h % 12 + 12 * late, h)
-        wrong = (hours > 24) | (m > 59) | (s > 60) | (halves & ((h > 12) | (h == 0))) | (days <= NO_DAY)
+        hours = np.where(halves & (h <= 12), h % 12 + 12 * late, h)
+        wrong = (hours > 24) | (m > 59) | (s > 60) | ((late == 0) & (h > 12)) | (days <= NO_DAY)
         seconds = (np.where(wrong, 0, days) * 24 + hours % 24) * 3600 + m * 60 + s - shift
         times = seconds * 1_000_000 + (ns + 500) // 1000
         wrong |= (times < FIRST_US) | (times > LAST_US)
@@ -247,9 +247,16 @@ MISSING = frozenset({
 })  # fmt: skip
 """Cells that stand for a missing value; pyarrow is given the same list."""
 
-NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|infinity)", re.IGNORECASE)
-POINT_NUMBER = re.compile(r"[+-]?\d*\.\d*([eE][+-]?\d+)?")
-COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|infinity)", re.ASCII | re.IGNORECASE)
+POINT_NUMBER = re.compile(r"[+\u2212-]?\d*\.\d*([eE][+-]?\d+)?")
+COMMA_NUMBER = re.compile(r"[+\u2212-]?\d*,\d+([eE][+-]?\d+)?")
+GROUPS = re.compile(
+    r"[+-]?[1-9]\d{0,2}(?P<mark>[ \u00a0\u2009\u202f'\u2019.,])\d{3}(?:(?P=mark)\d{3})*"
+    r"(?P<decimals>(?!(?P=mark))[.,]\d*)?",
+    re.ASCII,
+)
+"""A number with marks between groups of three digits, of which a point or a comma may be none."""
+
 DATE = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ].*)?")
 DATE_ALONE = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}")
 TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d.*)?( ?[AaPp][Mm])?")
@@ -281,12 +288,12 @@ def split_line(line: str, delimiter: str) -> list[str]:
         return []
 
 
-def cell_kind(cell: str, decimal_comma: bool) -> Kind:
+def cell_kind(cell: str) -> Kind:
     """Return the kind of one cell; blanks around it do not count."""
     cell = cell.strip()
     if cell in MISSING:
         return Kind.MISSING
-    if NUMBER.fullmatch(cell) or (decimal_comma and COMMA_NUMBER.fullmatch(cell)):
+    if number_of(cell) is not None or number_of(cell, BETWEEN_GROUPS) is not None:
         return Kind.NUMBER
     known = DATE.fullmatch(cell) or TIME_OF_DAY.fullmatch(cell) or is_time(cell) or is_date(cell)
     return Kind.TIME if known else Kind.TEXT
@@ -302,12 +309,12 @@ def least_of(number: int, share: float) -> float:
     return min(share * number, number - 1) if number >= FEW else share * number
 
 
-def column_kind(cells: Sequence[str], decimal_comma: bool, share: float) -> Kind:
+def column_kind(cells: Sequence[str], share: float) -> Kind:
     """Return the kind that this share of the cells have, unless missing; TEXT if there is none.
 
     Where cells are few, one may be unlike the others, which is damage.
     """
-    kinds = [cell_kind(cell, decimal_comma) for cell in cells]
+    kinds = [*map(cell_kind, cells)]
     missing = kinds.count(Kind.MISSING)
     if missing == len(kinds):
         return Kind.MISSING
@@ -317,10 +324,28 @@ def column_kind(cells: Sequence[str], decimal_comma: bool, share: float) -> Kind
     return Kind.TEXT
 
 
-def number_of(cell: str) -> float | None:
+def plain_number(cell: str, comma: str) -> str:
+    """Return a number with an ASCII minus, a decimal point and no other marks; other texts as they are.
+
+    Args:
+        comma: what a comma alone becomes: DECIMAL, BETWEEN_GROUPS, or UNKNOWN.
+    """
+    text = cell.strip().replace("\u2212", "-")
+    found = GROUPS.fullmatch(text)
+    if found and (found["decimals"] or found["mark"].replace(",", comma) not in (*".,",)):
+        return text.replace(found["mark"], "").replace(",", ".")
+    return text.replace(",", ".") if comma == DECIMAL else text
+
+
+def number_of(cell: str, comma: str = DECIMAL) -> float | None:
     """Return the number in a cell, None if it holds none."""
-    cell = cell.strip().replace(",", ".")
-    return float(cell) if NUMBER.fullmatch(cell) else None
+    text = plain_number(cell, comma)
+    return float(text) if NUMBER.fullmatch(text) else None
+
+
+def shows_decimal_comma(cell: str) -> bool:
+    """Return True for a number whose comma cannot stand before a group of three digits."""
+    return number_of(cell, BETWEEN_GROUPS) is None and number_of(cell) is not None
 
 
 def is_unit_cell(text: str) -> bool:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import FIRST_US, LAST_US, MICROSECONDS, iso_time
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
+from accelcal_cli.core.unpacking import LONGEST_BEGIN, packing_of
 from accelcal_cli.core.written_times import (
     AMBIGUOUS,
     READ,
@@ -74,7 +75,7 @@ from accelcal_cli.formats.tables.units import EMPTY, as_floats
 from accelcal_cli.formats.tables.values import in_arrow, moments, told
 
 STAMP = re.compile(
-    r"(?P<year>\d{4})[-/]\d\d[-/]\d\d([T ]\d\d:\d\d(:\d\d(\.\d+)?)?(?P<zone>Z|[+-]\d\d(:?\d\d)?)?)?"
+    r"(?P<year>\d{4})[-/]\d\d[-/]\d\d([T ]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(?P<zone>Z|[+-]\d\d(:?\d\d)?)?)?"
 )
 YEAR = re.compile(r"\d{4}\D")
 NS_YEARS = frozenset(str(year) for year in range(1678, 2262))
@@ -282,7 +283,7 @@ def find_time_format(
         UnreadableError: they can be read in more than one way, or are not times.
         UsageError: -R time_format is not a pattern of strptime.
     """
-    known, asked, zone = _usual_cells(cells, source.decimal_comma), options.time_format, column.name.zone
+    known, asked, zone = _usual_cells(cells), options.time_format, column.name.zone
     texts, asked_us = [text for text, _ in known], microseconds_in(asked or "")
     if asked is not None and asked_us is None:
         return _written_format(_asked_form(asked), known, zone, source.path)
@@ -303,22 +304,21 @@ def find_time_format(
     return _written_format(form, known, zone, source.path)
 
 
-def _usual_cells(cells: Sequence[Cell], decimal_comma: bool) -> list[Cell]:
+def _usual_cells(cells: Sequence[Cell]) -> list[Cell]:
     """Return the cells that are not missing, of numbers or of times if most are one of these; at least one.
 
     What is neither costs its row, not the recording.
     """
     known = [(text, line) for cell, line in cells if (text := cell.strip()) not in MISSING]
     known = known or [("", cells[0][1])]
-    kind = column_kind([text for text, _ in known], decimal_comma, KIND_SHARE)
+    kind = column_kind([text for text, _ in known], KIND_SHARE)
     usual = kind in (Kind.NUMBER, Kind.TIME)
-    return [cell for cell in known if not usual or cell_kind(cell[0], decimal_comma) is kind]
+    return [cell for cell in known if not usual or cell_kind(cell[0]) is kind]
 
 
 def _iso_format(known: Sequence[Cell], source: Source, zone: str | None) -> TimeFormat | None:
     """Return the format of times in ISO 8601 with the year first; None for other times."""
-    comma = "," if source.decimal_comma else "."
-    found = [STAMP.fullmatch(text.replace(comma, ".")) for text, _ in known]
+    found = [STAMP.fullmatch(text) for text, _ in known]
     stamps = [stamp for stamp in found if stamp is not None]
     if len(stamps) < len(found) or 2 * sum(stamp["year"] in NS_YEARS for stamp in stamps) < len(stamps):
         return None
@@ -618,8 +618,11 @@ def _refuse_other_order(stamps: NDArray[np.int64], source: Source) -> None:
         what = "its rows are in the order newest first: their times go back"
         if source.first_line is not None:
             name, above = shlex.quote(printable(source.path)), source.first_line - 1
-            text = f"gzip -dc {name}" if source.path.suffix == ".gz" else f"cat {name}"
-            command = f"({text} | head -n {above}; {text} | tail -n +{above + 1} | tac) > sorted.csv"
+            with source.path.open("rb") as file:
+                packing = packing_of(file.read(LONGEST_BEGIN))
+            text = f"{packing.command} -c < {name}" if packing else f"cat {name}"
+            rows = f"{text} | tail -n +{above + 1} | sed '$a\\' | tac"  # the last line may have no end
+            command = f"({text} | head -n {above}; {rows}) > sorted.csv"
             hint = f"sort its rows by time, the oldest first: {command}"
     raise UnreadableError(what, path=source.path, line=source.first_line, hint=hint)
 

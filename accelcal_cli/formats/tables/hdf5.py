@@ -31,7 +31,9 @@ from accelcal_cli.formats._bytes import refuse_packed
 from accelcal_cli.formats.tables.header import Attributes, plain_value, readable
 from accelcal_cli.formats.tables.reader import TableReader, open_table
 from accelcal_cli.formats.tables.tracks import (
+    AGAIN,
     BLOCK_ROWS,
+    HIGHEST_RATIO,
     READ_ERRORS,
     REFUSE_ABOVE_BYTES,
     TEXT,
@@ -144,7 +146,7 @@ def _opened(path: Path, stream: SoundBytes) -> Any:
 
 def _open_error(path: Path, error: Exception, claimed: int) -> UnreadableError:
     """Return h5py's complaint as an error for the person who has the file."""
-    text, size, hint = str(error), 0, "copy it again from its source"
+    text, size, hint = str(error), 0, AGAIN
     if claimed:
         size = path.stat().st_size
         what = f"is cut short: it has {size} of {claimed} bytes, and these cannot be read"
@@ -298,9 +300,6 @@ SMALLEST_LOSS_ROWS = 16
 MOST_CLAIMED = 200
 """Most rows that a dataset may claim for each one that was written, lest going through it takes too long."""
 
-HIGHEST_RATIO = 1032
-"""Bytes that deflate can make of one; no filter in use packs rows more densely."""
-
 CACHE_SLOTS, SPARE_CACHE_BYTES = 521, 1 << 20
 """Places in the library's cache for chunks, and room for others than the one that is kept."""
 
@@ -401,7 +400,7 @@ class TrackRows:
         self._start = self._stop = 0
         self._values, self._good = np.empty((0, track.width), track.dtype), np.empty(0, np.bool_)
 
-    def _refusal(self, what: str, hint: str = "copy it again from its source") -> UnreadableError:
+    def _refusal(self, what: str, hint: str = AGAIN) -> UnreadableError:
         return UnreadableError(f"column {self.path} {what}", path=self._source.path, hint=hint)
 
     def _look_at_chunks(self) -> None:
@@ -534,8 +533,8 @@ def guarded(path: Path, what: str) -> Iterator[None]:
     try:
         yield
     except H5PY_ERRORS as error:
-        hint = "the file is damaged: copy it again from its source"
-        raise UnreadableError(f"the {what} cannot be read ({brief(error)})", path=path, hint=hint) from error
+        hint, what = f"the file is damaged: {AGAIN}", f"the {what} cannot be read ({brief(error)})"
+        raise UnreadableError(what, path=path, hint=hint) from error
 
 
 def as_track(path: str, dataset: Any) -> Track | None:

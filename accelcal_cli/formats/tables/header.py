@@ -36,6 +36,9 @@ FLOAT = np.dtype(np.float64)
 MOST_SHOWN = 20
 """Number of columns, and of objects, that a message names."""
 
+DECIMAL, BETWEEN_GROUPS, UNKNOWN = ".", "", ","
+"""A comma alone in the numbers of a file becomes one of these."""
+
 
 class Kind(Enum):
     """The kind of a cell, or of a column whose cells are nearly all of it."""
@@ -314,9 +317,9 @@ class Source:
         names_line, first_line: in a text file, the lines of the names and of the first row.
         unread: what of the file cannot be read, and how to save it, for people; empty if there is nothing.
         problems: go with the first rows.
-        last_notes: the last notes on how the file was understood.
+        last_notes: the last notes on how the file was understood; width_notes: on names and rows.
         can_be_entered: the file can be read from any row on.
-        decimal_comma: decimals are written with a comma.
+        comma: what a comma alone in its numbers becomes.
     """
 
     path: Path
@@ -332,8 +335,9 @@ class Source:
     unread = ""
     problems: tuple[Problem, ...] = ()
     last_notes: tuple[str, ...] = ()
+    width_notes: tuple[str, ...] = ()
     can_be_entered = False
-    decimal_comma = False
+    comma = UNKNOWN
 
     def head(self, wanted: Wanted) -> Piece:
         """Return the first rows, by which the file is understood."""
@@ -391,10 +395,6 @@ class Source:
     def with_date_order(self, column: Column, order: str) -> Source | None:
         """Return a source that reads the dates of a column in this order by itself; None if it cannot."""
         return None
-
-    def constant_cells(self, piece: Piece, columns: Sequence[int]) -> dict[int, str]:
-        """Return the cells of columns that, as far as a short look shows, are the same in all rows."""
-        return {}
 
     def offset_of(self, column: int, row: int) -> int | None:
         """Return the byte in the file of the part that holds a row of a column; None if it is not known."""

@@ -26,7 +26,7 @@ from accelcal_cli.formats._bytes import ShortReads
 from accelcal_cli.formats.tables import arrays
 from accelcal_cli.formats.tables.arrays import Array, Arrays, ArraySource, StoredBytes
 from accelcal_cli.formats.tables.reader import TableReader, open_table
-from accelcal_cli.formats.tables.tracks import READ_ERRORS, TEXT, Track, track_of_shape
+from accelcal_cli.formats.tables.tracks import AGAIN, READ_ERRORS, TEXT, Track, track_of_shape
 
 HEAD_BYTES = 1 << 14
 """Bytes read for the head of an array; NumPy's own limit is 10 000 characters."""
@@ -53,7 +53,7 @@ def open_recording(path: Path, options: ReadOptions) -> TableReader:
         archive = zipfile.ZipFile(ShortReads(file, MOST_DIRECTORY_BYTES))
     except ZIP_ERRORS as error:
         what = f"its list of arrays cannot be read ({' '.join(str(error).split())[:200]})"
-        hint = f"the file is damaged, cut short, or has too many arrays: {arrays.AGAIN}"
+        hint = f"the file is damaged, cut short, or has too many arrays: {AGAIN}"
         raise UnreadableError(what, path=path, hint=hint) from error
     members = [item for item in archive.infolist() if item.filename.endswith(".npy")]
     table.damaged = len(members[MOST_MEMBERS:])

@@ -192,6 +192,7 @@ class _Understood:
             *heat_notes,
             *[SPARSE.format(stride)] * (stride > 1),
             *turn_notes,
+            *self.roles.other_notes,
             *layout.pace.notes,
             *self.source.last_notes,
         )
@@ -222,7 +223,7 @@ class _Understood:
             return None
         since_1970 = self.clock is not None and self.clock.format.has_dates
         watch = SensorWatch(self.source, dividing, (options.sensor, self.chosen), since_1970)
-        watch.see(watch.look(block, {}), times)
+        watch.see(watch.look(block), times)
         return watch
 
     def _more_values(self, values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -70,7 +70,7 @@ class Roles:
         heat: of the device's temperature; heat_unit: None if only its values tell.
         like_heat: columns that look like a temperature and are not read.
         gyro: of the rotation rates; gyro_notes: on one that is there and not read.
-        others: columns of other quantities, with what they become.
+        others: columns of other quantities, with what they become; other_notes: on those that are not read.
         dividing: columns of texts or whole numbers that may tell whose each row is.
     """
 
@@ -83,6 +83,7 @@ class Roles:
     gyro: Group | None = None
     gyro_notes: tuple[str, ...] = ()
     others: tuple[tuple[Column, OtherColumn], ...] = ()
+    other_notes: tuple[str, ...] = ()
     dividing: tuple[Column, ...] = ()
 
 
@@ -110,8 +111,9 @@ def find_roles(source: Source, options: ReadOptions, cells: Cells) -> Roles:
     used = {column.number for column in gyro or ()} | {source.stated.marks}
     others = [column for column in free if column.number not in used and is_around(column, home)]
     dividing = _dividing(others, cells)
-    quantities = _others([column for column in others if column not in like_heat])
-    return Roles(xyz, time, date, heat, heat_unit, like_heat, gyro, notes, quantities, dividing)
+    measured = [column for column in others if column not in like_heat and _quantity_of(column)]
+    quantities, left_out = _others(measured), _notes_on_texts(measured, cells)
+    return Roles(xyz, time, date, heat, heat_unit, like_heat, gyro, notes, quantities, left_out, dividing)
 
 
 def is_around(column: Column, home: str) -> bool:
@@ -312,7 +314,8 @@ def _no_axes(source: Source, cells: Cells) -> UnreadableError:
     if not columns or all(column.kind is Kind.TEXT for column in columns):
         hint = source.unread or "give it x, y and z, and times, as numbers"
         return NoRecordingError("no column of numbers can be found", path=path, line=line, hint=hint)
-    if source.has_names and not could_be_axes(columns):
+    unknown = (one for one in columns if not (one.name.is_elsewhere or _is_of_other_sensor(one)))
+    if source.has_names and sum(one.width for one in unknown) < len(AXES):
         hint = "give --columns X,Y,Z as names, or as numbers from 0, if it is there"
         return NoRecordingError(
             f"no column has a name known for acceleration: {', '.join(names)}",
@@ -331,19 +334,13 @@ def _no_axes(source: Source, cells: Cells) -> UnreadableError:
     return UnreadableError(what, path=path, line=line, hint=hint)
 
 
-def could_be_axes(columns: Iterable[Column]) -> bool:
-    """Return True if three columns or more have names that do not say that they are something else."""
-    unknown = (one for one in columns if not (one.name.is_elsewhere or _is_of_other_sensor(one)))
-    return sum(one.width for one in unknown) >= len(AXES)
-
-
 def _advice_on_axes(source: Source, cells: Cells) -> str:
     """Return how to name the axes; no option can settle `0,012,0,996,-0,101`."""
     wide = [shlex.quote(column.path) for column in source.columns if column.width == len(AXES)]
     if wide or source.unread:
         as_in = f"name it, as in --columns {wide[0]}" if wide else "give --columns X,Y,Z"
         return f"{as_in}; {_listed(source)}"
-    hint = "give --columns X,Y,Z as names, or as numbers from 0"
+    hint = "; ".join(("give --columns X,Y,Z as names, or as numbers from 0", *source.width_notes))
     if source.has_names or not 6 <= len(source.columns) <= 8 or source.place_word != "line":
         return hint
     texts = [cell for column in source.columns[-6:] for cell in cells(column)]
@@ -511,16 +508,27 @@ def _home(column: Column) -> str:
     return "/".join(column.groups[:-1] if sensor else column.groups)
 
 
-def _others(free: Sequence[Column]) -> tuple[tuple[Column, OtherColumn], ...]:
-    """Return the columns of light, battery and the like, named by quantity, several of one in full."""
-    named = [(one, quantity_of(one.name.words)) for one in free if one.kind in (Kind.NUMBER, Kind.MISSING)]
-    found = [(column, quantity) for column, quantity in named if quantity and column.width == 1]
-    times = Counter(quantity for _, quantity in found)
+def _quantity_of(column: Column) -> str:
+    """Return light, battery or the like by the name or the unit of a column; empty for other columns."""
+    return (quantity_of([*column.name.words, column.name.stated.lower()]) or "") * (column.width == 1)
+
+
+def _others(measured: Sequence[Column]) -> tuple[tuple[Column, OtherColumn], ...]:
+    """Return the columns of numbers, named by quantity, several of one in full."""
+    found = [column for column in measured if column.kind in (Kind.NUMBER, Kind.MISSING)]
+    times = Counter(map(_quantity_of, found))
     columns = [
-        OtherColumn(quantity if times[quantity] == 1 else "_".join(one.name.words), unit_at_end(one.name))
-        for one, quantity in found
+        OtherColumn(what if times[what] == 1 else "_".join(one.name.words), unit_at_end(one.name))
+        for one, what in zip(found, map(_quantity_of, found), strict=True)
     ]
-    return tuple(zip([column for column, _ in found], uniquely_named(columns), strict=True))
+    return tuple(zip(found, uniquely_named(columns), strict=True))
+
+
+def _notes_on_texts(measured: Sequence[Column], cells: Cells) -> tuple[str, ...]:
+    """Return a note on each column whose cells are not numbers."""
+    texts = [column for column in measured if column.kind in (Kind.TEXT, Kind.TIME)]
+    first = [(column, (*present(cells(column)), "")[0]) for column in texts]
+    return tuple(f"not read: {column.described} holds {cell!r}, not numbers" for column, cell in first)
 
 
 def _dividing(free: Sequence[Column], cells: Cells) -> tuple[Column, ...]:

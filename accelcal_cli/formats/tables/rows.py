@@ -264,11 +264,9 @@ class RowParser:
     def _rows_of(self, piece: Piece) -> tuple[Rows, Piece, Any]:
         """Return the rows of a piece by themselves, and what the watch saw; this may run in any order."""
         watch, layout = self._watch, self._layout
-        constant = {} if watch is None else watch.constant(piece)
-        looked_at = () if watch is None else (one for one in watch.columns if one.number not in constant)
-        codes = codes_of(looked_at)
+        codes = codes_of(() if watch is None else watch.columns)
         block, others = self._parsed(piece, self._wanted | codes)
-        seen = None if watch is None else watch.look(block, constant)
+        seen = None if watch is None else watch.look(block)
         if layout.scale.is_of_whole:
             refuse_grouped(group_values(block.values, layout.xyz), block.line, self._source, layout.scale)
         rows = rows_of(block, layout)
@@ -370,17 +368,6 @@ class FollowedChanges:
         return replace(rows, time_us=times)
 
 
-class RunningRows:
-    """Makes times run on where a counter wraps, or a clock shows no new day (see `RunningOn`)."""
-
-    def __init__(self, wraps: Wraps) -> None:
-        self.clock = RunningOn(wraps)
-
-    def add(self, rows: Rows, _last: bool) -> Rows:
-        """Return the next rows with the times of a clock that runs on."""
-        return rows if rows.time_us is None else replace(rows, time_us=self.clock.running_on(rows.time_us))
-
-
 class SpreadRows:
     """Gives rows that share a stamp times of their own (see `SharedStamps`)."""
 
@@ -442,9 +429,9 @@ class RowStream:
         first_row: int = 0,
     ) -> None:
         self._parser = RowParser(source, layout, watch, first_row)
-        running, changes = RunningRows(layout.wraps), FollowedChanges(zone)
-        self.clock, self.followed, self.first_row = running.clock, changes.rows, first_row
-        self._steps: list[RunningRows | FollowedChanges | SpreadRows | IdleFill] = [running, changes]
+        self.clock, changes = RunningOn(layout.wraps), FollowedChanges(zone)
+        self.followed, self.first_row = changes.rows, first_row
+        self._steps: list[FollowedChanges | SpreadRows | IdleFill] = [changes]
         if layout.clock is not None and (layout.pace.stamp_period_us or layout.clock.format.unit_us):
             self._steps.append(SpreadRows(layout.pace))
         if layout.repeats_idle:
@@ -453,7 +440,8 @@ class RowStream:
     def rows(self, pieces: Iterable[Piece], threads: int) -> Iterator[tuple[Rows, Piece]]:
         """Yield the settled rows, and the piece they came with, once a piece."""
         for parsed, piece in self._parser.rows(pieces, threads):
-            rows = parsed
+            times = None if parsed.time_us is None else self.clock.running_on(parsed.time_us)
+            rows = replace(parsed, time_us=times)
             for step in self._steps:
                 rows = step.add(rows, piece.last)
             yield rows, piece

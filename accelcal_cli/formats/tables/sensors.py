@@ -389,19 +389,9 @@ class SensorWatch:
         wanted = self._wanted, self._chosen
         return SensorWatch(self._source, columns, wanted, self._since_1970) if columns else None
 
-    def constant(self, piece: Piece) -> dict[int, str]:
-        """Return the texts of columns that, as far as a short look shows, are the same in all rows."""
-        if self._chosen is not None:
-            return {}
-        return self._source.constant_cells(piece, [column.number for column in self.columns])
-
-    def look(self, block: Block, constant: Mapping[int, str]) -> tuple[CellTexts, ...]:
-        """Return the columns of a block, all of whose rows have the constant texts."""
-        rows = np.zeros(len(block), np.int32)
-        alike = {number: CellTexts((text,), rows - (not text)) for number, text in constant.items()}
-        return tuple(
-            alike[one.number] if one.number in alike else block.values[one.number] for one in self.columns
-        )
+    def look(self, block: Block) -> tuple[CellTexts, ...]:
+        """Return the columns of a block."""
+        return tuple(block.values[column.number] for column in self.columns)
 
     def see(self, seen: Sequence[CellTexts], times: NDArray[np.int64] | None) -> None:
         """Take the columns of the next block; raise UnreadableError if they show several sensors.

@@ -23,8 +23,9 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Problem
 from accelcal_cli.core.vocabulary import GIVE_UNIT, PER_SECOND, acceleration_unit, find_unit
 from accelcal_cli.core.written_times import written_start
-from accelcal_cli.formats.tables.cells import KIND_SHARE, column_kind
+from accelcal_cli.formats.tables.cells import KIND_SHARE, column_kind, shows_decimal_comma
 from accelcal_cli.formats.tables.header import (
+    DECIMAL,
     FLOAT,
     SAMPLE_ROWS,
     As,
@@ -52,6 +53,11 @@ BLOCK_ROWS = 65_536
 
 PIECE_BYTES = 16 << 20
 """Bytes of values that are read at a time, however many samples are wanted: wide numbers take memory."""
+
+HIGHEST_RATIO = 1032
+"""Most rows, or bytes of an array, for each byte of a file: deflate makes no more of one byte."""
+
+AGAIN = "copy it again from its source"
 
 REFUSE_ABOVE_BYTES = 128 << 20
 """Bytes of all columns that may be unpacked whole together; at moments it takes three times as much."""
@@ -275,7 +281,11 @@ class TrackSource(Source):
             texts, _ = open_rows(track).read(0, min(track.rows, SAMPLE_ROWS))
         except (UnreadableError, *READ_ERRORS):
             return Kind.TEXT
-        return column_kind([text or "" for text in texts.to_pylist()], False, KIND_SHARE)
+        cells = [text or "" for text in texts.to_pylist()]
+        kind = column_kind(cells, KIND_SHARE)
+        if kind is Kind.NUMBER and any(map(shows_decimal_comma, cells)):
+            self.comma = DECIMAL
+        return kind
 
     def settle(self, xyz: Sequence[Column], gyro: Sequence[Column], options: ReadOptions) -> None:
         """See `Source`."""
@@ -359,7 +369,7 @@ class TrackSource(Source):
             if isinstance(piece.values[number], np.ndarray):
                 values[number] = _as_wanted(piece.values[number], how)
                 continue
-            values[number], wrong = values_of_texts(piece.values[number], how)
+            values[number], wrong = values_of_texts(piece.values[number], how, self.comma)
             what = "time" if how in MOMENTS else "number"
             bad = bad | told(number, piece.values[number], wrong, what) | bad  # the first reason holds
         lines = np.arange(piece.row + 1, piece.row + piece.rows + 1)

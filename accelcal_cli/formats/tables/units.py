@@ -30,7 +30,7 @@ from accelcal_cli.core.vocabulary import (
     unit_of,
 )
 from accelcal_cli.formats._gravity import guess_unit, usual_length
-from accelcal_cli.formats.tables.header import FLOAT, Block, Source, readable
+from accelcal_cli.formats.tables.header import DECIMAL, FLOAT, Block, Source, readable
 from accelcal_cli.formats.tables.roles import Group, Roles
 
 # Counts that are never negative, as converters give them: the count that stands for 0 g.
@@ -120,12 +120,6 @@ def are_unsigned(values: Floats) -> bool:
     """Return True if all values that are not missing are whole, and none is negative."""
     known = values[np.isfinite(values)]
     return bool(len(known) and known.min() >= 0 and (known == np.rint(known)).all())
-
-
-def refuse_other_zero(values: Floats, path: Path) -> None:
-    """Raise UnreadableError if rest lies around another count than 0, in counts of an unknown scale."""
-    if (sphere := sphere_of_rest(values)) is not None:
-        raise _off_zero(sphere, path)
 
 
 def zero_of(values: Floats, lsb_per_g: float, path: Path) -> int | None:
@@ -347,8 +341,9 @@ def find_scale(
             _refuse_fractions(values, lines, source)
         return scale, False
     unit = unit or about.unit
-    if lsb is None and options.zero is None and unit in (None, COUNTS):
-        refuse_other_zero(values, path)
+    of_no_scale = lsb is None and options.zero is None and unit in (None, COUNTS)
+    if of_no_scale and (sphere := sphere_of_rest(values)) is not None:
+        raise _off_zero(sphere, path)
     guessed = unit is None and lsb is None
     unit = guess_unit(values, path) if guessed else unit or COUNTS
     if unit != COUNTS:
@@ -475,7 +470,7 @@ def refuse_grouped(values: NDArray[Any], lines: Numbers, source: Source, scale: 
     row, axis = np.argwhere(broken)[int(np.flatnonzero(sure)[0])].tolist()
     line = int(lines[row]) if source.first_line is not None and row < len(lines) else None
     value = float(values[row, axis])
-    written = f"{value:.3f}".replace(".", "," if source.decimal_comma else ".")
+    written = f"{value:.3f}".replace(".", "," if source.comma == DECIMAL else ".")
     plain = f"{value * 1000:.0f}"
     what = f"holds {written} among whole numbers: a fraction, or {plain} with a mark between thousands"
     hint = f"write {plain} without the mark, or the other numbers with decimals, too"

@@ -6,7 +6,6 @@ second; these do without.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from datetime import date
 from typing import Any
@@ -17,8 +16,8 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.written_times import COLONS
 from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME, WITH_HOUR_24
-from accelcal_cli.formats.tables.cells import MISSING, Written
-from accelcal_cli.formats.tables.header import As, CellTexts
+from accelcal_cli.formats.tables.cells import MISSING, Written, number_of
+from accelcal_cli.formats.tables.header import DECIMAL, As, CellTexts
 
 TOLD = 64
 """Stretches of lost rows in a block whose first line is reported with its fault."""
@@ -31,8 +30,8 @@ NO_ROWS = np.empty(0, np.int64)
 SHOWN = 40
 """Letters of a line that a message shows."""
 
-UNTIDY = r"^ | $|  |^[0-9]:[0-9]"
-"""Cells that more changes may mend: with blanks, or with an hour of one digit."""
+UNTIDY = r"^ | $|  "
+"""Cells that more changes may mend: with blanks."""
 
 RARE = 8
 """Texts of a length that one in this number, or fewer, have are looked at by themselves."""
@@ -95,11 +94,6 @@ def told_of(rows: NDArray[np.int64]) -> NDArray[np.int64]:
     return rows[np.diff(rows, prepend=-2) > 1][:TOLD]
 
 
-def is_stamp(cell: str, zoned: bool) -> bool:
-    """Return True if a cell is written as ISO 8601 with the year first; the time need not exist."""
-    return re.match(STAMPS[zoned], cell) is not None
-
-
 def values_of(column: Any, how: As) -> Any:
     """Return a column of pyarrow's type as it is wanted."""
     if how is As.NUMBER:
@@ -112,12 +106,13 @@ def values_of(column: Any, how: As) -> Any:
     return np.where(ticks == EMPTY_NS, NO_TIME, (ticks + 500) // 1000)
 
 
-def read_as(column: Any, how: As) -> tuple[Any, NDArray[np.int64], NDArray[np.int64]]:
+def read_as(column: Any, how: As, comma: str) -> tuple[Any, NDArray[np.int64], NDArray[np.int64]]:
     """Return a column of texts as it is wanted, the rows of those that do not fit, and of untidy ones."""
     if how in (As.TEXT, As.CODES):
         return values_of(column, how), NO_ROWS, NO_ROWS
     cells = whole(column)
-    values, rows = numbers(cells) if how is As.NUMBER else moments(cells, how is As.ZONED_MOMENT)
+    read: Any = numbers(cells, comma) if how is As.NUMBER else moments(cells, how is As.ZONED_MOMENT)
+    values, rows = read
     if not len(rows):
         return values, rows, rows
     import pyarrow.compute as pc
@@ -130,14 +125,24 @@ def whole(column: Any) -> Any:
     return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
 
 
-def numbers(cells: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def numbers(cells: Any, comma: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return texts (n,) as numbers (n,), NaN where empty, and the rows of all others."""
-    starts, text = _letters(cells)
+    import pyarrow.compute as pc
+
+    plain = pc.replace_substring(cells, ",", comma) if comma == DECIMAL else cells
+    starts, text = _letters(plain)
     odd = text - np.uint8(ord("-")) > ord("9") - ord("-")  # what is left is - . / and digits
     signs = text == ord("-")
     signs[starts[starts < len(text)]] = False
     doubtful = np.searchsorted(starts, np.flatnonzero(odd | signs), side="right") - 1
-    return _read_apart(cells, As.NUMBER, np.unique(doubtful))
+    values, others = _read_apart(plain, As.NUMBER, np.unique(doubtful))
+    if not len(others):
+        return values, others
+    coded = cells.take(in_arrow(others)).dictionary_encode()
+    read = [number_of(text, comma) for text in coded.dictionary.to_pylist()]
+    found = np.array(read, np.float64)[np.from_dlpack(coded.indices)]  # NaN where there is none
+    values[others] = found
+    return values, others[np.isnan(found)]
 
 
 def moments(cells: Any, zoned: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -286,11 +291,11 @@ def as_texts(texts: Sequence[str]) -> Any:
     return pa.array([None if text.strip() in MISSING else text for text in texts], pa.string())
 
 
-def values_of_texts(cells: Any, how: As) -> tuple[Any, NDArray[np.int64]]:
+def values_of_texts(cells: Any, how: As, comma: str) -> tuple[Any, NDArray[np.int64]]:
     """Return an array of Arrow's texts (n,) as it is wanted, and the rows of those that do not fit."""
     cells = clean_texts(cells)
     if how is As.NUMBER:
-        return numbers(cells)
+        return numbers(cells, comma)
     if how in MOMENTS:
         return moments(cells, how is As.ZONED_MOMENT)
     codes = how is As.CODES

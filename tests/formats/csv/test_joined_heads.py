@@ -10,14 +10,16 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError
 from tests.formats.csv import test_actigraph as actigraph
+from tests.formats.csv import test_gcdc as gcdc
 from tests.formats.csv import test_geneactiv as geneactiv
 from tests.formats.make_csv import read, stamp, written
 
 FIRST = actigraph.HEADER + actigraph.NAMES + actigraph.ROWS
 LATER_US = 3600 * 1_000_000
 HEADS = {
-    "serial number": ("NEO1D00000017", "NEO1D00000018"),
-    "rate": ("at 30 Hz", "at 60 Hz"),
+    "serial number": (FIRST, "NEO1D00000017", "NEO1D00000018"),
+    "rate": (FIRST, "at 30 Hz", "at 60 Hz"),
+    "start": (gcdc.table(gcdc.HAM), "10:41:40", "11:41:40"),  # its rows count from there
 }
 
 
@@ -39,13 +41,12 @@ def test_a_later_start_is_a_gap_of_the_clock(tmp_path: Path, chunk: int, times: 
 @pytest.mark.parametrize("fault", HEADS)
 @pytest.mark.parametrize("chunk", [1000, 5])
 def test_another_recordings_head_is_refused(tmp_path: Path, fault: str, chunk: int) -> None:
-    old, new = HEADS[fault]
-    second = FIRST.replace(old, new)
-    line = FIRST.count("\n") + 1
+    first, old, new = HEADS[fault]
+    line = first.count("\n") + 1
     with pytest.raises(
         UnreadableError, match=f"head of another recording begins: it has the {fault}"
     ) as refusal:
-        read(written(tmp_path, FIRST + second), chunk)
+        read(written(tmp_path, first + first.replace(old, new)), chunk)
     assert refusal.value.line == line and "cut the file before that line" in (refusal.value.hint or "")
 
 

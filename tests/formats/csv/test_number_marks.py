@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import UnreadableError, printable
 from tests.formats.make_csv import GRID, read, stamp, written
 
 MG = np.column_stack([np.arange(60) * 50 - 1500, np.arange(60) * 7 + 800, np.full(60, -12)])
@@ -30,18 +31,33 @@ def grouped(mark: str, quote: str = "") -> Cell:
     return lambda value: quote + f"{value:,.0f}".replace(",", mark) + quote
 
 
-@pytest.mark.parametrize("mark", [" ", "\u00a0", "\u202f", "\u2009", "'", "\u2019", "_"])
+@pytest.mark.parametrize("mark", [" ", "\u00a0", "\u202f", "\u2009", "'", "\u2019"])
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])
 def test_groups_of_digits(tmp_path: Path, mark: str, delimiter: str) -> None:
     text = table("time,x [mg],y [mg],z [mg]", MG, grouped(mark), delimiter)
-    for chunk in (1000, 7):
-        found = read(written(tmp_path, text), chunk_samples=chunk)
+    for chunk, encoding in ((1000, "utf-8"), (7, "latin-1" if mark == "\u00a0" else "utf-8")):
+        found = read(written(tmp_path, text.encode(encoding)), chunk_samples=chunk)
         assert np.array_equal(found.counts, MG) and found.problems == []
 
 
-def test_blanks_of_latin_1(tmp_path: Path) -> None:
-    text = table("time,x [mg],y [mg],z [mg]", MG, grouped("\u00a0"))
-    assert np.array_equal(read(written(tmp_path, text.encode("latin-1"))).counts, MG)
+@pytest.mark.parametrize("other", ["1 001", "1\u00a0001", "1'001", "1_001", "0 001", "1\u2212001", "1/001"])
+@pytest.mark.parametrize("delimiter", [",", ";"])
+def test_texts_are_no_numbers(tmp_path: Path, other: str, delimiter: str) -> None:
+    """Two people stay two, whatever their numbers look like without marks."""
+    plain = re.sub(r"[^01-]", "", other.replace("\u2212", "-"))
+    lines = table("time,x [g],y [g],z [g],participant", G, repr, delimiter).splitlines()
+    rows = [f"{line}{delimiter}{who}".replace("-03-", "/03/") for line in lines[1:] for who in (other, plain)]
+    with pytest.raises(UnreadableError, match=re.escape(f"has {printable(other)}, {plain} and")):
+        read(written(tmp_path, "\n".join([lines[0], *rows]) + "\n"))
+
+
+@pytest.mark.parametrize("number", ["1_033", "0 033", "01,033", "1,03", "1,125", "1.033.500"])
+def test_what_is_no_number_far_below(tmp_path: Path, number: str) -> None:
+    """Where decimals have points, a comma may stand before decimals of another file: 1,125 is never 1125."""
+    rows = np.tile(G, (50, 1))
+    text = table("time,x [g],y [g],z [g]", rows, repr, ";") + f"{stamp(3000 * 40_000)};{number};0.5;0.5\n"
+    found = read(written(tmp_path, text), 100_000)
+    assert len(found.g) == 3000 and [one.code for one in found.problems] == ["bad_line"]
 
 
 def test_groups_that_first_stand_far_below(tmp_path: Path) -> None:
@@ -51,24 +67,16 @@ def test_groups_that_first_stand_far_below(tmp_path: Path) -> None:
     assert np.array_equal(found.counts, values) and found.problems == []
 
 
-@pytest.mark.parametrize("delimiter", [",", ";"])
-def test_commas_between_groups_in_quotes(tmp_path: Path, delimiter: str) -> None:
-    text = table("time,x [mg],y [mg],z [mg]", MG + 0.5, lambda value: f'"{value:,.1f}"', delimiter)
-    assert np.array_equal(read(written(tmp_path, text)).counts, np.rint((MG + 0.5) / 1000 * GRID))
-
-
 def test_whole_numbers_with_commas_in_quotes(tmp_path: Path) -> None:
-    def cell(value: float) -> str:
-        return f'"{value:,.0f}"' if abs(value) >= 1000 else f"{value:.0f}"
-
-    found = read(written(tmp_path, table("time,x [mg],y [mg],z [mg]", MG, cell)))
-    assert np.array_equal(found.counts, MG)
+    text = table("time,x [mg],y [mg],z [mg]", MG, lambda value: re.sub("(.*,.*)", r'"\1"', f"{value:,.0f}"))
+    assert np.array_equal(read(written(tmp_path, text)).counts, MG)
 
 
 @pytest.mark.parametrize(("delimiter", "quote"), [(",", '"'), (";", ""), (";", '"'), ("\t", "")])
-def test_points_between_groups_and_a_comma(tmp_path: Path, delimiter: str, quote: str) -> None:
+@pytest.mark.parametrize("marks", [",.", ".,"])
+def test_points_and_commas(tmp_path: Path, delimiter: str, quote: str, marks: str) -> None:
     def cell(value: float) -> str:
-        return quote + f"{value:,.1f}".translate(str.maketrans(".,", ",.")) + quote
+        return quote + f"{value:,.1f}".translate(str.maketrans(",.", marks)) + quote
 
     text = table("time,x [mg],y [mg],z [mg]", MG + 0.5, cell, delimiter)
     assert np.array_equal(read(written(tmp_path, text)).counts, np.rint((MG + 0.5) / 1000 * GRID))

@@ -297,8 +297,8 @@ def test_returns_alone_end_lines_and_are_not_counted() -> None:
 @pytest.mark.parametrize(
     ("layout", "text"),
     [
-        (dialect(3, ";", decimal_comma=True), "0,5;1;2\nx;1;2\n1,5;1;2\n"),
-        (dialect(3, ";", decimal_comma=True, padded=True), "0,5 ; 1 ; 2\nx ; 1 ; 2\n 1,5;1;2\n"),
+        (dialect(3, ";", comma="."), "0,5;1;2\nx;1;2\n1,5;1;2\n"),
+        (dialect(3, ";", comma=".", padded=True), "0,5 ; 1 ; 2\nx ; 1 ; 2\n 1,5;1;2\n"),
         (dialect(3, "\t"), "0.5\t1\t2\nx\t1\t2\n1.5 \t1\t2\n"),
         (dialect(3, " "), " 0.5  1 2\nx\t1 2\n1.5 1 2\n"),
     ],

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
+import lzma
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -276,7 +279,8 @@ def test_t17_an_odd_time_is_named_by_its_line(
         assert caught.value.line == line
 
 
-@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz"])
+@pytest.mark.parametrize("pack", [bytes, gzip.compress, bz2.compress, lzma.compress])
+@pytest.mark.parametrize("end", ["\n", ""])
 @pytest.mark.parametrize(
     ("head", "cells"),
     [
@@ -287,11 +291,11 @@ def test_t17_an_odd_time_is_named_by_its_line(
     ],
 )
 def test_a_table_that_begins_with_its_newest_row_is_turned_over(
-    tmp_path: Path, name: str, head: str, cells: list[str]
+    tmp_path: Path, pack: Callable[[bytes], bytes], end: str, head: str, cells: list[str]
 ) -> None:
+    """However it is packed and named, and with or without an end of its last line."""
     lines = [f"{cell},0.1,0.{row % 7},0.9" for row, cell in enumerate(cells)]
-    text = "\n".join([head, *reversed(lines), ""]).encode()
-    path = written(tmp_path, gzip.compress(text) if name.endswith(".gz") else text, name)
+    path = written(tmp_path, pack(("\n".join([head, *reversed(lines)]) + end).encode()))
     for options in ({}, {"rate_hz": 25.0}):
         with pytest.raises(UnreadableError, match="newest first") as found:
             read(path, **options)

@@ -69,6 +69,13 @@ def test_more_cells_than_names_are_no_row(tmp_path: Path) -> None:
     assert found.problems[0].message.startswith("1 row left out: the line has 6 columns, not 5")
 
 
+def test_two_cells_more_than_names_are_told(tmp_path: Path) -> None:
+    path = written(tmp_path, "time,x,y,z\n" + rows(behind=",3.9,a"))
+    with pytest.raises(UnreadableError, match="cannot tell which of 6 columns") as refusal:
+        read(path, unit="g")
+    assert "names 4 columns and they have 6: unused" in (refusal.value.hint or "")
+
+
 def test_a_cut_line_is_damage(tmp_path: Path) -> None:
     lines = ("time,x,y,z,note\n" + rows(behind=",walk")).splitlines()
     lines[20] = lines[20][: lines[20].rfind(",") - 2]

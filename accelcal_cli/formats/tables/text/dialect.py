@@ -9,7 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import islice, pairwise
 
 import numpy as np
@@ -27,10 +27,11 @@ from accelcal_cli.formats.tables.cells import (
     is_unit_cell,
     least_of,
     number_of,
+    plain_number,
     split_line,
     year_first,
 )
-from accelcal_cli.formats.tables.header import Kind
+from accelcal_cli.formats.tables.header import BETWEEN_GROUPS, DECIMAL, UNKNOWN, Kind
 from accelcal_cli.formats.tables.names import AXES, name_of
 
 # Quotes in lines of text: one grammar, RFC 4180, before whatever splits them into cells.
@@ -186,10 +187,7 @@ class _Lines:
     """Lines of a text by their number, without their ends."""
 
     def __init__(self, text: bytes) -> None:
-        self.text = text
-        self.ends = np.flatnonzero(np.frombuffer(text, np.uint8) == LINE_END)
-        if text and not text.endswith(b"\n"):
-            self.ends = np.append(self.ends, len(text))
+        self.text, self.ends = text, line_ends(text)
 
     def __len__(self) -> int:
         return len(self.ends)
@@ -201,6 +199,12 @@ class _Lines:
     def __getitem__(self, line: int) -> bytes:
         start, stop = self.bounds(line)
         return self.text[start:stop]
+
+
+def line_ends(text: bytes) -> NDArray[np.int64]:
+    """Return the places of the ends of lines, also of a last one without."""
+    ends: NDArray[np.int64] = np.flatnonzero(np.frombuffer(text, np.uint8) == LINE_END)
+    return ends if not text or text.endswith(b"\n") else np.append(ends, len(text))
 
 
 def _behind_closing(line: bytes, place: int) -> int:
@@ -222,42 +226,18 @@ LABEL = re.compile(r"\s*[;#%]+\s*(headers?|columns?|names?|fields?|labels?)\b", 
 SPLIT_DATE = re.compile(rb"(\d{4}[-/]\d\d[-/]\d\d) (?=\d\d:\d\d)")
 SLASH_DATE = re.compile(rb"(?:^|[^\d/])\d{4}/\d\d/\d\d[ T]")
 COLON_FRACTION = re.compile(rb":(?<=\d:)(?<!\d\d\d:)\d\d:\d\d:\d{1,9}(?!\d|:)")
-TWELVE_HOURS = re.compile(
-    rb"(?<![\d:.])(\d{1,2})(:\d\d(?::\d\d(?:[.,:]\d+)?)?)"
-    rb"(?: |\xc2\xa0|\xe2\x80\xaf)?([AaPp])\.? ?[Mm](?![A-Za-z])\.?"
-)
-"""A time of day followed by AM or PM, with a blank of any kind between them or none."""
+HALF_OF_THE_DAY = re.compile(rb"(?<=\d) (?=[AaPp]\.?[Mm])")
+"""The blank between a time of day and AM or PM."""
 
-HALF_OF_THE_DAY = re.compile(rb"[AaPp](?<=[\d \xa0\xaf].)\.? ?[Mm]")
-"""The end of TWELVE_HOURS, whose absence is found sooner."""
+DECIMALS_IN_QUOTES = re.compile(rb'"[^\d",]{0,3}(?![1-9]\d{0,2},\d{3}")\d*,\d+"')
+"""A number with a comma that does not stand before a group of three digits."""
 
-SHORT_HOUR = re.compile(rb"(?m)(?:^|(?<=[,;\t|\"]))(?=\d:\d\d)")
-"""The place before an hour of one digit at the beginning of a cell."""
-
-AFTER_SHORT_HOUR = re.compile(rb":(?:(?<=[\n,;\t|\"]\d:)|(?<=\A\d:))\d\d")
-"""The same place by the colon behind it, whose absence is found sooner."""
-
-GROUPED = rb"[-+]?\d{1,3}(?:(?: |\xc2\xa0|\xa0|\xe2\x80[\x89\xaf\x99]|'|_)\d{3})+(?:[.,]\d*)?"
-"""A number with blanks of four kinds, apostrophes or underscores between groups of three digits."""
-
-GROUP = re.compile(rb"[ '_\x80-\xff]\d{3}(?!\d)")
-TWO_MARKS = rb"[-+]?\d{1,3}(?:(?:\.\d{3})+,|(?:,\d{3})+\.)\d*"
-"""A number with points and commas: one of them between groups of digits."""
-
-COMMA_IN_QUOTES = re.compile(rb'(?m:^|(?<=,))"([-+]?\d*[.\d]*,[.,\d]*\d)"(?=[,\r\n]|\Z)')
-GROUPS_OF_DIGITS = re.compile(rb"[-+]?[1-9]\d{0,2}(?:,\d{3})+")
-MINUS = "\u2212".encode()
-
-LONG_FRACTION = re.compile(rb"(:\d\d[.,]\d{9})\d+")
 SECONDS = re.compile(rb"\d:\d\d:\d\d(?!\d|:)")
 COMMA_FRACTION = re.compile(rb"(:\d\d),(\d{3}|\d{6})(?=,)")
 """Decimals of seconds behind a comma, as Python's logging writes them, between commas."""
 
-COLON, POINT = b":."
+COLON, COMMA, POINT, SLASH, HYPHEN = b":,./-"
 TAB_TO_BLANK = bytes.maketrans(b"\t", b" ")
-NO_HOUR = 99
-"""Stands for an hour that does not exist."""
-
 TAIL_LINES = 40
 """Last lines of the head by which the delimiter is judged."""
 
@@ -288,101 +268,47 @@ class Normaliser:
         delimiter: between the columns; a blank stands for any run of blanks and tabs.
         padded: blanks stand around the delimiter.
         split_date: date and time of day are separated by the delimiter itself.
-        decimal_comma: decimals are written with a comma.
+        comma: what a comma alone in its numbers becomes.
         slash_dates: dates are written 2024/03/04.
-        long_fraction: seconds have more than nine decimals.
         colon_fraction: a colon stands before the decimals of seconds.
         comma_fraction: a comma stands before them, and between the columns.
-        twelve_hours: times of day have AM or PM.
-        short_hours: times of day in a column of their own have hours of one digit.
         date_order: of day, month and year, such as `dmy`, where dates do not begin with the year.
-        odd_numbers: some have marks between groups of digits, a typographic minus, or commas in quotes;
-            quoted_decimals: such a comma stands before decimals.
         thorough: look at every line for what differs from the others.
     """
 
     delimiter: str
     padded: bool = False
     split_date: bool = False
-    decimal_comma: bool = False
+    comma: str = UNKNOWN
     slash_dates: bool = False
-    long_fraction: bool = False
     colon_fraction: bool = False
     comma_fraction: bool = False
-    twelve_hours: bool = False
-    short_hours: bool = False
     date_order: str | None = None
-    odd_numbers: bool = False
-    quoted_decimals: bool = False
     thorough: bool = False
 
     def __call__(self, block: bytes) -> bytes:
         """Return the block in pyarrow's terms, with the same lines in the same order."""
         if self.delimiter == " ":
             block = trimmed(collapsed(block.translate(TAB_TO_BLANK)), b"\n")
+            block = HALF_OF_THE_DAY.sub(b"", block) if b"M" in block or b"m" in block else block
         elif self.padded or self.thorough:
             block = trimmed(trimmed(collapsed(block), self.delimiter.encode()), b"\n")
-        if self.odd_numbers or self.thorough:
-            block = self._with_plain_numbers(block)
         block = self._with_times(block)
-        pairs = [(b",", b".")] * self.decimal_comma + [(b"/", b"-")] * self.slash_dates
-        if not pairs:
-            return block
-        return block.translate(bytes.maketrans(*(b"".join(letters) for letters in zip(*pairs, strict=True))))
-
-    def _with_plain_numbers(self, block: bytes) -> bytes:
-        """Return the block with an ASCII minus, and numbers without marks between groups of digits."""
-        block = block.replace(MINUS, b"-")
-        for pattern in odd_numbers(self.delimiter):
-            block = pattern.sub(lambda found: self._with_one_mark(found[0]), block)
-        if self.delimiter != ",":
-            return block
-        return COMMA_IN_QUOTES.sub(lambda found: self._with_one_mark(found[1]), block)
-
-    def _with_one_mark(self, number: bytes) -> bytes:
-        """Return a number without marks between groups of digits, and a point before decimals behind both."""
-        plain = re.sub(rb"[^-+\d.,]", b"", number)
-        if plain != number or b"," not in plain:
-            return plain
-        if b"." not in number and not self.quoted_decimals and GROUPS_OF_DIGITS.fullmatch(number):
-            return number.replace(b",", b"")
-        last = max(number.rfind(b"."), number.rfind(b","))
-        return re.sub(rb"[.,]", b"", number[:last]) + b"." + number[last + 1 :]
+        return with_hyphens(block) if self.slash_dates else block
 
     def _with_times(self, block: bytes) -> bytes:
         """Return the block with dates, hours and fractions of seconds as in ISO 8601."""
         if self.comma_fraction:
             block = COMMA_FRACTION.sub(rb"\1.\2", block)
-        if self.twelve_hours:
-            block = TWELVE_HOURS.sub(in_24_hours, block)
-        if self.short_hours or (self.thorough and AFTER_SHORT_HOUR.search(block)):
-            block = SHORT_HOUR.sub(b"0", block)
         if self.date_order is not None:
             block = year_first(block, self.date_order, self.thorough)
         if self.split_date:
             block = SPLIT_DATE.sub(rb"\1T", block)
         if self.colon_fraction:
-            block = with_points(block)
-        if self.long_fraction:
-            block = LONG_FRACTION.sub(rb"\1", block)
+            block = with_points(block, COLON)
+        if self.comma == DECIMAL and self.delimiter != ",":
+            block = with_points(block, COMMA)
         return block
-
-
-@lru_cache(maxsize=len(DELIMITERS))
-def odd_numbers(delimiter: str) -> tuple[re.Pattern[bytes], ...]:
-    """Return patterns of whole cells of a file that are numbers with marks that Arrow does not know."""
-    mark = re.escape(delimiter.encode())
-    begin, end = rb"(?m:^|(?<=[\"" + mark + rb"]))", rb"(?=[\"\r\n" + mark + rb"]|\Z)"
-    cells = () if delimiter == " " else (GROUPED,) if delimiter == "," else (GROUPED, TWO_MARKS)
-    return tuple(re.compile(begin + cell + end) for cell in cells)
-
-
-def has_odd_numbers(text: bytes, delimiter: str) -> bool:
-    """Return True if numbers of a text have a typographic minus, or marks that Arrow does not know."""
-    if MINUS in text or (delimiter == "," and b'"' in text and COMMA_IN_QUOTES.search(text)):
-        return True
-    likely = delimiter != "," or GROUP.search(text) is not None  # is found three times as fast
-    return likely and any(one.search(text) for one in odd_numbers(delimiter))
 
 
 def collapsed(block: bytes) -> bytes:
@@ -392,21 +318,21 @@ def collapsed(block: bytes) -> bytes:
     return block
 
 
-def in_24_hours(found: re.Match[bytes]) -> bytes:
-    """Return `1:05:30 PM` as `13:05:30`; a morning after 12 becomes a time that does not exist."""
-    hour, afternoon = int(found[1]), found[3] in b"pP"
-    if hour <= 12:
-        hour = hour % 12 + 12 * afternoon
-    elif not afternoon:
-        hour = NO_HOUR
-    return b"%02d%s" % (hour, found[2])
-
-
-def with_points(block: bytes) -> bytes:
-    """Rewrite `12:34:56:789` as `12:34:56.789`."""
+def with_points(block: bytes, mark: int) -> bytes:
+    """Rewrite `12:34:56:789` or `12:34:56,789` as `12:34:56.789`."""
+    if b":" not in block:
+        return block
     text = np.frombuffer(block, np.uint8).copy()
     colon = text == COLON
-    text[6:][colon[6:] & colon[3:-3] & colon[:-6]] = POINT
+    text[6:][(text[6:] == mark) & colon[3:-3] & colon[:-6]] = POINT
+    return text.tobytes()
+
+
+def with_hyphens(block: bytes) -> bytes:
+    """Rewrite `2024/03/04` as `2024-03-04`."""
+    text = np.frombuffer(block, np.uint8).copy()
+    first = np.flatnonzero((text[:-3] == SLASH) & (text[3:] == SLASH))
+    text[first] = text[first + 3] = HYPHEN
     return text.tobytes()
 
 
@@ -467,17 +393,30 @@ class Dialect:
         """Return True if a line without its end is a row that does not look as if it were cut off."""
         if not self.is_whole(line) or line.count(b'"') % 2:
             return False
-        text = decode(self.normaliser(line + b"\n")).strip("\r\n")
-        cells = [cell.strip() for cell in split_line(text, self.normaliser.delimiter)]
-        comma = self.normaliser.delimiter != ","
-        fits = len(cells) == self.columns and have_kinds(cells, self.kinds, comma)
+        cells = self.cells_of(line)
         above = [row[-1].strip() for row in self.sample]
         decimals = [len(cell.replace(",", ".").partition(".")[2]) for cell in (cells[-1], *above)]
-        return fits and len(cells[-1]) >= min(map(len, above)) and decimals[0] >= min(decimals[1:])
+        longer = len(cells[-1]) >= min(map(len, above)) and decimals[0] >= min(decimals[1:])
+        return longer and self.fits(line)
+
+    def cells_of(self, line: bytes) -> list[str]:
+        """Return the cells of a line without blanks around them."""
+        text = decode(self.normaliser(line)).strip("\r\n")
+        return [cell.strip() for cell in split_line(text, self.normaliser.delimiter)]
+
+    def fits(self, line: bytes) -> bool:
+        """Return True if a line has a cell for each column, of its kind."""
+        cells = self.cells_of(line)
+        return len(cells) == self.columns and have_kinds(cells, self.kinds)
 
     def cells(self, column: int) -> list[str]:
         """Return the sample's cells of one column."""
-        return [row[column] for row in self.sample]
+        return [self.cell(row, column) for row in self.sample]
+
+    def cell(self, row: Sequence[str], column: int) -> str:
+        """Return a cell of a row, numbers without the marks that people write in them."""
+        is_number = self.kinds[column] is Kind.NUMBER
+        return plain_number(row[column], self.normaliser.comma) if is_number else row[column]
 
     def fitted(self, lines: bytes) -> bytes:
         """Return lines with a cell for each column, those that rows may have more or fewer of."""
@@ -502,10 +441,10 @@ def fitted(cells: Sequence[str], columns: int) -> list[str]:
     return [*cells[:columns], *[""] * (columns - len(cells))]
 
 
-def have_kinds(cells: Sequence[str], kinds: Sequence[Kind], decimal_comma: bool) -> bool:
+def have_kinds(cells: Sequence[str], kinds: Sequence[Kind]) -> bool:
     """Return True if cells hold a number or time, or nothing, wherever their columns have one."""
     return all(
-        cell_kind(cell, decimal_comma) in (kind, Kind.MISSING)
+        cell_kind(cell) in (kind, Kind.MISSING)
         for cell, kind in zip(cells, kinds, strict=True)
         if kind in (Kind.NUMBER, Kind.TIME)
     )
@@ -620,14 +559,16 @@ class _DelimiterTrial:
         if width < 3:
             return cls(raw_lines, normaliser, (), False)
         rows = [row[:width] for row in rows if len(row) == width or (len(row) > width and not is_sure)]
-        kinds = _column_kinds(rows, delimiter, 0.9)
+        kinds = _column_kinds(rows, 0.9)
         if Kind.MISSING in kinds or tail < SURE_LINES:
             share = 0.5 if tail < SURE_LINES else 0.9
             everywhere = [row for row in _rows(raw_lines, normaliser) if len(row) == width]
-            kinds = _column_kinds(everywhere, delimiter, share)
+            kinds = _column_kinds(everywhere, share)
         cells = [cell.strip() for row in rows for cell in row]
-        commas = any(map(COMMA_NUMBER.fullmatch, cells)) or not any(map(POINT_NUMBER.fullmatch, cells))
-        return cls(raw_lines, replace(normaliser, decimal_comma=commas and delimiter != ","), kinds, is_sure)
+        if delimiter != ",":
+            commas = any(map(COMMA_NUMBER.fullmatch, cells)) or not any(map(POINT_NUMBER.fullmatch, cells))
+            normaliser = replace(normaliser, comma=DECIMAL if commas else UNKNOWN)
+        return cls(raw_lines, normaliser, kinds, is_sure)
 
     @property
     def score(self) -> float:
@@ -653,8 +594,7 @@ class _DelimiterTrial:
             for line, row in sample
             if len(row) == columns or len(row) in widths
         ]
-        comma = self.normaliser.delimiter != ","
-        fitting = [(line, row) for line, row in whole if have_kinds(row, self.kinds, comma)]
+        fitting = [(line, row) for line, row in whole if have_kinds(row, self.kinds)]
         lines, rows = zip(*(fitting or whole), strict=True)
         offset += sum(map(len, self.raw_lines[:first]))
         names, units = (None if one is None else tuple(fitted(one, columns)) for one in (names, units))
@@ -696,9 +636,8 @@ class _DelimiterTrial:
     def _is_row(self, row: list[str]) -> bool:
         if len(row) != len(self.kinds):
             return False
-        comma = self.normaliser.delimiter != ","
         pairs = zip(row, self.kinds, strict=True)
-        found = {(kind, cell_kind(cell, comma)) for cell, kind in pairs if kind in (Kind.NUMBER, Kind.TIME)}
+        found = {(kind, cell_kind(cell)) for cell, kind in pairs if kind in (Kind.NUMBER, Kind.TIME)}
         filled = any(kind is other for kind, other in found)
         return filled and all(other in (kind, Kind.MISSING) for kind, other in found if kind is Kind.NUMBER)
 
@@ -731,7 +670,7 @@ class _DelimiterTrial:
             cells = ["", *cells]
         elif len(cells) < columns - 1 or (len(cells) > columns and not names_all_axes(cells)):
             return None
-        kinds = {cell_kind(cell, False) for cell in cells}
+        kinds = {*map(cell_kind, cells)}
         words = Kind.TEXT in kinds and Kind.NUMBER not in kinds
         return tuple(cells) if words else None
 
@@ -801,7 +740,7 @@ def numbered_rows(
     Args:
         columns: how many there are, if that is known: then a cell in quotes may reach over several lines.
     """
-    plain = replace(normaliser, decimal_comma=False, slash_dates=False)
+    plain = replace(normaliser, slash_dates=False)
     lines, numbers = [plain(line).rstrip(b"\r\n") for line in raw_lines], [*range(len(raw_lines))]
     if columns is not None:
         settled = Quotes(plain, normaliser.delimiter, columns).settled(b"\n".join(lines))
@@ -817,28 +756,23 @@ def _last_rows(raw_lines: list[bytes], normaliser: Normaliser, number: int) -> l
     return _rows(last, normaliser) if any(mark in line for line in last for mark in marks) else []
 
 
-def _column_kinds(rows: list[list[str]], delimiter: str, share: float) -> tuple[Kind, ...]:
-    return tuple(column_kind(cells, delimiter != ",", share) for cells in zip(*rows, strict=True))
+def _column_kinds(rows: list[list[str]], share: float) -> tuple[Kind, ...]:
+    return tuple(column_kind(cells, share) for cells in zip(*rows, strict=True))
 
 
 def _normalisers(head: bytes) -> list[Normaliser]:
     """Return what each delimiter would need; the times are looked for once."""
     split_date = b" " in head and SPLIT_DATE.search(head) is not None
-    quoted = [found[1] for found in COMMA_IN_QUOTES.finditer(head)]
     any_delimiter = Normaliser(
         "",
         slash_dates=b"/" in head and SLASH_DATE.search(head) is not None,
-        long_fraction=LONG_FRACTION.search(head) is not None,
         colon_fraction=COLON_FRACTION.search(head) is not None,
-        twelve_hours=HALF_OF_THE_DAY.search(head) is not None and TWELVE_HOURS.search(head) is not None,
-        short_hours=AFTER_SHORT_HOUR.search(head) is not None,
-        quoted_decimals=any(b"." not in one and not GROUPS_OF_DIGITS.fullmatch(one) for one in quoted),
+        comma=DECIMAL if DECIMALS_IN_QUOTES.search(head) else BETWEEN_GROUPS,
     )
     return [
         replace(
             any_delimiter,
             delimiter=delimiter,
-            odd_numbers=has_odd_numbers(head, delimiter),
             comma_fraction=delimiter == "," and _has_comma_fractions(head),
             padded=delimiter != " "
             and (b" " + delimiter.encode() in head or delimiter.encode() + b" " in head),

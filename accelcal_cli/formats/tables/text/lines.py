@@ -15,20 +15,20 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 from numpy.typing import NDArray
 
+from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import wide_text
 from accelcal_cli.core.recording import Closing
 from accelcal_cli.core.system import process_is_ours
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._stamps import NO_TIME
-from accelcal_cli.formats.tables.cells import BYTE_ORDER_MARK, MISSING, NUMBER, decode, split_line
-from accelcal_cli.formats.tables.header import As, Block, CellTexts, Piece, Stated, Wanted
+from accelcal_cli.formats.tables.cells import BYTE_ORDER_MARK, MISSING, decode, number_of, split_line
+from accelcal_cli.formats.tables.header import DECIMAL, As, Block, CellTexts, Piece, Stated, Wanted
 from accelcal_cli.formats.tables.text.dialect import (
     QUOTE,
     Dialect,
     Quotes,
-    has_odd_numbers,
-    have_kinds,
+    line_ends,
     names_all_axes,
 )
 from accelcal_cli.formats.tables.values import (
@@ -36,10 +36,10 @@ from accelcal_cli.formats.tables.values import (
     NO_ROWS,
     NOT_ROWS,
     NULLS,
+    STAMPS,
     TYPES,
     UNREAD,
     in_arrow,
-    is_stamp,
     read_as,
     shortened,
     told_of,
@@ -56,7 +56,7 @@ CACHED_BYTES = 1 << 18
 
 LONGEST_LINE = 1 << 20
 LINE_END = ord("\n")
-MOST_NAMES, HEAD_MARK = 40, re.compile(rb"[^\d:=,;\t\r\n]{4,60}")
+MOST_NAMES, HEAD_MARK = 40, re.compile(rb";?[^\d:=,;\t\r\n]{4,60}")
 """Names of columns with which a line may begin, and the first words of a head: they find one again."""
 
 RARE = re.compile(rb"[^\W\d_aefinAEFINTZ]")
@@ -128,7 +128,9 @@ class LineCutter:
             pieces = [data[self._skip :]]
             self._skip -= min(self._skip, len(data))
         endless = self._zeros > 0 and any(piece.strip(b"\0") for piece in pieces)
-        lines, self._rest = _cut([self._rest, *pieces])
+        data = b"".join((self._rest, *pieces))
+        whole = data.rfind(b"\n") + 1
+        lines, self._rest = data[:whole], data[whole:]
         if len(self._rest) > LONGEST_LINE and not lines:
             text = self._rest.rstrip(b"\0")
             self._zeros, self._rest = self._zeros + len(self._rest) - len(text), text
@@ -237,7 +239,7 @@ class RepeatedHeads:
         self._path, self._dialect, self._stated, self._head = path, dialect, stated, lines
         has_names = dialect.names is not None and dialect.names_line <= len(lines)
         named = lines[dialect.names_line - 1] if has_names else b""
-        self._names = self._cells(named) if has_names else []
+        self._names = dialect.cells_of(named) if has_names else []
         delimiter = dialect.normaliser.delimiter.encode()
         names = (name.strip() for name in named.split(delimiter)[:MOST_NAMES])
         words = HEAD_MARK.match(lines[0]) if len(lines) > 1 else None
@@ -261,11 +263,11 @@ class RepeatedHeads:
             return block
         lines = block.data.splitlines(keepends=True)
         for number, line in enumerate(lines):
-            if self._open is not None and (len(self._open) == len(self._head) or self._is_row(line)):
+            if self._open is not None and (len(self._open) == len(self._head) or self._dialect.fits(line)):
                 self._close()
-            if self._open is None and number in begins and not self._is_row(line):
+            if self._open is None and number in begins and not self._dialect.fits(line):
                 begun = self._begin is not None and line.startswith(self._begin)
-                if not begun and not self._are_names(self._cells(line)):
+                if not begun and not self._are_names(self._dialect.cells_of(line)):
                     continue
                 self._open, self._first = [], block.line + number
             if self._open is not None:
@@ -285,38 +287,42 @@ class RepeatedHeads:
             place = -1
             while (place := data.find(b"\n" + mark, place + 1)) >= 0:
                 places.add(place + 1)
-        return {count_lines(data[:place]) for place in places}
+        return {*np.searchsorted(line_ends(data), [*places]).tolist()}
 
     def _close(self) -> None:
         """Take the lines of a head that is over."""
         head, self._open = self._open or [], None
-        cells = [self._cells(line) for line in head]
+        cells = [self._dialect.cells_of(line) for line in head]
         named = [number for number, row in enumerate(cells) if self._are_names(row)]
         line = self._first + (named[0] if named else 0)
         self.lines.append(line)
         if named and (found := cells[named[0]]) != self._names:
             raise self._other_head(line, f"names the columns {', '.join(found)}", ", ".join(self._names))
         stated = export_description(b"".join(head)) or Stated()
+        start, zero = self._start_of(stated), self._start_of(self._stated)
         for what, before, after in (
             ("serial number", self._stated.device.serial, stated.device.serial),
             ("rate", self._stated.rate_hz, stated.rate_hz),
             ("unit", self._stated.unit, stated.unit),
             ("scale", self._stated.lsb_per_g, stated.lsb_per_g),
+            ("start", iso_time(zero if self._stated.counts_from_zero else None, None), iso_time(start, None)),
             ("line of the serial number", _serial_of(self._head), _serial_of(head)),
         ):
             if None not in (before, after) and before != after:
                 raise self._other_head(self._first, f"has the {what} {after}", str(before))
+        if start is not None:
+            self.restarts.append((self._first + len(head), start))
+
+    def _start_of(self, stated: Stated) -> int | None:
+        """Return when a head says that its rows begin [us]; None without, or if its date is unclear."""
         start, order = stated.start, stated.date_order
-        if start is not None and (start.written is None or len(start.days(order)) == 1):
-            self.restarts.append((self._first + len(head), start.us(order, self._path)))
+        if start is None or (start.written is not None and len(start.days(order)) != 1):
+            return None
+        return start.us(order, self._path)
 
     def _other_head(self, line: int, found: str, before: str) -> UnreadableError:
         what = f"the head of another recording begins: it {found}, not {before}"
         return UnreadableError(what, path=self._path, line=line, hint=CUT_THERE)
-
-    def _cells(self, line: bytes) -> list[str]:
-        text = decode(self._dialect.normaliser(line)).strip("\r\n")
-        return [cell.strip() for cell in split_line(text, self._dialect.normaliser.delimiter)]
 
     def _are_names(self, cells: list[str]) -> bool:
         """Return True if cells are the names of the columns in any order, or other names of x, y and z."""
@@ -324,26 +330,11 @@ class RepeatedHeads:
             sorted(cells) == sorted(self._names) or names_all_axes(cells)
         )
 
-    def _is_row(self, line: bytes) -> bool:
-        cells = self._cells(line)
-        comma = self._dialect.normaliser.delimiter != ","
-        return len(cells) == self._dialect.columns and have_kinds(cells, self._dialect.kinds, comma)
-
 
 def _serial_of(head: Sequence[bytes]) -> str | None:
     """Return the line of a head that states a serial number; None without one."""
     found = next((line for line in head if b"serial" in line.lower()), None)
     return None if found is None else decode(found).strip()
-
-
-def _cut(pieces: list[bytes]) -> tuple[bytes, bytes]:
-    """Return all whole lines of pieces that follow each other, and the rest."""
-    for number in reversed(range(len(pieces))):
-        piece = pieces[number]
-        if cut := piece.rfind(b"\n") + 1:
-            whole = b"".join((*pieces[:number], memoryview(piece)[:cut]))
-            return whole, b"".join((piece[cut:], *pieces[number + 1 :]))
-    return b"", b"".join(pieces)
 
 
 def count_lines(data: bytes) -> int:
@@ -368,8 +359,8 @@ PARSER_BYTES = 1 << 20
 if process_is_ours():  # else Arrow starts a thread for signals, and ends the process where it is given none
     pa.enable_signal_handlers(False)
 
-LOST, MENDABLE, DOUBTFUL = -1, -2, -3
-"""The places of lines that are not rows: whatever is done, until every change is made, or either."""
+LOST, MENDABLE = -1, -2
+"""The places of lines that are not rows: whatever is done, or until every change is made."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -413,8 +404,6 @@ class LineParser:
         values, lost = reading.values, np.flatnonzero(place < 0)
         if not len(lost):
             return Block(lines.numbers(first), values, {})
-        doubtful = np.flatnonzero(place == DOUBTFUL)
-        place[doubtful] = self._odd(lines.raw(first[doubtful]))
         parts, rows = [values], np.flatnonzero(place == MENDABLE)
         if len(rows):
             texts = self._dialect.quotes.settled(self._thorough(lines.raw(first[rows])), join=False).text
@@ -430,13 +419,6 @@ class LineParser:
         told = dict(zip(rows.tolist(), whys, strict=False))
         return Block(lines.numbers(first), values, dict.fromkeys(lost.tolist(), NOT_ROWS) | told)
 
-    def _odd(self, lines: Sequence[bytes]) -> int | NDArray[np.int64]:
-        """Return MENDABLE for lines whose numbers have marks that Arrow does not know, else LOST."""
-        mark = self._dialect.normaliser.delimiter
-        if not has_odd_numbers(b"\n".join(lines), mark):
-            return LOST
-        return np.array([MENDABLE if has_odd_numbers(line, mark) else LOST for line in lines], np.int64)
-
     def _thorough(self, lines: Sequence[bytes]) -> bytes:
         """Return lines after every change that lines of the file may need."""
         return replace(self._dialect.normaliser, thorough=True)(b"\n".join([*lines, b""]))
@@ -450,6 +432,7 @@ class LineParser:
         """
         ragged: dict[int, int] = {}
         wrong = untidy = NO_ROWS
+        normaliser, comma = self._dialect.normaliser, self._dialect.normaliser.comma
         try:
             table = None if damaged else self._table(text, wanted, TYPES, ragged)
         except pa.ArrowException:
@@ -461,10 +444,10 @@ class LineParser:
             table = self._table_of_texts(text, wanted, line, ragged)
             values = {}
             for column, how in wanted.items():
-                values[column], wrong_here, untidy_here = read_as(table[str(column)], how)
+                values[column], wrong_here, untidy_here = read_as(table[str(column)], how, comma)
                 wrong, untidy = np.append(wrong, wrong_here), np.append(untidy, untidy_here)
-        place, normaliser = np.arange(table.num_rows), self._dialect.normaliser
-        place[wrong] = DOUBTFUL if normaliser.date_order is None else MENDABLE
+        place = np.arange(table.num_rows)
+        place[wrong] = LOST if normaliser.date_order is None else MENDABLE
         place[untidy] = MENDABLE
         if ragged:
             place = np.insert(place, np.array([*ragged]) - np.arange(len(ragged)), LOST)
@@ -504,6 +487,7 @@ class LineParser:
             strings_can_be_null=True,
             quoted_strings_can_be_null=True,
             check_utf8=False,  # they are: see `_in_utf8`
+            decimal_point="," if self._dialect.normaliser.comma == DECIMAL else ".",
         )
         names = [str(column) for column in range(self._dialect.columns)]
         at_once = PARSER_BYTES if types is TYPES else len(text) + 1
@@ -525,8 +509,10 @@ class LineParser:
             cell = cells[column].strip()
             if how in (As.TEXT, As.CODES) or cell in MISSING:
                 continue
-            if not (is_stamp(cell, how is As.ZONED_MOMENT) if how in MOMENTS else NUMBER.fullmatch(cell)):
-                return wrong_cell(column, cells[column], "time" if how in MOMENTS else "number")
+            if how in MOMENTS and not re.match(STAMPS[how is As.ZONED_MOMENT], cell):
+                return wrong_cell(column, cells[column], "time")
+            if how is As.NUMBER and number_of(cell, self._dialect.normaliser.comma) is None:
+                return wrong_cell(column, cells[column], "number")
         return f"the line cannot be read ({shortened(text)!r})"
 
 
@@ -545,11 +531,11 @@ class _BlockLines:
 
     @cached_property
     def _raw_ends(self) -> NDArray[np.int64]:
-        return _line_ends(self._raw)
+        return line_ends(self._raw)
 
     @cached_property
     def _ends(self) -> NDArray[np.int64]:
-        return self._raw_ends if self.text is self._raw else _line_ends(self.text)
+        return self._raw_ends if self.text is self._raw else line_ends(self.text)
 
     @cached_property
     def _first(self) -> NDArray[np.int64]:
@@ -595,12 +581,6 @@ def _cut_cells(
     return [text[start:end] for start, end in zip(starts, ends[last].tolist(), strict=True)]
 
 
-def _line_ends(text: bytes) -> NDArray[np.int64]:
-    """Return the places of the ends of lines, also of a last one without."""
-    ends: NDArray[np.int64] = np.flatnonzero(np.frombuffer(text, np.uint8) == ord("\n"))
-    return ends if not text or text.endswith(b"\n") else np.append(ends, len(text))
-
-
 def _in_utf8(text: bytes) -> bytes:
     """Return lines in UTF-8; those that are not are taken as Latin-1."""
     if text.isascii():
@@ -622,7 +602,7 @@ def _with_line_ends(text: bytes) -> tuple[bytes, NDArray[np.int64]]:
     if not alone.any():
         return text, np.empty(0, np.int64)
     changed = np.where(alone, np.uint8(ord("\n")), letters).tobytes()
-    return changed, np.searchsorted(_line_ends(changed), np.flatnonzero(alone)) + 1
+    return changed, np.searchsorted(line_ends(changed), np.flatnonzero(alone)) + 1
 
 
 def _picked(parts: Sequence[Any], place: NDArray[np.int64]) -> Any:

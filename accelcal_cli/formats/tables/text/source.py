@@ -13,7 +13,7 @@ from accelcal_cli.core.errors import AccelcalError, UnreadableError, counted, pr
 from accelcal_cli.core.formats import WIDE_BYTES, ReadOptions, wide_text
 from accelcal_cli.core.recording import CUT_SHORT, Problem, Reader
 from accelcal_cli.core.unpacking import packing_of
-from accelcal_cli.formats.tables.cells import MISSING, decode, is_year_first, year_first
+from accelcal_cli.formats.tables.cells import decode, is_year_first, split_line, year_first
 from accelcal_cli.formats.tables.clock import rate_above
 from accelcal_cli.formats.tables.header import (
     SAMPLE_ROWS,
@@ -45,6 +45,7 @@ from accelcal_cli.formats.tables.text.dialect import (
     Dialect,
     find_deep_dialect,
     find_dialect,
+    names_all_axes,
     numbered_rows,
 )
 from accelcal_cli.formats.tables.text.lines import (
@@ -69,9 +70,6 @@ TAIL_BYTES = 1 << 16
 
 BLOCK_BYTES = 1 << 21
 """Text that is parsed at a time, however many samples are wanted: its table takes as much again."""
-
-LOOK_BYTES = 1 << 16
-"""Bytes of the file among which one line is looked at for a column that changes."""
 
 NO_LINE_END = "no_line_end"
 BROKEN_OFF = "the compressed data ends early or is damaged; the rows before that were read"
@@ -106,13 +104,14 @@ class TextSource(Source):
         rows = head[dialect.offset : end if end > dialect.offset else len(head)]
         self._first = self._heads().without(lone_block(rows, dialect.skipped + 1, dialect.offset))
         self.row_bytes = len(self._first.data) / max(self._first.lines, 1) or 1.0
-        self.has_names, self.decimal_comma = dialect.names is not None, dialect.normaliser.decimal_comma
+        self.has_names, self.comma = dialect.names is not None, dialect.normaliser.comma
         self.names_line, self.first_line = dialect.names_line, dialect.skipped + 1
         self.columns = columns_of(dialect)
         headings = (dialect.names is not stated.names) + (dialect.units is not None)
         above = dialect.skipped - stated.preamble - headings
         said = f"not used: {counted(above, 'line')} above the first row"
-        self.last_notes = ((said,) if above > 0 else ()) + _note_on_widths(dialect)
+        self.width_notes = _notes_on_widths(dialect, self._above)
+        self.last_notes = ((said,) if above > 0 else ()) + self.width_notes
 
     def _heads(self) -> RepeatedHeads:
         return RepeatedHeads(self.path, self._above, self.dialect, self.stated)
@@ -177,7 +176,7 @@ class TextSource(Source):
         lines = first.piece.data.splitlines(keepends=True)
         rows = numbered_rows(lines, dialect.normaliser, first.piece.line, dialect.columns)
         cells: list[tuple[str, int | None]] = [
-            (row[number], line)
+            (dialect.cell(row, number), line)
             for line, row in rows
             if number < len(row) and (first.lines is None or line in first.lines)
         ]
@@ -196,25 +195,6 @@ class TextSource(Source):
         source = copy.copy(self)
         source.dialect = replace(self.dialect, normaliser=normaliser, sample=sample)
         return source
-
-    def constant_cells(self, piece: Piece, columns: Sequence[int]) -> dict[int, str]:
-        """Return the cells of columns that are the same in all lines that are looked at."""
-        assert isinstance(piece, LineBlock)
-        data, first = piece.data, -piece.offset % LOOK_BYTES
-        starts = [0, *(data.find(b"\n", place) + 1 for place in range(first, len(data), LOOK_BYTES))]
-        starts.append(data.rfind(b"\n", 0, len(data) - 1) + 1)
-        delimiter = self.dialect.normaliser.delimiter.encode()
-        found: list[set[bytes]] = [set() for _ in columns]
-        for start in (start for start in starts if start < len(data)):
-            line = data[start : data.find(b"\n", start)].rstrip(b"\r")
-            cells = line.split(delimiter)
-            if len(cells) != self.dialect.columns or b'"' in line:
-                return {}
-            for column, cells_of in zip(columns, found, strict=True):
-                cells_of.add(cells[column])
-        pairs, clean = zip(columns, found, strict=True), self.dialect.normaliser
-        texts = {column: decode(clean(cells.pop())).strip() for column, cells in pairs if len(cells) == 1}
-        return {column: "" if text in MISSING else text for column, text in texts.items()}
 
     def end_problems(self, piece: Piece, samples: int, lost_bytes: int) -> tuple[Problem, ...]:
         """Return what is wrong with the end: files that were joined, and a last line that is cut off.
@@ -252,9 +232,16 @@ class TextSource(Source):
         return cut
 
 
-def _note_on_widths(dialect: Dialect) -> tuple[str, ...]:
-    """Return the note that rows do not have a cell for each name, if that is so."""
+def _notes_on_widths(dialect: Dialect, above: bytes) -> tuple[str, ...]:
+    """Return the note that rows do not have a cell for each name, if that is so.
+
+    Args:
+        above: the lines above the rows.
+    """
     named, columns = dialect.named, dialect.columns
+    cells = split_line(decode(above.rstrip().rpartition(b"\n")[2]), dialect.normaliser.delimiter)
+    if dialect.names is None and names_all_axes(cells):
+        return (f"the last line above the rows names {len(cells)} columns and they have {columns}: unused",)
     if named in (0, columns):
         return ()
     usual = f"the header names {named} columns and rows usually have {columns}"

@@ -7,8 +7,8 @@ by the lines above their table, which only text has; others by the names of thei
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, cached_property
 from typing import Any
 
 from accelcal_cli.core.formats import HEAD_BYTES, is_text
@@ -36,12 +36,11 @@ class Head:
     names: tuple[str, ...]
     cells: Callable[[int], list[str]]
     lines: Lines = ()
-    plain: tuple[str, ...] = field(init=False)
 
-    def __post_init__(self) -> None:
-        """Keep the names in lower case as well, without units in brackets and blanks around them."""
-        plain = (name.partition("(")[0].partition("[")[0].strip(' "').lower() for name in self.names)
-        object.__setattr__(self, "plain", tuple(plain))
+    @cached_property
+    def plain(self) -> tuple[str, ...]:
+        """The names in lower case, without units in brackets and blanks around them."""
+        return tuple(name.partition("(")[0].partition("[")[0].strip(' "').lower() for name in self.names)
 
     def numbers(self, *names: str) -> tuple[int, ...] | None:
         """Return the numbers of columns by their names in lower case; None if one is not there just once."""
