@@ -216,17 +216,10 @@ def test_a_file_is_a_subject() -> None:
 
 
 BUDGET = {
-<<<<<<< HEAD
-    "core": 7_100, "formats": 24_500, "formats/tables": 11_050, "segment": 800, "collect": 1_850,
+    "core": 7_100, "formats": 24_500, "formats/tables": 11_000, "segment": 800, "collect": 1_850,
     "optimize": 900, "judge": 3_550, "parquet": 1_050, "pipeline": 5_700, "output": 5_330,
     "six_pose": 1_800, "exports": 1_770, "devices": 1_445, "studies": 5_020, "pages": 2_835,
     "watching": 600, "laboratory": 4_100, "cli": 3_420,
-=======
-    "core": 7_100, "formats": 24_500, "formats/tables": 11_000, "segment": 800, "collect": 1_850,
-    "optimize": 900, "judge": 3_550, "parquet": 1_050, "pipeline": 5_700, "output": 5_250,
-    "six_pose": 1_800, "exports": 1_770, "devices": 1_450, "studies": 5_120, "pages": 2_860,
-    "watching": 600, "laboratory": 4_100, "cli": 3_550,
->>>>>>> m1
 }  # fmt: skip
 """Most lines of a folder: what goes beyond has to take something away."""
 
