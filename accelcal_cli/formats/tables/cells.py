@@ -334,7 +334,7 @@ def plain_number(cell: str, comma: str) -> str:
     found = GROUPS.fullmatch(text)
     if found and (found["decimals"] or found["mark"].replace(",", comma) not in (*".,",)):
         return text.replace(found["mark"], "").replace(",", ".")
-    return text.replace(",", ".") if comma == DECIMAL else text
+    return text.replace(",", ".") if comma == DECIMAL and not text.endswith(",") else text
 
 
 def number_of(cell: str, comma: str = DECIMAL) -> float | None:
