@@ -100,9 +100,11 @@ def set_coefficients(report: dict, gain: np.ndarray, offset_g: np.ndarray, model
         "offset_g": offset_g.tolist(),
         "parameters": named | upper,
         "temperature": None,
+        "bend": None,
     }
     report["calibration"]["fixed_point"] |= {
         "parameters": integers,
         "temperature_reference_mc": None,
         "temperature_span_c": None,
+        "bend": [0, 0, 0],
     }

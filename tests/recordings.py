@@ -83,6 +83,12 @@ def write_raw(path: Path, counts: np.ndarray) -> Path:
     return path
 
 
+def straightened(calibration: dict, raw_g: np.ndarray) -> np.ndarray:
+    """v + q v^2 by a report's calibration."""
+    bend = calibration["bend"]
+    return raw_g if bend is None else raw_g + np.array(bend["quadratic"]) * raw_g**2
+
+
 def worst_errors(report: dict) -> tuple[float, float]:
     """Largest error of a gain term, and of an offset in g, of a report's calibration."""
     gain = np.abs(np.array(report["calibration"]["gain"]) - GAIN).max()

@@ -150,7 +150,7 @@ def test_epochs_are_those_of_the_effect(name: str, seconds: int) -> None:
 
 
 def test_epochs_have_the_hours_of_wear_and_times_of_the_zone() -> None:
-    still = np.random.default_rng(1).normal(0, 1e-3, (540_000, 3)) + np.array([0.0, 0.0, 1.0])
+    still = np.random.default_rng(1).normal(0, 1e-3, (540_000, 3)) + XYZ[-1]
     values = np.concatenate([XYZ, still])
     result = accelcal.calibrate(values, rate=25, start="2024-03-04T00:00:00", unit="g", timezone="+01:00")
     epochs = result.epochs(60)

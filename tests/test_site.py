@@ -68,7 +68,7 @@ READERS = {
     "analyst: load the samples": (["docs/cookbook.md"], "read_parquet"),
     "R user: GGIR": (["docs/exports.md"], "backup.cal.coef"),
     "R user: run GGIR on calibrated data": (["docs/r.md"], "GGIR"),
-    "reviewer: the model": (["docs/how-it-works.md"], "a = K (v + o"),
+    "reviewer: the model": (["docs/how-it-works.md"], "a = K (v + q"),
     "reviewer: the prior": (["docs/prior.md"], "Student"),
     "reviewer: validation": (["docs/evaluation.md#real-recordings"], "mg"),
     "reviewer: other tools": (["docs/compared.md"], "GGIR"),

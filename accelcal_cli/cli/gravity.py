@@ -24,7 +24,7 @@ from accelcal_cli.core.settings import Settings
 def command(latitude: float, altitude_m: float, as_json: bool) -> None:
     """Show local gravity, as used by `calibrate --latitude --altitude`.
 
-    International Gravity Formula of 1967 with the free-air correction (Grammenos, Mascolo,
+    International Gravity Formula of 1980 with the free-air correction (Grammenos, Mascolo,
     Crowcroft 2018, eq. 16-18). Prints m/s2 and units of standard g, separated by a tab.
     """
     metres = local_gravity(latitude, altitude_m)

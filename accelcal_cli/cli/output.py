@@ -71,7 +71,7 @@ def show_result(
         low, high = holdout.ci95_mg
         row |= {"after_mg": holdout.after_mg.mean, "ci95_low_mg": low, "ci95_high_mg": high}
         row |= {"improvement_percent": holdout.improvement_percent} | factor_columns(holdout)
-    row |= error_columns(report.calibration_error_mg if calibrated else None)
+    row |= error_columns(report)
     refused = report.outcome == Outcome.REFUSED
     start, told = ("What to do", report.advice) if refused else ("Caution", report.cautions)
     remarks = () if values.get("quiet", False) else [f"{start}: {sentences.sentence(one)}" for one in told]
@@ -125,7 +125,8 @@ def _fields(row: dict[str, Any], source: Path, written: Path | None) -> str:
     """Write the fields of a result; `-` for nothing.
 
     Path, outcome, model, held-out errors before and after [mg], improvement [%], output; then the calibration
-    error over all orientations and the ends of its interval [mg].
+    error over all orientations and the ends of its interval [mg], and the probability that it is lower than
+    that of the raw data.
     """
     fields = [
         str(source),
@@ -135,6 +136,7 @@ def _fields(row: dict[str, Any], source: Path, written: Path | None) -> str:
         percent(row["improvement_percent"]),
         "-" if written is None else str(written),
         *(formatted(row.get(f"calibration_error_{name}"), ".3f") for name in ("mg", "low_mg", "high_mg")),
+        formatted(row.get("probability_better"), ".3f"),
     ]
     return "\t".join(map(printable, fields))
 
@@ -176,7 +178,8 @@ def _errors(row: dict[str, Any]) -> list[str]:
 
 def _doubts(row: dict[str, Any], limit_mg: float | None) -> list[Reason]:
     """Return what the interval of a row says against it; no limit: the usual one."""
-    if row["outcome"] == Outcome.REFUSED:
+    decided = row["outcome"] == Outcome.CALIBRATED and row.get("probability_better") is not None
+    if row["outcome"] == Outcome.REFUSED or decided:
         return []
     everywhere = row.get("calibration_error_mg") is not None
     high = row.get("calibration_error_high_mg" if everywhere else "ci95_high_mg")

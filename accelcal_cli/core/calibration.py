@@ -1,7 +1,8 @@
-"""A calibration, a = K (v + o + s (T - Tref)), and how it is applied.
+"""A calibration, a = K (v + q v^2 + o + s (T - Tref)), and how it is applied.
 
-`calibrated` is the equation for a few vectors in double precision, `Transform` for the rows of a recording.
-Where a sensor changed while it recorded, a `Correction` puts its raw values right first.
+q is the bend of the response, axis by axis. `calibrated` is the equation for a few vectors in double
+precision, `Transform` for the rows of a recording. Where a sensor changed while it recorded, a `Correction`
+puts its raw values right first.
 """
 
 from __future__ import annotations
@@ -31,6 +32,14 @@ UPPER_NAMES = ("k_xy", "k_xz", "k_yz")
 
 IDENTITY: tuple[int, ...] = (ONE, ONE, ONE) + (0,) * 9
 """Parameters that change nothing."""
+
+Bend = tuple[int, int, int]
+"""q of x, y, z [per g], in fixed point: v + q v^2 straightens the response of a sensor."""
+
+NO_BEND: Bend = (0, 0, 0)
+
+BEND_ROUNDS = 4
+"""Iterations that invert a bend of a few percent to 1e-7 g."""
 
 BLOCK_ROWS = 1 << 14
 """Rows that are calibrated at a time, so that intermediate values stay in the processor's cache."""
@@ -108,7 +117,7 @@ def _interpolated(left: Knot, right: Knot, into: int, apart: int) -> Knot:
 
 
 def _times(knot: Knot, factor: Fraction) -> Knot:
-    return three(rounded_quotient(value * factor.numerator, factor.denominator) for value in knot)
+    return three(_scaled(value, factor) for value in knot)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +135,7 @@ class TemperatureScale:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """a = K (v + o + s (T - Tref)), v in raw g (F eq. 7-9, with slopes).
+    """a = K (v + q v^2 + o + s (T - Tref)), v in raw g (F eq. 7-9, with a bend and slopes).
 
     Attributes:
         model: name of the model that was fitted.
@@ -135,6 +144,7 @@ class Calibration:
         gravity: what rest measures.
         upper: entries of K above its diagonal, in the order of UPPER_NAMES.
         correction: applied to v first, if the sensor changed while it recorded.
+        bend: q; zeros for a response that was taken to be straight.
     """
 
     model: str
@@ -143,6 +153,7 @@ class Calibration:
     gravity: Gravity = STANDARD
     upper: tuple[int, int, int] = (0, 0, 0)
     correction: Correction | None = None
+    bend: Bend = NO_BEND
 
     def gain(self) -> Floats:
         """K, (3, 3); lower triangular unless orientations were known."""
@@ -153,6 +164,21 @@ class Calibration:
     def offset_g(self) -> Floats:
         """o, (3,) in g."""
         return np.array([to_float(value) for value in self.parameters[6:9]])
+
+    def bend_per_g(self) -> Floats:
+        """q, (3,) per g."""
+        return np.array([to_float(value) for value in self.bend])
+
+    def straight(self, raw_g: Floats) -> Floats:
+        """Return v + q v^2 of raw vectors (n, 3) [g]."""
+        return np.asarray(raw_g + self.bend_per_g() * raw_g * raw_g)
+
+    def bent(self, straight_g: Floats) -> Floats:
+        """Return the raw vectors (n, 3) [g] of which others are the straight ones."""
+        raw = straight_g
+        for _ in range(BEND_ROUNDS if any(self.bend) else 0):
+            raw = straight_g - self.bend_per_g() * raw * raw
+        return raw
 
     def slope_g_per_c(self) -> Floats:
         """s, (3,) in g per degree C; zeros without temperature."""
@@ -175,6 +201,8 @@ class Calibration:
             raw: x, y, z [standard g], each (n,).
             celsius: temperatures (n,), needed if there are slopes.
         """
+        if any(self.bend):
+            raw = [v + q * (v * v) for v, q in zip(raw, self.bend_per_g().tolist(), strict=True)]
         if self.temperature is None:
             return calibrated(raw, self.gain(), self.offset_g())
         assert celsius is not None
@@ -204,8 +232,16 @@ def in_standard_g(parameters: tuple[int, ...], local_g: Fraction) -> tuple[int, 
 
     With v = u g: K (v + o g) = g K (u + o); K stays as it is, offsets and slopes grow with g.
     """
-    scaled = [rounded_quotient(value * local_g.numerator, local_g.denominator) for value in parameters[6:]]
-    return (*parameters[:6], *scaled)
+    return (*parameters[:6], *(_scaled(value, local_g) for value in parameters[6:]))
+
+
+def bend_in_standard_g(bend: Bend, local_g: Fraction) -> Bend:
+    """Convert a bend likewise: with v = u g, (q / g) v^2 = g q u^2."""
+    return three(_scaled(value, 1 / local_g) for value in bend)
+
+
+def _scaled(value: int, factor: Fraction) -> int:
+    return rounded_quotient(value * factor.numerator, factor.denominator)
 
 
 class Rows(Protocol):
@@ -240,11 +276,12 @@ class RawRows:
 
 @dataclass(frozen=True, slots=True)
 class Transform:
-    """a = K (v + o + s (T - Tref)) for the rows of a recording, v in counts.
+    """a = K (v + q v^2 + o + s (T - Tref)) for the rows of a recording, v in counts.
 
     Attributes:
         steps_per_g: a power of two; calibrated values are rounded to 1 / steps_per_g. None: they are not.
         correction: applied to v first, if the sensor changed while it recorded.
+        bend_per_g: q; None for a straight response.
     """
 
     gain: Floats
@@ -254,6 +291,7 @@ class Transform:
     lsb_per_g: float
     steps_per_g: float | None = None
     correction: Correction | None = None
+    bend_per_g: Floats | None = None
 
     @classmethod
     def of(
@@ -270,6 +308,7 @@ class Transform:
             lsb_per_g,
             steps_per_g(precision_mg),
             calibration.correction,
+            calibration.bend_per_g() if any(calibration.bend) else None,
         )
 
     def apply(self, rows: Rows) -> Axes:
@@ -296,7 +335,10 @@ class Transform:
         if self.correction is not None:
             return np.full(3, np.inf)
         warm, counts = rows.temperature_mc, np.array([_largest(column) for column in rows.counts.T])
-        reach: Floats = np.abs(self.gain) @ counts / self.lsb_per_g
+        raw_g = counts / self.lsb_per_g
+        if self.bend_per_g is not None:
+            raw_g = raw_g + np.abs(self.bend_per_g) * raw_g * raw_g
+        reach: Floats = np.abs(self.gain) @ raw_g
         reach += np.abs(self._constant(warm is not None))
         if warm is not None:
             reach += np.abs(self._per_mc()) * _largest(warm)
@@ -316,11 +358,14 @@ class Transform:
             stretch, shift = self.correction.values(numbers)
             v *= stretch.T
             v += shift.T
+        if self.bend_per_g is not None:
+            v += self.bend_per_g[:, np.newaxis] * v * v
 
     @property
     def _in_counts(self) -> bool:
         # a division by a power of two changes no bit, so it may be done once, to the gain
-        return self.correction is None and frexp(self.lsb_per_g)[0] == 0.5
+        power = frexp(self.lsb_per_g)[0] == 0.5
+        return self.correction is None and self.bend_per_g is None and power
 
     def _gain_row(self, axis: int, rows: Rows) -> _GainRow:
         in_counts, fixed = self._in_counts, self.gain * ONE

@@ -17,7 +17,7 @@ _DECIMALS = 9
 def local_gravity(latitude: float, altitude_m: float = 0.0) -> float:
     """Return gravity [m/s2] at a latitude [degrees] and an altitude above the sea [m].
 
-    The International Gravity Formula of 1967 and the free-air correction.
+    The International Gravity Formula of 1980 (Moritz 2000, J. Geodesy 74: 128), and the free-air correction.
     """
     angle = radians(latitude)
     at_sea_level = _EQUATOR * (1 + 0.0053024 * sin(angle) ** 2 - 0.0000058 * sin(2 * angle) ** 2)
@@ -30,6 +30,10 @@ def standard_g(metres_per_s2: float) -> Fraction:
     Rounding makes it the same number on every machine, whatever the last bit of a latitude's sine.
     """
     return Fraction(round(metres_per_s2 / STANDARD_GRAVITY * 10**_DECIMALS), 10**_DECIMALS)
+
+
+UNKNOWN_PLACE_G = 0.0015
+"""Standard deviation of local gravity where people live [g]: from 0.997 near the equator to 1.001."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +53,10 @@ class Gravity:
         if self.latitude is None:
             return Fraction(1)
         return standard_g(local_gravity(self.latitude, self.altitude_m or 0.0))
+
+    def uncertainty_g(self) -> float:
+        """Return the standard deviation of what is not known of local gravity [g]; 0 with a latitude."""
+        return UNKNOWN_PLACE_G if self.latitude is None else 0.0
 
 
 STANDARD = Gravity()

@@ -15,8 +15,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import ONE, Fixed
-from accelcal_cli.core.calibration import Correction, TemperatureScale
+from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, Fixed, checked, narrow
+from accelcal_cli.core.calibration import NO_BEND, Bend, Correction, TemperatureScale
 from accelcal_cli.core.recording import cut_columns, joined_columns
 
 WEIGHT_ONE = 1 << 15
@@ -245,6 +245,13 @@ class PointSet:
         xyz, weights = np.concatenate([self.xyz, other.xyz]), np.concatenate([self.weights, other.weights])
         return PointSet(xyz, weights, np.concatenate([self.windows, other.windows]))
 
+    def straightened(self, bend: Bend) -> PointSet:
+        """Return the points with v + q v^2 instead of v; raises FixedPointOverflowError beyond the range."""
+        if not any(bend):
+            return self
+        squares = (self.xyz * self.xyz) >> FRACTION_BITS
+        return replace(self, xyz=checked(self.xyz + narrow(squares * np.array(bend)), "a straightened point"))
+
     def xyz_g(self) -> NDArray[np.float64]:
         """Return the raw means [g], (n, 3) float64, exact."""
         return self.xyz / float(ONE)
@@ -269,6 +276,7 @@ class Fit:
         history: parameters after each iteration, if asked for; with a penalty always, and the start before
             them.
         converged: False if the number of iterations ended it, short of the minimum.
+        bend: of the response, by which the points were straightened.
     """
 
     parameters: tuple[int, ...]
@@ -277,6 +285,7 @@ class Fit:
     operations: Operations
     history: tuple[tuple[int, ...], ...] = ()
     converged: bool = True
+    bend: Bend = NO_BEND
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,7 +311,8 @@ class PenalizedFit:
 
     Attributes:
         mean_square: weighted mean of (|a|^2 - 1)^2 there.
-        curvature: weighted mean of J^T J, where J is d(|a|^2 - 1)/dp of the model's free parameters.
+        curvature: weighted mean of J^T J, where J is d(|a|^2 - 1)/dp of the model's free parameters, and of
+            the bend if that was fitted.
     """
 
     model: Model

@@ -128,6 +128,7 @@ class SphereError:
         worst_direction_at: that direction, a unit vector of the true acceleration.
         better_everywhere, better_where_worn: probability that the error is lower than that of the raw
             values, over all directions and in the postures that were seen.
+        below_limit: probability that it is within the limit.
     """
 
     mean: float
@@ -136,6 +137,7 @@ class SphereError:
     worst_direction_at: tuple[float, float, float]
     better_everywhere: float = 0.0
     better_where_worn: float = 0.0
+    below_limit: float = 0.0
 
     def probably_better(self) -> float:
         """Return the lower of the two probabilities."""
@@ -194,6 +196,7 @@ class Change:
         correction: what corrects the sensor, in standard g; None if one calibration cannot follow.
         size_mg: the largest change of |a|, over all directions.
         offset_mg, scale_percent: change of those of raw x, y, z from beginning to end.
+        probability: that the sensor changed, beyond what is followed; None if this was not looked for.
     """
 
     kind: ChangeKind
@@ -205,11 +208,12 @@ class Change:
     size_mg: float | None = None
     offset_mg: tuple[float, float, float] | None = None
     scale_percent: tuple[float, float, float] | None = None
+    probability: float | None = None
 
 
-MisfitKind = Literal["quadratic", "cubic", "gain by temperature", "curved by temperature", "previous posture"]
-"""Behaviour of a sensor that the parameters do not describe: its response is bent, with the square or the
-cube of the acceleration; its scales change with temperature; its offsets do so on a curve; its offsets depend
+MisfitKind = Literal["cubic", "gain by temperature", "curved by temperature", "previous posture"]
+"""Behaviour of a sensor that the parameters do not describe: its response is bent, with the cube of the
+acceleration; its scales change with temperature; its offsets do so on a curve; its offsets depend
 on the posture before."""
 
 
@@ -234,6 +238,30 @@ class Misfit:
     after_mg: Annotated[float, Key("Held-out error with it", "mg", digits=4)]
     largest_mg: Annotated[float, Key("Largest error that it makes at 1 g", "mg", significant=True)]
     found: Annotated[bool, Key("True if it was found")]
+
+
+UncertaintySource = Literal["rests", "bend", "change", "gravity"]
+"""Where the uncertainty of |a| at rest comes from: few rests that scatter, with what is known of sensors
+beforehand; a bend of the response; a change during the recording; the gravity of an unknown place."""
+
+
+@dataclass(frozen=True, slots=True)
+class UncertaintyPart:
+    """A part of the standard uncertainty of |a| at rest (GUM, JCGM 100:2008, 5.1): their squares add up.
+
+    Attributes:
+        mg: root of the mean square over all directions; axes_mg: with x, y or z up or down.
+        worst_mg: in the direction where all parts together are largest.
+        share_percent: of the sum of the mean squares.
+    """
+
+    source: Annotated[UncertaintySource, Key("Where it comes from")]
+    mg: Annotated[float, Key("Standard uncertainty, over all orientations", "mg", significant=True)]
+    axes_mg: Annotated[
+        tuple[float, float, float], Key("The same with x, y or z up or down", "mg", significant=True)
+    ]
+    worst_mg: Annotated[float, Key("The same where all parts together are largest", "mg", significant=True)]
+    share_percent: Annotated[float, Key("Share of the variance over all orientations", digits=1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,11 +311,15 @@ class Judgement:
         reason: why the outcome is what it is.
         notes: what else is to be known of it; cautions: what speaks against trusting it; advice: what to do.
         candidate: the fit with a prior, also if it is not good enough to be the calibration.
+        covariance: that of the parameters, in standard g and per degree, then of the bend; None without one.
         penalty: the prior as the fit used it; None without one.
         sphere: error of the calibration over all directions; sphere_before: that of the raw values.
         rest_scatter_mg: mean | |a| - 1 g | that the scatter of rests makes; None without a posterior.
         change: how the sensor changed during the recording; None if this was not looked for.
         misfits: kinds of behaviour that were tested; None if none were.
+        changed: probability that the sensor changed during the recording, beyond what is followed, and the
+            share of the time after which it most probably did.
+        uncertainty: parts of that of |a| at rest; None without a posterior.
         unlike: True if the points speak against a prior that was learnt from other recordings.
         without_misalignment: for a calibration with misalignment; None if that cannot be fitted.
         plausible: sensors by the posterior; None without one.
@@ -305,6 +337,7 @@ class Judgement:
     holdout: Holdout | None = None
     fit_errors: FitErrors | None = None
     standard_errors: tuple[float, ...] | None = None
+    covariance: tuple[tuple[float, ...], ...] | None = None
     candidate: Calibration | None = None
     penalty: Penalty | None = None
     sphere: SphereError | None = None
@@ -312,6 +345,8 @@ class Judgement:
     rest_scatter_mg: float | None = None
     change: Change | None = None
     misfits: tuple[Misfit, ...] | None = None
+    changed: tuple[float, float] = (0.0, 0.0)
+    uncertainty: tuple[UncertaintyPart, ...] | None = None
     unlike: bool = False
     without_misalignment: WithoutMisalignment | None = None
     plausible: PlausibleSensors | None = field(default=None, compare=False)

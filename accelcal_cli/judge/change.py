@@ -12,6 +12,7 @@ treated as a change.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 
@@ -27,13 +28,15 @@ from accelcal_cli.core.arithmetic import (
     standard_error,
     three,
 )
-from accelcal_cli.core.calibration import Calibration, Correction
+from accelcal_cli.core.calibration import Calibration, Correction, TemperatureScale
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import Reason
-from accelcal_cli.core.points import TimedMeans
+from accelcal_cli.core.points import WEIGHT_ONE, PointSet, TimedMeans
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Change, ChangeKind, TimeHoldout
-from accelcal_cli.judge.errors import directions
+from accelcal_cli.judge.errors import directions, residuals
+from accelcal_cli.judge.model_ladder import postures
+from accelcal_cli.judge.posterior import PossibleChange, Posterior, columns
 
 FOLDS = 5
 """Parts that stretches of time are dealt to in turn."""
@@ -248,7 +251,10 @@ def change_reason(change: Change, offset_s: int | None, *, followed: bool) -> Re
     """
     holdout = change.holdout
     if holdout is None or change.size_mg is None:
-        return None
+        if change.at_us is None or change.probability is None:
+            return None
+        values = {"at": iso_time(change.at_us, offset_s), "percent": float(int(100 * change.probability))}
+        return Reason.of("may_have_changed", **values)
     errors = {"constant_mg": holdout.constant_mg, "changing_mg": holdout.changing_mg}
     what = {"kind": change.kind, "at": iso_time(change.at_us, offset_s), "size_mg": change.size_mg}
     return Reason.of("sensor_changed", **what, followed=followed, **errors)
@@ -310,7 +316,7 @@ class Design:
         warmth = None if means.celsius is None else means.celsius - float(np.mean(means.celsius))
         self._block, self._stretch = means.block, stretch
         self._found = found
-        shifted = means.mean_g + _shift(found, means.celsius)
+        shifted = found.straight(means.mean_g) + _shift(found, means.celsius)
         lengths, self._rows = _linear(shifted, means.mean_g, found.gain())
         if warmth is not None:
             self._rows[:, 9:12] *= warmth[:, np.newaxis]
@@ -391,6 +397,139 @@ class Design:
         values = np.linalg.solve(whole, right[:, :, np.newaxis])[:, :, 0]
         best = int((right * values).sum(axis=1).argmax())
         return best, values[best]
+
+
+# What may have changed besides, as a term of the posterior.
+#
+# Whether or not a change is clear enough to be followed, a calibration is as uncertain as the sensor may have
+# changed: each of several moments and two kinds of change has a probability, given the rests before and
+# after it.
+
+MOMENTS = 8
+"""Parts of the time, between which the sensor may have changed."""
+
+CHANGED = 0.05
+"""Probability of a change within a recording, before its rests are seen."""
+
+SIZES = ((0.7, (0.01,) * 6 + (20 * MG,) * 3), (0.3, tuple(1.5 * width for width in POPULATION.width[:9])))
+"""Share and widths of a change of the sensor, and of one by another sensor, whose errors are independent."""
+
+NOISE_FREEDOM = 4.0
+"""Observations that the usual noise counts like."""
+
+FAR_OFF = 3.0
+"""Times the noise beyond which a rest pulls no harder."""
+
+NOISE_ROUNDS = 6
+LEAST_PROBABILITY = 1e-4
+
+
+def possible_changes(
+    means: TimedMeans, known: Posterior, scale: TemperatureScale | None, local_g: float, degrees: float
+) -> list[PossibleChange]:
+    """Return the changes that a recording's rests leave possible, each with its probability.
+
+    Args:
+        means: as they were fitted, in standard g; local_g: what rest measures.
+        scale: of the fit's temperatures.
+        degrees: width of a posture.
+    """
+    blocks = means.blocks()
+    starts = sorted({round(blocks * part / MOMENTS) for part in range(1, MOMENTS)} - {0, blocks})
+    if not starts:
+        return []
+    rests = _rests(means, known, scale, local_g, degrees, np.array(starts))
+    centre, held, number = -known.from_centre(), np.array(known.usual), len(known.usual)
+    changing = [place for place, index in enumerate(known.model.free) if index < len(SIZES[0][1])]
+    embed = np.eye(2 * number)[:, [*range(number), *(number + place for place in changing)]]
+    log, *_ = _explained(rests, rests.rows, centre, held)
+    logs, found = [log + np.log(1 - CHANGED)], []
+    for moment, start in enumerate(starts):
+        after = rests.rows[:, changing] * (rests.part > moment)[:, np.newaxis]
+        for share, widths in SIZES:
+            precision = [1 / widths[known.model.free[place]] ** 2 for place in changing]
+            prior = np.append(centre, np.zeros(len(changing))), np.append(held, precision)
+            log, mean, covariance = _explained(rests, np.column_stack([rests.rows, after]), *prior)
+            logs.append(log + np.log(CHANGED * share / len(starts)))
+            found.append((start / blocks, embed @ mean, embed @ np.linalg.cholesky(covariance)))
+    chances = np.exp(np.array(logs) - max(logs))
+    chances /= chances.sum()
+    pairs = zip(chances[1:].tolist(), found, strict=True)
+    return [PossibleChange(chance, *one) for chance, one in pairs if chance > LEAST_PROBABILITY]
+
+
+def probable_change(changes: Sequence[PossibleChange]) -> tuple[float, float]:
+    """Return the probability of any change, and the share of the time before the most probable one."""
+    if not changes:
+        return 0.0, 0.0
+    moments = dict.fromkeys((one.before for one in changes), 0.0)
+    for one in changes:
+        moments[one.before] += one.probability
+    return min(1.0, sum(moments.values())), max(moments, key=lambda before: moments[before])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rests:
+    """Means of the rests of a posture in a part of the time.
+
+    Attributes:
+        rows: (n, k) d|a|/dp of what is fitted; error: (n,) 1 - |a| by the fit [g].
+        weight: (n,) of each; part: (n,) number of the part of the time.
+    """
+
+    rows: Floats
+    error: Floats
+    weight: Floats
+    part: Ints
+
+
+def _rests(
+    means: TimedMeans,
+    known: Posterior,
+    scale: TemperatureScale | None,
+    local_g: float,
+    degrees: float,
+    starts: Ints,
+) -> _Rests:
+    raw, tau, fit = means.mean_g / local_g, None, known.found.fit
+    if known.model.has_temperature and scale is not None and means.celsius is not None:
+        tau = (means.celsius - scale.reference_mc / 1000) / scale.span_c
+    each = np.ones(len(raw), np.int64)
+    windows = each if means.windows is None else means.windows
+    points = PointSet(np.rint(raw * ONE).astype(np.int64), each * WEIGHT_ONE, windows)
+    part = np.searchsorted(starts, means.block, side="right")
+    units, unit = np.unique(np.stack([postures(points, degrees), part]), axis=1, return_inverse=True)
+    straight = points.straightened(fit.bend).xyz_g()
+    values = np.column_stack([columns(raw, known, tau), -residuals(straight, tau, fit.parameters)]) / 2
+    sums = np.zeros((units.shape[1], values.shape[1]))
+    np.add.at(sums, unit.reshape(-1), values)
+    sums /= np.bincount(unit.reshape(-1))[:, np.newaxis]
+    weight = 1 / np.sqrt(np.bincount(units[0])[units[0]])  # rests of one posture share a part of their error
+    return _Rests(sums[:, :-1], sums[:, -1], weight, units[1])
+
+
+def _explained(
+    rests: _Rests, rows: Floats, centre: Floats, precision: Floats
+) -> tuple[float, Floats, Floats]:
+    """Return the log probability of rests, up to a constant, and mean and covariance of what explains them.
+
+    Args:
+        centre, precision: those of the prior of each column's parameter.
+    """
+    usual, number = POPULATION.noise_g**2, float(rests.weight.sum())
+    left, noise = rests.error, 4 * usual
+    for _ in range(NOISE_ROUNDS):
+        weight = rests.weight * np.minimum(1, FAR_OFF * np.sqrt(noise) / np.maximum(np.abs(left), 1e-9))
+        around = (rows * weight[:, np.newaxis]).T @ rows / noise
+        whole = around + np.diag(precision)
+        mean = np.linalg.solve(whole, rows.T @ (weight * rests.error) / noise + precision * centre)
+        left = rests.error - rows @ mean
+        squares = float((weight * left * left).sum())
+        used = float(np.trace(np.linalg.solve(whole, around)))
+        noise = (NOISE_FREEDOM * usual + squares) / (NOISE_FREEDOM + max(number - used, 0.0))
+    log = -(NOISE_FREEDOM + number) * np.log1p(squares / (NOISE_FREEDOM * usual))
+    log += np.log(precision).sum() - (precision * (mean - centre) ** 2).sum() - np.linalg.slogdet(whole)[1]
+    return float(log) / 2, mean, np.linalg.inv(whole)
 
 
 def _shift(found: Calibration, celsius: Floats | None) -> Floats:

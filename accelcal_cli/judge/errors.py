@@ -60,18 +60,17 @@ def coverage(points: PointSet, label: NDArray[np.int64]) -> Coverage:
 
 def jacobian(g: Floats, tau: Floats | None, parameters: tuple[int, ...]) -> Floats:
     """Return d(|a|^2 - 1)/dp of raw points g (n, 3) and scaled temperatures (n,): (n, 12)."""
-    tau = np.zeros(len(g)) if tau is None else tau
-    k, u = _gain_and_shifted(g, tau, parameters)
-    a = u @ k.T
-    back = a @ k
-    columns = [a[:, i] * u[:, j] for i, j in _PAIRS] + list(back.T) + list((back * tau[:, None]).T)
-    return np.asarray(2 * np.stack(columns, axis=1))
+    u, a = _shifted_and_calibrated(g, tau, parameters)
+    p = [value / ONE for value in parameters]
+    back = [p[0] * a[0] + p[3] * a[1] + p[4] * a[2], p[1] * a[1] + p[5] * a[2], p[2] * a[2]]
+    warm = [np.zeros(len(g)) if tau is None else one * tau for one in back]
+    return np.asarray(2 * np.stack([*(a[i] * u[j] for i, j in _PAIRS), *back, *warm], axis=1))
 
 
 def residuals(g: Floats, tau: Floats | None, parameters: tuple[int, ...]) -> Floats:
     """Return |a|^2 - 1 of raw points g (n, 3) and scaled temperatures (n,): (n,)."""
-    k, u = _gain_and_shifted(g, np.zeros(len(g)) if tau is None else tau, parameters)
-    return np.asarray(((u @ k.T) ** 2).sum(axis=1) - 1)
+    _, (x, y, z) = _shifted_and_calibrated(g, tau, parameters)
+    return np.asarray(x * x + y * y + z * z - 1)
 
 
 def slope_information(points: PointSet) -> float:
@@ -87,11 +86,16 @@ def slope_information(points: PointSet) -> float:
     return float(np.linalg.eigvalsh(c - b @ np.linalg.pinv(a) @ b)[0])
 
 
-def _gain_and_shifted(g: Floats, tau: Floats, parameters: tuple[int, ...]) -> tuple[Floats, Floats]:
-    """Return K and v + o + s (T - Tref)."""
-    p = np.array(parameters) / ONE
-    k = np.array([[p[0], 0, 0], [p[3], p[1], 0], [p[4], p[5], p[2]]])
-    return k, g + p[6:9] + tau[:, None] * p[9:12]
+def _shifted_and_calibrated(
+    g: Floats, tau: Floats | None, parameters: tuple[int, ...]
+) -> tuple[list[Floats], list[Floats]]:
+    """Return x, y, z of v + o + s (T - Tref), and of a, elementwise: the same bits on every machine."""
+    p = [value / ONE for value in parameters]
+    u = [g[:, axis] + p[6 + axis] for axis in range(3)]
+    if tau is not None:
+        u = [value + p[9 + axis] * tau for axis, value in enumerate(u)]
+    x, y, z = u
+    return u, [p[0] * x, p[3] * x + p[1] * y, p[4] * x + p[5] * y + p[2] * z]
 
 
 def uncertainty(points: PointSet, parameters: tuple[int, ...], model: Model) -> Uncertainty | None:
@@ -193,7 +197,7 @@ def apart_mg(one: Calibration, other: Calibration) -> float:
     Offsets are those at the other's reference temperature.
     """
     celsius = other.reference_c() or one.reference_c()
-    raw = np.linalg.solve(other.gain(), directions().T).T - other.offset_at(celsius)
+    raw = other.bent(np.linalg.solve(other.gain(), directions().T).T - other.offset_at(celsius))
     return 1000 * float(np.abs(np.sqrt((_at(one, raw, celsius) ** 2).sum(axis=1)) - 1).mean())
 
 
@@ -210,4 +214,4 @@ def difference_mg(one: Calibration, other: Calibration, raw_g: Floats) -> tuple[
 
 
 def _at(calibration: Calibration, raw_g: Floats, at_c: float) -> Floats:
-    return np.asarray((raw_g + calibration.offset_at(at_c)) @ calibration.gain().T)
+    return np.asarray((calibration.straight(raw_g) + calibration.offset_at(at_c)) @ calibration.gain().T)

@@ -1,27 +1,27 @@
 """Misfits: behaviour of a sensor that the twelve parameters cannot describe, found on held-out postures.
 
-A response that is bent, scales that change with temperature, offsets that do so on a curve, or that depend on
-the posture before: the fit absorbs the part that looks like its own parameters, and the rest looks like
-scatter of the postures, which underestimates the error where the wrist has not been. Each misfit is added to
-the fit in turn, linearly about the calibration, and believed if it is significant in enough postures, if
-held-out postures confirm it, and if parts of the postures show it, too.
+A response that is bent with the cube of the acceleration, scales that change with temperature, offsets that
+do so on a curve, or that depend on the posture before: the fit absorbs the part that looks like its own
+parameters, and the rest looks like scatter of the postures. Each misfit is added to the fit in turn, linearly
+about the calibration, and believed if it is significant in enough postures, if held-out postures confirm it,
+and if parts of the postures show it, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.arithmetic import ONE, mean, standard_error, student_t_probability, three
-from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, PointSet
+from accelcal_cli.core.points import WEIGHT_ONE, PointSet
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Misfit, MisfitKind
 from accelcal_cli.judge.errors import jacobian, residuals
 from accelcal_cli.judge.model_ladder import folds
-from accelcal_cli.judge.posterior import Bend, Posterior, largest_error_mg, noise
+from accelcal_cli.judge.posterior import Posterior, columns, noise
 
 LEAST_MG = 3.0
 """Size [mg] that a misfit must reach in some direction to be believed."""
@@ -30,7 +30,7 @@ LEAST_FALL = 0.15
 """Share by which the error on held-out postures must fall."""
 
 CHANCE = 0.02
-"""Probability of such a fall by chance (Student's t, of either sign) above which it is not believed: five
+"""Probability of such a fall by chance (Student's t, of either sign) above which it is not believed: four
 kinds are looked for in each recording."""
 
 FEWEST_POSTURES = 12
@@ -42,9 +42,6 @@ SURE = 2.0
 SURE_WITHOUT_A_FOLD, SURE_OF_A_HALF = 1.25, 0.5
 """Standard errors that it must exceed on the same side of that axis by four folds of five, and by each half
 of the postures; chosen by simulation (docs/change.md)."""
-
-POWERS: dict[MisfitKind, int] = {"quadratic": 2, "cubic": 3}
-"""Power of the acceleration in each kind of bend."""
 
 WIDTH_BEND, WIDTH_GAIN_PER_C, WIDTH_CURVE_G_PER_C2, WIDTH_PREVIOUS = 0.01, 5e-4, 2e-4, 0.01
 """Usual sizes, as scale parameters of priors; those of bends and of the previous posture are for 1 g."""
@@ -87,33 +84,23 @@ class MisfitSearch:
         self._points, self._label, self._known = points, label, known
         self._fold = folds(label, number)
         self._tau = None if points.tau is None else points.tau / ONE
-        parameters, self._free = known.found.fit.parameters, list(known.model.free)
-        self._all = jacobian(points.xyz_g(), self._tau, parameters)
-        self._rows = self._all[:, self._free]
-        self._error = -residuals(points.xyz_g(), self._tau, parameters)
+        fit, straight = known.found.fit, points.straightened(known.found.fit.bend).xyz_g()
+        self._all = jacobian(straight, self._tau, fit.parameters)
+        self._rows = columns(points.xyz_g(), known, self._tau)
+        self._error = -residuals(straight, self._tau, fit.parameters)
         self._weights = points.weights / WEIGHT_ONE
         self._postures = int(label.max()) + 1
-        centre = [(known.penalty.centre[index] - parameters[index]) / ONE for index in self._free]
-        self._centre = np.array(centre)
+        self._centre = -known.from_centre()
         self._still = self._held_out(None)
 
     def misfits(self) -> tuple[Misfit, ...]:
         """Return all kinds of misfits that the points allow to be tested, found or not."""
         return tuple(self._misfit(hypothesis) for hypothesis in self._hypotheses())
 
-    def truth(self, found: tuple[Misfit, ...]) -> Posterior:
-        """Return the posterior of the sensor, with the bend if one was found."""
-        bends = [one for one in found if one.found and one.kind in POWERS]
-        if not bends:
-            return self._known
-        kind = min(bends, key=lambda one: one.after_mg).kind
-        return _bent(kind, *self._together(next(one for one in self._hypotheses() if one.kind == kind)))
-
     def _hypotheses(self) -> Iterator[MisfitHypothesis]:
         offsets, points = self._all[:, _OFFSETS], self._points
         g = points.xyz_g()
-        for kind, power in POWERS.items():
-            yield MisfitHypothesis(kind, offsets * g**power, WIDTH_BEND, "percent at 1 g", 100)
+        yield MisfitHypothesis("cubic", offsets * g**3, WIDTH_BEND, "percent at 1 g", 100)
         if self._known.model.has_temperature and self._tau is not None and points.temperature is not None:
             tau, span = self._tau[:, np.newaxis], points.temperature.span_c
             by_gain = offsets * g * tau
@@ -130,12 +117,9 @@ class MisfitSearch:
 
     def _misfit(self, hypothesis: MisfitHypothesis) -> Misfit:
         after = self._held_out(hypothesis)
-        together, c = self._together(hypothesis)
-        errors = np.sqrt(np.diag(np.array(together.covariance))[-3:])
+        c, errors, noise_g = self._together(hypothesis)
         largest = float(500 * np.abs(hypothesis.columns @ c).max())
-        if hypothesis.kind in POWERS:
-            largest = largest_error_mg(_bent(hypothesis.kind, together, c), self._known.found.fit.parameters)
-        significant = self._postures >= FEWEST_POSTURES and self._lasts(hypothesis, together, c, errors)
+        significant = self._postures >= FEWEST_POSTURES and self._lasts(hypothesis, noise_g, c, errors)
         return Misfit(
             hypothesis.kind,
             hypothesis.unit,
@@ -147,21 +131,20 @@ class MisfitSearch:
             significant and largest >= LEAST_MG and _falls(self._still, after),
         )
 
-    def _lasts(self, hypothesis: MisfitHypothesis, together: Posterior, c: Floats, errors: Floats) -> bool:
+    def _lasts(self, hypothesis: MisfitHypothesis, noise_g: float, c: Floats, errors: Floats) -> bool:
         """Return True if some axis is far from 0 by all postures, and on the same side by parts of them."""
         side, far = np.sign(c), np.abs(c) > SURE * errors
         parts = [(self._fold != fold, SURE_WITHOUT_A_FOLD) for fold in sorted(set(self._fold.tolist()))]
         parts += [(self._label % 2 == half, SURE_OF_A_HALF) for half in (0, 1)]
         for which, times in parts:
-            moved, around = self._fit(hypothesis, which, together.noise_g)
-            own = np.sqrt(self._unit(together.noise_g) * np.diag(np.linalg.inv(around))[-3:])
+            moved, around = self._fit(hypothesis, which, noise_g)
+            own = np.sqrt(self._unit(noise_g) * np.diag(np.linalg.inv(around))[-3:])
             far &= side * moved[-3:] > times * own
         return bool(far.any())
 
-    def _together(self, hypothesis: MisfitHypothesis) -> tuple[Posterior, Floats]:
-        """Fit parameters and misfit together; return their posterior, with the noise that is left, and c."""
-        known, everything = self._known, np.ones(len(self._label), np.bool_)
-        noise_g = known.noise_g
+    def _together(self, hypothesis: MisfitHypothesis) -> tuple[Floats, Floats, float]:
+        """Fit parameters and misfit together; return c, its standard errors, and the noise that is left."""
+        noise_g, everything = self._known.noise_g, np.ones(len(self._label), np.bool_)
         full = np.column_stack([self._rows, hypothesis.columns])
         for _ in range(ROUNDS):
             moved, around = self._fit(hypothesis, everything, noise_g)
@@ -170,14 +153,8 @@ class MisfitSearch:
             curvature = (full * self._weights[:, np.newaxis]).T @ full
             used = float(np.trace(np.linalg.solve(around, curvature)))
             noise_g = noise(used, squares, self._postures, POPULATION)
-        covariance = self._unit(noise_g) * np.linalg.inv(around)
-        parameters = list(known.found.fit.parameters)
-        for index, value in zip(self._free, moved.tolist(), strict=False):
-            parameters[index] += round(value * ONE)
-        fitted = replace(known.found, fit=replace(known.found.fit, parameters=tuple(parameters)))
-        rows = tuple(map(tuple, covariance.tolist()))
-        joint = replace(known, found=fitted, noise_g=noise_g, covariance=rows)
-        return joint, np.asarray(moved[-3:])
+        errors = np.sqrt(self._unit(noise_g) * np.diag(np.linalg.inv(around))[-3:])
+        return np.asarray(moved[-3:]), errors, noise_g
 
     def _unit(self, noise_g: float) -> float:
         """Return the variance of |a|^2 of a point of weight 1: each posture is one observation."""
@@ -200,15 +177,15 @@ class MisfitSearch:
     ) -> tuple[Floats, Floats]:
         """Return the change of the parameters and c, and the curvature with their priors."""
         known, full, centre = self._known, self._rows, self._centre
-        penalty = np.array([known.penalty.strength[index] for index in self._free])
-        strength = penalty / (1 << PENALTY_BITS) * (noise_g / known.noise_g) ** 2
+        strength = np.array(known.usual) * self._unit(noise_g)
         if hypothesis is not None:
             full = np.column_stack([full, hypothesis.columns])
             own = self._unit(noise_g) / (hypothesis.width * hypothesis.width)
             strength, centre = np.append(strength, [own] * 3), np.append(centre, [0.0] * 3)
         weighted = full[which] * self._weights[which, np.newaxis]
         around = weighted.T @ full[which] + np.diag(strength)
-        return np.linalg.solve(around, weighted.T @ self._error[which] + strength * centre), around
+        moved = np.linalg.solve(around, weighted.T @ self._error[which] + strength * centre)
+        return np.asarray(moved), np.asarray(around)
 
 
 def _falls(before: list[float], after: list[float]) -> bool:
@@ -216,7 +193,3 @@ def _falls(before: list[float], after: list[float]) -> bool:
     fall = [one - other for one, other in zip(before, after, strict=True)]
     by_chance = student_t_probability(mean(fall) / max(standard_error(fall), 1e-9), len(fall) - 1)
     return by_chance <= CHANCE and mean(fall) >= LEAST_FALL * mean(before)
-
-
-def _bent(kind: MisfitKind, together: Posterior, c: Floats) -> Posterior:
-    return replace(together, bend=Bend(POWERS[kind], three(c.tolist())))

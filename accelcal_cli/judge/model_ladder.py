@@ -138,7 +138,9 @@ def blocked(sample: Sample, model: Model, fit: FitFunction, number: int) -> tupl
     *fits, whole = fit([*(points.select(~out) for out in left_out), points], model)
     deviations = np.empty(len(points))
     for out, fitted in zip(left_out, fits, strict=True):
-        deviations[out] = errors.deviations_mg(points.select(out), fitted.parameters)
+        deviations[out] = errors.deviations_mg(
+            points.select(out).straightened(fitted.bend), fitted.parameters
+        )
     before = errors.per_posture(errors.deviations_mg(points, IDENTITY), points.weights, label)
     after = errors.per_posture(deviations, points.weights, label)
     blocks = errors.per_posture(deviations, points.weights, sample.block)

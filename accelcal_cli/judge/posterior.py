@@ -9,23 +9,36 @@ Held-out postures say how wrong a calibration is where the wrist has been. Its e
 follows from the posterior: sensors are drawn from it, and each is calibrated, to first order, and compared
 with 1 g. The scatter of rests is not an error of the calibration, and is left out.
 
-The fit is integers; noise and penalties are computed by additions, multiplications, divisions and roots in a
-fixed order, so that they are the same bits on every machine.
+The response of a sensor may be bent: v + q v^2 takes the place of v, axis by axis (Ang, Khosla, Riviere 2007,
+IEEE Sensors J. 7, 81-88). Most sensors hardly are, so a narrow prior keeps q near 0 where the points do not
+speak for it. It is fitted with the other parameters, in turn: by a Gauss-Newton step for the bend, then by
+the fit of the straightened points.
+
+The fit is integers; noise, penalties and bend are computed by additions, multiplications, divisions and roots
+in a fixed order, so that they are the same bits on every machine.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
-from math import log, pi, sqrt
+from math import exp, log, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.arithmetic import ONE, inverse, quantile, three
-from accelcal_cli.core.calibration import IDENTITY, PARAMETER_NAMES, Calibration, in_standard_g
+from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, cholesky, inverse, quantile, three
+from accelcal_cli.core.calibration import (
+    IDENTITY,
+    NO_BEND,
+    PARAMETER_NAMES,
+    Bend,
+    Calibration,
+    bend_in_standard_g,
+    in_standard_g,
+)
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import (
     MODELS,
@@ -33,6 +46,7 @@ from accelcal_cli.core.points import (
     WEIGHT_ONE,
     Fit,
     Model,
+    Operations,
     PenalizedFit,
     PenalizedFitter,
     Penalty,
@@ -40,8 +54,8 @@ from accelcal_cli.core.points import (
     Saturated,
 )
 from accelcal_cli.core.prior import Prior
-from accelcal_cli.core.results import Outcome, SphereError
-from accelcal_cli.judge.errors import directions, jacobian, worst_direction_mg
+from accelcal_cli.core.results import Outcome, SphereError, UncertaintyPart, UncertaintySource
+from accelcal_cli.judge.errors import directions, jacobian, residuals
 from accelcal_cli.judge.model_ladder import FitFunction
 
 ROUNDS = 60
@@ -61,8 +75,9 @@ _SCALES_AND_OFFSETS = (0, 1, 2, 6, 7, 8)
 NOISE_RANGE = 50
 """Factor by which the noise may be larger or smaller than the usual one."""
 
-WIDTH_FREEDOM = 2.0
-"""Degrees of freedom of the prior's width, which all parameters share; docs/prior.md has what it is worth."""
+WIDTHS, SHARES = (0.6, 1.2, 3.0), (0.3, 0.5, 0.2)
+"""Width of the drawn prior, times that of the fit's, which all parameters share: a few, with the share of the
+sensors that are alike, usual and odd; docs/prior.md has what they are worth."""
 
 DRAWN_NOISE_RANGE = 10
 """Factor by which a drawn noise may be larger or smaller than the most probable one."""
@@ -71,15 +86,34 @@ CHAINS, SETTLING, KEPT = 250, 10, 4
 """Chains by which sensors are drawn from the posterior, and steps of each that are left out and kept: 1000
 draws give the ends of the interval to about 3 % of its width."""
 
-SURE = 0.95
-"""Probability to be better than raw values, everywhere and where the wrist has been, of a provisional fit."""
+SURE, LIKELY = 0.9, 0.8
+"""Probabilities to be better than raw values, and below the limit, by which a fit is calibrated; and of being
+better, by which it is provisional (docs/verdict.md)."""
+
+IDEAL = Fit(IDENTITY, 0, "nothing to fit", Operations())
 
 SEED = 20181
 TAIL = 0.025
 """Share of the draws beyond each end of the interval."""
 
-BEND_ROUNDS = 4
-"""Iterations that invert a bend of a few percent to 1e-7 g."""
+BEND_BITS, BEND_STEPS, MOST_BEND = 20, 4, 0.1
+"""Fraction bits of a bend that is fitted, rounds in which its noise settles, and its largest size [per g]."""
+
+BENDS, BEND_SHARES = (0.0005, 0.003, 0.01), (0.8, 0.12, 0.08)
+"""Widths [per g] that the bends of sensors have, and the share of the sensors that have each."""
+
+NOISE_FREEDOM, CHANCE_ONE = 4.0, 1024
+"""Postures that the usual noise counts like where hypotheses are compared; parts that probabilities are
+rounded to, so that the last bits of a logarithm do not matter."""
+
+SUM_BITS = 24
+"""Fraction bits of the products whose exact sums are the slope and curvature along the bend."""
+
+BENT = ("9", "9T")
+"""Models whose sensors may be bent."""
+
+LINEAR_SHARE = 0.6
+"""Part of a bend that looks like an offset over all directions: x^3 is nearest to 0.6 x on the sphere."""
 
 Floats = NDArray[np.float64]
 
@@ -92,18 +126,6 @@ class _Scaled(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Bend:
-    """Straightens the response of a sensor that is not linear: v + c v^power, axis by axis.
-
-    Attributes:
-        c: one for each of raw x, y, z in g.
-    """
-
-    power: int
-    c: tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
 class Posterior:
     """The most probable parameters and their uncertainty.
 
@@ -112,10 +134,11 @@ class Posterior:
         postures: number of postures that were fitted.
         prior: what was known of sensors beforehand.
         penalty: the prior at these parameters, as the fit used it; fits to parts of the points use the same.
-        held: the precision of the free parameters by that penalty alone (slopes per scaled degree).
         noise_g: standard deviation of |a| from posture to posture [g].
-        covariance: that of the free parameters (slopes per scaled degree), and of the bend if there is one.
-        bend: None for a sensor with a linear response.
+        pull: slope of the log probability of the points along what is fitted: the free parameters (slopes per
+            scaled degree), then the bend for models BENT.
+        usual: precision of these by the widths of the prior.
+        information: that of the points on them; covariance: theirs, by points and prior.
     """
 
     model: Model
@@ -123,18 +146,36 @@ class Posterior:
     postures: int
     prior: Prior
     penalty: Penalty
-    held: tuple[float, ...]
     noise_g: float
+    pull: tuple[float, ...]
+    usual: tuple[float, ...]
+    information: tuple[tuple[float, ...], ...]
     covariance: tuple[tuple[float, ...], ...]
-    bend: Bend | None = None
 
     def fitter(self, penalized: PenalizedFitter) -> FitFunction:
         """Return a function that fits parts of the points, with the same noise and prior."""
 
         def fits(sets: Sequence[PointSet], model: Model) -> list[Fit]:
-            return [penalized(points, model, self.penalty, IDENTITY).fit for points in sets]
+            whole = self.found.fit  # where a part's own fit is near, also if the ideal sensor is far
+            begin = whole.parameters, whole.bend
+            return [fit_at(points, model, self.penalty, penalized, *begin).fit for points in sets]
 
         return fits
+
+    @property
+    def bent(self) -> bool:
+        """True if a bend was fitted, too."""
+        return len(self.usual) > len(self.model.free)
+
+    def places(self) -> list[int]:
+        """Return the places of what is fitted among the twelve parameters and the bend."""
+        return [*self.model.free, *(range(12, 15) if self.bent else ())]
+
+    def from_centre(self) -> Floats:
+        """Return what was fitted less the centre of its prior."""
+        found, centre = self.found.fit, (*self.penalty.centre, *NO_BEND)
+        fitted = (*found.parameters, *found.bend)
+        return np.array([(fitted[j] - centre[j]) / ONE for j in self.places()])
 
     def standard_errors(self) -> tuple[float, ...]:
         """Return those of the twelve parameters, 0 where not free; slopes per scaled degree."""
@@ -142,6 +183,18 @@ class Posterior:
         for place, index in enumerate(self.model.free):
             errors[index] = sqrt(self.covariance[place][place])
         return tuple(errors)
+
+    def covariance_of(self, calibration: Calibration) -> tuple[tuple[float, ...], ...]:
+        """Return the covariance of a calibration's parameters, 9 or 12, and of its bend, in its units."""
+        local_g, scale = float(calibration.gravity.local_g()), calibration.temperature
+        slope = local_g if scale is None else local_g / scale.span_c
+        units = [1.0] * 6 + [local_g] * 3 + [slope] * 3 + [1 / local_g] * 3
+        whole = np.zeros((len(units), len(units)))
+        places = self.places()
+        whole[np.ix_(places, places)] = self.covariance
+        whole *= np.outer(units, units)
+        kept = [*range(9 if scale is None else 12), 12, 13, 14]
+        return tuple(map(tuple, whole[np.ix_(kept, kept)].tolist()))
 
     def rest_scatter_mg(self) -> float:
         """Return the mean | |a| - 1 g | that the scatter of rests makes, without any error of the sensor."""
@@ -156,8 +209,9 @@ class Posterior:
 
     def worst_direction_mg(self) -> float:
         """Return the largest standard error of |a| over directions of the sphere [mg]."""
-        free = list(self.model.free)
-        return worst_direction_mg(self.found.fit.parameters, free, np.array(self.covariance))
+        rows = columns(directions(), self)
+        variances = np.einsum("ni,ij,nj->n", rows, np.array(self.covariance), rows)
+        return float(500 * np.sqrt(variances.max()))  # a standard error of |a|^2 is twice that of |a|
 
 
 def posterior(
@@ -175,24 +229,162 @@ def posterior(
     Raises:
         DivergedError, FixedPointOverflowError: the fit raises it.
     """
-    scaled, total = _scaled(prior, points), sum(points.weights.tolist()) / WEIGHT_ONE
-    noise_g, start, before = 2 * prior.noise_g, IDENTITY, None
+    scaled, total, bent = (
+        _scaled(prior, points),
+        sum(points.weights.tolist()) / WEIGHT_ONE,
+        model.name in BENT,
+    )
+    noise_g, start, bend, before = 2 * prior.noise_g, IDENTITY, NO_BEND, None
     for _ in range(ROUNDS):
         penalty = _penalty(scaled, prior.freedom, 4 * noise_g * noise_g / postures * total, start)
-        if penalty == before:
+        if (penalty, bend) == before:
             break
-        found, before = fitter(points, model, penalty, start), penalty
-        start = found.fit.parameters
-        spread = _inverse(points, found, penalty)
+        found, before = fit_at(points, model, penalty, fitter, start, bend), (penalty, bend)
+        start, strengths = found.fit.parameters, _strengths(points, model, penalty)
+        if bent:
+            found, slope = _along_bend(points, found)
+            unit = 4 * noise_g * noise_g / postures
+            precision = [value / unit for value in strengths]
+            bends = _averaged(found, slope, precision, _from_centre(found, scaled), postures, prior)
+            bend = three(_moved(q, one) for q, one in zip(bend, bends.step, strict=True))
+            strengths += [unit / bends.variance] * 3
+        spread = inverse(_held(found.curvature, strengths))
         pairs = zip(found.curvature, zip(*spread, strict=True), strict=True)
         # trace(H), with H the projection of the residuals on the fit: the postures that parameters use up
         used = sum(one * other for row, column in pairs for one, other in zip(row, column, strict=True))
         noise_g = noise(used, found.mean_square, postures, prior)
-    found = fitter(points, model, penalty, IDENTITY)
-    unit = 4 * noise_g * noise_g / postures
-    covariance = tuple(tuple(unit * value for value in row) for row in _inverse(points, found, penalty))
-    held = tuple(value / unit for value in _strengths(points, model, penalty))
-    return Posterior(model, found, postures, prior, penalty, held, noise_g, covariance)
+    found = fit_at(points, model, penalty, fitter, IDENTITY, before[1] if before else bend)
+    unit, away = 4 * noise_g * noise_g / postures, _from_centre(found, scaled)
+    held = [value / unit for value in _strengths(points, model, penalty)]
+    usual = [1 / scaled.widths[place] ** 2 for place in model.free]
+    pull = [strength * value for strength, value in zip(held, away, strict=True)]
+    if bent:
+        found, slope = _along_bend(points, found)
+        bends = _averaged(found, slope, held, away, postures, prior)
+        usual, covariance = [*usual, *(1 / bends.variance,) * 3], bends.covariance
+        pull += [-one / unit for one in slope]
+    information = [[value / unit for value in row] for row in found.curvature]
+    if not bent:
+        covariance = inverse(_held(information, held))
+    rows = tuple(map(tuple, information)), tuple(map(tuple, covariance))
+    return Posterior(model, found, postures, prior, penalty, noise_g, tuple(pull), tuple(usual), *rows)
+
+
+def fit_at(
+    points: PointSet,
+    model: Model,
+    penalty: Penalty,
+    fitter: PenalizedFitter,
+    start: tuple[int, ...],
+    bend: Bend,
+) -> PenalizedFit:
+    """Fit the parameters to points that a bend straightens; raises what the fitter raises."""
+    found = fitter(points.straightened(bend), model, penalty, start)
+    return replace(found, fit=replace(found.fit, bend=bend))
+
+
+def _along_bend(points: PointSet, found: PenalizedFit) -> tuple[PenalizedFit, list[float]]:
+    """Return a fit whose curvature has three more rows, of the bend, and half the slope along it.
+
+    The sums are of integers, so the order of the points does not matter.
+    """
+    straight = points.straightened(found.fit.bend).xyz_g()
+    tau = None if points.tau is None else points.tau / ONE
+    rows = jacobian(straight, tau, found.fit.parameters)
+    error = residuals(straight, tau, found.fit.parameters)[:, np.newaxis]
+    rows = np.column_stack([rows[:, list(found.model.free)], rows[:, 6:9] * points.xyz_g() ** 2])
+    products = np.column_stack([rows, error])[:, :, np.newaxis] * rows[:, np.newaxis, -3:]
+    whole = np.rint(products * (1 << SUM_BITS)).astype(np.int64)
+    sums = (whole * points.weights[:, np.newaxis, np.newaxis]).sum(axis=0).tolist()
+    unit = sum(points.weights.tolist()) << SUM_BITS
+    *cross, slope = [[value / unit for value in row] for row in sums]
+    number = len(found.model.free)
+    around = [(*row, *cross[place]) for place, row in enumerate(found.curvature)]
+    around += [(*(cross[place][axis] for place in range(number)), *cross[number + axis]) for axis in range(3)]
+    return replace(found, curvature=tuple(around)), slope
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Averaged:
+    """Mean of what is fitted over the widths that bends may have.
+
+    Attributes:
+        step: by which the bend is off [per g].
+        covariance: of all that is fitted, over the widths.
+        variance: of bends, over the widths.
+    """
+
+    step: list[float]
+    covariance: list[list[float]]
+    variance: float
+
+
+def _averaged(
+    found: PenalizedFit,
+    slope: list[float],
+    held: list[float],
+    away: list[float],
+    postures: int,
+    prior: Prior,
+) -> _Averaged:
+    """Average the bend over its widths, each as probable as the points are with it (Laplace).
+
+    Args:
+        found: with the curvature along the bend; slope: half of that of the objective there.
+        held: precision of the prior of the free parameters, whose centre is so far `away`.
+    """
+    size, usual = len(held) + 3, NOISE_FREEDOM * prior.noise_g**2
+    away = [*away, *(q / ONE for q in found.fit.bend)]
+    logs, steps, spreads = [], [], []
+    for width, share in zip(BENDS, BEND_SHARES, strict=True):
+        precision, square = [*held, *(width**-2,) * 3], usual / NOISE_FREEDOM
+        for _ in range(BEND_STEPS):
+            unit = 4 * square / postures
+            around = _held([[value / unit for value in row] for row in found.curvature], precision)
+            spread = inverse(around)
+            force = [one / unit + q / (width * width) for one, q in zip(slope, away[-3:], strict=True)]
+            step = [-_dot(row[-3:], force) for row in spread]
+            fall = 2 * _dot(slope, step[-3:]) + _dot([_dot(row, step) for row in found.curvature], step)
+            squares = postures * max(found.mean_square + fall, 0.0) / 4
+            used = size - sum(strength * spread[place][place] for place, strength in enumerate(precision))
+            square = (usual + squares) / (NOISE_FREEDOM + max(postures - used, 0.0))
+        there = [one + other for one, other in zip(away, step, strict=True)]
+        evidence = log(share) - 3 * log(width) - (NOISE_FREEDOM + postures) / 2 * log(1 + squares / usual)
+        evidence -= _dot(precision, [one * one for one in there]) / 2
+        logs.append(evidence - sum(log(row[place]) for place, row in enumerate(cholesky(around))))
+        steps.append(step)
+        spreads.append(spread)
+    whole = [round(CHANCE_ONE * exp(one - max(logs))) for one in logs]
+    chances = [one / sum(whole) for one in whole]
+    mean = [_dot(chances, column) for column in zip(*steps, strict=True)]
+    apart = [[one - middle for one, middle in zip(step, mean, strict=True)] for step in steps]
+    covariance = [
+        [
+            sum(
+                p * (spread[j][k] + off[j] * off[k])
+                for p, spread, off in zip(chances, spreads, apart, strict=True)
+            )
+            for k in range(size)
+        ]
+        for j in range(size)
+    ]
+    return _Averaged(mean[-3:], covariance, _dot(chances, [width * width for width in BENDS]))
+
+
+def _dot(one: Iterable[float], other: Iterable[float]) -> float:
+    return sum(value * factor for value, factor in zip(one, other, strict=True))
+
+
+def _moved(bend: int, step: float) -> int:
+    """Return a bend after a step, in few enough bits for it to settle, and no larger than sensors have."""
+    most = round(MOST_BEND * ONE)
+    moved = bend + (round(step * (1 << BEND_BITS)) << FRACTION_BITS - BEND_BITS)
+    return min(max(moved, -most), most)
+
+
+def _from_centre(found: PenalizedFit, scaled: _Scaled) -> list[float]:
+    """Return the free parameters less the centres of their priors."""
+    return [(found.fit.parameters[j] - scaled.centre[j]) / ONE for j in found.model.free]
 
 
 def speaks_against(
@@ -251,12 +443,12 @@ def _penalty(scaled: _Scaled, freedom: float, unit: float, parameters: tuple[int
     return Penalty(scaled.centre, tuple(strength))
 
 
-def _inverse(points: PointSet, found: PenalizedFit, penalty: Penalty) -> list[list[float]]:
-    """Return the inverse of the curvature with the prior: the covariance up to its scale."""
-    around = [list(row) for row in found.curvature]
-    for place, strength in enumerate(_strengths(points, found.model, penalty)):
+def _held(curvature: Sequence[Sequence[float]], strengths: Sequence[float]) -> list[list[float]]:
+    """Return the curvature of points and prior together."""
+    around = [list(row) for row in curvature]
+    for place, strength in enumerate(strengths):
         around[place][place] += strength
-    return inverse(around)
+    return around
 
 
 def _strengths(points: PointSet, model: Model, penalty: Penalty) -> list[float]:
@@ -302,85 +494,162 @@ def log_ratio(one: float, other: float) -> float:
     return 2 * part * (15 - 4 * square) / (15 - 9 * square)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PossibleChange:
+    """One way in which the sensor may have changed while it recorded, and its parameters then.
+
+    Attributes:
+        probability: of this one.
+        before: share of the time before the change.
+        mean: (2 k,) what is fitted, less the best fit, before the change; then by how much it changes.
+        factor: (2 k, n) F of their covariance F F^T; n is at most 2 k.
+    """
+
+    probability: float
+    before: float
+    mean: Floats
+    factor: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Circumstances:
+    """All that decides about an error besides the points.
+
+    Attributes:
+        limit_mg: bound on the error.
+        gravity_g: standard deviation of local gravity; 0 for a known place.
+        changes: ways in which the sensor may have changed.
+    """
+
+    limit_mg: float
+    gravity_g: float = 0.0
+    changes: Sequence[PossibleChange] = ()
+
+
 def sphere_errors(
     points: PointSet,
     label: NDArray[np.int64],
     known: Posterior,
-    judged: Sequence[tuple[int, ...]],
+    judged: Sequence[Fit],
+    around: Circumstances,
     saturated: Saturated = (),
 ) -> list[SphereError]:
     """Return mean | |a| - 1 g | of calibrations over all directions, at the points' mean temperature.
 
-    It is the error of the coefficients, without the scatter of rests. Raw values have the same sensors drawn,
-    so that the probability to be better than they are is known.
+    It is the error of the coefficients, without the scatter of rests; of a sensor that may have changed, the
+    mean over the time of the recording. Raw values have the same sensors drawn, so that the probability to be
+    better than they are is known.
 
     Args:
         points: those of the posterior; label: posture number of each, (n,).
-        judged: twelve fixed-point parameters of each calibration: those of the posterior, of a simpler model,
-            or of the ideal sensor.
+        judged: fits of the posterior, of a simpler model, or of the ideal sensor.
         saturated: axes that measure nothing beyond a value.
     """
     drawn = _drawn(known, _independent(points))
-    best, bend = known.found.fit.parameters, known.bend
+    before, after, share = _drawn_changes(drawn, around.changes)
+    unknown_g = around.gravity_g * np.random.RandomState(SEED + 1).standard_normal((len(drawn), 1))
+    sensor = sensor_of(known.found.fit)
     g, postures = points.xyz_g(), [label == one for one in sorted(set(label.tolist()))]
     visited = np.asarray([np.average(g[own], axis=0, weights=points.weights[own]) for own in postures])
-    true = (_raw_directions(best), _straight(visited, bend))
-    raw = (_as_measured(_bent(true[0], bend), saturated), _as_measured(visited, saturated))
-    moved = [
-        _lengths(where, best) + drawn @ (_columns(at, known) / 2).T
-        for where, at in zip(true, raw, strict=True)
+    straight = (_raw_directions(known.found.fit), sensor.straight(visited))
+    raw = (_as_measured(sensor.bent(straight[0]), saturated), _as_measured(visited, saturated))
+    ideal = [
+        [_lengths(where, sensor.parameters) + moved @ (columns(at, known) / 2).T for moved in (before, after)]
+        for where, at in zip(straight, raw, strict=True)
     ]
-    errors = [
-        [np.abs(_lengths(where, parameters) - ideal) for where, ideal in zip(raw, moved, strict=True)]
-        for parameters in (IDENTITY, *judged)
-    ]
-    return [_summary(*of_one, *errors[0]) for of_one in errors[1:]]
+    errors = []
+    for calibration in map(sensor_of, (IDEAL, *judged)):
+        found = [_lengths(calibration.straight(where), calibration.parameters) + unknown_g for where in raw]
+        errors.append(
+            [
+                share * np.abs(length - one) + (1 - share) * np.abs(length - other)
+                for length, (one, other) in zip(found, ideal, strict=True)
+            ]
+        )
+    return [_summary(around.limit_mg, *of_one, *errors[0]) for of_one in errors[1:]]
 
 
-def outcome_by_error(sphere: SphereError, before: SphereError, limit_mg: float, *, clearly: bool) -> Outcome:
-    """Return the outcome of a fit with a prior, by its error over all directions and that of raw values.
+def uncertainty_budget(known: Posterior, around: Circumstances) -> tuple[UncertaintyPart, ...]:
+    """Return the parts of the standard uncertainty of |a| at rest, to first order.
 
-    Args:
-        clearly: True if held-out postures show that it is better than they are.
+    The part of the bend is what it adds to the uncertainty of the other parameters.
     """
-    if clearly and sphere.mean < limit_mg:
+    true = np.concatenate([directions(), np.eye(3), -np.eye(3)])
+    rows = columns(sensor_of(known.found.fit).bent(_raw_directions(known.found.fit, true)), known) / 2
+    covariance, number = np.array(known.covariance), len(known.model.free)
+    alone, size = np.zeros_like(covariance), len(covariance)
+    alone[:number, :number] = np.linalg.inv(np.linalg.inv(covariance)[:number, :number])
+    changed = np.zeros_like(covariance)
+    for one in around.changes:
+        later = np.eye(2 * size)[:size] + np.eye(2 * size)[size:]
+        for share, part in ((one.before, np.eye(2 * size)[:size]), (1 - one.before, later)):
+            mean, factor = part @ one.mean, part @ one.factor
+            changed += one.probability * share * (np.outer(mean, mean) + factor @ factor.T - covariance)
+    matrices: dict[UncertaintySource, Floats] = {
+        "rests": alone, "bend": covariance - alone, "change": changed,
+    }  # fmt: skip
+    parts = {
+        source: np.maximum(np.einsum("ni,ij,nj->n", rows, matrix, rows), 0.0)
+        for source, matrix in matrices.items()
+    }
+    parts["gravity"] = np.full(len(rows), around.gravity_g**2)
+    everywhere, total = len(directions()), np.sum([*parts.values()], axis=0)
+    worst, whole = int(np.argmax(total[:everywhere])), float(np.mean(total[:everywhere]))
+    return tuple(
+        UncertaintyPart(
+            source,
+            1000 * sqrt(float(variances[:everywhere].mean())),
+            three((1000 * np.sqrt((variances[-6:-3] + variances[-3:]) / 2)).tolist()),
+            1000 * sqrt(float(variances[worst])),
+            100 * float(variances[:everywhere].mean()) / whole,
+        )
+        for source, variances in parts.items()
+    )
+
+
+def _drawn_changes(drawn: Floats, changes: Sequence[PossibleChange]) -> tuple[Floats, Floats, Floats]:
+    """Return draws before and after a change, each (DRAWS, k), and the share of time before, (DRAWS, 1)."""
+    before, after, share = drawn.copy(), drawn.copy(), np.ones((len(drawn), 1))
+    if changes:
+        random, number = np.random.RandomState(SEED + 2), len(drawn)
+        normal = random.standard_normal((number, 2 * drawn.shape[1]))
+        chance = (random.permutation(number) + 0.5) / number
+        ends = np.cumsum([one.probability for one in changes])
+        which = np.searchsorted(ends, chance)
+        for index, change in enumerate(changes):
+            own = which == index
+            moved = change.mean + normal[own, : change.factor.shape[1]] @ change.factor.T
+            before[own] = moved[:, : drawn.shape[1]]
+            after[own] = before[own] + moved[:, drawn.shape[1] :]
+            share[own] = change.before
+    return before, after, share
+
+
+def sensor_of(fit: Fit) -> Calibration:
+    """Return what corrects a fitted sensor, in units of its points, at their mean temperature."""
+    return Calibration("", (*fit.parameters[:9], 0, 0, 0), bend=fit.bend)
+
+
+def outcome_by_probability(sphere: SphereError, before: SphereError) -> Outcome:
+    """Return the outcome of a fit with a prior, by its error over all directions and that of raw values."""
+    better = sphere.probably_better()
+    if better >= SURE and sphere.below_limit >= SURE:
         return Outcome.CALIBRATED
-    if sphere.probably_better() >= SURE:
+    if better >= LIKELY:
         return Outcome.PROVISIONAL
-    return Outcome.ALREADY_GOOD if before.mean < limit_mg else Outcome.REFUSED
+    return Outcome.ALREADY_GOOD if before.below_limit >= LIKELY else Outcome.REFUSED
 
 
-def largest_error_mg(known: Posterior, judged: tuple[int, ...]) -> float:
-    """Return the largest | |a| - 1 g | over all directions of the most probable sensor, calibrated [mg]."""
-    raw = _bent(_raw_directions(known.found.fit.parameters), known.bend)
-    return float(1000 * np.abs(_lengths(raw, judged) - 1).max())
-
-
-def _bent(straight: Floats, bend: Bend | None) -> Floats:
-    """Return what a sensor with a bend measures instead of vectors (n, 3) in g."""
-    if bend is None:
-        return straight
-    measured, c = straight, np.array(bend.c)
-    for _ in range(BEND_ROUNDS):
-        measured = straight - c * measured**bend.power
-    return measured
-
-
-def _straight(measured: Floats, bend: Bend | None) -> Floats:
-    """Remove the bend from measured vectors (n, 3) in g."""
-    return measured if bend is None else measured + np.array(bend.c) * measured**bend.power
-
-
-def _columns(measured: Floats, known: Posterior) -> Floats:
-    """Return d(|a|^2 - 1)/dp of the free parameters, and of a bend, at raw vectors (n, 3)."""
-    rows = jacobian(_straight(measured, known.bend), None, known.found.fit.parameters)
+def columns(measured: Floats, known: Posterior, tau: Floats | None = None) -> Floats:
+    """Return d(|a|^2 - 1)/dp of all that is fitted, at raw vectors (n, 3) and scaled temperatures (n,)."""
+    rows = jacobian(sensor_of(known.found.fit).straight(measured), tau, known.found.fit.parameters)
     own = rows[:, list(known.model.free)]
-    if known.bend is None:
-        return own
-    return np.column_stack([own, rows[:, 6:9] * measured**known.bend.power])
+    return np.column_stack([own, rows[:, 6:9] * measured**2]) if known.bent else own
 
 
-def _summary(everywhere: Floats, visited: Floats, raw_everywhere: Floats, raw_visited: Floats) -> SphereError:
+def _summary(
+    limit_mg: float, everywhere: Floats, visited: Floats, raw_everywhere: Floats, raw_visited: Floats
+) -> SphereError:
     """Summarise errors [g] of draws in all directions, (DRAWS, 162), and in the postures, (DRAWS, p)."""
     of_directions, of_draws = everywhere.mean(axis=0), everywhere.mean(axis=1)
     worst = int(of_directions.argmax())
@@ -392,13 +661,14 @@ def _summary(everywhere: Floats, visited: Floats, raw_everywhere: Floats, raw_vi
         worst_direction_at=three(directions()[worst].tolist()),
         better_everywhere=float((of_draws < raw_everywhere.mean(axis=1)).mean()),
         better_where_worn=float((visited.mean(axis=1) < raw_visited.mean(axis=1)).mean()),
+        below_limit=float((1000 * of_draws <= limit_mg).mean()),
     )
 
 
-def _raw_directions(parameters: tuple[int, ...]) -> Floats:
-    """Return what a sensor with these parameters measures at rest in all directions, (162, 3) in g."""
-    p = [value / ONE for value in parameters]
-    true = directions()
+def _raw_directions(fit: Fit, true: Floats | None = None) -> Floats:
+    """Return straightened raw vectors (n, 3) of a sensor at rest [g], in some directions or in all 162."""
+    p = [value / ONE for value in fit.parameters]
+    true = directions() if true is None else true
     x = true[:, 0] / p[0]
     y = (true[:, 1] - p[3] * x) / p[1]
     z = (true[:, 2] - p[4] * x - p[5] * y) / p[2]
@@ -423,20 +693,23 @@ def _independent(points: PointSet) -> float:
 def drawn_sensors(known: Posterior, points: PointSet, number: int, seed: int) -> list[tuple[int, ...]]:
     """Draw sensors from the posterior, each by a chain of its own: twelve fixed-point parameters of each.
 
-    The first of many are those of few. What a library may add up in another order is far below the last bit
-    of a parameter.
+    All have the bend of the fit; what theirs differs by is drawn as the offset that is nearest to it on the
+    sphere. The first of many are those of few. What a library may add up in another order is far below the
+    last bit of a parameter.
 
     Args:
         points: those of the posterior.
         seed: of the chains, from 0 to 2**32 - 1.
     """
     random, steps, free = np.random.RandomState(seed), SETTLING + 1, known.model.free
-    normal, chi2 = np.empty((steps, number, 16)), np.empty((steps, number))
+    normal, uniform = np.empty((steps, number, 16)), np.empty((steps, number))
     for chain in range(number):
         normal[:, chain] = random.standard_normal((steps, 16))
-        chi2[:, chain] = random.chisquare(WIDTH_FREEDOM + len(free), steps)
-    moved = _drawn(known, _independent(points), (normal, chi2))
+        uniform[:, chain] = random.random_sample(steps)
+    moved = _drawn(known, _independent(points), (normal, uniform))
     drawn = np.tile(np.array(known.found.fit.parameters), (number, 1))
+    if known.bent:
+        moved[:, [free.index(offset) for offset in (6, 7, 8)]] += LINEAR_SHARE * moved[:, -3:]
     drawn[:, list(free)] += np.rint(moved[:, : len(free)] * ONE).astype(np.int64)
     return [tuple(row) for row in drawn.tolist()]
 
@@ -444,10 +717,10 @@ def drawn_sensors(known: Posterior, points: PointSet, number: int, seed: int) ->
 def _drawn(known: Posterior, most: float, numbers: tuple[Floats, Floats] | None = None) -> Floats:
     """Draw free parameters less the best ones, (DRAWS, free), by Gibbs sampling.
 
-    The prior is the fit's, but its width is drawn: by one factor for all parameters, with the tails of
-    Student's t, so that a sensor whose fitted parameters are far off may be as far off in what the points
-    leave open. The noise is drawn, too. Whether rests of one posture share their error is not known: half of
-    the chains take each posture for one observation, as the fit does, the others each point.
+    The prior is normal about the fit's centre, with one of WIDTHS for all parameters, which is drawn, too: a
+    sensor whose fitted parameters are far off may be as far off in what the points leave open. The noise is
+    drawn, too. Whether rests of one posture share their error is not known: half of the chains take each
+    posture for one observation, as the fit does, the others each point.
 
     The parameters are turned so that points and prior are independent along each of them; `share` is the
     prior's part of what is known there.
@@ -456,23 +729,22 @@ def _drawn(known: Posterior, most: float, numbers: tuple[Floats, Floats] | None 
         most: number of observations if rests of one posture do not share their error.
         numbers: random ones as of `_random`, if not these.
     """
-    normals, chi2s = _random(WIDTH_FREEDOM + len(known.model.free)) if numbers is None else numbers
+    normals, uniforms = _random() if numbers is None else numbers
     chains = normals.shape[1]
-    factor = np.linalg.cholesky(np.array(known.covariance))
-    free, held, away = known.model.free, np.zeros(len(factor)), np.zeros(len(factor))
-    held[: len(free)] = known.held
-    away[: len(free)] = [(known.found.fit.parameters[j] - known.penalty.centre[j]) / ONE for j in free]
-    share, turn = np.linalg.eigh(factor.T * held @ factor)
+    usual, away = np.array(known.usual), known.from_centre()
+    factor = np.linalg.cholesky(np.linalg.inv(np.array(known.information) + np.diag(usual)))
+    share, turn = np.linalg.eigh(factor.T * usual @ factor)
     share = np.clip(share, 0, 1)
     basis = factor @ turn
-    pull, apart = basis.T @ (held * away), float(held @ (away * away))
+    pull, apart = basis.T @ (usual * away), float(usual @ (away * away))
     noise = _NoiseDraws.of(known, float((1 - share).sum()), most, chains)
     # the points pull no harder than residuals allow: (r j)^2 is at most r^2 j^2 of residuals r, column j
-    slope = np.clip(pull, -np.sqrt(noise.left * (1 - share)), np.sqrt(noise.left * (1 - share)))
+    hardest = np.sqrt(noise.left * (1 - share))
+    slope = np.clip(basis.T @ np.array(known.pull), -hardest, hardest)
     moved, found, ratio = np.zeros((chains, len(factor))), [], noise.observed
-    for normal, chi2 in zip(normals, chi2s, strict=True):
-        width = chi2 / (WIDTH_FREEDOM + apart + (moved * (share * moved + 2 * pull)).sum(axis=1))
-        width, ratio = width[:, np.newaxis], ratio[:, np.newaxis]
+    for normal, uniform in zip(normals, uniforms, strict=True):
+        squares = apart + (moved * (share * moved + 2 * pull)).sum(axis=1)
+        width, ratio = _drawn_widths(squares, len(usual), uniform)[:, np.newaxis], ratio[:, np.newaxis]
         precision = ratio * (1 - share) + width * share
         apart_by_chance = normal[:, : len(factor)] @ turn / np.sqrt(precision)
         moved = (ratio * slope - width * pull) / precision + apart_by_chance
@@ -480,6 +752,19 @@ def _drawn(known: Posterior, most: float, numbers: tuple[Floats, Floats] | None 
         ratio = noise.ratio(squares, normal[:, -1])
         found.append(moved)
     return np.asarray(np.concatenate(found[SETTLING:]) @ basis.T)
+
+
+def _drawn_widths(squares: Floats, number: int, uniform: Floats) -> Floats:
+    """Draw one of WIDTHS for each chain; return one over its square, (chains,).
+
+    Args:
+        squares: (chains,) sum of the squares of a number of parameters over those of the fit's widths.
+    """
+    widths = np.array(WIDTHS)
+    log = np.log(SHARES) - number * np.log(widths) - squares[:, np.newaxis] / (2 * widths * widths)
+    chance = np.exp(log - log.max(axis=1, keepdims=True)).cumsum(axis=1)
+    which = (chance < uniform[:, np.newaxis] * chance[:, -1:]).sum(axis=1)
+    return np.asarray(1 / widths[which] ** 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -524,10 +809,10 @@ class _NoiseDraws:
 
 
 @cache
-def _random(freedom: float) -> tuple[Floats, Floats]:
-    """Return normal and chi-squared numbers, (steps, CHAINS, 16) and (steps, CHAINS); always the same."""
+def _random() -> tuple[Floats, Floats]:
+    """Return normal and uniform numbers, (steps, CHAINS, 16) and (steps, CHAINS); always the same."""
     random, steps = np.random.RandomState(SEED), SETTLING + KEPT
-    return random.standard_normal((steps, CHAINS, 16)), random.chisquare(freedom, (steps, CHAINS))
+    return random.standard_normal((steps, CHAINS, 16)), random.random_sample((steps, CHAINS))
 
 
 def _lengths(raw: Floats, parameters: tuple[int, ...]) -> Floats:
@@ -547,10 +832,7 @@ def _lengths(raw: Floats, parameters: tuple[int, ...]) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnSensors:
-    """The sensors of a posterior of points in units of local gravity; see `PlausibleSensors`.
-
-    A bend of the response, which no coefficients correct, takes no part.
-    """
+    """The sensors of a posterior of points in units of local gravity; see `PlausibleSensors`."""
 
     known: Posterior
     points: PointSet
@@ -559,16 +841,18 @@ class DrawnSensors:
     def draws(self, number: int, seed: int) -> list[Calibration]:
         """See `PlausibleSensors`."""
         drawn = drawn_sensors(self.known, self.points, number, seed)
-        return [_in_standard_units(self.known.model, one, self.points, self.gravity) for one in drawn]
+        model, bend = self.known.model, self.known.found.fit.bend
+        return [_in_standard_units(model, one, bend, self.points, self.gravity) for one in drawn]
 
 
 def calibration_of_fit(model: str, fit: Fit, points: PointSet, gravity: Gravity) -> Calibration:
     """Return the calibration of a fit to points in units of local gravity, in standard g."""
-    return _in_standard_units(MODELS[model], fit.parameters, points, gravity)
+    return _in_standard_units(MODELS[model], fit.parameters, fit.bend, points, gravity)
 
 
 def _in_standard_units(
-    model: Model, parameters: tuple[int, ...], points: PointSet, gravity: Gravity
+    model: Model, parameters: tuple[int, ...], bend: Bend, points: PointSet, gravity: Gravity
 ) -> Calibration:
-    scale = points.temperature if model.has_temperature else None
-    return Calibration(model.name, in_standard_g(parameters, gravity.local_g()), scale, gravity)
+    scale, local_g = points.temperature if model.has_temperature else None, gravity.local_g()
+    converted = bend_in_standard_g(bend, local_g)
+    return Calibration(model.name, in_standard_g(parameters, local_g), scale, gravity, bend=converted)

@@ -11,7 +11,7 @@ on the same postures, so that its cost is known.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import floor
 from typing import Any
@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.arithmetic import interval95, mean
 from accelcal_cli.core.calibration import IDENTITY
-from accelcal_cli.core.errors import DivergedError, Reason
+from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError, Reason
 from accelcal_cli.core.gravity import Gravity
-from accelcal_cli.core.points import MODELS, Fit, Model, PenalizedFitter, PointSet, Saturated
+from accelcal_cli.core.points import MODELS, Fit, Model, PenalizedFitter, PointSet, Saturated, TimedMeans
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Recording
 from accelcal_cli.core.results import (
@@ -35,6 +35,7 @@ from accelcal_cli.core.results import (
     Judgement,
     Outcome,
     Rest,
+    SphereError,
     Trial,
     WithoutMisalignment,
     sides_not_up,
@@ -42,18 +43,23 @@ from accelcal_cli.core.results import (
 from accelcal_cli.core.settings import DEFAULT, PAPER, Settings
 from accelcal_cli.core.vocabulary import PER_G, USUAL_UNITS
 from accelcal_cli.judge import model_ladder
+from accelcal_cli.judge.change import possible_changes, probable_change
 from accelcal_cli.judge.errors import Uncertainty, deviations_mg, per_posture, uncertainty
 from accelcal_cli.judge.errors import coverage as coverage_of
 from accelcal_cli.judge.misfit import MisfitSearch
 from accelcal_cli.judge.model_ladder import FEWEST_POSTURES, Fitting, Sample, blocked, postures
 from accelcal_cli.judge.posterior import (
+    IDEAL,
+    Circumstances,
     DrawnSensors,
+    PossibleChange,
     Posterior,
     calibration_of_fit,
-    outcome_by_error,
+    outcome_by_probability,
     posterior,
     speaks_against,
     sphere_errors,
+    uncertainty_budget,
 )
 
 # Reasons of refusals: damage, no stillness, or rest that a wrong unit, scale, type or column
@@ -207,7 +213,10 @@ SIMPLER = {"9": "6", "9T": "6T"}
 """Models with misalignment, and what is left of each without it."""
 
 FULL_MODELS = tuple(SIMPLER)
-DIVERGES = Reason("fit_diverges")
+DIVERGES, BEYOND_RANGE = Reason("fit_diverges"), Reason("beyond_range")
+
+PROBABLE = 0.5
+"""Probability from which a change of the sensor explains what else would be laid at the rests' door."""
 
 ANOTHER_PROFILE = (Reason("use_default_profile"),)
 """Advice where F's procedure does not serve."""
@@ -228,6 +237,7 @@ def judge(
     why_none: Reason = NOTHING_STILL,
     label: NDArray[np.int64] | None = None,
     saturated: Saturated = (),
+    means: TimedMeans | None = None,
 ) -> Judgement:
     """Judge a recording by its most probable calibration, or by the model with the best held-out error.
 
@@ -239,13 +249,14 @@ def judge(
         why_none: the reason if there are no points.
         label: (n,) posture numbers; None: found by direction.
         saturated: axes that measure nothing beyond a value; the verdict cautions of them.
+        means: the same rests along time, in standard g; None where time is not known.
     """
     label = postures(points, how.settings.posture_degrees) if label is None else label
     coverage = replace(coverage_of(points, label), saturated=saturated)
     verdict = _too_few(points, how, why_none, coverage)
     if verdict is None:
         blocks = model_ladder.temperature_blocks(points, label, how.settings.temperature_block_c)
-        sample, truth = Sample(points, label, blocks), None
+        sample, errors_of = Sample(points, label, blocks), None
         trials = model_ladder.try_models(sample, coverage, how)
         if how.penalized is None:
             chosen = _chosen(trials, how.settings)
@@ -256,15 +267,16 @@ def judge(
                 gravity = how.settings.gravity
                 verdict = _complete(verdict, chosen.model, chosen.fit, points, label, gravity)
         else:
-            verdict, truth = _most_probable(sample, trials, coverage, how, how.penalized)
-        verdict = add_fit_without_misalignment(verdict, sample, how, truth)
+            verdict, errors_of = _most_probable(sample, trials, coverage, how, means)
+        verdict = add_fit_without_misalignment(verdict, sample, how, errors_of)
     return replace(verdict, cautions=(*verdict.cautions, *_doubts(verdict, how.settings)))
 
 
 def _doubts(verdict: Judgement, settings: Settings) -> Iterator[Reason]:
     """Yield what the points say against trusting a verdict without a look."""
-    scatter_mg = verdict.rest_scatter_mg
-    if scatter_mg is not None and scatter_mg >= settings.max_error_mg and verdict.calibration is not None:
+    scatter_mg, changed = verdict.rest_scatter_mg, verdict.changed[0] >= PROBABLE
+    over = scatter_mg is not None and scatter_mg >= settings.max_error_mg and not changed
+    if over and verdict.calibration is not None:
         yield Reason.of("scatter_over_limit", scatter_mg=scatter_mg)
     for axis, at in verdict.coverage.saturated:
         yield Reason.of("axis_saturates", axis="xyz"[axis], at_g=at)
@@ -286,29 +298,44 @@ def _too_few(points: PointSet, how: Fitting, why_none: Reason, coverage: Coverag
     return Judgement(Outcome.REFUSED, few, coverage, (), advice=(LONGER,))
 
 
+ErrorsOf = Callable[[Sequence[Fit]], list[SphereError]]
+"""Returns the errors of fits over all directions, given the posterior of a sensor."""
+
+
 def _most_probable(
-    sample: Sample, trials: tuple[Trial, ...], coverage: Coverage, how: Fitting, penalized: PenalizedFitter
-) -> tuple[Judgement, Posterior | None]:
+    sample: Sample, trials: tuple[Trial, ...], coverage: Coverage, how: Fitting, means: TimedMeans | None
+) -> tuple[Judgement, ErrorsOf | None]:
     """Judge the fit with a prior by its error over the whole sphere.
 
     Returns:
-        the verdict, and the posterior of the sensor with its misfits, None where the fit diverged.
+        the verdict, and what gives the errors of other fits; None where the fit diverged.
     """
-    points, label, settings = sample.points, sample.label, how.settings
+    points, label, settings, penalized = sample.points, sample.label, how.settings, how.penalized
+    assert penalized is not None
     slopes = model_ladder.temperature_range_c(points) >= settings.min_temperature_range_c
     name = "9T" if slopes else "9"
     try:
         known = posterior(points, coverage.distinct_orientations, MODELS[name], how.prior, penalized)
         unlike = how.prior is not POPULATION and _contradicts_prior(known, sample, coverage, how, penalized)
         holdout, _ = blocked(sample, MODELS[name], known.fitter(penalized), settings.folds)
+    except FixedPointOverflowError:
+        return Judgement(
+            Outcome.REFUSED, BEYOND_RANGE, coverage, trials, advice=(Reason("check_unit"),)
+        ), None
     except DivergedError:
         return Judgement(Outcome.REFUSED, DIVERGES, coverage, trials, advice=(LONGER,)), None
     fitted = known.found.fit
-    search = MisfitSearch(points, label, known, settings.folds)
-    misfits = search.misfits()
-    truth = search.truth(misfits)
-    judged = (fitted.parameters, IDENTITY)
-    sphere, before = sphere_errors(points, label, truth, judged, coverage.saturated)
+    misfits = MisfitSearch(points, label, known, settings.folds).misfits()
+    gravity, changes = settings.gravity, list[PossibleChange]()
+    if means is not None:
+        local_g = float(gravity.local_g())
+        changes = possible_changes(means, known, points.temperature, local_g, settings.posture_degrees)
+    around = Circumstances(settings.max_error_mg, gravity.uncertainty_g(), changes)
+
+    def errors_of(fits: Sequence[Fit]) -> list[SphereError]:
+        return sphere_errors(points, label, known, fits, around, coverage.saturated)
+
+    sphere, before = errors_of((fitted, IDEAL))
     far = known.parameters_outside_prior()
     verdict = Judgement(
         Outcome.REFUSED,
@@ -319,8 +346,10 @@ def _most_probable(
         candidate=calibration_of_fit(name, fitted, points, settings.gravity),
         sphere=sphere,
         sphere_before=before,
-        rest_scatter_mg=truth.rest_scatter_mg(),
+        rest_scatter_mg=known.rest_scatter_mg(),
         misfits=misfits,
+        changed=probable_change(changes),
+        uncertainty=uncertainty_budget(known, around),
         unlike=unlike,
         plausible=DrawnSensors(known, points, settings.gravity),
         notes=(Reason.of("unlike_most_sensors", parameters=far),) if far else (),
@@ -331,11 +360,11 @@ def _most_probable(
         raw = trials[0]
         assert raw.fit is not None
         kept = replace(verdict, holdout=raw.holdout, sphere=before)
-        return _complete(kept, raw.model, raw.fit, points, label, settings.gravity), truth
+        return _complete(kept, raw.model, raw.fit, points, label, settings.gravity), errors_of
     if outcome is Outcome.REFUSED:
-        return verdict, truth
+        return verdict, errors_of
     completed = _complete(verdict, name, fitted, points, label, settings.gravity)
-    return _with_posterior(completed, known, settings.gravity), truth
+    return _with_posterior(completed, known, settings.gravity), errors_of
 
 
 def _contradicts_prior(
@@ -349,9 +378,15 @@ def _contradicts_prior(
 
 def _with_posterior(verdict: Judgement, known: Posterior, gravity: Gravity) -> Judgement:
     """Replace the errors of least squares by those of the posterior, and add its penalty."""
-    errors = _in_standard_g(known.standard_errors(), gravity)
+    assert verdict.calibration is not None
+    errors, covariance = (
+        _in_standard_g(known.standard_errors(), gravity),
+        known.covariance_of(verdict.calibration),
+    )
     coverage = replace(verdict.coverage, worst_direction_mg=known.worst_direction_mg())
-    return replace(verdict, standard_errors=errors, coverage=coverage, penalty=known.penalty)
+    return replace(
+        verdict, standard_errors=errors, covariance=covariance, coverage=coverage, penalty=known.penalty
+    )
 
 
 def judge_calibrated(points: PointSet, how: Fitting, origin: str) -> Judgement:
@@ -396,28 +431,32 @@ class Decision:
 def _outcome_of_sphere(verdict: Judgement, settings: Settings) -> Decision:
     sphere, holdout, before = verdict.sphere, verdict.holdout, verdict.sphere_before
     assert sphere is not None and holdout is not None and before is not None
-    raw, *_, fitted = verdict.trials
-    clearly = model_ladder.choose((raw, fitted)) is not raw
-    limit_mg, (low, high) = settings.max_error_mg, sphere.ci95
-    values: dict[str, Any] = {"error_mg": sphere.mean, "low_mg": low, "high_mg": high, "limit_mg": limit_mg}
-    with_model = values | {"model": fitted.model, "raw_mg": before.mean} | _held_out_values(holdout)
-    outcome = outcome_by_error(sphere, before, limit_mg, clearly=clearly)
+    fitted, (low, high) = verdict.trials[-1], sphere.ci95
+    values: dict[str, Any] = {
+        "error_mg": sphere.mean,
+        "low_mg": low,
+        "high_mg": high,
+        "limit_mg": settings.max_error_mg,
+        "raw_mg": before.mean,
+        **_percents(sphere),
+    } | _held_out_values(holdout)
+    outcome = outcome_by_probability(sphere, before)
     if outcome is Outcome.CALIBRATED:
-        return Decision(outcome, Reason.of("calibrated", **with_model))
+        return Decision(outcome, Reason.of("calibrated", model=fitted.model, **values))
+    missing = _missing(verdict, settings)
     if outcome is Outcome.PROVISIONAL:
-        with_model["percent"] = float(floor(100 * sphere.probably_better()))
-        why, missing = Reason.of("provisional", **with_model), _missing(verdict, settings)
+        why = Reason.of("provisional", model=fitted.model, **values)
         if settings.strict:
             return Decision(Outcome.REFUSED, why, (Reason("omit_strict"), *missing))
         return Decision(outcome, why, missing)
-    if outcome is Outcome.ALREADY_GOOD:
-        return Decision(outcome, _not_clearly_better(holdout))
-    why = Reason.of("calibration_error_over_limit", **values) if clearly else _not_clearly_better(holdout)
-    return Decision(outcome, why, _missing(verdict, settings))
+    why = Reason.of("not_clearly_better", **values)
+    return Decision(outcome, why, () if outcome is Outcome.ALREADY_GOOD else missing)
 
 
-def _not_clearly_better(holdout: Holdout) -> Reason:
-    return Reason.of("not_clearly_better", **_held_out_values(holdout))
+def _percents(sphere: SphereError) -> dict[str, float]:
+    """Return the probabilities in whole percent, none more certain than the number of draws can tell."""
+    both = {"percent": sphere.probably_better(), "percent_below": sphere.below_limit}
+    return {name: float(min(99, floor(100 * value))) for name, value in both.items()}
 
 
 def _held_out_values(holdout: Holdout) -> dict[str, Any]:
@@ -439,6 +478,8 @@ def _missing(verdict: Judgement, settings: Settings) -> tuple[Reason, ...]:
     number = coverage.distinct_orientations
     if number < settings.min_postures:
         return (Reason.of("more_orientations", orientations=number),)
+    if verdict.changed[0] >= PROBABLE:
+        return (Reason("cut_recording"),)
     one_sided = sides_not_up(coverage.axis_min_g, coverage.axis_max_g, settings.coverage_g)
     if one_sided or scatter_mg is None or scatter_mg < settings.max_error_mg / 2:
         return _advice(coverage, settings)
@@ -505,8 +546,9 @@ def _refuse_if_uncertain_on_sphere(verdict: Judgement, points: PointSet, how: Fi
         known = posterior(points, len(set(label.tolist())), MODELS["9"], POPULATION, how.judging)
     except DivergedError:
         return replace(verdict, outcome=Outcome.REFUSED, reason=DIVERGES, advice=ANOTHER_PROFILE)
-    judged = (trial.fit.parameters, known.found.fit.parameters, IDENTITY)
-    sphere, of_best, before = sphere_errors(points, label, known, judged)
+    sphere, of_best, before = sphere_errors(
+        points, label, known, (trial.fit, known.found.fit, IDEAL), Circumstances(settings.max_error_mg)
+    )
     sensors = DrawnSensors(known, points, settings.gravity)
     verdict = replace(verdict, sphere=sphere, sphere_before=before, plausible=sensors)
     values: dict[str, Any] = {"error_mg": sphere.mean, "low_mg": sphere.ci95[0], "high_mg": sphere.ci95[1]}
@@ -519,7 +561,8 @@ def _refuse_if_uncertain_on_sphere(verdict: Judgement, points: PointSet, how: Fi
         another = (Reason.of("use_optimizer", optimizer=DEFAULT.optimizer),) if suffice else ()
         return replace(verdict, advice=(*another, *verdict.advice))
     if verdict.outcome is Outcome.CALIBRATED and trial.holdout is not None:
-        values |= {"model": trial.model, "raw_mg": before.mean} | _held_out_values(trial.holdout)
+        values |= {"model": trial.model, "raw_mg": before.mean, **_percents(sphere)}
+        values |= _held_out_values(trial.holdout)
         verdict = replace(verdict, reason=Reason.of("calibrated", **values))
     return verdict
 
@@ -552,8 +595,8 @@ def _complete(
         fit: that of the model to the points, whose posture numbers are `label`.
     """
     before, after = (
-        mean(list(per_posture(deviations_mg(points, p), points.weights, label).values()))
-        for p in (IDENTITY, fit.parameters)
+        mean(list(per_posture(deviations_mg(held, p), points.weights, label).values()))
+        for held, p in ((points, IDENTITY), (points.straightened(fit.bend), fit.parameters))
     )
     completed = replace(
         verdict,
@@ -561,7 +604,7 @@ def _complete(
         fit=fit,
         fit_errors=FitErrors(len(points), len(set(label.tolist())), before, after),
     )
-    precision = uncertainty(points, fit.parameters, MODELS[model])
+    precision = uncertainty(points.straightened(fit.bend), fit.parameters, MODELS[model])
     if precision is None:
         return completed
     errors = _in_standard_g(precision.standard_errors, gravity)
@@ -666,12 +709,12 @@ def reason_pool_does_not_fit(holdout: Holdout, usual_mg: float, limit_mg: float)
 
 
 def add_fit_without_misalignment(
-    verdict: Judgement, sample: Sample, how: Fitting, truth: Posterior | None = None
+    verdict: Judgement, sample: Sample, how: Fitting, errors_of: ErrorsOf | None = None
 ) -> Judgement:
     """Add to a verdict what the same points give without misalignment, held out on the same postures.
 
     Args:
-        truth: posterior of the sensor, for the error over the whole sphere.
+        errors_of: gives the error over the whole sphere.
     """
     calibration, points, gravity = verdict.calibration, sample.points, how.settings.gravity
     name = None if calibration is None else SIMPLER.get(calibration.model)
@@ -681,9 +724,7 @@ def add_fit_without_misalignment(
         holdout, fitted = _fitted(MODELS[name], sample, how, verdict)
     except DivergedError:
         return verdict
-    sphere, saturated = None, verdict.coverage.saturated
-    if truth is not None:
-        (sphere,) = sphere_errors(points, sample.label, truth, (fitted.parameters,), saturated)
+    sphere = None if errors_of is None else errors_of((fitted,))[0]
     simpler = WithoutMisalignment(calibration_of_fit(name, fitted, points, gravity), holdout, sphere)
     return replace(verdict, without_misalignment=simpler)
 

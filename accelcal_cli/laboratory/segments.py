@@ -24,7 +24,7 @@ from accelcal_cli.cli.output import aligned, each_recording
 from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.collect.table import read_table, windows_of
 from accelcal_cli.core.arithmetic import mean
-from accelcal_cli.core.calibration import Calibration
+from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.errors import DivergedError, UsageError, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import Windows
@@ -132,7 +132,7 @@ def track(windows: Windows, raw_g: Floats, calibration: Calibration, posture_deg
         raw_g: (m, 3) mean of each window [g].
         posture_degrees: angle from its first window at which a bout ends.
     """
-    corrected = raw_g + calibration.offset_g()
+    corrected = calibration.straight(raw_g) + calibration.offset_g()
     if windows.temperature_sums is not None:
         celsius = windows.temperature_sums / (1000 * windows.samples)
         warmer = celsius - calibration.reference_c()
@@ -158,15 +158,15 @@ def bouts(directions: Floats, posture_degrees: float) -> NDArray[np.int64]:
     return number
 
 
-def sphere_error_mg(sensor: WornSensor, gain: Floats, offset_g: Floats, local_g: float = 1.0) -> float:
+def sphere_error_mg(sensor: WornSensor, calibration: Calibration, local_g: float = 1.0) -> float:
     """Return the mean | |a| - 1 | of rest in all directions [thousandths of local gravity].
 
     Args:
-        gain, offset_g: calibration, (3, 3) and (3,) in standard g; the identity and 0 for raw data.
+        calibration: in standard g, at its reference temperature.
         local_g: acceleration at rest.
     """
-    raw_g = local_g * sensor.raw(directions(DIRECTIONS))
-    deviation = np.linalg.norm((raw_g + offset_g) @ gain.T, axis=1) / local_g - 1
+    raw_g = calibration.straight(local_g * sensor.raw(directions(DIRECTIONS)))
+    deviation = np.linalg.norm((raw_g + calibration.offset_g()) @ calibration.gain().T, axis=1) / local_g - 1
     return 1000 * float(np.abs(deviation).mean())
 
 
@@ -397,9 +397,9 @@ def simulated(
         worn = rests.worn(sensor, simulation.population, random)
         again = replace(still, windows=worn, lsb_per_g=FLOAT_LSB_PER_G)
         judgement = collected(again, inside(still, start_h, hours), settings).judge(fitting(settings))
-        raw, true = sphere_error_mg(sensor, np.eye(3), np.zeros(3), local_g), None
+        raw, true = sphere_error_mg(sensor, Calibration("0", IDENTITY), local_g), None
         if (best := judgement.calibration) is not None:
-            true = sphere_error_mg(sensor, best.gain(), best.offset_g(), local_g)
+            true = sphere_error_mg(sensor, best, local_g)
         yield replace(claimed(judgement, hours, start_h, raw, true), sensor=number)
 
 

@@ -117,7 +117,8 @@ def _error_mg(by: RuleResult | None, on: RuleResult) -> float | None:
     if by is not None:
         if by.judgement.fit is None or by.judgement.calibration is None:
             return None
-        parameters, points = by.judgement.fit.parameters, on_scale(points, by.points.temperature)
+        fit = by.judgement.fit
+        parameters, points = fit.parameters, on_scale(points, by.points.temperature).straightened(fit.bend)
     return mean(list(per_posture(deviations_mg(points, parameters), points.weights, on.label).values()))
 
 

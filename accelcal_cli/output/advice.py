@@ -134,10 +134,14 @@ def _cautions(report: ReportView) -> tuple[Reason, ...]:
         unchecked = [Reason("roll_alone_checks_poses" if known.rolls else "nothing_checks_poses")]
     if made is not None and made.optimizer.converged is False:
         unchecked.append(Reason.of("not_converged", iterations=made.optimizer.iterations))
+    decided = report.outcome == Outcome.CALIBRATED and report.probability is not None
+    doubtful = (
+        [] if decided else doubts(*_interval(report), everywhere=report.calibration_error_mg is not None)
+    )
     return (
         *of_device(report.recording.device),
         *unchecked,
-        *doubts(*_interval(report), everywhere=report.calibration_error_mg is not None),
+        *doubtful,
         *([Reason.of("sides_unchecked", sides=sides)] if sides else []),
     )
 
@@ -293,8 +297,9 @@ def _meaning_of_error(report: ReportView) -> Iterator[str]:
     if error is None:
         return
     yield f"The limit is {number(report.setting('max_error_mg', LIMIT_MG))} mg."
+    scatter = "" if report.rest_scatter_mg is None else f" of {number(report.rest_scatter_mg, 2)} mg"
     yield (
-        "While the device is still, this error goes into ENMO. Expect ENMO at rest to be off by "
-        f"{number(error.mean, 2)} mg or less on average, and by {number(error.before, 2)} mg or less "
-        "without calibration."
+        "While the device is still, the mean |a| of an epoch is expected to be off by as much, on average "
+        f"over all orientations, and by {number(error.before, 2)} mg without calibration. ENMO at rest also "
+        f"has the scatter{scatter} from rest to rest and the noise of single samples in it."
     )

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from accelcal_cli.core.arithmetic import FRACTION_BITS, LIMIT, ONE, to_float
+from accelcal_cli.core.arithmetic import FRACTION_BITS, LIMIT, ONE, three, to_float
 from accelcal_cli.core.calibration import (
     IDENTITY,
     PARAMETER_NAMES,
@@ -34,6 +34,7 @@ from accelcal_cli.output.report_reading import Document, check_sections, damaged
 from accelcal_cli.output.sections import (
     EQUATION,
     AppliedCoefficients,
+    BendSection,
     Course,
     FixedPoint,
     GravitySection,
@@ -52,6 +53,7 @@ STRETCH = (0.5, 2.0)
 """Bounds of the gains of a sensor, far beyond those that measure about 1 g at rest (0.5 to 1.5 g)."""
 LARGEST_OFFSET_G = 1.0
 LARGEST_SLOPE_G_PER_C = 0.1
+LARGEST_BEND = 0.1
 ABSOLUTE_ZERO_MC = -273_150
 LAST_SAMPLE = 1 << 53
 LEAST, LARGEST = 1e-7, 1e3
@@ -64,8 +66,8 @@ USED = ("calibration", "recording", "coefficients", "outcome", "message")
 """Sections that are needed to apply a report's coefficients to any recording."""
 
 COPIED = (
-    "without_misalignment", "calibration_error_mg", "rest_scatter_mg", "change", "misfits", "holdout", "fit",
-    "coverage", "models_tried",
+    "without_misalignment", "calibration_error_mg", "probability", "uncertainty", "rest_scatter_mg", "change",
+    "misfits", "holdout", "fit", "coverage", "models_tried",
 )  # fmt: skip
 """Sections that hold for the report's own recording, whoever applies its coefficients."""
 
@@ -82,10 +84,13 @@ def coefficients_json(calibration: Calibration) -> dict[str, Any]:
         gain=matrix(calibration.gain()),
         offset_g=vector(calibration.offset_g()),
         parameters={name: to_float(value) for name, value in _integers(calibration, 9).items()},
+        bend=BendSection(vector(calibration.bend_per_g())) if any(calibration.bend) else None,
         temperature=slopes,
         course=None if course is None else _course(course),
         equation=EQUATION,
-        fixed_point=FixedPoint(FRACTION_BITS, _integers(calibration, 12), reference_mc, span_c),
+        fixed_point=FixedPoint(
+            FRACTION_BITS, _integers(calibration, 12), reference_mc, span_c, calibration.bend
+        ),
         gravity=GravitySection(float(gravity.local_g()), gravity.latitude, gravity.altitude_m),
     )
     return as_json(section)
@@ -222,7 +227,7 @@ def calibration_of(section: Mapping[str, Any]) -> Calibration:
         scale = _scale(fixed_point["temperature_reference_mc"], fixed_point["temperature_span_c"])
         gravity = Gravity(gravity_section["latitude"], gravity_section["altitude"])
         gravity.local_g()
-        bits = fixed_point["fraction_bits"]
+        bits, bend = fixed_point["fraction_bits"], fixed_point["bend"]
     except (KeyError, TypeError, AttributeError, OverflowError) as error:
         raise ValueError(f"calibration lacks what is needed ({error})") from error
     for name, value in (integers | upper).items():
@@ -230,9 +235,18 @@ def calibration_of(section: Mapping[str, Any]) -> Calibration:
             raise ValueError(f"calibration.fixed_point.parameters.{name} is not a 32-bit integer")
     if bits != FRACTION_BITS:
         raise ValueError(f"calibration.fixed_point.fraction_bits is {bits!r}, not {FRACTION_BITS}")
+    most = round(LARGEST_BEND * ONE)
+    if (
+        not isinstance(bend, list)
+        or len(bend) != 3
+        or any(type(one) is not int or abs(one) > most for one in bend)
+    ):
+        raise ValueError("calibration.fixed_point.bend is not of a sensor: three integers")
     xy, xz, yz = upper.values()
     correction = _read_correction(section.get("course"))
-    calibration = Calibration(model, tuple(integers.values()), scale, gravity, (xy, xz, yz), correction)
+    calibration = Calibration(
+        model, tuple(integers.values()), scale, gravity, (xy, xz, yz), correction, three(bend)
+    )
     _check_model(calibration)
     return calibration
 

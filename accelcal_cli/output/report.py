@@ -58,6 +58,7 @@ def calibration_json(verdict: Judgement, optimizer: dict[str, Any]) -> dict[str,
     own = {
         **coefficients_json(calibration),
         "standard_errors": _standard_errors(calibration, verdict.standard_errors),
+        "covariance": verdict.covariance,
         "optimizer": {
             **optimizer,
             "iterations": fit.iterations,
@@ -166,6 +167,11 @@ def calibration_error(
     )
 
 
+def probability(sphere: results.SphereError | None) -> sections.Probability | None:
+    """Return the section `probability`; None where no error over all orientations is known."""
+    return None if sphere is None else sections.Probability(sphere.probably_better(), sphere.below_limit)
+
+
 def change_section(change: results.Change | None, offset_s: int | None) -> sections.ChangeSection | None:
     """Return the section `change`; None where nobody looked for a change."""
     if change is None:
@@ -173,6 +179,7 @@ def change_section(change: results.Change | None, offset_s: int | None) -> secti
     return sections.ChangeSection(
         kind=change.kind,
         unchecked=change.unchecked,
+        probability=change.probability,
         at=iso_time(change.at_us, offset_s),
         size_mg=change.size_mg,
         offset_mg=change.offset_mg,
@@ -328,6 +335,8 @@ def document(
         calibration=None if calibration is None else from_json(sections.CalibrationSection, calibration),
         without_misalignment=_without_misalignment(verdict),
         calibration_error_mg=calibration_error(verdict.sphere, verdict.sphere_before),
+        probability=probability(verdict.sphere),
+        uncertainty=verdict.uncertainty,
         rest_scatter_mg=verdict.rest_scatter_mg,
         change=change,
         misfits=verdict.misfits,
@@ -426,6 +435,7 @@ def integers_json(data: ReportInput, points: PointSet) -> dict[str, Any] | None:
         "temperature_span_c": None if scale is None else scale.span_c,
         "penalty": None if penalty is None else {"fraction_bits": PENALTY_BITS, **asdict(penalty)},
         "parameters": dict(zip(PARAMETER_NAMES, verdict.fit.parameters, strict=True)),
+        "bend": list(verdict.fit.bend),
         "iterations": verdict.fit.iterations,
         "stop": verdict.fit.stop,
     }
@@ -460,6 +470,8 @@ TAKEN = (
     "calibration",
     "without_misalignment",
     "calibration_error_mg",
+    "probability",
+    "uncertainty",
     "rest_scatter_mg",
     "holdout",
     "fit",

@@ -17,7 +17,7 @@ from accelcal_cli.core.gyroscope import TurnHoldout
 from accelcal_cli.core.identity import REPORT, SCHEMA_VERSION
 from accelcal_cli.core.points import Operations
 from accelcal_cli.core.recording import Device, FactoryCalibration, ThermometerWord
-from accelcal_cli.core.results import ErrorSummary, Misfit, Outcome, TimeHoldout
+from accelcal_cli.core.results import ErrorSummary, Misfit, Outcome, TimeHoldout, UncertaintyPart
 
 Pair = tuple[float, float]
 Vector = tuple[float, float, float]
@@ -31,7 +31,7 @@ SETTINGS = (
 )
 """Settings that reports of all kinds state."""
 
-EQUATION = "a = K (v + o + s (T - Tref))"
+EQUATION = "a = K (v + q v^2 + o + s (T - Tref))"
 
 
 def vector(values: Iterable[float]) -> Vector:
@@ -184,6 +184,7 @@ class FixedPoint:
     temperature_span_c: Annotated[
         float | None, Key("Temperature span that one unit of a slope refers to", "degrees C")
     ]
+    bend: Annotated[tuple[int, int, int], Key("q as integers")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,6 +214,15 @@ class GravitySection:
 
 
 @dataclass(frozen=True, slots=True)
+class BendSection:
+    """`calibration.bend`."""
+
+    quadratic: Annotated[
+        Vector, Key("q of x, y and z: v + q v^2 takes the place of v, axis by axis", "per g")
+    ]
+
+
+@dataclass(frozen=True, slots=True)
 class Coefficients:
     """`without_misalignment.calibration`."""
 
@@ -235,6 +245,7 @@ class Coefficients:
             needed=9,
         ),
     ]
+    bend: Annotated[BendSection | None, Key("Bend of the response; null where none was fitted")]
     temperature: Annotated[Slopes | None, Key("s and Tref; null without temperature slopes")]
     course: Annotated[
         Course | None,
@@ -253,6 +264,14 @@ class CalibrationSection(Coefficients):
         Mapping[str, float] | None,
         Key("Standard error of each parameter", entries=ALL_PARAMETERS, needed=9, significant=True),
     ]
+    covariance: Annotated[
+        tuple[tuple[float, ...], ...] | None,
+        Key(
+            "Covariance of the parameters, in the order of `standard_errors`, then of the bend; null "
+            "without a posterior",
+            significant=True,
+        ),
+    ]
     optimizer: Annotated[OptimizerUse, Key("The optimizer, and how it ended")]
 
 
@@ -267,6 +286,21 @@ class CalibrationError:
     ]
     worst_direction_at: Annotated[Vector, Key("That orientation, as a unit vector", digits=4)]
     before: Annotated[float, Key("The same mean for the raw data", "mg", significant=True)]
+
+
+@dataclass(frozen=True, slots=True)
+class Probability:
+    """`probability`."""
+
+    better_than_raw: Annotated[
+        float,
+        Key(
+            "That the error is lower than that of the raw data, over all orientations and in those that "
+            "were recorded",
+            digits=3,
+        ),
+    ]
+    below_limit: Annotated[float, Key("That the error over all orientations is within the limit", digits=3)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,7 +348,10 @@ class ChangeSection:
         ),
     ]
     unchecked: Annotated[str | None, Key("Code of the reason why it was not looked for")]
-    at: Annotated[str | None, Key("When it happened")]
+    probability: Annotated[
+        float | None, Key("Probability of a change, beyond what the calibration follows", digits=3)
+    ]
+    at: Annotated[str | None, Key("When it happened, or most probably did")]
     size_mg: Annotated[float | None, Key("Its size over all orientations", "mg", significant=True)]
     offset_mg: Annotated[Vector | None, Key("Change of the offsets", "mg", significant=True)]
     scale_percent: Annotated[Vector | None, Key("Change of the scales", "%", significant=True)]
@@ -857,6 +894,14 @@ class ReportView:
             "Expected mean | |a| - 1 g | of the coefficients over all orientations, from the "
             "posterior, without the scatter of rests"
         ),
+    ]
+    probability: Annotated[
+        Probability | None,
+        Key("What decides between calibrated, provisional and refused; from the posterior"),
+    ]
+    uncertainty: Annotated[
+        tuple[UncertaintyPart, ...] | None,
+        Key("Parts of the standard uncertainty of |a| at rest; null where the error over all is unknown"),
     ]
     rest_scatter_mg: Annotated[
         float | None,

@@ -372,7 +372,6 @@ def _misfit(values: Values) -> str:
     sizes = zip("xyz", values["size"], strict=True)
     shown = ", ".join(f"{axis} {value:.2g}" for axis, value in sizes)
     what = {
-        "quadratic": f"Its response is bent, with the square of the acceleration ({shown} % at 1 g)",
         "cubic": f"Its response is bent, with the cube of the acceleration ({shown} % at 1 g)",
         "gain by temperature": f"Its scales change with temperature ({shown} % per °C)",
         "curved by temperature": f"Its offsets follow temperature on a curve ({shown} mg per °C²)",
@@ -390,7 +389,7 @@ def _changed(values: Values) -> str:
         "drift": "its offsets drift",
         "step": f"its offsets jump at {when}",
         "gain": f"its scales jump at {when}",
-        "device": f"all its errors jump at {when}, as if another device had taken over",
+        "device": f"all its errors jump at {when}, as if another device had taken over there",
         "walk": "its offsets wander",
     }.get(values["kind"], values["kind"])
     text = f"The sensor changed during the recording: {what}, by up to {values['size_mg']:.1f} mg."
@@ -428,8 +427,9 @@ def _to_second(time: str | None) -> str:
 SENTENCES: dict[str, str | Callable[[Values], str]] = {
     # outcomes
     "calibrated": "Calibration error over all orientations: {raw_mg:mg} mg before, {error_mg:mg} mg after "
-    "(95 % interval {low_mg:mg} to {high_mg:mg} mg). Error |r - 1| on held-out {held_out}: {before_mg:mg} "
-    "mg before, {after_mg:mg} mg after{times_smaller}.",
+    "(95 % interval {low_mg:mg} to {high_mg:mg} mg), lower than before with a probability of {percent:.0f} % "
+    "or more. Error |r - 1| on held-out {held_out}: {before_mg:mg} mg before, {after_mg:mg} mg "
+    "after{times_smaller}.",
     "provisional": "Calibration error over all orientations: {raw_mg:mg} mg before, {error_mg:mg} mg after "
     "(95 % interval {low_mg:mg} to {high_mg:mg} mg, the limit is {limit_mg:g} mg). The data are better "
     "than raw with a probability of {percent:.0f} % or more, in {orientations:n recorded orientation} and "
@@ -438,8 +438,9 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "before and {after_mg:mg} mg after{times_smaller}.",
     "calibrated_in_part": "{model_asked_for}: the error |r - 1| on held-out {held_out} is {before_mg:mg} mg "
     "before and {after_mg:mg} mg after{times_smaller}.{left_out_because}",
-    "not_clearly_better": "The fit is not clearly better than the raw data: {after_mg:mg} against "
-    "{before_mg:mg} mg on held-out {held_out} ({orientations:n orientation}).",
+    "not_clearly_better": "A calibration is better than the raw data with a probability of only "
+    "{percent:.0f} %. Calibration error over all orientations: {raw_mg:mg} mg before, {error_mg:mg} mg after "
+    "(95 % interval {low_mg:mg} to {high_mg:mg} mg, {orientations:n recorded orientation}).",
     "raw_no_worse": "No model is clearly better than the raw data, which are {before_mg:mg} mg off on "
     "held-out {held_out}.",
     "calibrated_before": "The recording is {origin}. It was not fitted again: its own still windows are "
@@ -469,7 +470,9 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "measure nothing.",
     "too_few_orientations": "The device was still in only {orientations:n orientation}, and at least "
     "{needed} are needed.",
-    "fit_diverges": "The fit diverges, since the still windows do not determine the parameters.",
+    "fit_diverges": "The optimizer came to no minimum.",
+    "beyond_range": "The still windows are too far from 1 g for the fit: an axis seems to have another "
+    "scale.",
     "calibration_error_over_limit": "The calibration error over all orientations may be {error_mg:mg} mg "
     "(95 % interval {low_mg:mg} to {high_mg:mg} mg). The limit is {limit_mg:g} mg.",
     "held_out_error_over_limit": "The best model ({model}) leaves {after_mg:mg} mg on held-out {held_out}. "
@@ -524,7 +527,8 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "axes_alike": "The axes {axes:list} hold the same values throughout. Give each axis its own "
     "column or field.",
     "axis_stuck": _stuck,
-    "gravity_is_zero": "{of_what} 0 g. Check that the columns or fields are those of the sensor.",
+    "gravity_is_zero": "There is no gravity in the values: they were filtered, or are linear acceleration, "
+    "which cannot be calibrated. Give the file, or the columns, of the acceleration with gravity.",
     "wrong_unit": "{of_what} {median_g:.3g} g instead of 1 g, as if values in {unit} were read as "
     "{read_as}. Use --unit {unit}.",
     "not_1_g": "{of_what} {median_g:.3g} g instead of 1 g. Check the unit (--unit) and the columns "
@@ -594,11 +598,15 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "Correct its times with -R shift=SECONDS. The calibration does not need them.",
     "clock_reset": "The clock was reset: it jumps from {before:time} to {after:time} at sample {sample} "
     "({resets:n reset} in all). Times on one side of that are wrong. The calibration does not need them.",
-    "scatter_over_limit": "The still windows scatter by {scatter_mg:mg} mg. Check --stillness.",
+    "scatter_over_limit": "The still windows scatter by {scatter_mg:mg} mg: slow movement may have passed as "
+    "stillness (--stillness), or the sensor may be faulty.",
     "known_fault": _known_fault,
     "axis_saturates": "The {axis} axis saturates at {at_g:.2f} g, below its stated range.",
     "misfit": _misfit,
     "sensor_changed": _changed,
+    "may_have_changed": "The sensor changed during the recording with a probability of {percent:.0f} %, most "
+    "probably about {at:time}. The interval counts that.",
+    "cut_recording": "Cut the recording where the sensor changed, and calibrate the parts.",
     "error_may_reach": lambda values: (
         f"The error may reach {mg(values['high_mg'])} mg "
         f"{'in orientations that are not in the recording' if values['everywhere'] else 'on average'}. "
@@ -757,10 +765,14 @@ def error_sentence(report: ReportView) -> str:
     everywhere, holdout, known = report.calibration_error_mg, report.holdout, report.known_orientations
     if everywhere is not None:
         low, high = everywhere.ci95
+        better = ""
+        if report.probability is not None and report.outcome != "already_good":
+            percent = min(99, int(100 * report.probability.better_than_raw))
+            better = f" It is lower than that of the raw data with a probability of {percent} % or more."
         return (
             f"Calibration error over all orientations {number(everywhere.mean, 2)} mg "
             f"(95 % interval {number(low, 2)} to {number(high, 2)} mg; "
-            f"raw data {number(everywhere.before)} mg)."
+            f"raw data {number(everywhere.before)} mg).{better}"
         )
     if known is not None and known.holdout_vector_mg is not None:
         after, before = known.holdout_vector_mg.after.mean, known.holdout_vector_mg.before.mean

@@ -77,9 +77,8 @@ def _not_listed(summary: dict[str, Any]) -> int:
 
 WANTED = (
     "path", "use", "why", "wear_hours", "outcome", "reason", "message", "model", "copy_of", "borrowed_from",
-    "before_mg", "after_mg",
-    "calibration_error_mg",
-    "calibration_error_high_mg", "calibration_error_before_mg", "change", "change_at", "change_mg", "misfits",
+    "before_mg", "after_mg", "calibration_error_mg", "calibration_error_high_mg",
+    "calibration_error_before_mg", "probability_better", "change", "change_at", "change_mg", "misfits",
     "device_model", "device_serial", "start_time", "duration_s", "lost_percent", "report",
     "decided_by", "result",
 )  # fmt: skip
@@ -278,12 +277,13 @@ class _Entry:
         self.copy_of: str | None = self.row["copy_of"]
         self.message: str = self.row["message"] or ""
         self.changed = self.row["change"] not in (None, "none")
+        decided = self.outcome == Outcome.CALIBRATED and self.row["probability_better"] is not None
         has = {
             "failed": self.row["outcome"] == "failed",
             "changed": self.changed,
             "refused": self.row["outcome"] == "refused",
             "uncertain": self.outcome == Outcome.PROVISIONAL
-            or (self.row["calibration_error_high_mg"] or 0.0) > limit_mg,
+            or (not decided and (self.row["calibration_error_high_mg"] or 0.0) > limit_mg),
             "damaged": (self.row["lost_percent"] or 0.0) >= DAMAGED_FROM_PERCENT,
             "misfit": self.row["misfits"] not in (None, "none"),
         }

@@ -15,7 +15,7 @@ from accelcal_cli.collect.cells import MAX_BLOCKS, ONE_BLOCK
 from accelcal_cli.collect.still_windows import RestSums
 from accelcal_cli.collect.turns import GyroWindows, TurnCollector
 from accelcal_cli.core.arithmetic import mean
-from accelcal_cli.core.calibration import Calibration
+from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.clock import MICROSECONDS, RESET_US, Stretches, utc_offset_s
 from accelcal_cli.core.gyroscope import Gyroscope, Turns
 from accelcal_cli.core.local_time import FOLLOWED, ZoneChange, zone_changes
@@ -425,7 +425,10 @@ def _convergence(points: PointSet, data: ReportInput) -> tuple[float, ...] | Non
         return None
     assert isinstance(settings, Settings)
     label = postures(points, settings.posture_degrees)
-    each = (per_posture(deviations_of_points(points, one), points.weights, label) for one in fit.history)
+    straight = points.straightened(fit.bend)
+    held = (points if one == IDENTITY else straight for one in fit.history)
+    pairs = zip(held, fit.history, strict=True)
+    each = (per_posture(deviations_of_points(own, one), points.weights, label) for own, one in pairs)
     return tuple(mean(list(one.values())) for one in each)
 
 

@@ -27,6 +27,7 @@ from accelcal_cli.judge.verdict import (
     FAR_FROM_1_G,
     FEWEST_CONTROL_POINTS,
     NOTHING_STILL,
+    PROBABLE,
     judge,
     judge_paper,
     with_errors_before,
@@ -163,7 +164,12 @@ class CellProcedure(Procedure):
     def judge(self, how: Fitting) -> Judgement:
         """Choose a model, fit it and judge it."""
         saturated = self.collector.saturated()
-        return judge(self.result(), how, self._why_none(how.settings), saturated=saturated)
+        why_none = self._why_none(how.settings)
+        return judge(self.result(), how, why_none, saturated=saturated, means=self.along_time())
+
+    def along_time(self) -> TimedMeans | None:
+        """Return the points' rests along time; None where that is not known."""
+        return None
 
     def _why_none(self, settings: Settings) -> Reason:
         counts = self.collector.counts()
@@ -203,7 +209,7 @@ class TimedCellProcedure(CellProcedure):
             CellCollector(lsb_per_g, settings, temperature=temperature, block_samples=self.hour_samples)
         )
         self._correction: Correction | None = None
-        self._rate_hz, self._local_g = recording.rate_hz, float(settings.gravity.local_g())
+        self._rate_hz, self._gravity = recording.rate_hz, settings.gravity.local_g()
         self._begun_us: list[int] = []
         self._means: TimedMeans | None = None
         self._points: tuple[Correction | None, PointSet] | None = None
@@ -231,6 +237,10 @@ class TimedCellProcedure(CellProcedure):
             return verdict
         search = ChangeSearch(self.means())
         change = search.find(about)
+        probability, before = verdict.changed
+        change = replace(change, probability=probability)
+        if change.kind == "none" and probability >= PROBABLE:
+            change = replace(change, at_block=round(before * self.means().blocks()))
         if change.at_block is not None:
             at_us = self.begun_us(change.at_block * self.collector.block_samples)
             change = replace(change, at_us=at_us)
@@ -240,7 +250,8 @@ class TimedCellProcedure(CellProcedure):
     def result(self) -> PointSet:
         """Return one point for each cell, corrected where the sensor changed."""
         if self._points is None or self._points[0] is not self._correction:
-            self._points = self._correction, self.collector.points(self._correction)
+            in_local_g = None if self._correction is None else self._correction.in_local_g(self._gravity)
+            self._points = self._correction, self.collector.points(in_local_g)
         return self._points[1]
 
     def _corrected(self, verdict: Judgement, how: Fitting, search: ChangeSearch) -> Judgement:
@@ -257,16 +268,20 @@ class TimedCellProcedure(CellProcedure):
             self._correction = None
             return verdict
         calibration = replace(better.calibration, correction=change.correction)
-        corrected = replace(better, calibration=calibration, change=change)
+        left = replace(change, probability=better.changed[0])
+        corrected = replace(better, calibration=calibration, change=left)
         if (simpler := better.without_misalignment) is not None:
             calibration = replace(simpler.calibration, correction=change.correction)
             corrected = replace(corrected, without_misalignment=replace(simpler, calibration=calibration))
         return with_errors_before(corrected, verdict)
 
     def _judge_with(self, change: Change, how: Fitting) -> Judgement:
-        assert change.correction is not None
-        self._correction = change.correction.in_local_g(how.settings.gravity.local_g())
+        self._correction = change.correction
         return super().judge(how)
+
+    def along_time(self) -> TimedMeans:
+        """See `CellProcedure`; corrected where the sensor changed."""
+        return self.means() if self._correction is None else self.means().corrected(self._correction)
 
     def means(self) -> TimedMeans:
         """Return the mean of each orientation in each block of time, where it can be used."""
@@ -275,7 +290,7 @@ class TimedCellProcedure(CellProcedure):
         timed, collector = self.collector.timed(), self.collector
         sums = [one for _, one in timed]
         samples = np.array([one.samples for one in sums], np.int64)
-        scale = samples[:, np.newaxis] * (collector.lsb_per_g / self._local_g)
+        scale = samples[:, np.newaxis] * (collector.lsb_per_g / float(self._gravity))
         celsius = np.array([one.temperature_mc for one in sums], np.int64) / (1000 * samples)
         self._means = TimedMeans(
             block=np.array([block for block, _ in timed], np.int64),

@@ -143,7 +143,7 @@ def _report(table: PointTable, settings: Settings, path: Path, digest: str, size
     fitter = fitting(settings)
     why_none = NOT_NEAR if found.implausible else NO_POINTS
     verdict = judge(found.points, fitter, why_none, found.label, found.saturated)
-    parameters = None if verdict.fit is None else verdict.fit.parameters
+    fit = verdict.fit
     data = PointsInput(
         path=path,
         sha256=digest,
@@ -151,7 +151,7 @@ def _report(table: PointTable, settings: Settings, path: Path, digest: str, size
         rows=len(table),
         implausible=found.implausible,
         raw_error_mg=_error_mg(found.rows, IDENTITY),
-        after_error_mg=None if parameters is None else _error_mg(found.rows, parameters),
+        after_error_mg=None if fit is None else _error_mg(found.rows.straightened(fit.bend), fit.parameters),
         settings=EffectiveSettings(settings, True, {"format": "points"}),
         judgement=verdict,
         optimizer=optimizer_json(settings),

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from accelcal_cli.core.calibration import PARAMETER_NAMES
 from accelcal_cli.core.settings import LEARNT_PRIORS
-from accelcal_cli.output.sections import CalibrationError, HoldoutSection
+from accelcal_cli.output.sections import HoldoutSection, ReportView
 
 AXES = ("x", "y", "z")
 PARAMETERS = (
@@ -30,13 +30,14 @@ ERROR_COLUMNS = (
     "calibration_error_high_mg",
     "calibration_error_worst_mg",
     "calibration_error_before_mg",
+    "probability_better",
 )
-"""Columns that hold a report's `calibration_error_mg`."""
+"""Columns that hold a report's `calibration_error_mg`, and how probably that is lower than before."""
 
 READ = (
     "path", "use", "why", "calibration_error_mg", "calibration_error_low_mg", "calibration_error_high_mg",
-    "calibration_error_before_mg", "wear_hours", "start_time", "duration_hours", "device_serial",
-    "device_model", "outcome", "decided_by", "decided_at", "note",
+    "calibration_error_before_mg", "probability_better", "wear_hours", "start_time", "duration_hours",
+    "device_serial", "device_model", "outcome", "decided_by", "decided_at", "note",
     "reason", "cautions", "message", "copy_of", "learnt_from", "model", "orientations", "before_mg",
     "after_mg", "change", "change_at", "change_mg", "misfits", "filled_percent", "lost_percent", "gaps",
     "rate_hz", "time_zone", "format", "sensor", "enmo_raw_mg", "enmo_mg", "mvpa_raw_min", "mvpa_min",
@@ -72,6 +73,7 @@ ALL = (
     _number("calibration_error_high_mg", "upper end of its 95 % interval"),
     _number("calibration_error_worst_mg", "the same error in the worst direction"),
     _number("calibration_error_before_mg", "error over all orientations before calibration [mg]"),
+    _number("probability_better", "probability that the calibrated data are better than the raw data"),
     _number("wear_hours", "hours in which the device was worn"),
     _text("start_time", "time of the first sample by the device clock"),
     _number("duration_s", "length [s]"),
@@ -191,9 +193,11 @@ def factor_columns(holdout: HoldoutSection) -> dict[str, float | None]:
     return dict(zip(FACTOR_COLUMNS, (factor.value, low, high), strict=True))
 
 
-def error_columns(error: CalibrationError | None) -> dict[str, float | None]:
-    """Return the columns that hold the error over all orientations."""
-    if error is None:
+def error_columns(report: ReportView) -> dict[str, float | None]:
+    """Return the columns that hold the error over all orientations; empty ones without a calibration."""
+    error, probability = report.calibration_error_mg, report.probability
+    if error is None or report.calibration is None:
         return dict.fromkeys(ERROR_COLUMNS)
-    values = (error.mean, *error.ci95, error.worst_direction, error.before)
+    better = None if probability is None else probability.better_than_raw
+    values = (error.mean, *error.ci95, error.worst_direction, error.before, better)
     return dict(zip(ERROR_COLUMNS, values, strict=True))

@@ -204,7 +204,7 @@ def _errors(report: ReportView) -> dict[str, Any]:
         return before
     after = {"after_mg": holdout.after_mg.mean, "ci95_low_mg": low, "ci95_high_mg": high}
     ratio = {"improvement_percent": holdout.improvement_percent} | factor_columns(holdout)
-    return before | after | ratio | error_columns(report.calibration_error_mg)
+    return before | after | ratio | error_columns(report)
 
 
 def _gyroscope(report: ReportView) -> dict[str, Any]:

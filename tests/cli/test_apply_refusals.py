@@ -12,7 +12,7 @@ import pytest
 
 from tests.cli.run import Ran, assert_one_line, run, told
 from tests.device_recordings import REFERENCE_C, SLOPE_G_PER_C, donor, edit, rest, week, write_device
-from tests.recordings import GAIN, OFFSET_G, directions
+from tests.recordings import GAIN, OFFSET_G, directions, straightened
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -85,7 +85,7 @@ def test_slopes_need_temperature_or_a_word(tmp_path: Path) -> None:
 
 
 def test_slopes_are_applied_as_calculated_from_the_equation(tmp_path: Path) -> None:
-    """a = K (v + o + s (T - Tref)), computed here from the report's numbers."""
+    """a = K (v + q v^2 + o + s (T - Tref)), computed here from the report's numbers."""
     coefficients = donor(tmp_path, warm=True)
     values, heat = rest(directions(12), seed=2, warm=True)
     other = write_device(tmp_path / "other.raw", values, heat)
@@ -94,7 +94,9 @@ def test_slopes_are_applied_as_calculated_from_the_equation(tmp_path: Path) -> N
     raw = np.rint(values * 256) / 256
     found = json.loads(coefficients.read_text())["calibration"]
     away = (np.rint(heat * 100) / 100)[:, None] - found["temperature"]["reference_c"]
-    shifted = raw + found["offset_g"] + away * np.array(found["temperature"]["slope_g_per_c"])
+    shifted = (
+        straightened(found, raw) + found["offset_g"] + away * np.array(found["temperature"]["slope_g_per_c"])
+    )
     expected = shifted @ np.array(found["gain"]).T
     np.testing.assert_allclose(frame[["x", "y", "z"]].to_numpy(), expected, rtol=2**-23, atol=2**-29)
     true = (raw + OFFSET_G + SLOPE_G_PER_C * (heat - REFERENCE_C)[:, None]) @ GAIN.T

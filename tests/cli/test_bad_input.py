@@ -168,7 +168,7 @@ def test_strange_names(tmp_path: Path, name: str) -> None:
     ran = run_process("calibrate", path, "--report-only", "--model", 6)
     assert ran.code in (0, 5), ran
     assert len(ran.lines) == (1 if ran.code == 0 else 0)
-    assert len(ran.lines[0].split("\t")) == 10 if ran.lines else "too long" in ran.err
+    assert len(ran.lines[0].split("\t")) == 11 if ran.lines else "too long" in ran.err
 
 
 def test_a_loop_of_links_stops_only_itself(tmp_path: Path) -> None:

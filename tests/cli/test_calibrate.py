@@ -26,6 +26,7 @@ from tests.recordings import (
     good_csv,
     good_raw,
     still_counts,
+    straightened,
     worst_errors,
     write_csv,
     write_raw,
@@ -71,7 +72,7 @@ def test_parquet_holds_the_calibrated_counts_and_all_times(tmp_path: Path) -> No
     found = report_of(tmp_path / "a.calibration.json")["calibration"]
     frame = pd.read_parquet(tmp_path / "a.calibrated.parquet")
     assert list(frame.columns) == ["time", "x", "y", "z", "validity"]
-    expected = (counts / LSB_PER_G + found["offset_g"]) @ np.array(found["gain"]).T
+    expected = (straightened(found, counts / LSB_PER_G) + found["offset_g"]) @ np.array(found["gain"]).T
     np.testing.assert_allclose(frame[["x", "y", "z"]].to_numpy(), expected, rtol=2**-24, atol=2**-30)
     start = np.datetime64("2024-03-04T00:00:00", "us")
     steps = (np.arange(len(counts)) * 40_000).astype("timedelta64[us]")
@@ -269,7 +270,8 @@ def test_the_integers_fit_again_to_the_same_bits(tmp_path: Path) -> None:
     )
     bits, prior = held["penalty"].pop("fraction_bits"), held["penalty"]
     penalty = Penalty(tuple(prior["centre"]), tuple(prior["strength"]))
-    again = fixed32.OPTIMIZER.fit_penalized(points, MODELS[held["model"]], penalty, IDENTITY).fit
+    straight = points.straightened(tuple(held["bend"]))
+    again = fixed32.OPTIMIZER.fit_penalized(straight, MODELS[held["model"]], penalty, IDENTITY).fit
     assert bits == PENALTY_BITS
     assert dict(zip(PARAMETER_NAMES, again.parameters, strict=True)) == held["parameters"]
     found = report_of(tmp_path / "good.calibration.json")["calibration"]

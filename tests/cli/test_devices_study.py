@@ -51,7 +51,7 @@ def test_a_drift_put_into_recordings_is_found(tmp_path: Path, capsys: Capture) -
         assert abs(still["drift"]["per_month"]) < 4 * still["drift"]["error"]
         last = 1000 * OFFSET_G["xyz".index(axis)] + 4 * drift
         assert moves["parameters"][f"offset_{axis}"]["value"] == pytest.approx(last, abs=0.2)
-    assert moves["reasons"][0]["text"].startswith("offset x drifts by +6.0")
+    assert moves["reasons"][0]["text"].startswith(("offset x drifts by +6.0", "offset x drifts by +5.99"))
     assert moves["history"][0]["k_yx"] == pytest.approx(GAIN[1, 0], abs=1e-3)
     assert moves["history"][0]["k_zy"] == pytest.approx(GAIN[2, 1], abs=1e-3)
 

@@ -106,7 +106,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         "calibrate", "--model", 6, "-d", out, "--html", "--windows", folder / "windows.csv", "--", path
     )
     assert_harmless(ran, 0, lines=1)
-    assert len(ran.lines[0].split("\t")) == 10
+    assert len(ran.lines[0].split("\t")) == 11
     beside = {"report": ".calibration.json", "parquet": ".calibrated.parquet", "page": ".html"}
     made = {name: out / f"={BODY}{suffix}" for name, suffix in beside.items()}
     return {"recording": path, "windows": folder / "windows.csv", **made}

@@ -23,14 +23,14 @@ def points(tmp_path: Path) -> Path:
 
 def test_verdicts_1_the_limit_is_the_users(points: Path) -> None:
     usual = json.loads(run("fit", points, "--json").out)
-    error_mg = usual["calibration_error_mg"]["mean"]
+    low_mg, high_mg = usual["calibration_error_mg"]["ci95"]
     assert (usual["outcome"], usual["settings"]["max_error_mg"]) == ("calibrated", 10.0)
-    above = json.loads(run("fit", points, "--json", "--max-error", error_mg * 1.01).out)
+    above = json.loads(run("fit", points, "--json", "--max-error", high_mg).out)
     assert (above["outcome"], above["calibration"]) == ("calibrated", usual["calibration"])
-    assert above["settings"]["max_error_mg"] == error_mg * 1.01
-    below = json.loads(run("fit", points, "--json", "--max-error", error_mg * 0.99).out)
+    assert above["settings"]["max_error_mg"] == high_mg
+    below = json.loads(run("fit", points, "--json", "--max-error", low_mg).out)
     assert below["outcome"] in ("provisional", "refused")
-    strict = run("fit", points, "--json", "--strict", "--max-error", error_mg * 0.99)
+    strict = run("fit", points, "--json", "--strict", "--max-error", low_mg)
     report = json.loads(strict.out)
     assert (strict.code, report["outcome"], report["calibration"]) == (4, "refused", None)
     assert report["reason"] in SENTENCES and report["settings"]["strict"] is True

@@ -11,7 +11,7 @@ import pytest
 from tests.cli.run import report_of, run
 from tests.cli.studies import rows, study
 from tests.device_recordings import donor, edit, set_coefficients, week
-from tests.recordings import GAIN, OFFSET_G, good_csv
+from tests.recordings import GAIN, OFFSET_G, good_csv, straightened
 
 PLACES = {f"k_{r}{c}": (row, column) for row, r in enumerate("xyz") for column, c in enumerate("xyz")}
 
@@ -24,12 +24,13 @@ def test_a_name_says_row_and_column_in_report_and_table(tmp_path: Path) -> None:
         rows(tmp_path / "out"),
         report_of(tmp_path / "out" / "good.calibration.json")["calibration"],
     )
-    assert held["equation"] == "a = K (v + o + s (T - Tref))"
+    assert held["equation"] == "a = K (v + q v^2 + o + s (T - Tref))"
     for name, (r, c) in PLACES.items():
         assert float(row[name]) == held["gain"][r][c] == held["parameters"].get(name, 0.0)
         assert held["gain"][r][c] == pytest.approx(GAIN[r, c], abs=1e-3)
     assert float(row["k_xy"]) == 0.0 != float(row["k_yx"])
     raw = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=(1, 2, 3), max_rows=2000)
+    raw = straightened(held, raw)
     x, y = (raw[:, axis] + held["parameters"][f"o{name}"] for axis, name in enumerate("xy"))
     written = pq.read_table(tmp_path / "out" / "good.calibrated.parquet")["y"].to_numpy()[:2000]
     expected = held["parameters"]["k_yx"] * x + held["parameters"]["k_yy"] * y

@@ -37,6 +37,7 @@ from tests.recordings import (
     good_csv,
     good_raw,
     still_counts,
+    straightened,
     write_raw,
 )
 
@@ -100,7 +101,7 @@ def test_errors_are_those_of_the_windows(day: Path) -> None:
     keys = np.column_stack([hour, np.floor(xyz * 10)])
     one, place, number = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     means = np.stack([np.bincount(place.ravel(), xyz[:, axis]) / number for axis in range(3)], axis=1)
-    after = (means + made["offset_g"]) @ np.array(made["gain"]).T
+    after = (straightened(made, means) + made["offset_g"]) @ np.array(made["gain"]).T
     for name, vectors in (("before_mg", means), ("after_mg", after)):
         errors = 1000 * np.abs(np.linalg.norm(vectors, axis=1) - 1)
         for row in range(HOURS):
@@ -138,7 +139,7 @@ def test_the_points_are_those_of_the_windows(tmp_path: Path) -> None:
     assert np.array(columns["before"]) / 1e5 + 1 == pytest.approx(np.linalg.norm(raw, axis=1), abs=1e-5)
     made = report["calibration"]
     slope = np.outer(celsius - made["temperature"]["reference_c"], made["temperature"]["slope_g_per_c"])
-    a = (raw + made["offset_g"] + slope) @ np.array(made["gain"]).T
+    a = (straightened(made, raw) + made["offset_g"] + slope) @ np.array(made["gain"]).T
     assert np.array(columns["after"]) / 1e5 + 1 == pytest.approx(np.linalg.norm(a, axis=1), abs=1e-5)
     assert [one % found["postures"]["folds"] for one in columns["posture"]] == each["fold"].first().tolist()
     for when in ("before_mg", "after_mg"):

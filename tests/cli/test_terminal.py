@@ -90,13 +90,13 @@ def test_models_are_said_in_words() -> None:
 
 
 def test_fields_at_a_terminal_are_an_option() -> None:
-    assert shown(ROW, tsv=True) == "a.cwa\tcalibrated\t9\t13.500\t9.800\t138\t-\t-\t-\t-\n"
+    assert shown(ROW, tsv=True) == "a.cwa\tcalibrated\t9\t13.500\t9.800\t138\t-\t-\t-\t-\t-\n"
 
 
 def test_verdicts_10_fields_end_with_the_error_over_all_orientations() -> None:
     """And R of eq. 21 has three digits."""
     row = shown(ROW | ERRORS | {"improvement_percent": 47638.2}, Path("a.parquet"), tsv=True)
-    assert row == "a.cwa\tcalibrated\t9\t13.500\t9.800\t47600\ta.parquet\t4.100\t1.500\t9.900\n"
+    assert row == "a.cwa\tcalibrated\t9\t13.500\t9.800\t47600\ta.parquet\t4.100\t1.500\t9.900\t-\n"
 
 
 def test_verdicts_10_a_sentence_has_the_error_everywhere_and_the_factor() -> None:
@@ -109,7 +109,7 @@ def test_verdicts_10_a_sentence_has_the_error_everywhere_and_the_factor() -> Non
 
 
 def test_a_pipe_gets_fields(tmp_path: Path) -> None:
-    assert len(run("calibrate", good_raw(tmp_path), "--report-only").lines[0].split("\t")) == 10
+    assert len(run("calibrate", good_raw(tmp_path), "--report-only").lines[0].split("\t")) == 11
 
 
 def terminal(*words: object) -> list[str]:

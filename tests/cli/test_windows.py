@@ -13,7 +13,16 @@ import pytest
 from accelcal_cli.output import windows as output
 from accelcal_cli.pipeline.calibrate import OwnCalibration
 from tests.cli.run import Ran, assert_one_line, exit_code, nightly, run
-from tests.recordings import LSB_PER_G, RATE_HZ, directions, good_csv, good_raw, still_counts, write_raw
+from tests.recordings import (
+    LSB_PER_G,
+    RATE_HZ,
+    directions,
+    good_csv,
+    good_raw,
+    still_counts,
+    straightened,
+    write_raw,
+)
 
 WINDOW = 125
 """Samples in 5 s."""
@@ -80,9 +89,10 @@ def test_the_numbers_are_those_of_the_samples(tmp_path: Path, suffix: str) -> No
     assert (held[["spread_x", "spread_y", "spread_z"]].to_numpy() == spread_g).all()
     start = pd.Timestamp("2024-03-04") + pd.to_timedelta(np.arange(len(windows)) * WINDOW / RATE_HZ, unit="s")
     assert (pd.to_datetime(held["time"]).to_numpy() == start.to_numpy("datetime64[us]")).all()
-    gain, offset = np.array(report["calibration"]["gain"]), np.array(report["calibration"]["offset_g"])
+    own = report["calibration"]
+    gain, offset = np.array(own["gain"]), np.array(own["offset_g"])
     np.testing.assert_allclose(held["raw_g"], np.linalg.norm(mean_g, axis=1), rtol=1e-12)
-    after = np.linalg.norm((mean_g + offset) @ gain.T, axis=1)
+    after = np.linalg.norm((straightened(own, mean_g) + offset) @ gain.T, axis=1)
     np.testing.assert_allclose(held["calibrated_g"], after, rtol=1e-12)
     assert held["temperature_c"].isna().all()
     assert set(held["role"]) == {"fit"} and held["point"].max() + 1 == report["fit"]["points"]

@@ -15,7 +15,7 @@ from accelcal_cli.core.results import Judgement, Outcome, SphereError
 from accelcal_cli.core.settings import DEFAULT, PAPER, Settings
 from accelcal_cli.judge.errors import deviations_mg, per_posture, uncertainty
 from accelcal_cli.judge.model_ladder import LADDER, FitFunction, Fitting, postures
-from accelcal_cli.judge.posterior import outcome_by_error
+from accelcal_cli.judge.posterior import outcome_by_probability
 from accelcal_cli.judge.verdict import judge, judge_paper
 from accelcal_cli.laboratory.optimizers.regressions import ELLIPSOID_MODELS, fit_ellipsoid
 from accelcal_cli.optimize import fixed32
@@ -143,14 +143,13 @@ def test_with_a_prior_too_a_good_sensor_keeps_its_values_and_its_error_is_that_o
     assert found.calibration is not None and found.calibration.parameters == IDENTITY
     assert found.holdout is not None and found.holdout == found.trials[0].holdout
     assert found.sphere == found.sphere_before is not None
-    values, fitted = found.reason.values, found.trials[-1].holdout
-    assert found.reason.code == "not_clearly_better" and fitted is not None
-    assert values["before_mg"] == significant(found.holdout.before.mean)
+    values = found.reason.values
+    assert found.reason.code == "not_clearly_better" and values["percent"] < 80
     assert found.holdout.before == found.holdout.after
-    assert values["after_mg"] == significant(fitted.after.mean) != values["before_mg"]
+    assert values["raw_mg"] == significant(found.sphere_before.mean)
     text = sentence(found.reason)
-    assert f"{mg(values['after_mg'])} against {mg(values['before_mg'])} mg" in text
-    assert f"{values['orientations']} orientations" in text
+    assert f"a probability of only {values['percent']:.0f} %" in text
+    assert f"{mg(values['raw_mg'])} mg before, {mg(values['error_mg'])} mg after" in text
 
 
 def test_a_sensor_that_nothing_helps_is_refused() -> None:
@@ -215,20 +214,19 @@ def test_verdicts_1_coefficients_that_beat_raw_values_are_given_with_a_warning()
     assert found.calibration == found.candidate
 
 
-def test_verdicts_1_what_is_not_expected_to_be_better_is_refused_or_left_alone() -> None:
-    far = SphereError(12.0, (5.0, 30.0), 20.0, (0, 0, 1), 0.94, 1.0)
-    sure, near = replace(far, better_everywhere=0.96), replace(far, mean=9.0)
-    raw, good = replace(far, mean=30.0), replace(far, mean=8.0)
-    for fit, before, clearly, outcome in (
-        (near, raw, True, Outcome.CALIBRATED),
-        (near, raw, False, Outcome.REFUSED),
-        (sure, raw, False, Outcome.PROVISIONAL),
-        (replace(sure, better_where_worn=0.9), raw, True, Outcome.REFUSED),
-        (far, raw, True, Outcome.REFUSED),
-        (far, good, True, Outcome.ALREADY_GOOD),
-        (near, good, False, Outcome.ALREADY_GOOD),
+def test_two_probabilities_decide() -> None:
+    """That it is better than raw values, everywhere and where worn, and that it is within the limit."""
+    far = SphereError(12.0, (5.0, 30.0), 20.0, (0, 0, 1))
+    for everywhere, worn, below, raw_below, outcome in (
+        (0.9, 0.95, 0.9, 0.0, Outcome.CALIBRATED),
+        (0.95, 0.9, 0.89, 0.0, Outcome.PROVISIONAL),
+        (0.89, 1.0, 1.0, 0.0, Outcome.PROVISIONAL),
+        (0.8, 0.8, 0.0, 1.0, Outcome.PROVISIONAL),
+        (1.0, 0.79, 1.0, 0.79, Outcome.REFUSED),
+        (0.79, 1.0, 1.0, 0.8, Outcome.ALREADY_GOOD),
     ):
-        assert outcome_by_error(fit, before, 10.0, clearly=clearly) is outcome
+        fit = replace(far, better_everywhere=everywhere, better_where_worn=worn, below_limit=below)
+        assert outcome_by_probability(fit, replace(far, below_limit=raw_below)) is outcome
 
 
 def test_verdicts_6_the_limit_is_held_against_the_error_without_the_scatter_of_rests() -> None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.results import Judgement, Outcome
@@ -177,8 +178,8 @@ def case(kind: Kind, seed: int, *, quiet: bool) -> Case:
     still = Stillness(worn, np.zeros(len(raw_g)), 0.0, float(FLOAT_LSB_PER_G), has_temperature=False)
     verdict = collected(still, np.ones(len(raw_g), np.bool_), DEFAULT).judge(how())
     found = verdict.candidate
-    raw = sphere_error_mg(sensor, np.eye(3), np.zeros(3))
-    true = raw if found is None else sphere_error_mg(sensor, found.gain(), found.offset_g())
+    raw = sphere_error_mg(sensor, Calibration("0", IDENTITY))
+    true = raw if found is None else sphere_error_mg(sensor, found)
     return Case(verdict, true, raw)
 
 

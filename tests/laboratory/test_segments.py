@@ -42,7 +42,7 @@ def test_segments_are_spread_over_the_recording(still: Stillness) -> None:
 
 
 def test_the_error_on_the_rest_is_that_of_the_scatter_and_the_claim_holds_it(still: Stillness) -> None:
-    (found,) = segments(still, 12.0, 1, DEFAULT)
+    (found,) = segments(still, 12.0, 1, replace(DEFAULT, latitude=45.5))
     assert (found.outcome, found.model) == ("calibrated", "9")
     assert found.raw_mg is not None and found.raw_mg > 20
     assert found.true_mg == pytest.approx(1.0 * np.sqrt(2 / np.pi), rel=0.15)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.points import Windows
@@ -98,15 +100,20 @@ def test_sensors_are_drawn_within_their_ranges_and_with_one_large_misalignment()
     assert places == {0, 1, 2}
 
 
+def by(scale: float = 1.0, offset_g: Sequence[float] = (0.0, 0.0, 0.0)) -> Calibration:
+    offset = (round(value * ONE) for value in offset_g)
+    return Calibration("6", (*(round(scale * ONE),) * 3, 0, 0, 0, *offset, 0, 0, 0))
+
+
 def test_the_true_error_by_hand() -> None:
-    assert sphere_error_mg(PERFECT, np.eye(3), np.zeros(3)) == pytest.approx(0, abs=1e-9)
-    assert sphere_error_mg(PERFECT, 1.01 * np.eye(3), np.zeros(3)) == pytest.approx(10)
+    assert sphere_error_mg(PERFECT, by()) == pytest.approx(0, abs=1e-5)
+    assert sphere_error_mg(PERFECT, by(1.01)) == pytest.approx(10)
     # |u + o| - 1 is o cos(angle) to first order, of which the mean size over the sphere is o / 2.
     offset = WornSensor(np.eye(3), np.array([0.0, 0.0, 0.002]))
-    assert sphere_error_mg(offset, np.eye(3), np.zeros(3)) == pytest.approx(1.0, rel=0.01)
-    assert sphere_error_mg(offset, np.eye(3), offset.offset_g) == pytest.approx(0, abs=1e-9)
+    assert sphere_error_mg(offset, by()) == pytest.approx(1.0, rel=0.01)
+    assert sphere_error_mg(offset, by(1.0, offset.offset_g)) == pytest.approx(0, abs=1e-5)
     local = WornSensor(np.eye(3), np.array([0.0, 0.0, 0.002]))
-    assert sphere_error_mg(local, np.eye(3), 0.5 * local.offset_g, local_g=0.5) == pytest.approx(0, abs=1e-9)
+    assert sphere_error_mg(local, by(1.0, 0.5 * local.offset_g), local_g=0.5) == pytest.approx(0, abs=1e-5)
 
 
 def test_true_directions_are_those_of_the_calibrated_means() -> None:
@@ -125,7 +132,7 @@ def still(tmp_path_factory: pytest.TempPathFactory) -> Stillness:
 
 def test_sensors_with_no_scatter_are_found_exactly(still: Stillness) -> None:
     plan = Simulation(2, seed=5, population=QUIET)
-    found = list(simulated(still, [(12.0, 0.0), (12.0, 12.0)], DEFAULT, plan))
+    found = list(simulated(still, [(12.0, 0.0), (12.0, 12.0)], replace(DEFAULT, latitude=45.5), plan))
     assert [(item.sensor, item.hours, item.start_h) for item in found] == [(0, 12.0, 0.0), (1, 12.0, 12.0)]
     for item in found:
         assert item.raw_mg is not None and item.raw_mg > 10

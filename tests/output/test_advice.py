@@ -38,7 +38,8 @@ CALIBRATION = {
     "model": "9", "gain": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "offset_g": [0, 0, 0], "parameters": {},
     "temperature": None, "equation": "",
     "fixed_point": {"fraction_bits": 29, "parameters": {}, "temperature_reference_mc": None,
-                    "temperature_span_c": None},
+                    "temperature_span_c": None, "bend": [0, 0, 0]},
+    "bend": None, "covariance": None,
     "optimizer": {"name": "fixed32", "arithmetic": "integer", "settings": {}, "iterations": 7,
                   "stop": "minimum", "converged": True, "operations": {}, "predicted_seconds": None},
     "gravity": {"local_g": 1.0, "latitude": None, "altitude": None}, "course": None, "standard_errors": {},
@@ -52,7 +53,7 @@ BASE = {
     "kind": "report", "schema_version": 4, "without_misalignment": None, "coverage": COVERED,
     "models_tried": [], "file_health": HEALTH, "reason": "not_determined", "values": {}, "notes": [],
     "cautions": [], "advice": [], "calibration_error_mg": ERROR, "rest_scatter_mg": 0.5, "change": None,
-    "misfits": None,
+    "misfits": None, "probability": {"better_than_raw": 1.0, "below_limit": 1.0}, "uncertainty": None,
 }  # fmt: skip
 
 
@@ -97,19 +98,21 @@ def test_what_an_interval_says(high: float | None, before: float | None, found: 
 
 
 def test_the_interval_is_that_over_all_orientations_or_else_that_of_the_hold_out() -> None:
+    """Of a calibrated recording two probabilities have decided."""
     wide = ERROR | {"ci95": [1.0, 12.5]}
     held_out = HOLDOUT | {"ci95_mg": [0.8, 12.5]}
-    assert of(calibration_error_mg=wide).cautions == (
+    assert of(calibration_error_mg=wide).cautions == ()
+    assert of(calibration_error_mg=wide, outcome="provisional").cautions == (
         Reason("error_may_reach", {"high_mg": 12.5, "everywhere": True}),
     )
-    assert of(calibration_error_mg=None, holdout=held_out).cautions == (
+    assert of(calibration_error_mg=None, probability=None, holdout=held_out).cautions == (
         Reason("error_may_reach", {"high_mg": 12.5, "everywhere": False}),
     )
     lenient = {"max_error_mg": 20.0}
     assert of(calibration_error_mg=wide, settings=lenient).cautions == (), "the limit is the settings'"
     assert refused(calibration_error_mg=wide).cautions == (), "nothing is calibrated"
     as_good = ERROR | {"ci95": [1.0, 3.0], "before": 2.0}
-    assert codes(of(calibration_error_mg=as_good).cautions) == ["no_better_than_raw"]
+    assert codes(of(calibration_error_mg=as_good, probability=None).cautions) == ["no_better_than_raw"]
     assert of(calibration_error_mg=as_good, outcome="already_good").cautions == ()
 
 
@@ -197,7 +200,7 @@ def test_completed_has_the_judges_reasons_first_and_each_advice_once() -> None:
     made = completed(report, verdict)
     assert made["advice"] == [one.as_json() for one in (*given, Reason("other_coefficients"))]
     saturated = Reason("axis_saturates", {"axis": "z", "at_g": -0.9})
-    wide = drafted(calibration_error_mg=ERROR | {"ci95": [1.0, 12.5]})
+    wide = drafted(calibration_error_mg=ERROR | {"ci95": [1.0, 12.5]}, probability=None)
     made = completed(wide, judgement(Outcome.CALIBRATED, Reason("not_determined"), cautions=(saturated,)))
     assert [one["code"] for one in made["cautions"]] == ["axis_saturates", "error_may_reach"]
 

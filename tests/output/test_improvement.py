@@ -81,6 +81,7 @@ def test_verdicts_10_it_stands_in_line_table_json_and_page(tmp_path: Path) -> No
     fields = line.split("\t")
     assert float(fields[5]) == pytest.approx(100 * factor["value"], rel=0.005)
     error = report["calibration_error_mg"]
-    assert list(map(float, fields[7:])) == pytest.approx([error["mean"], *error["ci95"]], abs=0.001)
+    better = report["probability"]["better_than_raw"]
+    assert list(map(float, fields[7:])) == pytest.approx([error["mean"], *error["ci95"], better], abs=0.001)
     said = f"{factor['value']:.0f} times smaller (95 % interval {low:.0f} to {high:.0f})"
     assert said in report["message"] and said in (tmp_path / "out" / "good.html").read_text()

@@ -38,8 +38,8 @@ def test_an_entry_keeps_what_a_report_must_have() -> None:
     kept = (
         "kind", "schema_version", "accelcal_version", "recording", "settings", "outcome", "reason", "values",
         "message", "notes", "cautions", "advice", "calibration", "without_misalignment",
-        "calibration_error_mg", "rest_scatter_mg", "change", "misfits", "holdout", "fit", "coverage",
-        "models_tried", "file_health", "provenance",
+        "calibration_error_mg", "probability", "uncertainty", "rest_scatter_mg", "change", "misfits",
+        "holdout", "fit", "coverage", "models_tried", "file_health", "provenance",
     )  # fmt: skip
     assert tuple(report_schema()["required"]) == kept
 

@@ -11,8 +11,8 @@ from tests.recordings import directions, still_counts, write_raw
 
 FIRST = [
     "path", "use", "why", "calibration_error_mg", "calibration_error_low_mg", "calibration_error_high_mg",
-    "calibration_error_before_mg", "wear_hours", "start_time", "duration_hours", "device_serial",
-    "device_model", "outcome", "decided_by", "decided_at", "note",
+    "calibration_error_before_mg", "probability_better", "wear_hours", "start_time", "duration_hours",
+    "device_serial", "device_model", "outcome", "decided_by", "decided_at", "note",
 ]  # fmt: skip
 
 

@@ -179,7 +179,7 @@ def test_coefficients_that_no_longer_hold_are_told_and_replaced(tmp_path: Path) 
     assert first["hours"] < 16 + 6 and first["in_force_mg"] > 10
     assert "its offsets jump at 2024-03-04T16:00:00, by up to 39." in known["message"]
     assert [knot["sample"] for knot in last["calibration"]["course"]["knots"]] == [0, 16 * 11_250]
-    assert last["calibration_error_mg"]["mean"] < 0.5
+    assert last["calibration_error_mg"]["ci95"][0] < 0.5
 
 
 def hours_of_rest(path: Path, number: int, jump: int) -> bytes:
