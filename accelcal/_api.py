@@ -425,7 +425,7 @@ def apply(
     *,
     first_sample: int = 0,
 ) -> NDArray[np.float32]:
-    """Calibrate raw values: a = K (v + o + s (T - Tref)).
+    """Calibrate raw values: a = K (v + q v^2 + o + s (T - Tref)).
 
     Args:
         report: a result or report with a calibration, or the path of one.

@@ -55,7 +55,7 @@ LINE = 160
 
 
 class Calibration(Answering):
-    """Coefficients, a = K (v + o + s (T - Tref)); call it with raw values.
+    """Coefficients, a = K (v + q v^2 + o + s (T - Tref)); call it with raw values.
 
     Args:
         report: a result, a report, or the path of one (NAME.calibration.json).
@@ -90,6 +90,11 @@ class Calibration(Answering):
     def offset(self) -> NDArray[np.float64]:
         """o, (3,) [g]."""
         return self._core.offset_g()
+
+    @property
+    def bend(self) -> NDArray[np.float64]:
+        """q, (3,) [per g]; zeros for a response that was taken to be straight."""
+        return self._core.bend_per_g()
 
     @property
     def slope(self) -> NDArray[np.float64]:

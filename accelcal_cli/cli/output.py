@@ -73,8 +73,11 @@ def show_result(
         row |= {"improvement_percent": holdout.improvement_percent} | factor_columns(holdout)
     row |= error_columns(report)
     refused = report.outcome == Outcome.REFUSED
-    start, told = ("What to do", report.advice) if refused else ("Caution", report.cautions)
-    remarks = () if values.get("quiet", False) else [f"{start}: {sentences.sentence(one)}" for one in told]
+    told = [("What to do", one) for one in report.advice]
+    told = told if refused else [*(("Caution", one) for one in report.cautions), *told]
+    remarks = (
+        [] if values.get("quiet", False) else [f"{start}: {sentences.sentence(one)}" for start, one in told]
+    )
     show_row(row, source, written, values, remarks, up_to_date=up_to_date)
 
 
@@ -178,8 +181,7 @@ def _errors(row: dict[str, Any]) -> list[str]:
 
 def _doubts(row: dict[str, Any], limit_mg: float | None) -> list[Reason]:
     """Return what the interval of a row says against it; no limit: the usual one."""
-    decided = row["outcome"] == Outcome.CALIBRATED and row.get("probability_better") is not None
-    if row["outcome"] == Outcome.REFUSED or decided:
+    if row["outcome"] == Outcome.REFUSED or row.get("probability_better") is not None:
         return []
     everywhere = row.get("calibration_error_mg") is not None
     high = row.get("calibration_error_high_mg" if everywhere else "ci95_high_mg")

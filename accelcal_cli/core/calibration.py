@@ -117,7 +117,7 @@ def _interpolated(left: Knot, right: Knot, into: int, apart: int) -> Knot:
 
 
 def _times(knot: Knot, factor: Fraction) -> Knot:
-    return three(_scaled(value, factor) for value in knot)
+    return three(scaled(value, factor) for value in knot)
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,15 +232,11 @@ def in_standard_g(parameters: tuple[int, ...], local_g: Fraction) -> tuple[int, 
 
     With v = u g: K (v + o g) = g K (u + o); K stays as it is, offsets and slopes grow with g.
     """
-    return (*parameters[:6], *(_scaled(value, local_g) for value in parameters[6:]))
+    return (*parameters[:6], *(scaled(value, local_g) for value in parameters[6:]))
 
 
-def bend_in_standard_g(bend: Bend, local_g: Fraction) -> Bend:
-    """Convert a bend likewise: with v = u g, (q / g) v^2 = g q u^2."""
-    return three(_scaled(value, 1 / local_g) for value in bend)
-
-
-def _scaled(value: int, factor: Fraction) -> int:
+def scaled(value: int, factor: Fraction) -> int:
+    """Return an integer times a fraction, rounded."""
     return rounded_quotient(value * factor.numerator, factor.denominator)
 
 

@@ -144,6 +144,11 @@ class SphereError:
         return min(self.better_everywhere, self.better_where_worn)
 
 
+def whole_percent(probability: float) -> float:
+    """Return a probability in whole percent, none more certain than a thousand draws can tell."""
+    return float(min(99, int(100 * probability)))
+
+
 @dataclass(frozen=True, slots=True)
 class Trial:
     """One model of the ladder.

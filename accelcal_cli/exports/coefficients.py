@@ -349,7 +349,8 @@ def cost(one: ExportedReport) -> str | None:
         parts.insert(0, "calibration error {:.2f} mg instead of {:.2f} mg".format(*means_mg))
     price = ", ".join(parts) or "the loss of accuracy is unknown, because there is too little stillness"
     models = f"{one.simple.model} ({one.whole.model} without misalignment)"
-    return f"this form cannot hold misalignment; exported model {models}: {price}"
+    what = "misalignment and bend" if any(one.whole.bend) else "misalignment"
+    return f"this form cannot hold {what}; exported model {models}: {price}"
 
 
 def temperature_note(one: ExportedReport, tool: str) -> str | None:

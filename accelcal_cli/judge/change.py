@@ -33,10 +33,10 @@ from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import Reason
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet, TimedMeans
 from accelcal_cli.core.prior import POPULATION
-from accelcal_cli.core.results import Change, ChangeKind, TimeHoldout
+from accelcal_cli.core.results import Change, ChangeKind, TimeHoldout, whole_percent
 from accelcal_cli.judge.errors import directions, residuals
 from accelcal_cli.judge.model_ladder import postures
-from accelcal_cli.judge.posterior import PossibleChange, Posterior, columns
+from accelcal_cli.judge.posterior import NOISE_FREEDOM, PossibleChange, Posterior, columns
 
 FOLDS = 5
 """Parts that stretches of time are dealt to in turn."""
@@ -253,11 +253,12 @@ def change_reason(change: Change, offset_s: int | None, *, followed: bool) -> Re
     if holdout is None or change.size_mg is None:
         if change.at_us is None or change.probability is None:
             return None
-        values = {"at": iso_time(change.at_us, offset_s), "percent": float(int(100 * change.probability))}
+        values = {"at": iso_time(change.at_us, offset_s), "percent": whole_percent(change.probability)}
         return Reason.of("may_have_changed", **values)
     errors = {"constant_mg": holdout.constant_mg, "changing_mg": holdout.changing_mg}
     what = {"kind": change.kind, "at": iso_time(change.at_us, offset_s), "size_mg": change.size_mg}
-    return Reason.of("sensor_changed", **what, followed=followed, **errors)
+    left = whole_percent(change.probability or 0.0)
+    return Reason.of("sensor_changed", **what, followed=followed, left_percent=left, **errors)
 
 
 def _falls(before: list[float], after: list[float]) -> bool:
@@ -414,9 +415,6 @@ CHANGED = 0.05
 SIZES = ((0.7, (0.01,) * 6 + (20 * MG,) * 3), (0.3, tuple(1.5 * width for width in POPULATION.width[:9])))
 """Share and widths of a change of the sensor, and of one by another sensor, whose errors are independent."""
 
-NOISE_FREEDOM = 4.0
-"""Observations that the usual noise counts like."""
-
 FAR_OFF = 3.0
 """Times the noise beyond which a rest pulls no harder."""
 
@@ -439,7 +437,7 @@ def possible_changes(
     if not starts:
         return []
     rests = _rests(means, known, scale, local_g, degrees, np.array(starts))
-    centre, held, number = -known.from_centre(), np.array(known.usual), len(known.usual)
+    centre, held, number = -known.from_centre(), known.precision(), len(known.covariance)
     changing = [place for place, index in enumerate(known.model.free) if index < len(SIZES[0][1])]
     embed = np.eye(2 * number)[:, [*range(number), *(number + place for place in changing)]]
     log, *_ = _explained(rests, rests.rows, centre, held)

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.arithmetic import ONE, mean, standard_error, student_t_probability, three
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet
-from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Misfit, MisfitKind
 from accelcal_cli.judge.errors import jacobian, residuals
 from accelcal_cli.judge.model_ladder import folds
@@ -152,7 +151,7 @@ class MisfitSearch:
             squares = float((self._weights * left * left).sum()) / float(self._weights.sum())
             curvature = (full * self._weights[:, np.newaxis]).T @ full
             used = float(np.trace(np.linalg.solve(around, curvature)))
-            noise_g = noise(used, squares, self._postures, POPULATION)
+            noise_g = noise(used, squares, self._postures, self._known.prior)
         errors = np.sqrt(self._unit(noise_g) * np.diag(np.linalg.inv(around))[-3:])
         return np.asarray(moved[-3:]), errors, noise_g
 
@@ -177,7 +176,7 @@ class MisfitSearch:
     ) -> tuple[Floats, Floats]:
         """Return the change of the parameters and c, and the curvature with their priors."""
         known, full, centre = self._known, self._rows, self._centre
-        strength = np.array(known.usual) * self._unit(noise_g)
+        strength = known.precision() * self._unit(noise_g)
         if hypothesis is not None:
             full = np.column_stack([full, hypothesis.columns])
             own = self._unit(noise_g) / (hypothesis.width * hypothesis.width)

@@ -36,8 +36,8 @@ from accelcal_cli.core.calibration import (
     PARAMETER_NAMES,
     Bend,
     Calibration,
-    bend_in_standard_g,
     in_standard_g,
+    scaled,
 )
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import (
@@ -75,9 +75,9 @@ _SCALES_AND_OFFSETS = (0, 1, 2, 6, 7, 8)
 NOISE_RANGE = 50
 """Factor by which the noise may be larger or smaller than the usual one."""
 
-WIDTHS, SHARES = (0.6, 1.2, 3.0), (0.3, 0.5, 0.2)
+WIDTHS, SHARES = (0.15, 0.6, 1.2, 3.0), (0.1, 0.25, 0.45, 0.2)
 """Width of the drawn prior, times that of the fit's, which all parameters share: a few, with the share of the
-sensors that are alike, usual and odd; docs/prior.md has what they are worth."""
+sensors that are good, alike, usual and odd; docs/prior.md has what they are worth."""
 
 DRAWN_NOISE_RANGE = 10
 """Factor by which a drawn noise may be larger or smaller than the most probable one."""
@@ -88,16 +88,17 @@ draws give the ends of the interval to about 3 % of its width."""
 
 SURE, LIKELY = 0.9, 0.8
 """Probabilities to be better than raw values, and below the limit, by which a fit is calibrated; and of being
-better, by which it is provisional (docs/verdict.md)."""
+better, by which it is provisional (docs/prior.md)."""
 
 IDEAL = Fit(IDENTITY, 0, "nothing to fit", Operations())
 
 SEED = 20181
-TAIL = 0.025
-"""Share of the draws beyond each end of the interval."""
+TAIL, GOLDEN = 0.025, (sqrt(5) - 1) / 2
+"""Share of the draws beyond each end of the interval; step that deals chains to the widths of bends."""
 
-BEND_BITS, BEND_STEPS, MOST_BEND = 20, 4, 0.1
-"""Fraction bits of a bend that is fitted, rounds in which its noise settles, and its largest size [per g]."""
+BEND_BITS, BEND_STEPS, PART_ROUNDS, MOST_BEND = 20, 3, 3, 0.1
+"""Fraction bits of a bend that is fitted, rounds in which its noise settles and in which a part of the points
+is fitted, and its largest size [per g]."""
 
 BENDS, BEND_SHARES = (0.0005, 0.003, 0.01), (0.8, 0.12, 0.08)
 """Widths [per g] that the bends of sensors have, and the share of the sensors that have each."""
@@ -135,9 +136,10 @@ class Posterior:
         prior: what was known of sensors beforehand.
         penalty: the prior at these parameters, as the fit used it; fits to parts of the points use the same.
         noise_g: standard deviation of |a| from posture to posture [g].
-        pull: slope of the log probability of the points along what is fitted: the free parameters (slopes per
-            scaled degree), then the bend for models BENT.
-        usual: precision of these by the widths of the prior.
+        pull: slope of the log probability of the points along all that is fitted: the free parameters (slopes
+            per scaled degree), then the bend for models BENT.
+        usual: precision of the free parameters by the widths of the prior.
+        chances: probability of each of BENDS.
         information: that of the points on them; covariance: theirs, by points and prior.
     """
 
@@ -149,6 +151,7 @@ class Posterior:
     noise_g: float
     pull: tuple[float, ...]
     usual: tuple[float, ...]
+    chances: tuple[float, ...]
     information: tuple[tuple[float, ...], ...]
     covariance: tuple[tuple[float, ...], ...]
 
@@ -156,16 +159,29 @@ class Posterior:
         """Return a function that fits parts of the points, with the same noise and prior."""
 
         def fits(sets: Sequence[PointSet], model: Model) -> list[Fit]:
-            whole = self.found.fit  # where a part's own fit is near, also if the ideal sensor is far
-            begin = whole.parameters, whole.bend
-            return [fit_at(points, model, self.penalty, penalized, *begin).fit for points in sets]
+            task, whole = _Task(model, self.postures, self.prior, penalized), self.found.fit
+            return [self._part(task, points, whole.parameters, whole.bend) for points in sets]
 
         return fits
+
+    def _part(self, task: _Task, points: PointSet, start: tuple[int, ...], bend: Bend) -> Fit:
+        """Fit a part of the points, which has a bend of its own, from where the whole is."""
+        for _ in range(PART_ROUNDS):
+            state = _fit_at_bend(task, points, self.penalty, self.noise_g, start, bend)
+            if state.moved() == bend:
+                break
+            start, bend = state.found.fit.parameters, state.moved()
+        return state.found.fit
 
     @property
     def bent(self) -> bool:
         """True if a bend was fitted, too."""
-        return len(self.usual) > len(self.model.free)
+        return bool(self.chances)
+
+    def precision(self) -> Floats:
+        """Return that of all that is fitted by the prior, of the bend over its widths."""
+        mean = sum(chance * width * width for chance, width in zip(self.chances, BENDS, strict=False))
+        return np.array([*self.usual, *((1 / mean,) * 3 if self.bent else ())])
 
     def places(self) -> list[int]:
         """Return the places of what is fitted among the twelve parameters and the bend."""
@@ -229,58 +245,94 @@ def posterior(
     Raises:
         DivergedError, FixedPointOverflowError: the fit raises it.
     """
-    scaled, total, bent = (
-        _scaled(prior, points),
-        sum(points.weights.tolist()) / WEIGHT_ONE,
-        model.name in BENT,
-    )
-    noise_g, start, bend, before = 2 * prior.noise_g, IDENTITY, NO_BEND, None
-    for _ in range(ROUNDS):
+    scaled, total = _scaled(prior, points), sum(points.weights.tolist()) / WEIGHT_ONE
+    task, noise_g, start, bend = _Task(model, postures, prior, fitter), 2 * prior.noise_g, IDENTITY, NO_BEND
+    seen = set[tuple[Penalty, Bend]]()
+    while len(seen) < ROUNDS:
         penalty = _penalty(scaled, prior.freedom, 4 * noise_g * noise_g / postures * total, start)
-        if (penalty, bend) == before:
+        if (penalty, bend) in seen:
             break
-        found, before = fit_at(points, model, penalty, fitter, start, bend), (penalty, bend)
-        start, strengths = found.fit.parameters, _strengths(points, model, penalty)
-        if bent:
-            found, slope = _along_bend(points, found)
-            unit = 4 * noise_g * noise_g / postures
-            precision = [value / unit for value in strengths]
-            bends = _averaged(found, slope, precision, _from_centre(found, scaled), postures, prior)
-            bend = three(_moved(q, one) for q, one in zip(bend, bends.step, strict=True))
-            strengths += [unit / bends.variance] * 3
-        spread = inverse(_held(found.curvature, strengths))
-        pairs = zip(found.curvature, zip(*spread, strict=True), strict=True)
-        # trace(H), with H the projection of the residuals on the fit: the postures that parameters use up
-        used = sum(one * other for row, column in pairs for one, other in zip(row, column, strict=True))
+        seen.add((penalty, bend))
+        state = _fit_at_bend(task, points, penalty, noise_g, start, bend)
+        used, found = state.used(), state.found
+        start, bend = found.fit.parameters, state.moved()
         noise_g = noise(used, found.mean_square, postures, prior)
-    found = fit_at(points, model, penalty, fitter, IDENTITY, before[1] if before else bend)
-    unit, away = 4 * noise_g * noise_g / postures, _from_centre(found, scaled)
-    held = [value / unit for value in _strengths(points, model, penalty)]
-    usual = [1 / scaled.widths[place] ** 2 for place in model.free]
-    pull = [strength * value for strength, value in zip(held, away, strict=True)]
-    if bent:
-        found, slope = _along_bend(points, found)
-        bends = _averaged(found, slope, held, away, postures, prior)
-        usual, covariance = [*usual, *(1 / bends.variance,) * 3], bends.covariance
-        pull += [-one / unit for one in slope]
-    information = [[value / unit for value in row] for row in found.curvature]
-    if not bent:
-        covariance = inverse(_held(information, held))
-    rows = tuple(map(tuple, information)), tuple(map(tuple, covariance))
-    return Posterior(model, found, postures, prior, penalty, noise_g, tuple(pull), tuple(usual), *rows)
+    state = _fit_at_bend(task, points, penalty, noise_g, IDENTITY, state.found.fit.bend)
+    unit, averaged = 4 * noise_g * noise_g / postures, state.averaged
+    information = [[value / unit for value in row] for row in state.found.curvature]
+    covariance = inverse(_held(information, state.held)) if averaged is None else averaged.covariance
+    return Posterior(
+        model,
+        state.found,
+        postures,
+        prior,
+        penalty,
+        noise_g,
+        pull=tuple(-one / unit for one in state.slope),
+        usual=tuple(1 / scaled.widths[place] ** 2 for place in model.free),
+        chances=() if averaged is None else averaged.chances,
+        information=tuple(map(tuple, information)),
+        covariance=tuple(map(tuple, covariance)),
+    )
 
 
-def fit_at(
-    points: PointSet,
-    model: Model,
-    penalty: Penalty,
-    fitter: PenalizedFitter,
-    start: tuple[int, ...],
-    bend: Bend,
-) -> PenalizedFit:
+class _Task(NamedTuple):
+    """All that stays the same while a posterior is found."""
+
+    model: Model
+    postures: int
+    prior: Prior
+    fitter: PenalizedFitter
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FitAtBend:
+    """A fit at a bend, and what points and prior say there.
+
+    Attributes:
+        slope: half of that of the mean of (|a|^2 - 1)^2 along all that is fitted.
+        held: precision of the prior of the free parameters.
+        unit: variance of (|a|^2 - 1) of all points together.
+        averaged: over the widths of bends; None for a model without.
+    """
+
+    found: PenalizedFit
+    slope: list[float]
+    held: list[float]
+    unit: float
+    averaged: _Averaged | None
+
+    def moved(self) -> Bend:
+        """Return the bend after a step towards its mean."""
+        bend = self.found.fit.bend
+        steps = (0.0,) * 3 if self.averaged is None else self.averaged.step
+        return three(_moved(q, one) for q, one in zip(bend, steps, strict=True))
+
+    def used(self) -> float:
+        """Return the postures that parameters use up: trace(H), H the projection of residuals on the fit."""
+        bends = [] if self.averaged is None else [1 / self.averaged.variance()] * 3
+        strengths = [self.unit * value for value in (*self.held, *bends)]
+        spread = inverse(_held(self.found.curvature, strengths))
+        return sum(_dot(row, column) for row, column in zip(self.found.curvature, spread, strict=True))
+
+
+def _fit_at_bend(
+    task: _Task, points: PointSet, penalty: Penalty, noise_g: float, start: tuple[int, ...], bend: Bend
+) -> _FitAtBend:
     """Fit the parameters to points that a bend straightens; raises what the fitter raises."""
-    found = fitter(points.straightened(bend), model, penalty, start)
-    return replace(found, fit=replace(found.fit, bend=bend))
+    found = task.fitter(points.straightened(bend), task.model, penalty, start)
+    found = replace(found, fit=replace(found.fit, bend=bend))
+    unit = 4 * noise_g * noise_g / task.postures
+    held = [value / unit for value in _strengths(points, task.model, penalty)]
+    away = [(found.fit.parameters[j] - penalty.centre[j]) / ONE for j in task.model.free]
+    slope = [
+        -unit * one * other for one, other in zip(held, away, strict=True)
+    ]  # at the minimum with the prior
+    if task.model.name not in BENT:
+        return _FitAtBend(found, slope, held, unit, None)
+    found, along = _along_bend(points, found)
+    averaged = _averaged(found, [*slope, *along], held, away, task)
+    return _FitAtBend(found, [*slope, *along], held, unit, averaged)
 
 
 def _along_bend(points: PointSet, found: PenalizedFit) -> tuple[PenalizedFit, list[float]]:
@@ -309,31 +361,30 @@ class _Averaged:
     """Mean of what is fitted over the widths that bends may have.
 
     Attributes:
+        chances: probability of each width.
         step: by which the bend is off [per g].
         covariance: of all that is fitted, over the widths.
-        variance: of bends, over the widths.
     """
 
+    chances: tuple[float, ...]
     step: list[float]
     covariance: list[list[float]]
-    variance: float
+
+    def variance(self) -> float:
+        """Return that of bends, over the widths."""
+        return _dot(self.chances, [width * width for width in BENDS])
 
 
 def _averaged(
-    found: PenalizedFit,
-    slope: list[float],
-    held: list[float],
-    away: list[float],
-    postures: int,
-    prior: Prior,
+    found: PenalizedFit, slope: list[float], held: list[float], away: list[float], task: _Task
 ) -> _Averaged:
     """Average the bend over its widths, each as probable as the points are with it (Laplace).
 
     Args:
-        found: with the curvature along the bend; slope: half of that of the objective there.
-        held: precision of the prior of the free parameters, whose centre is so far `away`.
+        found: with the curvature along the bend.
+        slope, held: see `_FitAtBend`; away: from the centre of the prior to the fit.
     """
-    size, usual = len(held) + 3, NOISE_FREEDOM * prior.noise_g**2
+    size, postures, usual = len(slope), task.postures, NOISE_FREEDOM * task.prior.noise_g**2
     away = [*away, *(q / ONE for q in found.fit.bend)]
     logs, steps, spreads = [], [], []
     for width, share in zip(BENDS, BEND_SHARES, strict=True):
@@ -342,9 +393,9 @@ def _averaged(
             unit = 4 * square / postures
             around = _held([[value / unit for value in row] for row in found.curvature], precision)
             spread = inverse(around)
-            force = [one / unit + q / (width * width) for one, q in zip(slope, away[-3:], strict=True)]
-            step = [-_dot(row[-3:], force) for row in spread]
-            fall = 2 * _dot(slope, step[-3:]) + _dot([_dot(row, step) for row in found.curvature], step)
+            force = [one / unit + p * q for one, p, q in zip(slope, precision, away, strict=True)]
+            step = [-_dot(row, force) for row in spread]
+            fall = 2 * _dot(slope, step) + _dot([_dot(row, step) for row in found.curvature], step)
             squares = postures * max(found.mean_square + fall, 0.0) / 4
             used = size - sum(strength * spread[place][place] for place, strength in enumerate(precision))
             square = (usual + squares) / (NOISE_FREEDOM + max(postures - used, 0.0))
@@ -355,20 +406,19 @@ def _averaged(
         steps.append(step)
         spreads.append(spread)
     whole = [round(CHANCE_ONE * exp(one - max(logs))) for one in logs]
-    chances = [one / sum(whole) for one in whole]
+    chances = tuple(one / sum(whole) for one in whole)
     mean = [_dot(chances, column) for column in zip(*steps, strict=True)]
     apart = [[one - middle for one, middle in zip(step, mean, strict=True)] for step in steps]
     covariance = [
         [
-            sum(
-                p * (spread[j][k] + off[j] * off[k])
-                for p, spread, off in zip(chances, spreads, apart, strict=True)
+            _dot(
+                chances, [spread[j][k] + off[j] * off[k] for spread, off in zip(spreads, apart, strict=True)]
             )
             for k in range(size)
         ]
         for j in range(size)
     ]
-    return _Averaged(mean[-3:], covariance, _dot(chances, [width * width for width in BENDS]))
+    return _Averaged(chances, mean[-3:], covariance)
 
 
 def _dot(one: Iterable[float], other: Iterable[float]) -> float:
@@ -380,11 +430,6 @@ def _moved(bend: int, step: float) -> int:
     most = round(MOST_BEND * ONE)
     moved = bend + (round(step * (1 << BEND_BITS)) << FRACTION_BITS - BEND_BITS)
     return min(max(moved, -most), most)
-
-
-def _from_centre(found: PenalizedFit, scaled: _Scaled) -> list[float]:
-    """Return the free parameters less the centres of their priors."""
-    return [(found.fit.parameters[j] - scaled.centre[j]) / ONE for j in found.model.free]
 
 
 def speaks_against(
@@ -690,15 +735,18 @@ def _independent(points: PointSet) -> float:
     return float(weights.sum() ** 2 / (weights**2).sum())
 
 
-def drawn_sensors(known: Posterior, points: PointSet, number: int, seed: int) -> list[tuple[int, ...]]:
+def drawn_sensors(
+    known: Posterior, points: PointSet, used: Bend, number: int, seed: int
+) -> list[tuple[int, ...]]:
     """Draw sensors from the posterior, each by a chain of its own: twelve fixed-point parameters of each.
 
-    All have the bend of the fit; what theirs differs by is drawn as the offset that is nearest to it on the
-    sphere. The first of many are those of few. What a library may add up in another order is far below the
-    last bit of a parameter.
+    All are for values that one bend straightens; what theirs differs by is drawn as the offset that is
+    nearest to it on the sphere. The first of many are those of few. What a library may add up in another
+    order is far below the last bit of a parameter.
 
     Args:
         points: those of the posterior.
+        used: that bend.
         seed: of the chains, from 0 to 2**32 - 1.
     """
     random, steps, free = np.random.RandomState(seed), SETTLING + 1, known.model.free
@@ -709,7 +757,8 @@ def drawn_sensors(known: Posterior, points: PointSet, number: int, seed: int) ->
     moved = _drawn(known, _independent(points), (normal, uniform))
     drawn = np.tile(np.array(known.found.fit.parameters), (number, 1))
     if known.bent:
-        moved[:, [free.index(offset) for offset in (6, 7, 8)]] += LINEAR_SHARE * moved[:, -3:]
+        other = moved[:, -3:] + (np.array(known.found.fit.bend) - np.array(used)) / ONE
+        moved[:, [free.index(offset) for offset in (6, 7, 8)]] += LINEAR_SHARE * other
     drawn[:, list(free)] += np.rint(moved[:, : len(free)] * ONE).astype(np.int64)
     return [tuple(row) for row in drawn.tolist()]
 
@@ -730,28 +779,55 @@ def _drawn(known: Posterior, most: float, numbers: tuple[Floats, Floats] | None 
         numbers: random ones as of `_random`, if not these.
     """
     normals, uniforms = _random() if numbers is None else numbers
-    chains = normals.shape[1]
-    usual, away = np.array(known.usual), known.from_centre()
+    steps, chains, _ = normals.shape
+    drawn = np.empty((steps - SETTLING, chains, len(known.covariance)))
+    # chains of each width of the bend, in an order that any number of chains begins with
+    width = np.searchsorted(np.cumsum(known.chances), np.arange(chains) * GOLDEN % 1 * 0.999)
+    for number, bend in enumerate(BENDS if known.bent else (None,)):
+        own = width == number
+        if own.any():
+            drawn[:, own] = _chains(known, most, bend, normals[:, own], uniforms[:, own], np.flatnonzero(own))
+    return drawn.reshape(-1, drawn.shape[-1])
+
+
+def _chains(
+    known: Posterior,
+    most: float,
+    bend: float | None,
+    normals: Floats,
+    uniforms: Floats,
+    numbers: NDArray[np.int64],
+) -> Floats:
+    """Draw by chains whose bends have one width [per g]; see `_drawn`.
+
+    Args:
+        numbers: those of the chains, (m,).
+
+    Returns:
+        (KEPT, m, k)
+    """
+    size, away = len(known.covariance), known.from_centre()
+    usual = np.array([*known.usual, *(() if bend is None else (bend**-2,) * 3)])
     factor = np.linalg.cholesky(np.linalg.inv(np.array(known.information) + np.diag(usual)))
     share, turn = np.linalg.eigh(factor.T * usual @ factor)
     share = np.clip(share, 0, 1)
     basis = factor @ turn
     pull, apart = basis.T @ (usual * away), float(usual @ (away * away))
-    noise = _NoiseDraws.of(known, float((1 - share).sum()), most, chains)
+    noise = _NoiseDraws.of(known, float((1 - share).sum()), most, numbers)
     # the points pull no harder than residuals allow: (r j)^2 is at most r^2 j^2 of residuals r, column j
     hardest = np.sqrt(noise.left * (1 - share))
     slope = np.clip(basis.T @ np.array(known.pull), -hardest, hardest)
-    moved, found, ratio = np.zeros((chains, len(factor))), [], noise.observed
+    moved, found, ratio = np.zeros((len(numbers), size)), [], noise.observed
     for normal, uniform in zip(normals, uniforms, strict=True):
         squares = apart + (moved * (share * moved + 2 * pull)).sum(axis=1)
-        width, ratio = _drawn_widths(squares, len(usual), uniform)[:, np.newaxis], ratio[:, np.newaxis]
+        width, ratio = _drawn_widths(squares, size, uniform)[:, np.newaxis], ratio[:, np.newaxis]
         precision = ratio * (1 - share) + width * share
-        apart_by_chance = normal[:, : len(factor)] @ turn / np.sqrt(precision)
+        apart_by_chance = normal[:, :size] @ turn / np.sqrt(precision)
         moved = (ratio * slope - width * pull) / precision + apart_by_chance
         squares = (moved * ((1 - share) * moved - 2 * slope)).sum(axis=1)
         ratio = noise.ratio(squares, normal[:, -1])
         found.append(moved)
-    return np.asarray(np.concatenate(found[SETTLING:]) @ basis.T)
+    return np.asarray(np.stack(found[SETTLING:]) @ basis.T)
 
 
 def _drawn_widths(squares: Floats, number: int, uniform: Floats) -> Floats:
@@ -784,11 +860,11 @@ class _NoiseDraws:
     squares: float
 
     @classmethod
-    def of(cls, known: Posterior, used: float, most: float, chains: int) -> _NoiseDraws:
+    def of(cls, known: Posterior, used: float, most: float, chains: NDArray[np.int64]) -> _NoiseDraws:
         """Match the prior of the noise by its slope and curvature at the best one."""
         slope, curvature = _pull(known.noise_g, known.prior)
         squares = max(curvature, 0.0) / 2
-        times = np.where(np.arange(chains) % 2, max(1.0, most / known.postures), 1.0)
+        times = np.where(chains % 2, max(1.0, most / known.postures), 1.0)
         left = max(known.postures - used + slope, 0.0)
         return cls(known.postures, times, left, slope + squares, squares)
 
@@ -832,17 +908,22 @@ def _lengths(raw: Floats, parameters: tuple[int, ...]) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnSensors:
-    """The sensors of a posterior of points in units of local gravity; see `PlausibleSensors`."""
+    """The sensors of a posterior of points in units of local gravity; see `PlausibleSensors`.
+
+    Attributes:
+        bend: that of the calibration in whose place they are plausible.
+    """
 
     known: Posterior
     points: PointSet
     gravity: Gravity
+    bend: Bend
 
     def draws(self, number: int, seed: int) -> list[Calibration]:
         """See `PlausibleSensors`."""
-        drawn = drawn_sensors(self.known, self.points, number, seed)
-        model, bend = self.known.model, self.known.found.fit.bend
-        return [_in_standard_units(model, one, bend, self.points, self.gravity) for one in drawn]
+        drawn = drawn_sensors(self.known, self.points, self.bend, number, seed)
+        model = self.known.model
+        return [_in_standard_units(model, one, self.bend, self.points, self.gravity) for one in drawn]
 
 
 def calibration_of_fit(model: str, fit: Fit, points: PointSet, gravity: Gravity) -> Calibration:
@@ -854,5 +935,5 @@ def _in_standard_units(
     model: Model, parameters: tuple[int, ...], bend: Bend, points: PointSet, gravity: Gravity
 ) -> Calibration:
     scale, local_g = points.temperature if model.has_temperature else None, gravity.local_g()
-    converted = bend_in_standard_g(bend, local_g)
+    converted = three(scaled(q, 1 / local_g) for q in bend)  # with v = u g: (q / g) v^2 = g q u^2
     return Calibration(model.name, in_standard_g(parameters, local_g), scale, gravity, bend=converted)

@@ -13,14 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import floor
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.arithmetic import interval95, mean
-from accelcal_cli.core.calibration import IDENTITY
+from accelcal_cli.core.calibration import IDENTITY, NO_BEND
 from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError, Reason
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import MODELS, Fit, Model, PenalizedFitter, PointSet, Saturated, TimedMeans
@@ -39,6 +38,7 @@ from accelcal_cli.core.results import (
     Trial,
     WithoutMisalignment,
     sides_not_up,
+    whole_percent,
 )
 from accelcal_cli.core.settings import DEFAULT, PAPER, Settings
 from accelcal_cli.core.vocabulary import PER_G, USUAL_UNITS
@@ -50,6 +50,7 @@ from accelcal_cli.judge.misfit import MisfitSearch
 from accelcal_cli.judge.model_ladder import FEWEST_POSTURES, Fitting, Sample, blocked, postures
 from accelcal_cli.judge.posterior import (
     IDEAL,
+    SURE,
     Circumstances,
     DrawnSensors,
     PossibleChange,
@@ -351,7 +352,7 @@ def _most_probable(
         changed=probable_change(changes),
         uncertainty=uncertainty_budget(known, around),
         unlike=unlike,
-        plausible=DrawnSensors(known, points, settings.gravity),
+        plausible=DrawnSensors(known, points, settings.gravity, fitted.bend),
         notes=(Reason.of("unlike_most_sensors", parameters=far),) if far else (),
     )
     decided = _outcome_of_sphere(verdict, settings)
@@ -359,7 +360,9 @@ def _most_probable(
     if outcome is Outcome.ALREADY_GOOD:
         raw = trials[0]
         assert raw.fit is not None
-        kept = replace(verdict, holdout=raw.holdout, sphere=before)
+        both = {name: getattr(sphere, name) for name in ("better_everywhere", "better_where_worn")}
+        sensors = DrawnSensors(known, points, settings.gravity, NO_BEND)
+        kept = replace(verdict, holdout=raw.holdout, sphere=replace(before, **both), plausible=sensors)
         return _complete(kept, raw.model, raw.fit, points, label, settings.gravity), errors_of
     if outcome is Outcome.REFUSED:
         return verdict, errors_of
@@ -379,10 +382,8 @@ def _contradicts_prior(
 def _with_posterior(verdict: Judgement, known: Posterior, gravity: Gravity) -> Judgement:
     """Replace the errors of least squares by those of the posterior, and add its penalty."""
     assert verdict.calibration is not None
-    errors, covariance = (
-        _in_standard_g(known.standard_errors(), gravity),
-        known.covariance_of(verdict.calibration),
-    )
+    errors = _in_standard_g(known.standard_errors(), gravity)
+    covariance = known.covariance_of(verdict.calibration)
     coverage = replace(verdict.coverage, worst_direction_mg=known.worst_direction_mg())
     return replace(
         verdict, standard_errors=errors, covariance=covariance, coverage=coverage, penalty=known.penalty
@@ -441,9 +442,10 @@ def _outcome_of_sphere(verdict: Judgement, settings: Settings) -> Decision:
         **_percents(sphere),
     } | _held_out_values(holdout)
     outcome = outcome_by_probability(sphere, before)
+    cut = (Reason("cut_recording"),) if verdict.changed[0] >= PROBABLE else ()
     if outcome is Outcome.CALIBRATED:
-        return Decision(outcome, Reason.of("calibrated", model=fitted.model, **values))
-    missing = _missing(verdict, settings)
+        return Decision(outcome, Reason.of("calibrated", model=fitted.model, **values), cut)
+    missing = cut or _missing(verdict, settings)
     if outcome is Outcome.PROVISIONAL:
         why = Reason.of("provisional", model=fitted.model, **values)
         if settings.strict:
@@ -454,9 +456,10 @@ def _outcome_of_sphere(verdict: Judgement, settings: Settings) -> Decision:
 
 
 def _percents(sphere: SphereError) -> dict[str, float]:
-    """Return the probabilities in whole percent, none more certain than the number of draws can tell."""
-    both = {"percent": sphere.probably_better(), "percent_below": sphere.below_limit}
-    return {name: float(min(99, floor(100 * value))) for name, value in both.items()}
+    return {
+        "percent": whole_percent(sphere.probably_better()),
+        "percent_below": whole_percent(sphere.below_limit),
+    }
 
 
 def _held_out_values(holdout: Holdout) -> dict[str, Any]:
@@ -475,13 +478,14 @@ def _missing(verdict: Judgement, settings: Settings) -> tuple[Reason, ...]:
     """Return what a recording lacks whose points leave too much uncertain."""
     # rests disagree about the fit itself: held-out errors of few postures are extrapolated
     coverage, scatter_mg = verdict.coverage, verdict.rest_scatter_mg
-    number = coverage.distinct_orientations
+    number, sphere = coverage.distinct_orientations, verdict.sphere
     if number < settings.min_postures:
         return (Reason.of("more_orientations", orientations=number),)
-    if verdict.changed[0] >= PROBABLE:
-        return (Reason("cut_recording"),)
+    if sphere is not None and sphere.below_limit >= SURE and settings.gravity.uncertainty_g():
+        return (Reason("give_latitude"),)
     one_sided = sides_not_up(coverage.axis_min_g, coverage.axis_max_g, settings.coverage_g)
-    if one_sided or scatter_mg is None or scatter_mg < settings.max_error_mg / 2:
+    few = one_sided or number < 2 * settings.min_postures
+    if few or scatter_mg is None or scatter_mg < settings.max_error_mg / 2:
         return _advice(coverage, settings)
     return (Reason.of("orientations_disagree", orientations=number, by_mg=scatter_mg),)
 
@@ -546,18 +550,19 @@ def _refuse_if_uncertain_on_sphere(verdict: Judgement, points: PointSet, how: Fi
         known = posterior(points, len(set(label.tolist())), MODELS["9"], POPULATION, how.judging)
     except DivergedError:
         return replace(verdict, outcome=Outcome.REFUSED, reason=DIVERGES, advice=ANOTHER_PROFILE)
-    sphere, of_best, before = sphere_errors(
-        points, label, known, (trial.fit, known.found.fit, IDEAL), Circumstances(settings.max_error_mg)
-    )
-    sensors = DrawnSensors(known, points, settings.gravity)
+    around = Circumstances(settings.max_error_mg, settings.gravity.uncertainty_g())
+    judged = (trial.fit, known.found.fit, IDEAL)
+    sphere, of_best, before = sphere_errors(points, label, known, judged, around)
+    sensors = DrawnSensors(known, points, settings.gravity, NO_BEND)
     verdict = replace(verdict, sphere=sphere, sphere_before=before, plausible=sensors)
     values: dict[str, Any] = {"error_mg": sphere.mean, "low_mg": sphere.ci95[0], "high_mg": sphere.ci95[1]}
     values["limit_mg"] = settings.max_error_mg
-    if verdict.outcome is not Outcome.REFUSED and sphere.mean >= settings.max_error_mg:
+    sure = outcome_by_probability(sphere, before) is Outcome.CALIBRATED
+    if verdict.outcome is not Outcome.REFUSED and not sure:
         over = Reason.of("calibration_error_over_limit", **values)
         verdict = Decision(Outcome.REFUSED, over, ANOTHER_PROFILE).applied_to(verdict)
     if verdict.outcome is Outcome.REFUSED:
-        suffice = of_best.mean < settings.max_error_mg and settings.optimizer != DEFAULT.optimizer
+        suffice = of_best.below_limit >= SURE and settings.optimizer != DEFAULT.optimizer
         another = (Reason.of("use_optimizer", optimizer=DEFAULT.optimizer),) if suffice else ()
         return replace(verdict, advice=(*another, *verdict.advice))
     if verdict.outcome is Outcome.CALIBRATED and trial.holdout is not None:

@@ -134,10 +134,9 @@ def _cautions(report: ReportView) -> tuple[Reason, ...]:
         unchecked = [Reason("roll_alone_checks_poses" if known.rolls else "nothing_checks_poses")]
     if made is not None and made.optimizer.converged is False:
         unchecked.append(Reason.of("not_converged", iterations=made.optimizer.iterations))
-    decided = report.outcome == Outcome.CALIBRATED and report.probability is not None
-    doubtful = (
-        [] if decided else doubts(*_interval(report), everywhere=report.calibration_error_mg is not None)
-    )
+    doubtful: list[Reason] = []
+    if report.probability is None:  # else they have decided
+        doubtful = doubts(*_interval(report), everywhere=report.calibration_error_mg is not None)
     return (
         *of_device(report.recording.device),
         *unchecked,
@@ -286,7 +285,7 @@ def page_verdict(report: ReportView) -> PageVerdict:
         "care" if doubtful else "good",
         f"{opening}.",
         details or reason,
-        (meaning.to_do, *map(sentences.sentence, report.cautions)),
+        (meaning.to_do, *map(sentences.sentence, (*report.cautions, *report.advice))),
         (sentences.error_sentence(report), *_meaning_of_error(report)),
     )
 
@@ -297,7 +296,10 @@ def _meaning_of_error(report: ReportView) -> Iterator[str]:
     if error is None:
         return
     yield f"The limit is {number(report.setting('max_error_mg', LIMIT_MG))} mg."
-    scatter = "" if report.rest_scatter_mg is None else f" of {number(report.rest_scatter_mg, 2)} mg"
+    changed = report.change is not None and (report.change.probability or 0.0) >= 0.5
+    scatter = (
+        "" if report.rest_scatter_mg is None or changed else f" of {number(report.rest_scatter_mg, 2)} mg"
+    )
     yield (
         "While the device is still, the mean |a| of an epoch is expected to be off by as much, on average "
         f"over all orientations, and by {number(error.before, 2)} mg without calibration. ENMO at rest also "

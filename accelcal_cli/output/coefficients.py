@@ -53,7 +53,7 @@ STRETCH = (0.5, 2.0)
 """Bounds of the gains of a sensor, far beyond those that measure about 1 g at rest (0.5 to 1.5 g)."""
 LARGEST_OFFSET_G = 1.0
 LARGEST_SLOPE_G_PER_C = 0.1
-LARGEST_BEND = 0.1
+LARGEST_BEND = 0.2
 ABSOLUTE_ZERO_MC = -273_150
 LAST_SAMPLE = 1 << 53
 LEAST, LARGEST = 1e-7, 1e3

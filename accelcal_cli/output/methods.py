@@ -130,6 +130,9 @@ def _model(report: ReportView, calibration: CalibrationSection) -> str:
         equation = "a = K (v + o + s (T − Tref))"
         symbols = "K a 3 × 3 matrix, o the offsets at temperature Tref, and s their slopes with temperature T"
         source += f"; the change of the offsets with temperature as in {VAN_HEES}"
+    if calibration.bend is not None:
+        equation = equation.replace("(v ", "(v + q v² ")
+        symbols += ", and q the bend of each axis (after Ang, Khosla and Riviere, 2007)"
     return (
         f"The model {equation} corrects {corrections_of(calibration.model)} ({source}), where v is the raw "
         f"acceleration, a the calibrated one, {symbols}."

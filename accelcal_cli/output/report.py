@@ -453,6 +453,7 @@ def draws_json(data: ReportInput, number: int) -> dict[str, Any]:
         "equation": sections.EQUATION,
         "reference_c": drawn[0].reference_c() if drawn else None,
         "parameters": list(PARAMETER_NAMES),
+        "bend_per_g": drawn[0].bend_per_g().tolist() if drawn else None,
         "draws": [
             [to_float(value) for value in one.parameters[:9]] + one.slope_g_per_c().tolist() for one in drawn
         ],

@@ -227,6 +227,7 @@ PARAMETERS = {
     **{f"k_{axis}{axis}": f"scale of {axis}" for axis in "xyz"},
     **{f"k_{row}{of}": f"misalignment: {of} in {row}" for row in "xyz" for of in "xyz" if row != of},
     **{f"o{axis}": f"offset of {axis} [g]" for axis in "xyz"},
+    **{f"q{axis}": f"bend of {axis} [per g]" for axis in "xyz"},
     **{f"s{axis}": f"change of the offset of {axis} [g per °C]" for axis in "xyz"},
 }
 """Meaning of each parameter of a calibration."""
@@ -265,8 +266,9 @@ OUTCOMES = {
     "calibrated": OutcomeWords("calibrated", "Use the calibrated recording.", "use them"),
     "provisional": OutcomeWords(
         "calibrated provisionally",
-        "Use the calibrated recording with care: it beats the raw data, but its error may exceed the limit.",
-        "use them with care: better than the raw data, but the error may exceed the limit",
+        "Use the calibrated recording with care: it is probably better than the raw data, but this, or an "
+        "error within the limit, is not certain enough.",
+        "use them with care: probably better than the raw data, but the error may exceed the limit",
     ),
     "reduced_model": OutcomeWords(
         "calibrated in part",
@@ -275,7 +277,7 @@ OUTCOMES = {
     ),
     "already_good": OutcomeWords(
         "good as it is",
-        "Use the recording as it is: its raw values are no worse than calibrated ones would be.",
+        "Use the recording as it is: a calibration would not clearly be better.",
         "use them as they are: the raw data were good",
         headline="good as it is, no correction needed",
     ),
@@ -395,11 +397,15 @@ def _changed(values: Values) -> str:
     text = f"The sensor changed during the recording: {what}, by up to {values['size_mg']:.1f} mg."
     if values.get("followed") is None:  # in a study's table
         return text
+    if values["followed"] and values.get("left_percent", 0) >= 50:
+        left = f"with a probability of {values['left_percent']:.0f} % it changed by more"
+        return f"{text} The calibration follows it only in part: {left}."
     if values["followed"]:
         return f"{text} The calibration follows it."
     return (
-        f"{text} One calibration for all of the recording leaves {mg(values['constant_mg'])} mg, "
-        f"one that follows the sensor would leave {mg(values['changing_mg'])} mg."
+        f"{text} In the recorded orientations one calibration for all of the recording leaves "
+        f"{mg(values['constant_mg'])} mg, one that follows the sensor would leave "
+        f"{mg(values['changing_mg'])} mg."
     )
 
 
@@ -465,7 +471,8 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "nothing_but_filled": "No still window was found: {filled_percent:.1f} % of the samples are filled, "
     "such as rows of zeros. The device did not measure then.",
     "nothing_near_quietest": "No other window comes near the quietest one of the recording.",
-    "constant_values": "Every still window holds one constant value: the sensor was off or asleep.",
+    "constant_values": "Every still window holds one constant value: the sensor was off or asleep, "
+    "or its counts are coarser than its noise.",
     "nothing_but_saturated": "In every still window an axis stays at one value, beyond which it seems to "
     "measure nothing.",
     "too_few_orientations": "The device was still in only {orientations:n orientation}, and at least "
@@ -523,7 +530,7 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "optimizer_never_fits": "Optimizer {optimizer} fits no {what}.",
     "nothing_held_out": "Nothing was held out, so the error is not known.",
     # notes
-    "unlike_most_sensors": "The sensor is farther off than most ({parameters:list}): the interval is wider.",
+    "unlike_most_sensors": "The sensor is farther off than most ({parameters:list}).",
     "axes_alike": "The axes {axes:list} hold the same values throughout. Give each axis its own "
     "column or field.",
     "axis_stuck": _stuck,
@@ -535,8 +542,9 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "(--columns).",
     "wrong_counts_per_g": "{of_what} {median_g:.3g} g instead of 1 g. {fits:.4g} counts per g would fit "
     "instead of {lsb_per_g:.6g}: check --lsb-per-g and the layout.",
-    "rest_scatters": "Gravity measures anything from {low_g:.2f} to {high_g:.2f} g at rest, more than scale "
-    "and offset explain. Check the columns, or the places and types of the fields.",
+    "rest_scatters": "Gravity measures anything from {low_g:.2f} to {high_g:.2f} g at rest, more than "
+    "offsets explain. An axis may have another scale: check its unit and range, the columns, or the places "
+    "and types of the fields.",
     "prior_learnt": lambda values: f"The prior was learnt from {_learnt_from(values)}.",
     "other_stillness": "By the x axis alone this recording would be refused. It was judged with "
     "{options} instead.",
@@ -601,15 +609,17 @@ SENTENCES: dict[str, str | Callable[[Values], str]] = {
     "scatter_over_limit": "The still windows scatter by {scatter_mg:mg} mg: slow movement may have passed as "
     "stillness (--stillness), or the sensor may be faulty.",
     "known_fault": _known_fault,
-    "axis_saturates": "The {axis} axis saturates at {at_g:.2f} g, below its stated range.",
+    "axis_saturates": "The {axis} axis saturates at {at_g:.2f} g: it measures nothing beyond.",
     "misfit": _misfit,
     "sensor_changed": _changed,
     "may_have_changed": "The sensor changed during the recording with a probability of {percent:.0f} %, most "
     "probably about {at:time}. The interval counts that.",
+    "change_not_looked_for": "A change of the sensor was not looked for: a table of windows has no times.",
+    "give_latitude": "Say where the device was, since gravity differs by place (--latitude).",
     "cut_recording": "Cut the recording where the sensor changed, and calibrate the parts.",
     "error_may_reach": lambda values: (
-        f"The error may reach {mg(values['high_mg'])} mg "
-        f"{'in orientations that are not in the recording' if values['everywhere'] else 'on average'}. "
+        f"The error may be {mg(values['high_mg'])} mg on average"
+        f"{' over all orientations, and more in single ones' if values['everywhere'] else ''}. "
         "Do not rely on it where a few mg matter."
     ),
     "no_better_than_raw": "The calibrated data may be no better than the raw data: the interval includes "

@@ -168,6 +168,8 @@ def _coefficients(calibration: CalibrationSection) -> PageTable:
     if calibration.temperature is not None:
         slopes = calibration.temperature.slope_g_per_c
         values |= {f"s{axis}": slope for axis, slope in zip("xyz", slopes, strict=True)}
+    if calibration.bend is not None:
+        values |= {f"q{axis}": q for axis, q in zip("xyz", calibration.bend.quadratic, strict=True)}
     rows = [
         [name, PARAMETERS.get(name, ""), millionths(value), millionths(errors.get(name))]
         for name, value in values.items()

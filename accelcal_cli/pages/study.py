@@ -277,7 +277,7 @@ class _Entry:
         self.copy_of: str | None = self.row["copy_of"]
         self.message: str = self.row["message"] or ""
         self.changed = self.row["change"] not in (None, "none")
-        decided = self.outcome == Outcome.CALIBRATED and self.row["probability_better"] is not None
+        decided = self.row["probability_better"] is not None
         has = {
             "failed": self.row["outcome"] == "failed",
             "changed": self.changed,

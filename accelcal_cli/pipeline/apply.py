@@ -254,11 +254,12 @@ class DonorCoefficients(Judge):
         if self.relation is Relation.OWN and "unchecked" in report.get(KNOWN, {}):
             copied = (*copied, KNOWN)  # which says why there is no error
         section, used = report["calibration"], self.calibration
-        errors = section["standard_errors"]
+        errors, spread = section["standard_errors"], section["covariance"]
         if used != self.donor.calibration and errors is not None:
-            errors = {name: errors[name] for name in errors if not name.startswith("s")}  # without slopes
+            errors, spread = {name: errors[name] for name in errors if not name.startswith("s")}, None
         optimizer = {**section["optimizer"], "converged": section["optimizer"].get("converged")}
-        section = {**section, **coefficients_json(used), "standard_errors": errors, "optimizer": optimizer}
+        section = {**section, **coefficients_json(used), "standard_errors": errors}
+        section |= {"covariance": spread, "optimizer": optimizer}
         return {"calibration": section, **{name: report.get(name) for name in copied}}
 
 

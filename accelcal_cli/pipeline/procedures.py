@@ -238,6 +238,10 @@ class TimedCellProcedure(CellProcedure):
         search = ChangeSearch(self.means())
         change = search.find(about)
         probability, before = verdict.changed
+        if change.kind != "none" and probability < PROBABLE:  # orientations that alternate look like one
+            assert change.holdout is not None
+            still = replace(change.holdout, changing_mg=None, standard_error_mg=None)
+            change = Change("none", None, still)
         change = replace(change, probability=probability)
         if change.kind == "none" and probability >= PROBABLE:
             change = replace(change, at_block=round(before * self.means().blocks()))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -143,6 +144,7 @@ def _report(table: PointTable, settings: Settings, path: Path, digest: str, size
     fitter = fitting(settings)
     why_none = NOT_NEAR if found.implausible else NO_POINTS
     verdict = judge(found.points, fitter, why_none, found.label, found.saturated)
+    verdict = replace(verdict, notes=(*verdict.notes, Reason("change_not_looked_for")))
     fit = verdict.fit
     data = PointsInput(
         path=path,

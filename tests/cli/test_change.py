@@ -84,7 +84,7 @@ def test_never_only_tells(tmp_path: Path) -> None:
     assert report["change"]["kind"] == "step" and report["calibration"]["course"] is None
     (change,) = [one["values"] for one in report["cautions"] if one["code"] == "sensor_changed"]
     assert change["followed"] is False and change["constant_mg"] > 2 * change["changing_mg"]
-    assert "One calibration for all of the recording leaves" in told(report, "sensor_changed")
+    assert "one calibration for all of the recording leaves" in told(report, "sensor_changed")
     assert still_errors_mg(tmp_path / "jumps.calibrated.parquet").mean() > 3
 
 

@@ -25,7 +25,8 @@ def test_coefficients_are_printed_and_what_they_cost_is_said(tmp_path: Path, cap
     for form, start in starts.items():
         ran = run(capsys, "export", report, "--to", form)
         assert ran.code == 0 and ran.out.startswith(start), ran
-        what = f"{report}: this form cannot hold misalignment; exported model 6T (9T without misalignment): "
+        model = "exported model 6T (9T without misalignment): "
+        what = f"{report}: this form cannot hold misalignment and bend; {model}"
         assert what in ran.err
         assert run(capsys, "export", report, "--to", form, "-q").err == ""
 

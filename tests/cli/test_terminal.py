@@ -28,7 +28,7 @@ UNCERTAIN = (
     "Caution: The calibrated data may be no better than the raw data: the interval includes the error before "
     "calibration (13.5 mg)."
 )
-REACH = "Caution: The error may reach {} mg {}. Do not rely on it where a few mg matter."
+REACH = "Caution: The error may be {} mg {}. Do not rely on it where a few mg matter."
 ERRORS = {
     "calibration_error_mg": 4.1,
     "calibration_error_low_mg": 1.5,
@@ -73,7 +73,9 @@ def test_with_a_prior_the_interval_is_that_of_the_sphere() -> None:
     """The raw error on postures left out, 13.5 mg, lies in their own interval, which is not shown."""
     assert shown(ROW | ERRORS).count("\n") == 1
     wide = shown(ROW | ERRORS | {"calibration_error_high_mg": 12.0})
-    assert wide.endswith(f"  {REACH.format(12, 'in orientations that are not in the recording')}\n")
+    assert wide.endswith(
+        f"  {REACH.format(12, 'on average over all orientations, and more in single ones')}\n"
+    )
     doubtful = shown(ROW | ERRORS | {"calibration_error_before_mg": 9.5})
     assert doubtful.endswith(f"\n  {UNCERTAIN.replace('13.5', '9.5')}\n")
     assert "no better" not in shown(

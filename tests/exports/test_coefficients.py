@@ -193,7 +193,8 @@ def test_a_report_hands_on_its_fit_without_misalignment_and_what_that_costs(tmp_
     assert six > 5 * nine
     everywhere = [one["calibration_error_mg"]["mean"] for one in (section, report)]
     assert cost(found) == (
-        "this form cannot hold misalignment; exported model 6T (9T without misalignment): calibration error "
+        "this form cannot hold misalignment and bend; exported model 6T (9T without misalignment): "
+        "calibration error "
         f"{everywhere[0]:.2f} mg instead of {everywhere[1]:.2f} mg, "
         f"held-out error {six:.2f} mg instead of {nine:.2f} mg"
     )

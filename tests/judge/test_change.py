@@ -12,10 +12,15 @@ import pytest
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Calibration, TemperatureScale
 from accelcal_cli.core.errors import significant
-from accelcal_cli.core.points import TimedMeans
+from accelcal_cli.core.points import MODELS, TimedMeans
+from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Change
-from accelcal_cli.judge.change import ChangeSearch, change_reason
+from accelcal_cli.judge.change import ChangeSearch, change_reason, possible_changes, probable_change
+from accelcal_cli.judge.model_ladder import postures
+from accelcal_cli.judge.posterior import posterior
+from accelcal_cli.optimize.fixed32 import OPTIMIZER
 from accelcal_cli.output.sentences import sentence
+from tests.optimize.oracle import points
 
 GAIN = np.array([[1.02, 0.0, 0.0], [0.012, 0.985, 0.0], [-0.008, 0.006, 1.01]])
 OFFSET_G = np.array([0.03, -0.02, 0.045])
@@ -166,7 +171,7 @@ def test_a_change_is_a_caution_with_its_size_and_what_it_leaves() -> None:
     assert caution is not None and caution.code == "sensor_changed"
     assert caution.values["kind"] == "step" and caution.values["size_mg"] == significant(found.size_mg or 0)
     text = sentence(caution)
-    assert "its offsets jump at" in text and f"up to {found.size_mg:.1f} mg. One calibration for all" in text
+    assert "its offsets jump at" in text and f"up to {found.size_mg:.1f} mg. In the recorded" in text
     followed = change_reason(found, None, followed=True)
     assert followed is not None and sentence(followed).endswith(" The calibration follows it.")
 
@@ -209,3 +214,40 @@ def small(part: float, raw: np.ndarray, block: np.ndarray) -> np.ndarray:
 def test_what_hardly_changes_the_error_is_no_alarm_however_clear_it_is(part: float, kind: str) -> None:
     """4 % less is clear by six standard errors, and nobody's concern; 7 % less is told."""
     assert find_change(means(partial(small, part), hours=300, noise_g=0.0025), calibration()).kind == kind
+
+
+def probability(course: Course, seed: int = 1, noise_g: float = 0.0018) -> tuple[float, float]:
+    """Probability of a change, and the share of the time before it, by the posterior of the same rests."""
+    seen = means(course, seed=seed, hours=32, noise_g=noise_g)
+    held = points(seen.mean_g)
+    assert OPTIMIZER.fit_penalized is not None
+    number = int(postures(held, 15.0).max()) + 1
+    known = posterior(held, number, MODELS["9"], POPULATION, OPTIMIZER.fit_penalized)
+    return probable_change(possible_changes(seen, known, None, 1.0, 15.0))
+
+
+def half_way(raw: np.ndarray, block: np.ndarray) -> np.ndarray:
+    return raw + np.outer(block >= 16, [0.025, -0.020, 0.025])
+
+
+def late(raw: np.ndarray, block: np.ndarray) -> np.ndarray:
+    other = (raw + OFFSET_G) @ GAIN.T @ np.linalg.inv(np.diag([0.97, 1.02, 0.98])).T - [0.0, 0.05, -0.03]
+    return np.where((block >= 24)[:, None], other, raw)
+
+
+@pytest.mark.parametrize(("course", "before"), [(half_way, 0.5), (late, 0.75)])
+def test_a_change_has_its_probability_and_its_eighth_of_the_time(course: Course, before: float) -> None:
+    found, share = probability(course)
+    assert found > 0.95 and share == before
+
+
+def test_a_sensor_that_stays_as_it_is_has_probably_not_changed() -> None:
+    assert max(probability(constant, seed)[0] for seed in range(12)) < 0.3
+
+
+def test_an_hour_leaves_no_moment_for_a_change() -> None:
+    seen = means(constant, hours=1)
+    held = points(seen.mean_g)
+    assert OPTIMIZER.fit_penalized is not None
+    known = posterior(held, 8, MODELS["9"], POPULATION, OPTIMIZER.fit_penalized)
+    assert possible_changes(seen, known, None, 1.0, 15.0) == [] and probable_change([]) == (0.0, 0.0)

@@ -142,7 +142,8 @@ def test_with_a_prior_too_a_good_sensor_keeps_its_values_and_its_error_is_that_o
     assert found.outcome is Outcome.ALREADY_GOOD
     assert found.calibration is not None and found.calibration.parameters == IDENTITY
     assert found.holdout is not None and found.holdout == found.trials[0].holdout
-    assert found.sphere == found.sphere_before is not None
+    assert found.sphere is not None and found.sphere_before is not None
+    assert found.sphere.mean == found.sphere_before.mean and 0 < found.sphere.probably_better() < 0.8
     values = found.reason.values
     assert found.reason.code == "not_clearly_better" and values["percent"] < 80
     assert found.holdout.before == found.holdout.after

@@ -98,11 +98,11 @@ def test_what_an_interval_says(high: float | None, before: float | None, found: 
 
 
 def test_the_interval_is_that_over_all_orientations_or_else_that_of_the_hold_out() -> None:
-    """Of a calibrated recording two probabilities have decided."""
+    """Where no probabilities have decided."""
     wide = ERROR | {"ci95": [1.0, 12.5]}
     held_out = HOLDOUT | {"ci95_mg": [0.8, 12.5]}
     assert of(calibration_error_mg=wide).cautions == ()
-    assert of(calibration_error_mg=wide, outcome="provisional").cautions == (
+    assert of(calibration_error_mg=wide, probability=None).cautions == (
         Reason("error_may_reach", {"high_mg": 12.5, "everywhere": True}),
     )
     assert of(calibration_error_mg=None, probability=None, holdout=held_out).cautions == (

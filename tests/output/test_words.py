@@ -104,6 +104,8 @@ FIT |= {"percent": 99.0, "percent_below": 97.0}
 
 EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "beyond_range": [{}],
+    "change_not_looked_for": [{}],
+    "give_latitude": [{}],
     "cut_recording": [{}],
     "may_have_changed": [{"at": "2024-03-04T09:00:00.000000", "percent": 98.0}],
     "no_longer_fits": [
@@ -313,6 +315,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
             "at": "2024-03-04T16:00:00.000000" if kind in ("step", "gain", "device") else None,
             "size_mg": 39.5,
             "followed": followed,
+            "left_percent": 80.0 if kind == "walk" else 2.0,
             "constant_mg": 12.5,
             "changing_mg": 2.0,
         }
