@@ -154,8 +154,9 @@ def gt3x(folder: Path, rate: int = 50) -> Path:
             log.append(make_gt3x.record(make_gt3x.LUX, second, struct.pack("<H", 100 * number)))
         if number == 3:
             log.append(make_gt3x.record(4, second, b"\x48"))
+            log.append(make_gt3x.record(make_gt3x.LUX, second, b"\1"))  # too small to hold a value
         log.append(make_gt3x.activity(second, counts(rate) + number))
-    log.append(make_gt3x.battery(begin + 500))
+    log += [make_gt3x.battery(begin + 500), make_gt3x.record(make_gt3x.LUX, begin + 500, b"\1")]
     return make_gt3x.written(folder / "a.gt3x", log)
 
 

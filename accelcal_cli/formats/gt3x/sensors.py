@@ -289,8 +289,13 @@ class Reading:
     dtype: str
     per_unit: int = 1
 
+    @property
+    def least_bytes(self) -> int:
+        """Bytes of payload of a record that holds it."""
+        return self.offset + np.dtype(self.dtype).itemsize
+
     def values(self, buffer: NDArray[np.uint8], records: Records) -> NDArray[np.float64]:
-        """Return the values of records of this kind, (k,)."""
+        """Return the values of records of this kind that are large enough, (k,)."""
         data = payloads_of(buffer, records.start + self.offset, np.dtype(self.dtype).itemsize)
         return data.view(self.dtype)[:, 0] / self.per_unit
 

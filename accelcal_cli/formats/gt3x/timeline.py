@@ -145,7 +145,8 @@ class PlacedReadings:
     def take(self, batch: RecordBatch) -> None:
         """Take the readings of the next batch."""
         for number, reading in enumerate(self._readings):
-            records = batch.records.select(batch.records.kind == reading.kind)
+            whole = batch.records.size >= reading.least_bytes
+            records = batch.records.select((batch.records.kind == reading.kind) & whole)
             values = reading.values(batch.page.buffer, records)
             found = np.stack([records.second, np.full(len(records), number), values], axis=1)
             self._waiting = np.concatenate((self._waiting, found))

@@ -404,3 +404,10 @@ def test_t17_a_mark_in_the_middle_is_a_bad_line_whatever_the_chunk_size(
     found = read(written(tmp_path, "\ufeff" + text), chunk_samples)
     assert len(found.counts) == 700
     assert [(problem.count, problem.place) for problem in found.problems] == [(1, "from line 402 on")]
+
+
+def test_damage_in_the_second_row_does_not_hide_the_first(tmp_path: Path) -> None:
+    rows = "".join(f"2024-03-04 00:00:{n:02d},{0.01 * n:.2f},0.10,0.99\n" for n in range(40))
+    found = read(written(tmp_path, "time,x,y,z\n" + rows.replace("0.01,0.10", "\ufeff,0.10", 1)))
+    assert len(found.g) == 39 and found.g[0, 0] == 0 and found.g[1, 0] == pytest.approx(0.02, abs=1e-6)
+    assert [(one.count, one.place) for one in found.problems] == [(1, "from line 3 on")]

@@ -585,6 +585,11 @@ class _DelimiterTrial:
         below = self.raw_lines[first : first + SAMPLE_ROWS]
         sample, columns = numbered_rows(below, self.normaliser, first + 1, len(self.kinds)), len(self.kinds)
         names, units, names_line = self._names(first, [row for _, row in sample if len(row) == columns])
+        if names is not None:  # a line with a damaged cell does not hide the rows above it
+            between = range(names_line + (units is not None), first)
+            first = next(filter(self._is_row_line, between), first)
+            below = self.raw_lines[first : first + SAMPLE_ROWS]
+            sample = numbered_rows(below, self.normaliser, first + 1, columns)
         named = 0 if names is None else len(names)
         if not self.is_sure and named < columns:
             return None
@@ -632,6 +637,10 @@ class _DelimiterTrial:
             number -= 1
         names_axes = number >= 0 and names_all_axes(self._cells(number))
         return number + 1 if names_axes else first
+
+    def _is_row_line(self, number: int) -> bool:
+        rows = _rows([self.raw_lines[number]], self.normaliser)
+        return any(self._is_row(row if self.is_sure else fitted(row, len(self.kinds))) for row in rows)
 
     def _is_row(self, row: list[str]) -> bool:
         if len(row) != len(self.kinds):
