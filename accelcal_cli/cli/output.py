@@ -73,11 +73,10 @@ def show_result(
         row |= {"improvement_percent": holdout.improvement_percent} | factor_columns(holdout)
     row |= error_columns(report)
     refused = report.outcome == Outcome.REFUSED
-    told = [("What to do", one) for one in report.advice]
-    told = told if refused else [*(("Caution", one) for one in report.cautions), *told]
-    remarks = (
-        [] if values.get("quiet", False) else [f"{start}: {sentences.sentence(one)}" for start, one in told]
-    )
+    cautions = () if refused else report.cautions
+    told = [("Caution", one) for one in cautions] + [("What to do", one) for one in report.advice]
+    told = [] if values.get("quiet", False) else told
+    remarks = [f"{start}: {sentences.sentence(one)}" for start, one in told]
     show_row(row, source, written, values, remarks, up_to_date=up_to_date)
 
 

@@ -144,6 +144,10 @@ class SphereError:
         return min(self.better_everywhere, self.better_where_worn)
 
 
+PROBABLE = 0.5
+"""Probability of a change of the sensor from which it is said, and rests are not blamed for it."""
+
+
 def whole_percent(probability: float) -> float:
     """Return a probability in whole percent, none more certain than a thousand draws can tell."""
     return float(min(99, int(100 * probability)))
@@ -257,7 +261,6 @@ class UncertaintyPart:
     Attributes:
         mg: root of the mean square over all directions; axes_mg: with x, y or z up or down.
         worst_mg: in the direction where all parts together are largest.
-        share_percent: of the sum of the mean squares.
     """
 
     source: Annotated[UncertaintySource, Key("Where it comes from")]
@@ -323,7 +326,7 @@ class Judgement:
         change: how the sensor changed during the recording; None if this was not looked for.
         misfits: kinds of behaviour that were tested; None if none were.
         changed: probability that the sensor changed during the recording, beyond what is followed, and the
-            share of the time after which it most probably did.
+            share of the time after which it most probably did; None without a posterior.
         uncertainty: parts of that of |a| at rest; None without a posterior.
         unlike: True if the points speak against a prior that was learnt from other recordings.
         without_misalignment: for a calibration with misalignment; None if that cannot be fitted.
@@ -350,11 +353,15 @@ class Judgement:
     rest_scatter_mg: float | None = None
     change: Change | None = None
     misfits: tuple[Misfit, ...] | None = None
-    changed: tuple[float, float] = (0.0, 0.0)
+    changed: tuple[float, float] | None = None
     uncertainty: tuple[UncertaintyPart, ...] | None = None
     unlike: bool = False
     without_misalignment: WithoutMisalignment | None = None
     plausible: PlausibleSensors | None = field(default=None, compare=False)
+
+    def probably_changed(self) -> bool:
+        """Return True if the sensor probably changed, beyond what is followed."""
+        return self.changed is not None and self.changed[0] >= PROBABLE
 
     def draws(self, number: int, sha256: str) -> list[Calibration]:
         """Return plausible calibrations instead of this one, with its correction; none without a posterior.

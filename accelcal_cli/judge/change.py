@@ -33,7 +33,7 @@ from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import Reason
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet, TimedMeans
 from accelcal_cli.core.prior import POPULATION
-from accelcal_cli.core.results import Change, ChangeKind, TimeHoldout, whole_percent
+from accelcal_cli.core.results import PROBABLE, Change, ChangeKind, TimeHoldout, whole_percent
 from accelcal_cli.judge.errors import directions, residuals
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.posterior import NOISE_FREEDOM, PossibleChange, Posterior, columns
@@ -257,8 +257,9 @@ def change_reason(change: Change, offset_s: int | None, *, followed: bool) -> Re
         return Reason.of("may_have_changed", **values)
     errors = {"constant_mg": holdout.constant_mg, "changing_mg": holdout.changing_mg}
     what = {"kind": change.kind, "at": iso_time(change.at_us, offset_s), "size_mg": change.size_mg}
-    left = whole_percent(change.probability or 0.0)
-    return Reason.of("sensor_changed", **what, followed=followed, left_percent=left, **errors)
+    left = change.probability is not None and change.probability >= PROBABLE
+    in_part = whole_percent(change.probability or 0.0) if followed and left else None
+    return Reason.of("sensor_changed", **what, followed=followed, left_percent=in_part, **errors)
 
 
 def _falls(before: list[float], after: list[float]) -> bool:

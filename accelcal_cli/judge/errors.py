@@ -119,17 +119,16 @@ def uncertainty(points: PointSet, parameters: tuple[int, ...], model: Model) -> 
     covariance = np.asarray(variance * np.linalg.inv(weighted.T @ weighted), np.float64)
     errors = np.zeros(12)
     errors[free] = np.sqrt(np.diag(covariance))
-    worst = worst_direction_mg(parameters, free, covariance)
+    worst = worst_direction_mg(jacobian(directions(), None, parameters)[:, free], covariance)
     return Uncertainty(tuple(errors.tolist()), float(singular[0] / singular[-1]), worst)
 
 
-def worst_direction_mg(parameters: tuple[int, ...], free: list[int], covariance: Floats) -> float:
+def worst_direction_mg(rows: Floats, covariance: Floats) -> float:
     """Return the largest standard error of |a| over directions of the sphere [mg].
 
     Args:
-        free: indices of the free parameters; covariance: theirs.
+        rows: (n, k) d(|a|^2 - 1)/dp in each direction; covariance: (k, k) of p.
     """
-    rows = jacobian(directions(), None, parameters)[:, free]
     variances = np.einsum("ni,ij,nj->n", rows, covariance, rows)
     return float(500 * np.sqrt(variances.max()))  # a standard error of |a|^2 is twice that of |a|
 

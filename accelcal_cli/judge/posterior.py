@@ -55,7 +55,7 @@ from accelcal_cli.core.points import (
 )
 from accelcal_cli.core.prior import Prior
 from accelcal_cli.core.results import Outcome, SphereError, UncertaintyPart, UncertaintySource
-from accelcal_cli.judge.errors import directions, jacobian, residuals
+from accelcal_cli.judge.errors import directions, jacobian, residuals, worst_direction_mg
 from accelcal_cli.judge.model_ladder import FitFunction
 
 ROUNDS = 60
@@ -91,6 +91,7 @@ SURE, LIKELY = 0.9, 0.8
 better, by which it is provisional (docs/prior.md)."""
 
 IDEAL = Fit(IDENTITY, 0, "nothing to fit", Operations())
+"""The ideal sensor, by which raw values are judged."""
 
 SEED = 20181
 TAIL, GOLDEN = 0.025, (sqrt(5) - 1) / 2
@@ -180,8 +181,7 @@ class Posterior:
 
     def precision(self) -> Floats:
         """Return that of all that is fitted by the prior, of the bend over its widths."""
-        mean = sum(chance * width * width for chance, width in zip(self.chances, BENDS, strict=False))
-        return np.array([*self.usual, *((1 / mean,) * 3 if self.bent else ())])
+        return np.array([*self.usual, *((1 / bend_variance(self.chances),) * 3 if self.bent else ())])
 
     def places(self) -> list[int]:
         """Return the places of what is fitted among the twelve parameters and the bend."""
@@ -225,9 +225,7 @@ class Posterior:
 
     def worst_direction_mg(self) -> float:
         """Return the largest standard error of |a| over directions of the sphere [mg]."""
-        rows = columns(directions(), self)
-        variances = np.einsum("ni,ij,nj->n", rows, np.array(self.covariance), rows)
-        return float(500 * np.sqrt(variances.max()))  # a standard error of |a|^2 is twice that of |a|
+        return worst_direction_mg(columns(directions(), self), np.array(self.covariance))
 
 
 def posterior(
@@ -254,9 +252,8 @@ def posterior(
             break
         seen.add((penalty, bend))
         state = _fit_at_bend(task, points, penalty, noise_g, start, bend)
-        used, found = state.used(), state.found
-        start, bend = found.fit.parameters, state.moved()
-        noise_g = noise(used, found.mean_square, postures, prior)
+        start, bend = state.found.fit.parameters, state.moved()
+        noise_g = noise(state.used(), state.found.mean_square, postures, prior)
     state = _fit_at_bend(task, points, penalty, noise_g, IDENTITY, state.found.fit.bend)
     unit, averaged = 4 * noise_g * noise_g / postures, state.averaged
     information = [[value / unit for value in row] for row in state.found.curvature]
@@ -310,7 +307,7 @@ class _FitAtBend:
 
     def used(self) -> float:
         """Return the postures that parameters use up: trace(H), H the projection of residuals on the fit."""
-        bends = [] if self.averaged is None else [1 / self.averaged.variance()] * 3
+        bends = [] if self.averaged is None else [1 / bend_variance(self.averaged.chances)] * 3
         strengths = [self.unit * value for value in (*self.held, *bends)]
         spread = inverse(_held(self.found.curvature, strengths))
         return sum(_dot(row, column) for row, column in zip(self.found.curvature, spread, strict=True))
@@ -325,9 +322,8 @@ def _fit_at_bend(
     unit = 4 * noise_g * noise_g / task.postures
     held = [value / unit for value in _strengths(points, task.model, penalty)]
     away = [(found.fit.parameters[j] - penalty.centre[j]) / ONE for j in task.model.free]
-    slope = [
-        -unit * one * other for one, other in zip(held, away, strict=True)
-    ]  # at the minimum with the prior
+    # at the minimum, the slopes of points and prior along the parameters cancel
+    slope = [-unit * one * other for one, other in zip(held, away, strict=True)]
     if task.model.name not in BENT:
         return _FitAtBend(found, slope, held, unit, None)
     found, along = _along_bend(points, found)
@@ -369,10 +365,6 @@ class _Averaged:
     chances: tuple[float, ...]
     step: list[float]
     covariance: list[list[float]]
-
-    def variance(self) -> float:
-        """Return that of bends, over the widths."""
-        return _dot(self.chances, [width * width for width in BENDS])
 
 
 def _averaged(
@@ -419,6 +411,11 @@ def _averaged(
         for j in range(size)
     ]
     return _Averaged(chances, mean[-3:], covariance)
+
+
+def bend_variance(chances: Sequence[float]) -> float:
+    """Return the variance of a bend whose widths have some probabilities."""
+    return _dot(chances, [width * width for width in BENDS])
 
 
 def _dot(one: Iterable[float], other: Iterable[float]) -> float:
@@ -617,7 +614,7 @@ def sphere_errors(
 def uncertainty_budget(known: Posterior, around: Circumstances) -> tuple[UncertaintyPart, ...]:
     """Return the parts of the standard uncertainty of |a| at rest, to first order.
 
-    The part of the bend is what it adds to the uncertainty of the other parameters.
+    The part of the bend is its own, and that by which it makes the other parameters less certain.
     """
     true = np.concatenate([directions(), np.eye(3), -np.eye(3)])
     rows = columns(sensor_of(known.found.fit).bent(_raw_directions(known.found.fit, true)), known) / 2
@@ -764,7 +761,7 @@ def drawn_sensors(
 
 
 def _drawn(known: Posterior, most: float, numbers: tuple[Floats, Floats] | None = None) -> Floats:
-    """Draw free parameters less the best ones, (DRAWS, free), by Gibbs sampling.
+    """Draw all that is fitted, less the best fit, (DRAWS, k), by Gibbs sampling.
 
     The prior is normal about the fit's centre, with one of WIDTHS for all parameters, which is drawn, too: a
     sensor whose fitted parameters are far off may be as far off in what the points leave open. The noise is

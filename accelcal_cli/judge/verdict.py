@@ -216,9 +216,6 @@ SIMPLER = {"9": "6", "9T": "6T"}
 FULL_MODELS = tuple(SIMPLER)
 DIVERGES, BEYOND_RANGE = Reason("fit_diverges"), Reason("beyond_range")
 
-PROBABLE = 0.5
-"""Probability from which a change of the sensor explains what else would be laid at the rests' door."""
-
 ANOTHER_PROFILE = (Reason("use_default_profile"),)
 """Advice where F's procedure does not serve."""
 
@@ -275,8 +272,8 @@ def judge(
 
 def _doubts(verdict: Judgement, settings: Settings) -> Iterator[Reason]:
     """Yield what the points say against trusting a verdict without a look."""
-    scatter_mg, changed = verdict.rest_scatter_mg, verdict.changed[0] >= PROBABLE
-    over = scatter_mg is not None and scatter_mg >= settings.max_error_mg and not changed
+    scatter_mg = verdict.rest_scatter_mg
+    over = scatter_mg is not None and scatter_mg >= settings.max_error_mg and not verdict.probably_changed()
     if over and verdict.calibration is not None:
         yield Reason.of("scatter_over_limit", scatter_mg=scatter_mg)
     for axis, at in verdict.coverage.saturated:
@@ -349,7 +346,7 @@ def _most_probable(
         sphere_before=before,
         rest_scatter_mg=known.rest_scatter_mg(),
         misfits=misfits,
-        changed=probable_change(changes),
+        changed=None if means is None else probable_change(changes),
         uncertainty=uncertainty_budget(known, around),
         unlike=unlike,
         plausible=DrawnSensors(known, points, settings.gravity, fitted.bend),
@@ -442,7 +439,7 @@ def _outcome_of_sphere(verdict: Judgement, settings: Settings) -> Decision:
         **_percents(sphere),
     } | _held_out_values(holdout)
     outcome = outcome_by_probability(sphere, before)
-    cut = (Reason("cut_recording"),) if verdict.changed[0] >= PROBABLE else ()
+    cut = (Reason("cut_recording"),) if verdict.probably_changed() else ()
     if outcome is Outcome.CALIBRATED:
         return Decision(outcome, Reason.of("calibrated", model=fitted.model, **values), cut)
     missing = cut or _missing(verdict, settings)

@@ -16,7 +16,7 @@ from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import Reason
 from accelcal_cli.core.local_time import NO_START
 from accelcal_cli.core.recording import Device
-from accelcal_cli.core.results import NEAR_ONE_G, Facts, Judgement, Outcome, sides_not_up
+from accelcal_cli.core.results import NEAR_ONE_G, PROBABLE, Facts, Judgement, Outcome, sides_not_up
 from accelcal_cli.core.settings import DEFAULT, PAPER
 from accelcal_cli.output import sentences
 from accelcal_cli.output.methods import held_out_sentence
@@ -296,10 +296,9 @@ def _meaning_of_error(report: ReportView) -> Iterator[str]:
     if error is None:
         return
     yield f"The limit is {number(report.setting('max_error_mg', LIMIT_MG))} mg."
-    changed = report.change is not None and (report.change.probability or 0.0) >= 0.5
-    scatter = (
-        "" if report.rest_scatter_mg is None or changed else f" of {number(report.rest_scatter_mg, 2)} mg"
-    )
+    changed = report.change is not None and (report.change.probability or 0.0) >= PROBABLE
+    known = report.rest_scatter_mg is not None and not changed
+    scatter = f" of {number(report.rest_scatter_mg, 2)} mg" if known else ""
     yield (
         "While the device is still, the mean |a| of an epoch is expected to be off by as much, on average "
         f"over all orientations, and by {number(error.before, 2)} mg without calibration. ENMO at rest also "

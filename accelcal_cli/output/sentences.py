@@ -397,7 +397,7 @@ def _changed(values: Values) -> str:
     text = f"The sensor changed during the recording: {what}, by up to {values['size_mg']:.1f} mg."
     if values.get("followed") is None:  # in a study's table
         return text
-    if values["followed"] and values.get("left_percent", 0) >= 50:
+    if values["followed"] and values.get("left_percent") is not None:
         left = f"with a probability of {values['left_percent']:.0f} % it changed by more"
         return f"{text} The calibration follows it only in part: {left}."
     if values["followed"]:

@@ -19,7 +19,7 @@ from accelcal_cli.core.errors import Reason, UsageError
 from accelcal_cli.core.points import Optimizer, PointSet, TimedMeans, WindowCounts, Windows, WindowUses
 from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.core.recording import Chunk, Recording
-from accelcal_cli.core.results import Change, Facts, Judgement
+from accelcal_cli.core.results import PROBABLE, Change, Facts, Judgement
 from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS, NEVER, NO_PRIOR, PAPER, Settings
 from accelcal_cli.judge.change import ChangeSearch
 from accelcal_cli.judge.model_ladder import Fitting
@@ -27,7 +27,6 @@ from accelcal_cli.judge.verdict import (
     FAR_FROM_1_G,
     FEWEST_CONTROL_POINTS,
     NOTHING_STILL,
-    PROBABLE,
     judge,
     judge_paper,
     with_errors_before,
@@ -237,14 +236,8 @@ class TimedCellProcedure(CellProcedure):
             return verdict
         search = ChangeSearch(self.means())
         change = search.find(about)
-        probability, before = verdict.changed
-        if change.kind != "none" and probability < PROBABLE:  # orientations that alternate look like one
-            assert change.holdout is not None
-            still = replace(change.holdout, changing_mg=None, standard_error_mg=None)
-            change = Change("none", None, still)
-        change = replace(change, probability=probability)
-        if change.kind == "none" and probability >= PROBABLE:
-            change = replace(change, at_block=round(before * self.means().blocks()))
+        if verdict.changed is not None:
+            change = self._borne_out(change, *verdict.changed)
         if change.at_block is not None:
             at_us = self.begun_us(change.at_block * self.collector.block_samples)
             change = replace(change, at_us=at_us)
@@ -257,6 +250,16 @@ class TimedCellProcedure(CellProcedure):
             in_local_g = None if self._correction is None else self._correction.in_local_g(self._gravity)
             self._points = self._correction, self.collector.points(in_local_g)
         return self._points[1]
+
+    def _borne_out(self, change: Change, probability: float, before: float) -> Change:
+        """Return a change as the posterior bears it out: orientations that alternate look like one, too."""
+        if change.kind != "none" and probability < PROBABLE:
+            assert change.holdout is not None
+            still = replace(change.holdout, changing_mg=None, standard_error_mg=None)
+            change = Change("none", None, still)
+        if change.kind == "none" and probability >= PROBABLE:
+            change = replace(change, at_block=round(before * self.means().blocks()))
+        return replace(change, probability=probability)
 
     def _corrected(self, verdict: Judgement, how: Fitting, search: ChangeSearch) -> Judgement:
         """Return the judgement of corrected points if that gives a calibration, else `verdict`."""
@@ -272,7 +275,7 @@ class TimedCellProcedure(CellProcedure):
             self._correction = None
             return verdict
         calibration = replace(better.calibration, correction=change.correction)
-        left = replace(change, probability=better.changed[0])
+        left = replace(change, probability=None if better.changed is None else better.changed[0])
         corrected = replace(better, calibration=calibration, change=left)
         if (simpler := better.without_misalignment) is not None:
             calibration = replace(simpler.calibration, correction=change.correction)

@@ -197,3 +197,11 @@ def test_the_table_of_a_study_has_it(tmp_path: Path) -> None:
         ("same.raw", "none", ""),
     ]
     assert float(rows[0]["change_mg"]) == pytest.approx(19.6, abs=1)
+
+
+def test_a_change_is_followed_without_a_posterior_too(tmp_path: Path) -> None:
+    """Where none can bear it out, held-out stretches of time decide alone."""
+    change = calibrated(jumping(tmp_path / "a.raw"), "--prior", "none")["change"]
+    assert (change["kind"], change["probability"]) == ("step", None) and change["at"].startswith(
+        "2024-03-04T14"
+    )

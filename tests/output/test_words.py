@@ -315,7 +315,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
             "at": "2024-03-04T16:00:00.000000" if kind in ("step", "gain", "device") else None,
             "size_mg": 39.5,
             "followed": followed,
-            "left_percent": 80.0 if kind == "walk" else 2.0,
+            "left_percent": 80.0 if kind == "walk" else None,
             "constant_mg": 12.5,
             "changing_mg": 2.0,
         }
