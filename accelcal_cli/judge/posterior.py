@@ -75,9 +75,9 @@ _SCALES_AND_OFFSETS = (0, 1, 2, 6, 7, 8)
 NOISE_RANGE = 50
 """Factor by which the noise may be larger or smaller than the usual one."""
 
-WIDTHS, SHARES = (0.15, 0.6, 1.2, 3.0), (0.1, 0.25, 0.45, 0.2)
+WIDTHS, SHARES = (0.6, 1.2, 3.0), (0.3, 0.5, 0.2)
 """Width of the drawn prior, times that of the fit's, which all parameters share: a few, with the share of the
-sensors that are good, alike, usual and odd; docs/prior.md has what they are worth."""
+sensors that are alike, usual and odd; docs/prior.md has what they are worth."""
 
 DRAWN_NOISE_RANGE = 10
 """Factor by which a drawn noise may be larger or smaller than the most probable one."""

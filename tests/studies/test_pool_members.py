@@ -54,13 +54,13 @@ def test_a_recording_that_contradicts_the_others_is_left_out(tmp_path: Path, pri
     for number in range(3):
         write_device(tmp_path / f"in/{number}.raw", values[number * 40 * 750 : (number + 1) * 40 * 750])
     write_device(tmp_path / "in/swapped.raw", perfect())
-    assert study(tmp_path, "--prior", prior).code == 0
+    assert study(tmp_path, "--prior", prior).code == 1
     made = pool_of(tmp_path / "out")
     (odd,) = made["pool"]["left_out"]
     assert odd["path"] == "in/swapped.raw"
     assert [one["path"] for one in made["pool"]["recordings"]] == [f"in/{n}.raw" for n in range(3)]
     row = rows(tmp_path / "out")[3]
-    assert (row["path"], row["outcome"], row["pool"]) == ("swapped.raw", "already_good", "")
+    assert (row["path"], row["outcome"], row["pool"]) == ("swapped.raw", "refused", "")
     own = report(tmp_path / "out", "swapped")["message"]
     assert odd["reason"] == "worse_than_usual" and row["cautions"].split()[-1] == "not_pooled"
     assert row["message"].startswith(f"{own} Not pooled: it was left out of the pool: ")
